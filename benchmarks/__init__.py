@@ -1,5 +1,1 @@
-"""Timings and profiles; nothing here decides whether a test passes."""
-
-import os
-
-os.environ["HITCHOPT_MEMORY"] = "off"  # what is measured is solved
+"""Benchmarks that users run: ``python -m benchmarks NAME``, one module each."""

@@ -1,68 +1,160 @@
-"""What all rivals share: what they come back with, and flat outputs sampled through the model."""
+"""A rival of optimised morphs: the least that one would write in plain casadi and IPOPT.
+
+Vertices are uniform B-splines of degree 5 in s = t/T with 10 coefficients each and free final time;
+q-legs go evenly along a smooth step. Speeds, accelerations, thrust, tilt, legs, convexity and the
+distances of all pairs of drones are kept at 24 samples. There are no limits of jerk, no clearances
+of cables, no certificate. Written in SX throughout, so that casadi differentiates one flat graph.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from scipy.interpolate import BSpline
 
-from benchmarks.samples import Sampler, Samples
-from benchmarks.tasks import Task
-from hitchopt.model.evaluation import FlatJets, drone_jets
-from hitchopt.model.robot import JET
+import hitchopt as ho
+from benchmarks.measuring import Array
+from hitchopt.hitch import GRAVITY
 
-Array = NDArray[np.float64]
+COEFFICIENTS, SAMPLES, DEGREE = 10, 24, 5
+FIXED = 3
+"""Coefficients at either end that rest fixes."""
+
+LEG_STEP = BSpline(np.repeat([0.0, 1.0], 8), np.repeat([0.0, 1.0], 4), 7)
+"""The q-legs' share of their change."""
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """What a rival comes back with.
+class Rival:
+    """What the rival comes back with.
 
     Attributes
     ----------
     duration: [s]
-    sample: the motion.
+    excess: by how much of a limit the flight breaks it between its samples, the worst of speed and
+        acceleration.
     """
 
     duration: float
-    sample: Sampler
+    excess: float
 
 
 class RivalError(Exception):
-    """The rival's solver says that it has not succeeded."""
+    """IPOPT gave up, or ran out of time."""
 
 
-def straight_time(task: Task) -> float:
-    """Return a duration in which the straight way can be flown with ease [s]."""
-    farthest = np.max(np.linalg.norm(task.end.drones - task.start.drones, axis=-1))
-    return 2.0 + 4.0 * float(farthest)
+def solve(
+    start: ho.Hitch, end: ho.Hitch, limits: ho.Limits, separation: ho.Separation, seconds: float
+) -> Rival:
+    """Return IPOPT's solution, found in at most that many processor seconds of IPOPT.
 
-
-def flat_ends(task: Task) -> tuple[Array, Array]:
-    """Return the flat outputs (3n,) at both ends: vertices x, y, x, y, …, then q-legs [m]."""
-    first, last = (
-        np.concatenate([hitch.vertices[:, :2].ravel(), hitch.q_legs])
-        for hitch in (task.start, task.end)
+    Raises
+    ------
+    RivalError: IPOPT gives up, or runs out of time.
+    """
+    n = start.team.robots
+    (first, q_first), (last, q_last) = (
+        (hitch.vertices[:, :2].ravel(), hitch.q_legs) for hitch in (start, end)
     )
-    return first, last
+    inner = COEFFICIENTS - DEGREE
+    knots = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, 1.0, inner + 1), np.ones(DEGREE)])
+    basis = BSpline(knots, np.eye(COEFFICIENTS), DEGREE)
+    robot = _robot(start, limits)
+    free, T = ca.SX.sym("c", COEFFICIENTS - 2 * FIXED, 2 * n), ca.SX.sym("T")
+    fixed = [ca.DM(np.tile(place, (FIXED, 1))) for place in (first, last)]
+    control = ca.vertcat(fixed[0], free, fixed[1])
+
+    def jets(s: Array, control: ca.SX | ca.DM, T: ca.SX | ca.DM) -> ca.SX | ca.DM:
+        legs = [np.outer(LEG_STEP(s, order), q_last - q_first) for order in range(3)]
+        legs[0] += q_first
+        vertices = [ca.mtimes(ca.DM(basis(s, order)), control) / T**order for order in range(3)]
+        flat = []
+        for shift in (-1, 0, 1, 2):
+            at = (np.arange(n) + shift) % n
+            for axis in range(2):
+                flat += [ca.vec(jet[:, (2 * at + axis).tolist()]).T for jet in vertices]
+        flat += [ca.vec(ca.DM(leg) / T**order).T for order, leg in enumerate(legs)]
+        return ca.vertcat(*flat)
+
+    rows, places = robot.map(n * SAMPLES)(jets(np.linspace(0.0, 1.0, SAMPLES), control, T))
+    x, y = (
+        ca.horzcat(*(ca.reshape(places[axis + drone, :], SAMPLES, n) for drone in (0, 2)))
+        for axis in range(2)
+    )
+    i, j = (index.tolist() for index in np.triu_indices(2 * n, 1))
+    squared = ca.vec((x[:, i] - x[:, j]) ** 2 + (y[:, i] - y[:, j]) ** 2)
+    g = ca.vertcat(ca.vec(rows), (2.0 * separation.radius) ** 2 - squared)
+    share = np.linspace(0.0, 1.0, COEFFICIENTS - 2 * FIXED + 2)[1:-1, None]
+    guess = first + share * (last - first)
+    longest = float(np.max(np.linalg.norm(end.drones - start.drones, axis=-1)))
+    solver = ca.nlpsol(
+        "rival",
+        "ipopt",
+        {"x": ca.vertcat(ca.vec(free), T), "f": T, "g": g},
+        {
+            "print_time": False,
+            "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 1000, "max_cpu_time": seconds},
+        },
+    )
+    found = solver(
+        x0=np.append(guess.T.ravel(), 2.0 + 4.0 * longest),
+        lbx=np.append(np.full(guess.size, -np.inf), 0.1),
+        ubx=np.inf,
+        lbg=-np.inf,
+        ubg=0.0,
+    )
+    if not solver.stats()["success"]:
+        raise RivalError(str(solver.stats()["return_status"]))
+    values = np.asarray(found["x"], dtype=np.float64).ravel()
+    duration, middle = float(values[-1]), values[:-1].reshape(2 * n, -1).T
+    whole = np.concatenate([np.tile(first, (FIXED, 1)), middle, np.tile(last, (FIXED, 1))])
+    fine = np.linspace(0.0, 1.0, 2001)
+    checked = robot.map(n * len(fine))(jets(fine, ca.DM(whole), ca.DM(duration)))[0]
+    speeds, accelerations = (np.asarray(checked)[rows] for rows in ([4, 8], [5, 9]))
+    excess = max(
+        float(np.sqrt(1.0 + np.max(speeds) / limits.speed**2)) - 1.0,
+        float(np.sqrt(1.0 + np.max(accelerations) / limits.acceleration**2)) - 1.0,
+    )
+    return Rival(duration, excess)
 
 
-def flat_sampler(task: Task, flat: Callable[[Array], Array]) -> Sampler:
-    """Return the sampler of flat outputs: ``flat(t)`` are their jets by time (J, 3n, JET)."""
-    n = task.robots
+def _robot(start: ho.Hitch, limits: ho.Limits) -> ca.Function:
+    """Return one robot's rows, not to be positive, and its drones' places (4,).
 
-    def sample(t: Array) -> Samples:
-        jets = flat(t)
-        vertices = np.zeros((len(t), n, 3, JET))
-        vertices[:, :, :2] = jets[:, : 2 * n].reshape(len(t), n, 2, JET)
-        vertices[:, :, 2, 0] = task.start.altitude
-        tensions = np.zeros((len(t), n, JET))
-        tensions[..., 0] = task.start.team.tension
-        flat_jets = FlatJets(vertices, jets[:, 2 * n :], tensions)
-        drones = drone_jets(task.start.team, flat_jets).positions
-        x, v, a, j = (drones[..., order] for order in range(JET))
-        return Samples(x, v, a, j, vertices[..., 0], vertices[..., 1])
-
-    return sample
+    The input holds value, velocity and acceleration of the coordinates of four vertices, then of
+    the q-leg.
+    """
+    team = start.team
+    jets = ca.SX.sym("jets", 27)
+    value, rate, second = jets[::3], jets[1::3], jets[2::3]
+    before, here, there, after, d = ca.vertsplit(value, [0, 2, 4, 6, 8, 9])
+    e = float(team.cable_length[0]) - ca.norm_2(there - here) - d
+    pulled = [
+        (here - before) / ca.norm_2(here - before),
+        (there - after) / ca.norm_2(there - after),
+    ]
+    places = ca.vertcat(here + d * pulled[0], there + e * pulled[1])
+    speeds = ca.jtimes(places, value, rate)
+    known, following = ca.vertcat(value, rate), ca.vertcat(rate, second)
+    accelerations = ca.jtimes(speeds, known, following)
+    back, edge = here - before, there - here
+    mass, tension = float(team.mass[0]), float(team.tension[0])
+    hover, steepest = mass * GRAVITY, float(np.tan(limits.tilt))
+    rows = [
+        limits.leg - d,
+        limits.leg - e,
+        1e-3 - (back[1] * edge[0] - back[0] * edge[1]),
+        ca.sumsqr(rate[2:4]) - limits.vertex_speed**2,
+    ]
+    for k, direction in enumerate(pulled):
+        acceleration = accelerations[2 * k : 2 * k + 2]
+        level = ca.sumsqr(mass * acceleration + tension * direction)
+        rows += [
+            ca.sumsqr(speeds[2 * k : 2 * k + 2]) - limits.speed**2,
+            ca.sumsqr(acceleration) - limits.acceleration**2,
+            level + hover**2 - float(team.max_thrust[0]) ** 2,
+            level - (steepest * hover) ** 2,
+        ]
+    return ca.Function("robot", [jets], [ca.vertcat(*rows), places], {"cse": True})

@@ -1,52 +1,47 @@
-"""The separation planner on circles and random teams, beside plain Opti with ellipsoids at knots.
+"""Single drones: circles, random teams and crowds, beside plain casadi and IPOPT.
 
-Usage: python -m benchmarks.separation [circles | rival | random | crowds] ...
+Usage: python -m benchmarks separation [circles] [random] [crowds] [rival]
 
-``circles``: antipodal circles of 6 to 200 drones; ``rival``: IPOPT on those of 6, 12 and 24;
-``random``: 100 seeded teams of 10 to 30 drones; ``crowds``: random places of 100 to 1000. All of
-them without a word.
+``circles``: every drone flies to the opposite point; ``random``: 100 seeded teams of 10 to 30
+drones; ``crowds``: random places, as dense as 1000 drones in 20 × 20 × 10 m; ``rival``: small
+circles by IPOPT, ellipsoids and limits kept at knots alone.
 """
 
 from __future__ import annotations
 
-import math
-import sys
 import time
 from collections.abc import Callable
+from typing import Any
 
+import casadi as ca
 import numpy as np
+from scipy.interpolate import BSpline
 
 import hitchopt as ho
-from benchmarks.environment import busy, print_environment
-from benchmarks.separation_rival import KNOTS, RivalError, RivalFlight, fly_opti
-from hitchopt.checks import certify
-from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.mission.swarm_problem import SwarmProblem
-from hitchopt.motion.motion import Motion, Phase
+from benchmarks.measuring import Table, parser, slope
 from hitchopt.planners.timing.ramps import fastest_ramps
-from hitchopt.requirements import Requirements
 from problems.swarm import antipodal_circle, random_crowd, random_team
 
-CIRCLES = (6, 12, 24, 64, 200)
-RIVAL_CIRCLES = (6, 12, 24)
+LIMITATIONS = (
+    "one machine, one run each; processor time with the certificate's; bound: what the drone that "
+    "flies farthest takes alone; the rival is built by this repository's authors"
+)
 
-RIVAL_SECONDS = 120.0
-"""Processor time that IPOPT is given."""
+CIRCLES, SMALL, CROWDS, TEAMS = (6, 12, 24, 64, 200), (6, 12, 24), (100, 300, 1000), 100
 
-TEAMS = 100
-
-CROWDS = (100, 300, 1000)
-
-
-def circle(n: int) -> SwarmProblem:
-    """Return the antipodal circle of n drones."""
-    problem = any_problem_from_dict(antipodal_circle(n))
-    if not isinstance(problem, SwarmProblem):
-        raise TypeError("a circle is of single drones")
-    return problem
+DEGREE, POINTS, KNOTS, FIXED = 5, 14, 24, 3
+"""The rival's splines, its knots, and the control points at either end that rest fixes."""
 
 
-def bound(problem: SwarmProblem) -> float:
+def problem_of(data: dict[str, object]) -> ho.SwarmProblem:
+    """Return a problem of single drones."""
+    found = ho.problem_from_dict(data)
+    if not isinstance(found, ho.SwarmProblem):
+        raise TypeError("not a problem of single drones")
+    return found
+
+
+def bound(problem: ho.SwarmProblem) -> float:
     """Return what the drone that flies farthest takes at least, alone [s]."""
     limits = problem.limits
     distance = np.linalg.norm(problem.goal - problem.start, axis=1)
@@ -54,132 +49,135 @@ def bound(problem: SwarmProblem) -> float:
     return float(np.max(ramps.duration))
 
 
-def measure_circles() -> None:
-    """Print a row for every circle, and how time grows with the number of drones."""
-    print("antipodal circles (radius 2 m, or as much as sets neighbours 0.36 m apart), no arena")
-    print(
-        "    N  radius [m]  processor [s]  duration [s]  over bound  separation, all t  certified"
-    )
-    ho.separate(circle(2))  # imports are not what is measured
-    counts, times = [], []
+def cells(problem: ho.SwarmProblem) -> tuple[float, float, float, float, str]:
+    """Return processor time, duration, its ratio to the bound, and the least separation."""
+    began = time.process_time()
+    plan = ho.separate(problem)
+    took, ratio = time.process_time() - began, plan.duration / bound(problem)
+    certificate = plan.certificate
+    kept = "yes" if certificate.certified else "NO"
+    return took, plan.duration, ratio, certificate["separation"].worst or 0.0, kept
+
+
+COLUMNS = ("processor [s]", "duration [s]", "over bound", "separation, all t", "certified")
+
+
+def circles(table: Table) -> None:
+    """Add the circles."""
+    table.section("Circles", "N", *COLUMNS)
+    ho.separate(problem_of(antipodal_circle(2)))  # imports are not measured
+    times = []
     for n in CIRCLES:
-        problem = circle(n)
-        began = time.process_time()
-        plan = ho.separate(problem)
-        seconds = time.process_time() - began
-        ratio = plan.duration / bound(problem)
-        radius = float(np.max(problem.start[:, 0]))
-        worst = plan.certificate["separation"].worst
-        print(
-            f"  {n:3d}  {radius:10.2f}  {seconds:13.2f}  {plan.duration:12.3f}  {ratio:10.3f}  "
-            f"{worst:17.4f}  {'yes' if plan.certificate.certified else 'NO'}",
-            flush=True,
-        )
-        counts.append(n)
-        times.append(seconds)
-    for a in range(1, len(counts)):
-        slope = math.log(times[a] / times[a - 1]) / math.log(counts[a] / counts[a - 1])
-        print(f"  growth from {counts[a - 1]} to {counts[a]}: N^{slope:.1f}")
+        row = cells(problem_of(antipodal_circle(n)))
+        times.append(row[0])
+        table.row(n, *row)
+    table.note(f"time grows as N^{slope(CIRCLES, times):.2f}")
 
 
-def measure_rival() -> None:
-    """Print a row for every circle that IPOPT is given."""
-    print(f"plain casadi.Opti + IPOPT, ellipsoids and limits at {KNOTS} knots, the same circles")
-    print(
-        "    N  processor [s]  duration [s]  iterations  separation at knots, between  worst excess"
-    )
-    for n in RIVAL_CIRCLES:
-        problem = circle(n)
-        began = time.process_time()
-        try:
-            found = fly_opti(problem, 1.2 * bound(problem), RIVAL_SECONDS)
-        except RivalError as error:
-            print(f"  {n:3d}  {time.process_time() - began:13.1f}  nothing: {error}", flush=True)
-            continue
-        seconds = time.process_time() - began
-        print(f"  {n:3d}  {seconds:13.1f}  {_rival_row(problem, found)}", flush=True)
-
-
-def _rival_row(problem: SwarmProblem, found: RivalFlight) -> str:
-    curves = found.curves
-    phase = Phase("fly", 0, 0.0, curves.duration)
-    motion = Motion.single(
-        problem.team, Requirements(problem.limits, problem.separation, None), curves, (phase,)
-    )
-    certificate = certify(motion)
-    points = curves.at(np.linspace(0.0, curves.duration, KNOTS)) * problem.separation.scale
-    i, j = np.triu_indices(problem.team.drones, 1)
-    at_knots = float(np.min(np.linalg.norm(points[:, i] - points[:, j], axis=-1)))
-    excess = max(
-        certificate[name].bound / certificate[name].number - 1.0
-        for name in ("speed", "acceleration", "jerk")
-    )
-    between = certificate["separation"].worst
-    return (
-        f"{curves.duration:12.3f}  {found.iterations:10d}  {at_knots:19.3f}, {between:7.3f}  "
-        f"{excess:11.1%}"
-    )
-
-
-def measure_random() -> None:
-    """Print how many random teams are planned and certified, and those that are not."""
-    print(f"{TEAMS} random teams of 10 to 30 drones in 4 x 4 x 2 m (seeds 0 to {TEAMS - 1})")
-    ratios, times, failed = [], [], 0
+def random(table: Table) -> None:
+    """Add the random teams."""
+    times, ratios, failed = [], [], []
     for seed in range(TEAMS):
-        problem = any_problem_from_dict(random_team(seed))
-        if not isinstance(problem, SwarmProblem):
-            raise TypeError("a random team is of single drones")
-        began = time.process_time()
         try:
-            plan = ho.separate(problem)
-        except ho.InfeasibleError as error:
-            failed += 1
-            print(f"  seed {seed}: {error}", flush=True)
+            took, _, ratio, *_ = cells(problem_of(random_team(seed)))
+        except ho.InfeasibleError:
+            failed.append(str(seed))
             continue
-        times.append(time.process_time() - began)
-        ratios.append(plan.duration / bound(problem))
-    print(f"  planned and certified: {TEAMS - failed} of {TEAMS}")
-    print(f"  processor time: {np.median(times):.2f} s (median), {np.max(times):.2f} s at most")
-    print(f"  duration over bound: {np.median(ratios):.3f} (median), {np.max(ratios):.3f} at most")
+        times.append(took)
+        ratios.append(ratio)
+    columns = (
+        "teams",
+        "certified",
+        "refused seeds",
+        "median [s]",
+        "most [s]",
+        "over bound, median",
+    )
+    table.section("Random teams of 10 to 30 in 4 × 4 × 2 m", *columns)
+    middle = float(np.median(times)), max(times), float(np.median(ratios))
+    table.row(TEAMS, TEAMS - len(failed), ", ".join(failed), *middle)
 
 
-def measure_crowds() -> None:
-    """Print a row for random crowds of the density of 1000 drones in 20 x 20 x 10 m."""
-    print("random crowds, 1000 drones in 20 x 20 x 10 m and as dense (seed 0), no arena")
-    print("     N  processor [s]  duration [s]  over bound  separation, all t  certified")
+def crowds(table: Table) -> None:
+    """Add the crowds."""
+    table.section("Crowds between random places", "N", *COLUMNS)
     for n in CROWDS:
-        problem = any_problem_from_dict(random_crowd(n))
-        if not isinstance(problem, SwarmProblem):
-            raise TypeError("a crowd is of single drones")
+        table.row(n, *cells(problem_of(random_crowd(n))))
+
+
+def rival(table: Table) -> None:
+    """Add the circles of the rival."""
+    columns = ("N", "processor [s]", "duration [s]", "separation, 2000 samples")
+    table.section("Plain casadi and IPOPT on circles", *columns)
+    for n in SMALL:
+        problem = problem_of(antipodal_circle(n))
         began = time.process_time()
-        plan = ho.separate(problem)
-        seconds = time.process_time() - began
-        print(
-            f"  {n:4d}  {seconds:13.2f}  {plan.duration:12.3f}  "
-            f"{plan.duration / bound(problem):10.3f}  "
-            f"{plan.certificate['separation'].worst:17.4f}  "
-            f"{'yes' if plan.certificate.certified else 'NO'}",
-            flush=True,
-        )
+        duration, least = fly(problem)
+        table.row(n, time.process_time() - began, duration, least)
 
 
-PARTS: dict[str, Callable[[], None]] = {
-    "circles": measure_circles,
-    "rival": measure_rival,
-    "random": measure_random,
-    "crowds": measure_crowds,
+def fly(problem: ho.SwarmProblem, limit: float = 120.0) -> tuple[float, float]:
+    """Return the duration [s] that IPOPT finds and the least separation between knots, or nan.
+
+    Drones are B-splines that start and end at rest, with free final time, from straight lines that
+    bulge to the right, so that the symmetry of a circle is broken.
+    """
+    n, limits = problem.team.drones, problem.limits
+    spans = POINTS - DEGREE
+    places = np.concatenate([np.zeros(DEGREE), np.linspace(0.0, 1.0, spans + 1), np.ones(DEGREE)])
+    basis, s = BSpline(places, np.eye(POINTS), DEGREE), np.linspace(0.0, 1.0, KNOTS)
+    opti = ca.Opti()
+    inner, T = opti.variable(POINTS - 2 * FIXED, 3 * n), opti.variable()
+    ends = [ca.DM(np.tile(end.ravel(), (FIXED, 1))) for end in (problem.start, problem.goal)]
+    control = ca.vertcat(ends[0], inner, ends[1])
+    for order, most in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
+        rate = ca.reshape(ca.mtimes(ca.DM(basis(s, order)), control).T, 3, n * KNOTS)
+        opti.subject_to(ca.vec(ca.sum1(rate**2)) <= (most * T**order) ** 2)
+    points = ca.mtimes(ca.DM(basis(s)), control)
+    i, j = np.triu_indices(n, 1)
+    apart = ca.MX(0.0)
+    for axis, scale in enumerate(problem.separation.scale):
+        offset = points[:, (3 * i + axis).tolist()] - points[:, (3 * j + axis).tolist()]
+        apart = apart + (float(scale) * offset) ** 2
+    opti.subject_to(ca.vec(apart) >= 1.0)
+    opti.subject_to(T >= 0.1)
+    opti.minimize(T)
+    opti.set_initial(T, 1.2 * bound(problem))
+    share = np.linspace(0.0, 1.0, POINTS - 2 * FIXED + 2)[1:-1, None, None]
+    line = problem.goal - problem.start
+    right = np.column_stack([line[:, 1], -line[:, 0], np.zeros(n)])
+    right /= np.maximum(np.linalg.norm(right, axis=1, keepdims=True), 1e-9)
+    bulge = 1.2 * problem.separation.radius * n / np.pi * np.sin(np.pi * share) * right
+    guess = problem.start + share * line + bulge
+    opti.set_initial(inner, guess.reshape(len(share), -1))
+    quiet: dict[str, Any] = {"print_level": 0, "sb": "yes", "max_iter": 3000, "max_cpu_time": limit}
+    opti.solver("ipopt", {"expand": True, "print_time": False}, quiet)
+    try:
+        found = opti.solve()
+    except RuntimeError:
+        return np.nan, np.nan
+    curve = BSpline(places, np.asarray(found.value(control), dtype=np.float64), DEGREE)
+    flown = curve(np.linspace(0.0, 1.0, 2000)).reshape(-1, n, 3) * problem.separation.scale
+    least = float(np.min(np.linalg.norm(flown[:, i] - flown[:, j], axis=-1)))
+    return float(found.value(T)), least
+
+
+PARTS: dict[str, Callable[[Table], None]] = {
+    "circles": circles,
+    "random": random,
+    "crowds": crowds,
+    "rival": rival,
 }
 
 
 def main() -> None:
-    """Print machine, versions, limitations, and what was asked for."""
-    print_environment(
-        "one run each, processor seconds in one process, certificates included; "
-        f"{busy():.1f} processes wanted a core in the minute before"
-    )
-    for name in sys.argv[1:] or PARTS:
-        print()
-        PARTS[name]()
+    """Print and write the parts that are asked for."""
+    options = parser(__doc__)
+    options.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[], help="or all")
+    given = options.parse_args()
+    table = Table(given.output / "separation.md", "Single drones", LIMITATIONS)
+    for name in given.parts or PARTS:
+        PARTS[name](table)
 
 
 if __name__ == "__main__":

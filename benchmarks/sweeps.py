@@ -1,13 +1,11 @@
-"""Sweeps: throughput of two workers and of one, and rows of a study that is killed again and again.
+"""Sweeps: plans a second with one worker and with two, and rows of a study that is killed.
 
-Usage: python -m benchmarks.sweeps [--plans N] [--kills K] [--output DIR]
+Usage: python -m benchmarks sweeps [--plans N] [--kills K]
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import random
 import signal
 import subprocess
@@ -17,13 +15,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-import pandas
-
 import hitchopt as ho
-from benchmarks.environment import busy, environment
-from hitchopt.sweeps.dataset import MEASURED, load_sweep
-from hitchopt.sweeps.study_file import study_from_dict
-from hitchopt.sweeps.work import outcome_of
+from benchmarks.measuring import Table, parser
+from hitchopt.sweeps.sweep import MEASURED
 
 PROBLEM: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -31,12 +25,12 @@ PROBLEM: dict[str, Any] = {
     "mission": [{"morph": {"polygon": [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}],
 }
 
-LONGEST = 12.0
-"""Longest time until something is killed [s]: rows arrive from the fifth second on."""
+LIMITATIONS = (
+    "one machine, by the clock; triangles of different tension; the first rows not counted"
+)
 
-
-PATIENCE = 5.0
-"""How long a process is given to end by itself [s]."""
+UNCOUNTED = 4
+"""Rows for each worker that are not counted, while workers import what they need."""
 
 
 def study(plans: int) -> dict[str, Any]:
@@ -45,136 +39,67 @@ def study(plans: int) -> dict[str, Any]:
     return {"problem": PROBLEM, "parameters": {"team.tension": drawn}, "samples": plans}
 
 
-def plain_loop(plans: int) -> float:
-    """Return how long so many plans take without dask, each with its row [s]."""
-    cases = list(study_from_dict(study(plans)).cases())
-    outcome_of(cases[-1], "")  # imports, models
-    begin = time.perf_counter()
-    for case in cases:
-        outcome_of(case, case.digest)
-    return time.perf_counter() - begin
-
-
-def swept(plans: int, workers: int) -> tuple[float, float]:
-    """Return how long a sweep takes from its first row on, and in all [s]."""
+def swept(plans: int, workers: int) -> float:
+    """Return the time a plan takes in a sweep [s]."""
     times: list[float] = []
     with tempfile.TemporaryDirectory() as place:
-        begin = time.perf_counter()
         ho.run_sweep(
             study(plans),
             place,
             workers=workers,
             progress=lambda _: times.append(time.perf_counter()),
         )
-        whole = time.perf_counter() - begin
-    settled = 4 * workers  # the first ones import what they need
-    return (times[-1] - times[settled]) * plans / (plans - 1 - settled), whole
+    first = UNCOUNTED * workers
+    return (times[-1] - times[first]) / (plans - 1 - first)
 
 
-def killed(plans: int, kills: int) -> tuple[int, bool]:
-    """Kill client, scheduler or a worker so many times; return the runs, and whether rows agree."""
+def killed(plans: int, kills: int) -> bool:
+    """Kill the sweep's process so many times; return whether its rows are those of a whole one."""
     chance = random.Random(0)
-    with tempfile.TemporaryDirectory() as place:
-        file = Path(place) / "study.json"
-        file.write_text(json.dumps(study(plans)))
-        whole = fixed(ho.run_sweep(file, Path(place) / "whole", workers=2))
-        runs, hits = 0, 0
-        while True:
-            runs += 1
-            done = one_run(Path(place), chance, hits < kills)
-            hits += not done
-            rows = len(load_sweep(Path(place) / "killed")) if runs > 1 or done else 0
-            print(f"run {runs}: {'ended' if done else 'killed'}, {rows} rows", flush=True)
-            if done and hits >= kills:
-                break
-            if done:  # all rows were there too early: begin with fewer
-                for path in list((Path(place) / "killed" / "rows").iterdir())[::2]:
-                    path.unlink()
-        found = fixed(load_sweep(Path(place) / "killed"))
-    return runs, bool(found.equals(whole))
-
-
-def one_run(place: Path, chance: random.Random, kill: bool) -> bool:
-    """Run the study with its own scheduler and workers; return whether it ended by itself."""
-    port = chance.randrange(20000, 60000)
-    address = f"tcp://127.0.0.1:{port}"
-    scheduler = _start(
-        "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-show"
-    )
-    worker = _start("distributed.cli.dask_worker", address, "--nworkers", "2", "--nthreads", "1")
-    sweep = ["sweep", str(place / "study.json"), "-o", str(place / "killed")]
-    client = _start("hitchopt", *sweep, "--scheduler", address)
-    victims = {"client": client, "scheduler": scheduler, "worker": worker}
-    try:
-        if kill:
-            time.sleep(chance.uniform(3.0, LONGEST))
-            if client.poll() is not None:
-                return client.returncode == 0
-            victim = victims[chance.choice(sorted(victims))]
-            victim.send_signal(signal.SIGKILL)
-            if victim is worker:  # its nannies' processes end with it: work goes to new ones
-                worker = _start(
-                    "distributed.cli.dask_worker", address, "--nworkers", "2", "--nthreads", "1"
-                )
-        try:
-            client.wait(20.0 if kill else 600.0)
-        except subprocess.TimeoutExpired:
-            return False
-        return client.returncode == 0
-    finally:
-        for process in (client, worker, scheduler, *victims.values()):
-            if process.poll() is None:
-                process.terminate()
-                try:
-                    process.wait(PATIENCE)
-                except subprocess.TimeoutExpired:  # a worker without scheduler may wait for it
-                    process.kill()
-                    process.wait()
-
-
-def _start(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    return subprocess.Popen([sys.executable, "-m", module, *arguments], **quiet, env=os.environ)  # type: ignore[call-overload, no-any-return]
-
-
-def fixed(rows: pandas.DataFrame) -> pandas.DataFrame:
-    """Return the columns that do not differ from run to run."""
-    return rows[[name for name in map(str, rows.columns) if not name.startswith(MEASURED)]]
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        file = place / "study.json"
+        file.write_text(json.dumps(study(plans)), encoding="utf-8")
+        whole = ho.run_sweep(file, place / "whole", workers=2)
+        command = [
+            sys.executable,
+            "-m",
+            "hitchopt",
+            "sweep",
+            str(file),
+            "-o",
+            str(place / "killed"),
+        ]
+        for _ in range(kills):
+            process = subprocess.Popen(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+            time.sleep(chance.uniform(4.0, 12.0))
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        found = ho.run_sweep(file, place / "killed", workers=2)
+    same = [name for name in map(str, whole.columns) if not name.startswith(MEASURED)]
+    return bool(found[same].equals(whole[same]))
 
 
 def main() -> None:
-    """Measure, print and write."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plans", type=int, default=2000)
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results")
-    arguments = parser.parse_args()
-    lines = [
-        "# Sweeps",
-        "",
-        f"- {environment()}",
-        f"- busy before the start: {busy():.1f} processes",
-    ]
-    n = arguments.plans
-    if n:
-        loop = plain_loop(n // 4) * 4.0
-        one, whole_one = swept(n, 1)
-        two, whole_two = swept(n, 2)
-        lines += [
-            f"- {n} triangle plans, by the clock: plain loop {1e3 * loop / n:.1f} ms a plan (of a "
-            f"quarter of them), one worker {1e3 * one / n:.1f} ms ({one / loop:.2f} times the "
-            f"loop), two workers {one / two:.2f} times the throughput of one",
-            f"- with the start of the cluster: {whole_one:.1f} s and {whole_two:.1f} s",
-        ]
-        print("\n".join(lines[-2:]), flush=True)
-    if arguments.kills:
-        runs, same = killed(400, arguments.kills)
-        lines.append(
-            f"- 400 plans, client, scheduler or workers killed {arguments.kills} times in {runs} "
-            f"runs: rows {'are the same' if same else 'DIFFER'} (times and memory aside)"
-        )
-        print(lines[-1])
-    (arguments.output / "sweeps.md").write_text("\n".join([*lines, ""]), encoding="utf-8")
+    """Print and write the tables."""
+    options = parser(__doc__)
+    options.add_argument("--plans", type=int, default=400)
+    options.add_argument("--kills", type=int, default=5)
+    given = options.parse_args()
+    table = Table(given.output / "sweeps.md", "Sweeps", LIMITATIONS, ("dask",))
+    table.section("", "workers", "time of a plan [ms]", "throughput over one worker")
+    one = swept(given.plans, 1)
+    table.row(1, 1e3 * one, 1.0)
+    two = swept(given.plans, 2)
+    table.row(2, 1e3 * two, one / two)
+    if given.kills:
+        same = "the same" if killed(given.plans, given.kills) else "NOT the same"
+        table.note(f"{given.plans} plans, killed {given.kills} times: rows are {same}")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""An independent quadrotor simulator (rotorpy) tracks exported polynomials.
+"""Exports flown elsewhere: an independent simulator (rotorpy) tracks exported polynomials.
 
-Usage: python -m benchmarks.tracking [--output FILE]
+Usage: python -m benchmarks tracking
 
 The CSV of each problem's fastest drones, read by numpy alone, is flown by rotorpy's Hummingbird and
 geometric controller, and so is the plan that it was exported from. If the export costs anything in
@@ -9,57 +9,30 @@ flight, the two differ.
 
 from __future__ import annotations
 
-import argparse
-import datetime
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rotorpy.controllers.quadrotor_control import SE3Control
 from rotorpy.vehicles.hummingbird_params import quad_params
 from rotorpy.vehicles.multirotor import Multirotor
 
 import hitchopt as ho
-from benchmarks.environment import environment
+from benchmarks.measuring import PROBLEMS, Array, Table, parser
 
-Array = NDArray[np.float64]
 Curve = Callable[[float, int], Array]
 """Position (3,) [m], or a derivative by time, at a time."""
 
-PROBLEMS = Path(__file__).parents[1] / "problems"
+STEMS, FASTEST = ("triangle", "move_vertex", "square_half_turn", "transport"), 3
 
-STEMS = ("triangle", "move_vertex", "square_half_turn", "transport")
-
-FASTEST = 3
-"""Drones of a problem that are flown."""
-
-STEP = 0.005
-"""[s] Of the simulation and of the controller."""
-
-SETTLED = 1.0
-"""[s] Flown on at the last point."""
+STEP, SETTLED = 0.005, 1.0
+"""[s] Step of simulation and controller, and time that is flown on at the last point."""
 
 LIMITATIONS = (
-    "one drone after the other, without cables (rotorpy knows none), without noise or wind; "
-    "rotorpy's Hummingbird of 0.5 kg and its geometric controller with default gains; one run "
-    "each, which is exact to repeat"
+    "one drone after the other, without cables (rotorpy knows none), noise or wind; rotorpy's "
+    f"Hummingbird of 0.5 kg, default gains; the worst of each problem's {FASTEST} fastest drones"
 )
-
-
-@dataclass(frozen=True)
-class Flown:
-    """How far a drone was from its reference.
-
-    Attributes
-    ----------
-    rms, worst: [m]
-    """
-
-    rms: float
-    worst: float
 
 
 def exported_curve(path: Path) -> Curve:
@@ -72,9 +45,9 @@ def exported_curve(path: Path) -> Curve:
             return np.zeros(3)
         at = min(t, float(ends[-1]))
         i = min(int(np.searchsorted(ends, at, side="right")), len(rows) - 1)
-        tau = at - (ends[i] - rows[i, 0])
+        local = at - (ends[i] - rows[i, 0])
         axes = [np.polynomial.Polynomial(rows[i, 1 + 8 * a : 9 + 8 * a]) for a in range(3)]
-        return np.array([axis.deriv(order)(tau) if order else axis(tau) for axis in axes])
+        return np.array([axis.deriv(order)(local) if order else axis(local) for axis in axes])
 
     return curve
 
@@ -91,8 +64,8 @@ def planned_curve(motion: ho.Motion, drone: int) -> Curve:
     return curve
 
 
-def fly(curve: Curve, duration: float) -> Flown:
-    """Return how rotorpy's Hummingbird follows a curve, starting at rest on it."""
+def fly(curve: Curve, duration: float) -> float:
+    """Return by how much rotorpy's Hummingbird, at rest first, misses a curve at most [m]."""
     hover = float(np.sqrt(quad_params["mass"] * 9.81 / 4 / quad_params["k_eta"]))
     state = {
         "x": curve(0.0, 0),
@@ -103,81 +76,44 @@ def fly(curve: Curve, duration: float) -> Flown:
         "rotor_speeds": np.full(4, hover),
     }
     vehicle, controller = Multirotor(quad_params, state), SE3Control(quad_params)
-    errors = []
+    names, worst = ("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot"), 0.0
     for k in range(int((duration + SETTLED) / STEP) + 1):
-        t = k * STEP
-        names = ("x", "x_dot", "x_ddot", "x_dddot", "x_ddddot")
-        reference = {name: curve(t, order) for order, name in enumerate(names)}
-        errors.append(float(np.linalg.norm(state["x"] - reference["x"])))
+        reference = {name: curve(k * STEP, order) for order, name in enumerate(names)}
+        worst = max(worst, float(np.linalg.norm(state["x"] - reference["x"])))
         flat = {**reference, "yaw": 0.0, "yaw_dot": 0.0, "yaw_ddot": 0.0}
-        state = vehicle.step(state, controller.update(t, state, flat), STEP)
-    return Flown(float(np.sqrt(np.mean(np.square(errors)))), max(errors))
+        state = vehicle.step(state, controller.update(k * STEP, state, flat), STEP)
+    return worst
 
 
-def measure(stem: str) -> str:
-    """Return the row of one problem: the worst of its drones, as exported and as planned."""
+def measure(stem: str) -> tuple[object, ...]:
+    """Return the row of one problem."""
     plan = ho.solve(PROBLEMS / f"{stem}.yaml")
+    speeds = np.max(
+        np.linalg.norm(plan.motion.drones.at(np.linspace(0.0, plan.duration, 500), 1), axis=-1),
+        axis=0,
+    )
+    drones = np.argsort(-speeds)[:FASTEST].tolist()
     with tempfile.TemporaryDirectory() as place:
         (part,) = plan.export("crazyswarm2", place)
         names = plan.motion.team.drone_names
-        t = np.linspace(0.0, plan.duration, 500)
-        speeds = np.max(np.linalg.norm(plan.motion.drones.at(t, 1), axis=-1), axis=0)
-        drones = np.argsort(-speeds)[:FASTEST].tolist()
         files = [exported_curve(Path(place) / f"{names[i]}.csv") for i in drones]
-    exported = [fly(curve, plan.duration) for curve in files]
-    planned = [fly(planned_curve(plan.motion, i), plan.duration) for i in drones]
-    apart = max(abs(a.worst - b.worst) for a, b in zip(exported, planned, strict=True))
-    cells = [
-        stem,
-        str(len(drones)),
-        f"{plan.duration:.2f}",
-        f"{plan.motion.drones.pieces}",
-        f"{1e3 * part.verdict.position.worst:.2g}",
-        f"{1e3 * max(f.rms for f in exported):.3f}",
-        f"{1e3 * max(f.worst for f in exported):.3f}",
-        f"{1e3 * max(f.worst for f in planned):.3f}",
-        f"{1e3 * apart:.2g}",
-    ]
-    return f"| {' | '.join(cells)} |"
-
-
-COLUMNS = (
-    "problem",
-    "drones",
-    "plan [s]",
-    "its pieces",
-    "export off by [mm]",
-    "rms of file [mm]",
-    "worst of file [mm]",
-    "worst of plan [mm]",
-    "file less plan [mm]",
-)
+    exported = [1e3 * fly(curve, plan.duration) for curve in files]
+    planned = [1e3 * fly(planned_curve(plan.motion, i), plan.duration) for i in drones]
+    apart = max(abs(a - b) for a, b in zip(exported, planned, strict=True))
+    export = 1e3 * part.verdict.position.worst
+    return stem, plan.duration, export, max(exported), max(planned), apart
 
 
 def main() -> None:
-    """Print and write machine, versions, limitations and a row for every problem."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).parent / "results" / "tracking.md"
-    parser.add_argument("--output", type=Path, default=default)
-    output = parser.parse_args().output
-    lines = [
-        f"# Tracking of exported polynomials, {datetime.date.today()}",
-        "",
-        "`python -m benchmarks.tracking`",
-        "",
-        f"- {environment(('rotorpy',))}",
-        f"- limitations: {LIMITATIONS}",
-        f"- the {FASTEST} fastest drones of each, the worst of them; errors are distances between "
-        f"drone and reference, over the plan and {SETTLED:g} s after it",
-        "",
-        f"| {' | '.join(COLUMNS)} |",
-        f"| {' | '.join(['---'] * len(COLUMNS))} |",
-    ]
-    print("\n".join(lines), flush=True)
+    """Print and write a row for every problem."""
+    given = parser(__doc__).parse_args()
+    table = Table(
+        given.output / "tracking.md", "Exports flown elsewhere", LIMITATIONS, ("rotorpy",)
+    )
+    columns = ("export off by [mm]", "file missed by [mm]", "plan missed by [mm]", "apart [mm]")
+    table.section("", "problem", "plan [s]", *columns)
     for stem in STEMS:
-        lines.append(measure(stem))
-        print(lines[-1], flush=True)
-    output.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        table.row(*measure(stem))
 
 
 if __name__ == "__main__":

@@ -10,11 +10,16 @@ import ast
 from importlib import import_module
 from pathlib import Path
 
+_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body
+
 _MODULES = {
     name.name: str(line.module)
-    for line in ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body
-    if isinstance(line, ast.ImportFrom)
+    for line in _STUB
+    if isinstance(line, ast.ImportFrom) and str(line.module).startswith("hitchopt.")
     for name in line.names
+    if name.asname == name.name
+} | {
+    line.name: "hitchopt.api" for line in _STUB if isinstance(line, ast.ClassDef | ast.FunctionDef)
 }
 """Module of every public name."""
 

@@ -1,31 +1,33 @@
 """The public names: type checkers read them here, and ``__init__.py`` imports them from here."""
 
-from hitchopt.actions import (
-    adjust as adjust,
-    follow_vertex as follow_vertex,
-    form as form,
-    hold as hold,
-    land as land,
-    morph as morph,
-    move_edge as move_edge,
-    move_vertex as move_vertex,
-    release as release,
-    transport as transport,
+from typing import Self, Unpack
+
+from numpy.typing import ArrayLike
+
+from hitchopt.api import (
+    Legs as _Legs,
+    Mission as _Mission,
+    Required as _Required,
+    export as export,
+    repair as repair,
+    separate as separate,
+    simulate as simulate,
+    solve as solve,
+    suggestions as suggestions,
 )
-from hitchopt.builder import Mission as Mission
-from hitchopt.calibration.calibrate import (
+from hitchopt.statics.calibrate import (
     Calibration as Calibration,
     calibrate as calibrate,
 )
-from hitchopt.calibration.estimates import Estimate as Estimate
-from hitchopt.calibration.recordings import Recording as Recording
+from hitchopt.statics.friction import Estimate as Estimate
+from hitchopt.statics.recordings import Recording as Recording
 from hitchopt.checks import (
     Certificate as Certificate,
     CertificateError as CertificateError,
     Check as Check,
     certify as certify,
 )
-from hitchopt.checks.bounds.closest_pairs import Closeness as Closeness
+from hitchopt.checks.closeness import Closeness as Closeness
 from hitchopt.errors import (
     FileError as FileError,
     HitchoptError as HitchoptError,
@@ -36,60 +38,54 @@ from hitchopt.errors import (
     UnsupportedError as UnsupportedError,
     Violation as Violation,
 )
-from hitchopt.exports.lint.linting import lint as lint
-from hitchopt.feedback.feedback import Feedback as Feedback
-from hitchopt.fitting.fit import Fit as Fit, Holding as Holding, fit as fit
+from hitchopt.exports.lint import lint as lint
+from hitchopt.live.feedback import Feedback as Feedback
+from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit
 from hitchopt.geometry import (
+    Outline as _Outline,
     ConvexArc as ConvexArc,
     ConvexPolygon as ConvexPolygon,
     regular_polygon as regular_polygon,
 )
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
 from hitchopt.hitch.assignment import Assignment as Assignment
-from hitchopt.hitch.hanging_cable import hanging_cable as hanging_cable
+from hitchopt.hitch.catenary import hanging_cable as hanging_cable
 from hitchopt.holding.capacity import Capacity as Capacity
-from hitchopt.holding.grip_statics import Grip as Grip
+from hitchopt.holding.grip import Grip as Grip
 from hitchopt.mission.loading import (
     load_problem as load_problem,
     load_swarm as load_swarm,
     problem_from_dict as problem_from_dict,
     read_problem as read_problem,
 )
-from hitchopt.mission.memory import forget as forget
+from hitchopt.mission.solving import forget as forget
 from hitchopt.mission.problem import (
     DronesStart as DronesStart,
     HitchStart as HitchStart,
     Problem as Problem,
 )
-from hitchopt.mission.repair.change import Change as Change, Suggestion as Suggestion
-from hitchopt.mission.swarm_problem import SwarmProblem as SwarmProblem
+from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
+from hitchopt.mission.problem import SwarmProblem as SwarmProblem
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, load as load
-from hitchopt.plan_uses import export as export, simulate as simulate
-from hitchopt.planners.forming.turns import SwapSettings as SwapSettings
-from hitchopt.planning import (
-    repair as repair,
-    separate as separate,
-    solve as solve,
-    suggestions as suggestions,
-)
+from hitchopt.planners.forming import SwapSettings as SwapSettings
 from hitchopt.requirements import (
     Arena as Arena,
     Limits as Limits,
     Prism as Prism,
     Separation as Separation,
 )
-from hitchopt.settling.error_sizes import ErrorSize as ErrorSize
-from hitchopt.settling.settle import settle as settle
-from hitchopt.settling.settled_hitch import Settled as Settled
-from hitchopt.settling.tolerance import (
+from hitchopt.statics.tolerance import ErrorSize as ErrorSize
+from hitchopt.statics.settle import settle as settle
+from hitchopt.statics.settle import Settled as Settled
+from hitchopt.statics.tolerance import (
     Tolerance as Tolerance,
     tolerance as tolerance,
 )
-from hitchopt.steering.replanner import Replanner as Replanner
-from hitchopt.steering.retarget import Retarget as Retarget
+from hitchopt.live.replanner import Replanner as Replanner
+from hitchopt.live.replanner import Retarget as Retarget
 from hitchopt.steps import (
     Adjust as Adjust,
     Carry as Carry,
@@ -110,13 +106,157 @@ from hitchopt.steps import (
     Transport as Transport,
     TransportObject as TransportObject,
 )
-from hitchopt.stopping.player import Player as Player
-from hitchopt.stopping.sampler import Setpoints as Setpoints
-from hitchopt.sweeps.cluster import SweepError as SweepError
-from hitchopt.sweeps.dataset import load_sweep as load_sweep
-from hitchopt.sweeps.running import run_sweep as run_sweep
+from hitchopt.live.player import Player as Player
+from hitchopt.live.player import Setpoints as Setpoints
+from hitchopt.sweeps.work import SweepError as SweepError
+from hitchopt.sweeps.sweep import load_sweep as load_sweep
+from hitchopt.sweeps.sweep import run_sweep as run_sweep
 from hitchopt.sweeps.study import Study as Study
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
+from hitchopt.steps.carrying import By as _By
+from hitchopt.steps.tying import Assign as _Assign
+
 __all__: list[str]
 __version__: str
+
+class Mission(_Mission):
+    """With the methods that ``api.py`` makes of every kind of step."""
+
+    def morph(
+        self,
+        polygon: _Outline | ArrayLike,
+        legs: _Legs | None = None,
+        duration: float | None = None,
+        blend: bool = False,
+        optimize: bool = False,
+        tension: tuple[float, float] | None = None,
+    ) -> Self: ...
+    def hold(self, seconds: float) -> Self: ...
+    def move_vertex(
+        self,
+        vertex: int,
+        to: ArrayLike | None = None,
+        by: ArrayLike | None = None,
+        legs: _Legs | None = None,
+        duration: float | None = None,
+        blend: bool = False,
+    ) -> Self: ...
+    def move_edge(
+        self,
+        edge: int,
+        to: ArrayLike | None = None,
+        by: ArrayLike | None = None,
+        legs: _Legs | None = None,
+        duration: float | None = None,
+        blend: bool = False,
+    ) -> Self: ...
+    def adjust(
+        self, legs: _Legs = "balanced", duration: float | None = None, blend: bool = False
+    ) -> Self: ...
+    def follow_vertex(self, vertex: int, path: ArrayLike, legs: _Legs | None = None) -> Self: ...
+    def transport(self, to: ArrayLike, yaw: float = 0.0, duration: float | None = None) -> Self: ...
+    def form(
+        self,
+        polygon: _Outline | ArrayLike,
+        altitude: float = 1.0,
+        legs: _Legs | None = None,
+        assign: _Assign = "auto",
+        swap: SwapSettings = ...,
+        duration: float | None = None,
+    ) -> Self: ...
+    def release(self, duration: float | None = None) -> Self: ...
+    def land(self, duration: float | None = None) -> Self: ...
+    def enclose(self, object: str, duration: float | None = None) -> Self: ...
+    def grasp(
+        self,
+        object: str,
+        by: _By = "rest",
+        tension: float | None = None,
+        duration: float | None = None,
+    ) -> Self: ...
+    def lift(self, by: float, duration: float | None = None) -> Self: ...
+    def carry(
+        self, object: str, to: ArrayLike, yaw: float = 0.0, duration: float | None = None
+    ) -> Self: ...
+    def set_down(self, object: str, duration: float | None = None) -> Self: ...
+    def loosen(self, object: str, duration: float | None = None) -> Self: ...
+    def leave(self, object: str, duration: float | None = None) -> Self: ...
+    def transport_object(
+        self,
+        object: str,
+        to: ArrayLike,
+        by: _By | None = None,
+        tension: float | None = None,
+        yaw: float = 0.0,
+        lift: float = 0.3,
+    ) -> Self: ...
+
+def morph(
+    start: Hitch,
+    polygon: _Outline | ArrayLike,
+    legs: _Legs | None = None,
+    duration: float | None = None,
+    optimize: bool = False,
+    tension: tuple[float, float] | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def hold(start: Hitch, seconds: float, **required: Unpack[_Required]) -> Plan: ...
+def move_vertex(
+    start: Hitch,
+    vertex: int,
+    to: ArrayLike | None = None,
+    by: ArrayLike | None = None,
+    legs: _Legs | None = None,
+    duration: float | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def move_edge(
+    start: Hitch,
+    edge: int,
+    to: ArrayLike | None = None,
+    by: ArrayLike | None = None,
+    legs: _Legs | None = None,
+    duration: float | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def adjust(
+    start: Hitch,
+    legs: _Legs = "balanced",
+    duration: float | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def follow_vertex(
+    start: Hitch,
+    vertex: int,
+    path: ArrayLike,
+    legs: _Legs | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def transport(
+    start: Hitch,
+    to: ArrayLike,
+    yaw: float = 0.0,
+    duration: float | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def form(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    polygon: _Outline | ArrayLike,
+    altitude: float = 1.0,
+    legs: _Legs | None = None,
+    assign: _Assign = "auto",
+    swap: SwapSettings | None = ...,
+    duration: float | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...
+def release(start: Hitch, duration: float | None = None, **required: Unpack[_Required]) -> Plan: ...
+def land(
+    team: Team,
+    q: ArrayLike,
+    r: ArrayLike,
+    duration: float | None = None,
+    **required: Unpack[_Required],
+) -> Plan: ...

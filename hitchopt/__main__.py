@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hitchopt.interrupts import ending_signals
+from hitchopt.storage.interrupts import ending_signals
 
 
 def run() -> None:

@@ -1,18 +1,99 @@
-"""Errors as types: one root, and one class for every reaction of a caller.
+"""Errors as types, the limit of time, and short texts of errors and records.
 
-``InputError`` is a mistake in what was given; ``InfeasibleError`` is a well-formed request that
-cannot be met and says what binds; the command line turns them into exit codes 2 and 3.
+There is one root of errors, and one class for every reaction of a caller. ``InputError`` is a
+mistake in what was given; ``InfeasibleError`` is a well-formed request that cannot be met and says
+what binds; the command line turns them into exit codes 2 and 3.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from typing import Any, NamedTuple
 
-from hitchopt.one_line import OneLine, one_line
+LONGEST = 100
+"""Most characters of a record's text."""
+
+LONGEST_TEXT = 30
+"""Most characters of a text in it."""
+
+SMALL = 8
+"""Most numbers of an array that is written out."""
+
+
+class OneLine:
+    """A record whose ``repr`` is one line of at most LONGEST characters.
+
+    It names the fields that differ from their defaults, until the line is full.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "__repr__" not in vars(cls):
+            # What is there already, ``dataclass`` does not replace.
+            cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        return one_line(type(self).__name__, self._parts())
+
+    def _parts(self) -> Iterator[str]:
+        """Yield what stands between the parentheses."""
+        assert is_dataclass(self)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.repr and not _is_default(value, field.default, field.default_factory):
+                yield f"{field.name}={short(value)}"
+
+
+def one_line(name: str, parts: Iterable[str]) -> str:
+    """Return ``name(part, …)`` on one line, cut at LONGEST characters."""
+    text = " ".join(f"{name}({', '.join(parts)})".split())  # a user's words may have line breaks
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 2]}…)"
+
+
+def short(value: object) -> str:
+    """Return a value in few characters: arrays by their shape, records by their name."""
+    array: Any = value
+    if hasattr(value, "dtype") and hasattr(value, "tolist"):
+        same = array.ndim == 1 and array.size > 0 and bool((array == array[0]).all())
+        if not same and array.size > SMALL:
+            return f"array{array.shape}"
+        value = array[0].item() if same else array.tolist()
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, str):
+        text = str(value)  # of an enumeration too
+        return repr(text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 1]}…")
+    if isinstance(value, tuple | list):
+        if _count(value) <= SMALL:
+            return f"[{', '.join(map(short, value))}]"
+        return f"<{len(value)} entries>"
+    return repr(value) if isinstance(value, bool | int | None) else f"{type(value).__name__}(…)"
+
+
+def _count(values: object) -> int:
+    """Return how many values a sequence of sequences holds; more than SMALL if any is none."""
+    if isinstance(values, tuple | list):
+        return sum(map(_count, values))
+    return 1 if isinstance(values, str | bool | int | float | None) else SMALL + 1
+
+
+def _is_default(value: object, default: object, factory: Any) -> bool:
+    """Return whether a field need not be said."""
+    if factory is not MISSING:
+        default = factory()
+    if value is default:
+        return True
+    return (
+        isinstance(value, str | bool | int | float | tuple | OneLine)
+        and type(value) is type(default)
+        and bool(value == default)
+    )
 
 
 class HitchoptError(Exception):
@@ -64,6 +145,41 @@ class InputError(HitchoptError, ValueError):
     def located(self, place_of: Callable[[str], Place | None]) -> InputError:
         """Return the same error with the place in a file that its key has."""
         return InputError(self.key, self.value, self.bound, self.remedy, place_of(self.key))
+
+
+MAX_LISTED = 20
+"""Most faults listed for one file; whoever has more will have fewer after repairing these."""
+
+
+class JointInputError(InputError):
+    """Several faults at once; ``key``, ``value``, ``bound`` and ``remedy`` are the first one's.
+
+    Attributes
+    ----------
+    errors: all of them, in the file's order.
+    """
+
+    def __init__(self, errors: Sequence[InputError]) -> None:
+        first = errors[0]
+        super().__init__(first.key, first.value, first.bound, first.remedy, first.place)
+        self.errors = tuple(errors)
+        lines = [str(error) for error in self.errors[:MAX_LISTED]]
+        if len(self.errors) > MAX_LISTED:
+            lines.append(f"and {len(self.errors) - MAX_LISTED} more")
+        self.args = ("\n".join(lines),)
+
+    def within(self, parent: str) -> JointInputError:
+        """Return the same errors with their keys seen from the enclosing mapping ``parent``."""
+        return JointInputError([error.within(parent) for error in self.errors])
+
+    def located(self, place_of: Callable[[str], Place | None]) -> JointInputError:
+        """Return the same errors with the places in a file that their keys have."""
+        return JointInputError([error.located(place_of) for error in self.errors])
+
+
+def one_or_all(errors: Sequence[InputError]) -> InputError:
+    """Return the only error, or all as one."""
+    return errors[0] if len(errors) == 1 else JointInputError(errors)
 
 
 class UnitWarning(UserWarning):
@@ -176,3 +292,88 @@ def _shown(value: object) -> str:
     except ValueError:  # Python writes no integer of more than 4300 digits
         text = f"a {type(value).__name__} too long to write"
     return text if len(text) <= 80 else f"{text[:77]}..."
+
+
+# A limit on how long planning may take holds for everything that is called within it, in its own
+# thread only. Loops call check_time; solvers in compiled code receive time_left.
+
+Progress = Callable[[str], None]
+"""Told what is being done now."""
+
+REMEDY = (
+    "allow more seconds (--limit, or limit=), or make the problem easier: more room, more time, "
+    "fewer robots"
+)
+
+
+class TimeIsUp(BaseException):
+    """Ends all planning; ``time_limit`` turns it into a TimeLimitError.
+
+    It is no Exception, so that planners which try another guess after a refusal do not go on.
+    """
+
+
+_END: ContextVar[float] = ContextVar("end", default=math.inf)
+"""End of the limit on the monotonic clock [s]."""
+
+
+@dataclass
+class _Listener:
+    """Passes messages on and remembers the last one."""
+
+    progress: Progress | None
+    last: str = ""
+
+    def __call__(self, message: str) -> None:
+        self.last = message
+        if self.progress is not None:
+            self.progress(message)
+
+
+@contextmanager
+def time_limit(seconds: float | None, progress: Progress | None = None) -> Iterator[Progress]:
+    """Limit the time of the context to ``seconds``; an earlier end of an outer limit stays.
+
+    Yields a callback for messages about the current work: it passes them to ``progress``, and the
+    error shows the last one.
+
+    Parameters
+    ----------
+    seconds: time limit [s], or None for no limit.
+    progress: callback that receives the messages, or None.
+
+    Raises
+    ------
+    TimeLimitError: the time limit has been reached.
+    """
+    listener = _Listener(progress)
+    if seconds is None:
+        yield listener
+        return
+    begun = time.monotonic()
+    end = begun + seconds
+    if _END.get() <= end:  # the outer limit raises its own error
+        yield listener
+        return
+    token = _END.set(end)
+    try:
+        yield listener
+    except TimeIsUp:
+        when = f"(last: {listener.last})" if listener.last else ""
+        spent = max(time.monotonic() - begun, seconds)
+        violation = Violation("time limit", spent, seconds, "max", "s", (), when, REMEDY)
+        raise TimeLimitError([violation]) from None
+    finally:
+        _END.reset(token)
+
+
+def time_left() -> float:
+    """Return how long planning may still take [s]; infinite without a limit, never below 0."""
+    end = _END.get()
+    return end if math.isinf(end) else max(0.0, end - time.monotonic())
+
+
+def check_time() -> None:
+    """Raise TimeIsUp if the limit has been reached."""
+    if time_left() <= 0.0:
+        raise TimeIsUp

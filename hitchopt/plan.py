@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.bounds.closest_pairs import SPANS, Closeness, closeness
-from hitchopt.errors import FileError, InputError
+from hitchopt.checks.closeness import SPANS, Closeness, closeness
+from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.hitch import Hitch
@@ -21,10 +21,8 @@ from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
 from hitchopt.motion.states import States, states_at
-from hitchopt.one_line import OneLine, short
 from hitchopt.storage.archive import PLAN
-from hitchopt.storage.atomic import replace_files
-from hitchopt.time_limit import Progress
+from hitchopt.storage.files import replace_files
 from hitchopt.values import flag, instance, path, text, whole
 
 if TYPE_CHECKING:
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from hitchopt.exports.exporting import Export
-    from hitchopt.view.live_view import LiveView
+    from hitchopt.view.live import LiveView
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,7 @@ class Plan(OneLine):
 
     def _repr_html_(self) -> str:
         """Return the card that notebooks show: picture, phases and certificate."""
-        from hitchopt.view.plan_card import plan_card
+        from hitchopt.view.pictures import plan_card
 
         return plan_card(self.motion, self.certificate, self.title)
 
@@ -99,7 +97,7 @@ class Plan(OneLine):
         """
         from matplotlib.axes import Axes as AnyAxes
 
-        from hitchopt.view.plan_card import plot_from_above
+        from hitchopt.view.pictures import plot_from_above
 
         if axes is not None and not isinstance(axes, AnyAxes):
             raise InputError("axes", axes, "matplotlib axes", "leave it out for a new figure")
@@ -117,7 +115,7 @@ class Plan(OneLine):
         InputError: a rate that is not positive.
         UnsupportedError: pandas is not installed (``pip install 'hitchopt[pandas]'``).
         """
-        from hitchopt.exports.data_frame import data_frame
+        from hitchopt.exports.setpoints import data_frame
 
         return data_frame(self.motion, rate)
 
@@ -151,7 +149,7 @@ class Plan(OneLine):
         InputError: a time outside the plan, or another word.
         InfeasibleError: no such continuation was found; says what binds.
         """
-        from hitchopt.stopping.abort import Aborts
+        from hitchopt.live.abort import Aborts
 
         found = Aborts(self.motion).found(t, how).certified
         return Plan(found.motion, found.certificate, f"{self.title} ({how} at {t:g} s)".strip())
@@ -177,12 +175,13 @@ class Plan(OneLine):
         InputError: a rate that is not positive.
         FileError: the directory cannot be written to.
         """
-        from hitchopt.view.summary import save_summary
+        from hitchopt.view.pictures import draw_summary
+        from hitchopt.view.style import save_figure
 
         motion, report = self.motion, flag("report", report)
 
         def draw(file: Path) -> None:
-            save_summary(file, motion, self.certificate, self.title)
+            save_figure(draw_summary(motion, self.certificate, self.title), file)
 
         def share(fraction: float) -> None:
             if progress is not None:
@@ -204,7 +203,7 @@ class Plan(OneLine):
 
     def _write_report(self, path: Path, directory: Path) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
-        from hitchopt.view.html_report import write_report
+        from hitchopt.view.report import write_report
 
         write_report(path, self.motion, self.certificate, self.title, self.problem, directory)
 
@@ -257,15 +256,15 @@ class Plan(OneLine):
             if ghost is not None:
                 words = "None where a plan is written to a file"
                 raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
-            from hitchopt.view.saved_view import save_view
+            from hitchopt.view.report import save_view
 
             shown = (self.motion, self.certificate, self.title, self.problem)
             save_view(path("save", save), *shown, progress)
             return None
         import webbrowser
 
-        from hitchopt.view.ghost_scene import ghost_scene
-        from hitchopt.view.live_view import LiveView
+        from hitchopt.view.live import LiveView
+        from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
         live = LiveView(
@@ -285,7 +284,7 @@ class Plan(OneLine):
         Parameters
         ----------
         format: crazyswarm2, compressed, skybrush, skybrush_csv, mavsdk_drone_show, ros2bag, csv,
-            parquet, npz or json.
+            parquet, npz, json or gltf.
         folder: made if it is missing; only files of an earlier export there are replaced.
         progress: called with what is being done now.
         options: the keywords of ``ExportOptions``, all optional.
@@ -311,7 +310,7 @@ class Plan(OneLine):
             the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        from hitchopt.exports.plan_export import export_motion
+        from hitchopt.exports.exporting import export_motion
 
         chosen = ExportOptions(text("format", format), **options)
         return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
@@ -359,10 +358,11 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     found = closeness(plan.motion, whole("spans", spans, 1))
     if picture is not None:
         picture = path("picture", picture)
-        from hitchopt.view.closeness_picture import save_closeness
+        from hitchopt.view.pictures import draw_closeness
+        from hitchopt.view.style import save_figure
 
         try:
-            save_closeness(picture, plan.motion, found)
+            save_figure(draw_closeness(plan.motion, found), picture)
         except OSError as error:
             raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
     return found

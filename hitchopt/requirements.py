@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt import units
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.one_line import OneLine
-from hitchopt.units import check_unit, radians_of
-from hitchopt.values import Array, acute, finite, instance, not_negative, positive, sequence
+from hitchopt.values import Array, acute, finite, instance, not_negative, positive, sequence, units
+from hitchopt.values.units import check_unit, radians_of
 
 UNITS = {
     "speed": units.SPEED,

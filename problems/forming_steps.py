@@ -17,12 +17,10 @@ import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.motion.phases import HITCHED_STATE
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.states import States, states_at
-from hitchopt.view.house_colours import COLOURS
-from hitchopt.view.plan_view import PATH_COLOUR
-from hitchopt.view.style import INK, marker
+from hitchopt.view.pictures import PATH_COLOUR
+from hitchopt.view.style import COLOURS, INK, marker
 
 Array = NDArray[np.float64]
 

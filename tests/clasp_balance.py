@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.hitch.layout import CLOSED, layout_of
+from hitchopt.hitch.team import CLOSED, layout_of
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt import step_methods
+from hitchopt.api import ALONE
 from hitchopt.steps import STEPS, Step
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
@@ -27,30 +27,38 @@ def plan() -> ho.Plan:
     return ho.Mission(start.team, start, title="Two <steps>").morph(OTHER).hold(0.5).solve()
 
 
-def stub() -> dict[str, ast.FunctionDef]:
-    """The methods of ``step_methods.pyi``, by name."""
-    path = Path(step_methods.__file__).with_suffix(".pyi")
-    (kind,) = (x for x in ast.parse(path.read_text("utf-8")).body if isinstance(x, ast.ClassDef))
-    return {x.name: x for x in kind.body if isinstance(x, ast.FunctionDef)}
+def stub(owner: str) -> dict[str, ast.FunctionDef]:
+    """The functions that ``__init__.pyi`` declares, or the methods of a class in it, by name."""
+    body = ast.parse(Path(ho.__file__).with_suffix(".pyi").read_text("utf-8")).body
+    if owner:
+        (body,) = (x.body for x in body if isinstance(x, ast.ClassDef) and x.name == owner)
+    return {x.name: x for x in body if isinstance(x, ast.FunctionDef)}
 
 
-def test_every_step_has_a_method_for_completion() -> None:
-    assert stub().keys() == {kind.name for kind in STEPS} | {"then"}
+def test_every_step_has_a_method_and_those_without_objects_a_function_for_completion() -> None:
+    assert stub("Mission").keys() == {kind.name for kind in STEPS}
+    assert stub("").keys() == {kind.name for kind in ALONE}
 
 
 @pytest.mark.parametrize("kind", STEPS)
 def test_methods_have_the_arguments_of_their_records(kind: type[Step]) -> None:
-    listed = stub()[kind.name].args
     fields = dataclasses.fields(kind)
-    names = ["self", *(field.name for field in fields)]
-    assert [argument.arg for argument in listed.args] == names
-    method = getattr(ho.Mission, kind.name)
-    assert list(inspect.signature(method).parameters) == names
-    assert kind.name == method.__name__
-    assert "Parameters" in method.__doc__
-    given = [field for field in fields if field.default is not dataclasses.MISSING]
-    plain = [entry for entry in listed.defaults if ast.unparse(entry) != "..."]
-    assert [ast.literal_eval(entry) for entry in plain] == [field.default for field in given]
+    begun = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
+    alone = [field for field in fields if field.name != "blend"]
+    made: list[tuple[str, Any, list[str], Any]] = [("Mission", ho.Mission, ["self"], fields)]
+    made += [("", ho, begun, alone)] if kind in ALONE else []
+    for owner, place, first, given in made:
+        names = [*first, *(field.name for field in given)]
+        values = [field.default for field in given if field.default is not dataclasses.MISSING]
+        listed = stub(owner)[kind.name].args
+        function = getattr(place, kind.name)
+        signature = list(inspect.signature(function).parameters)
+        assert [argument.arg for argument in listed.args] == names
+        assert signature == names + ([] if owner else ["limits", "separation", "arena"])
+        assert function.__name__ == kind.name
+        assert "Parameters" in function.__doc__
+        plain = [entry for entry in listed.defaults if ast.unparse(entry) != "..."]
+        assert [ast.literal_eval(entry) for entry in plain] == values
 
 
 def test_a_mission_is_the_problem_of_the_same_steps() -> None:

@@ -25,9 +25,9 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
-from hitchopt.cli.problem_templates import template_text
-from hitchopt.interrupts import INTERRUPTED, TERMINATED
-from hitchopt.sweeps.study_file import StudyKeys
+from hitchopt.cli.planning import PACKAGE, problem_text
+from hitchopt.storage.interrupts import INTERRUPTED, TERMINATED
+from hitchopt.sweeps.study import StudyKeys
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -91,7 +91,11 @@ def test_yaml_has_keys_of_the_schema(block: Block) -> None:
         StudyKeys.model_validate({"problem": "", **given})
         return
     whole = file_name(block) or "goal" in given
-    problem = given if whole else {**yaml.load(template_text()), **given}
+    problem = (
+        given
+        if whole
+        else {**yaml.load(problem_text(PACKAGE / "mission" / "template.yaml")), **given}
+    )
     jsonschema.validate(problem, problem_schema())
 
 

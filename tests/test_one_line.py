@@ -6,12 +6,11 @@ import dataclasses
 import inspect
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.one_line import LONGEST, OneLine, short
+from hitchopt.errors import LONGEST, OneLine, short
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 RECORDS = [
@@ -21,9 +20,9 @@ RECORDS = [
 ]
 
 
-@pytest.mark.parametrize("kind", RECORDS)
-def test_every_public_record_is_written_on_one_line(kind: type) -> None:
-    assert getattr(kind, "__repr__") is OneLine.__repr__  # noqa: B009
+def test_every_public_record_is_written_on_one_line() -> None:
+    other = [kind for kind in RECORDS if getattr(kind, "__repr__") is not OneLine.__repr__]  # noqa: B009
+    assert other == []
 
 
 VALUES = st.recursive(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,16 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt import units
 from hitchopt.cli import main
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 ORIGIN = np.array([0.0, 0.0, 1.0])
-QUANTITIES = [value for value in vars(units).values() if isinstance(value, units.Quantity)]
 
 FILE = """
 team: {robots: 3, cable_length: 2.4, quadrotor: {mass: MASS}}
@@ -114,17 +109,6 @@ def test_angles_in_degrees_are_those_in_radians() -> None:
     assert limits == ho.Limits(tilt=math.radians(30), body_rate=math.radians(200))
     assert limits.tilt_deg == pytest.approx(30)
     assert ho.Limits(tilt_deg=45) == ho.Limits()
-
-
-@pytest.mark.parametrize("quantity", QUANTITIES)
-@given(share=st.floats(0.0, 1.0))
-def test_what_is_usual_is_neither_refused_nor_warned_of(
-    quantity: units.Quantity, share: float
-) -> None:
-    low, high = quantity.usual
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        units.check_unit("key", min(low + share * (high - low), high), quantity)
 
 
 def written(folder: Path, mass: str = "0.132", tilt: str = "45") -> str:

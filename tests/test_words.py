@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-from collections import Counter
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -132,17 +131,6 @@ def test_identifiers_are_the_field_s_words() -> None:
     ]
     found += [str(path) for path in MODULES if parts(path.stem) & BANNED]
     assert not found, "\n".join(found)
-
-
-def test_every_file_name_occurs_once() -> None:
-    """A file name says what the module does, without its folder."""
-    names = Counter(path.stem for path in MODULES if path.stem != "__init__")
-    repeated = {
-        name: [str(path.relative_to(PACKAGE)) for path in MODULES if path.stem == name]
-        for name, count in names.items()
-        if count > 1
-    }
-    assert not repeated, repeated
 
 
 def defined(path: Path) -> Iterator[tuple[ast.AST, str]]:

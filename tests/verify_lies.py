@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 Settings = dict[str, Any]
 Arrays = dict[str, NDArray[Any]]
 
+Change = Callable[[Settings, Arrays], object]
+
 REFUSED = "refused"
 """The file cannot be read as a plan."""
 
@@ -29,32 +31,32 @@ class Lie(NamedTuple):
 
     plan: str
     words: str
-    change: Callable[[Settings, Arrays], object]
+    change: Change
     found: str
     reason: str = ""
 
 
-def times(name: str, factor: float, where: Any = ...) -> Callable[[Settings, Arrays], None]:
+def edited(name: str, edit: Callable[[NDArray[Any]], NDArray[Any]], where: Any = ...) -> Change:
+    """Edit an array, or a part of it."""
+
+    def change(_: Settings, arrays: Arrays) -> None:
+        arrays[name] = arrays[name].copy()
+        arrays[name][where] = edit(arrays[name][where])
+
+    return change
+
+
+def times(name: str, factor: float, where: Any = ...) -> Change:
     """Multiply an array, or a part of it."""
-
-    def change(_: Settings, arrays: Arrays) -> None:
-        arrays[name] = arrays[name].copy()
-        arrays[name][where] *= factor
-
-    return change
+    return edited(name, lambda x: x * factor, where)
 
 
-def plus(name: str, value: Any, where: Any = ...) -> Callable[[Settings, Arrays], None]:
+def plus(name: str, value: Any, where: Any = ...) -> Change:
     """Add to an array, or to a part of it."""
-
-    def change(_: Settings, arrays: Arrays) -> None:
-        arrays[name] = arrays[name].copy()
-        arrays[name][where] += value
-
-    return change
+    return edited(name, lambda x: x + value, where)
 
 
-def swapped(name: str, i: int, j: int, axis: int = 1) -> Callable[[Settings, Arrays], None]:
+def swapped(name: str, i: int, j: int, axis: int = 1) -> Change:
     """Exchange two items of an array."""
 
     def change(_: Settings, arrays: Arrays) -> None:
@@ -65,7 +67,7 @@ def swapped(name: str, i: int, j: int, axis: int = 1) -> Callable[[Settings, Arr
     return change
 
 
-def put(*keys: Any) -> Callable[[Settings, Arrays], None]:
+def put(*keys: Any) -> Change:
     """Set an entry of the settings: keys, then the value; called on the old value if that is one."""
 
     def change(settings: Settings, _: Arrays) -> None:
@@ -78,7 +80,7 @@ def put(*keys: Any) -> Callable[[Settings, Arrays], None]:
     return change
 
 
-def both(*changes: Callable[[Settings, Arrays], object]) -> Callable[[Settings, Arrays], None]:
+def both(*changes: Change) -> Change:
     """Make several changes."""
 
     def change(settings: Settings, arrays: Arrays) -> None:
@@ -88,34 +90,24 @@ def both(*changes: Callable[[Settings, Arrays], object]) -> Callable[[Settings, 
     return change
 
 
-def everywhere(key: str, value: Any) -> Callable[[Settings, Arrays], None]:
-    """Set an entry of all phases."""
+def everywhere(key: str, value: Any, name: str = "") -> Change:
+    """Set an entry of all phases, or of those with a name."""
 
     def change(settings: Settings, _: Arrays) -> None:
-        for phase in settings["phases"]:
+        chosen = [phase for phase in settings["phases"] if name in ("", phase["name"])]
+        assert chosen
+        for phase in chosen:
             phase[key] = value(phase[key]) if callable(value) else value
 
     return change
 
 
-def stated(old: str, new: str) -> Callable[[Settings, Arrays], None]:
+def stated(old: str, new: str) -> Change:
     """Say that phases in one state are in another one."""
     return everywhere("state", lambda state: new if state == old else state)
 
 
-def named(name: str, key: str, value: Any) -> Callable[[Settings, Arrays], None]:
-    """Set an entry of the phases with a name."""
-
-    def change(settings: Settings, _: Arrays) -> None:
-        chosen = [phase for phase in settings["phases"] if phase["name"] == name]
-        assert chosen
-        for phase in chosen:
-            phase[key] = value
-
-    return change
-
-
-def mid(name: str, item: int, axis: int, value: float) -> Callable[[Settings, Arrays], None]:
+def mid(name: str, item: int, axis: int, value: float) -> Change:
     """Move the inner coefficients of an item in its middle piece: nothing jumps but derivatives."""
 
     def change(_: Settings, arrays: Arrays) -> None:
@@ -127,7 +119,7 @@ def mid(name: str, item: int, axis: int, value: float) -> Callable[[Settings, Ar
     return change
 
 
-def removed(*keys: str) -> Callable[[Settings, Arrays], None]:
+def removed(*keys: str) -> Change:
     """Take a key out of the settings, or an array."""
 
     def change(settings: Settings, arrays: Arrays) -> None:
@@ -140,14 +132,6 @@ def removed(*keys: str) -> Callable[[Settings, Arrays], None]:
         del entry[keys[-1]]
 
     return change
-
-
-def mirrored(settings: Settings, arrays: Arrays) -> None:
-    """Mirror what flies in the plane x = 0."""
-    del settings
-    for name in ("drones", "vertices"):
-        arrays[name] = arrays[name].copy()
-        arrays[name][:, :, 0] *= -1.0
 
 
 def backwards(settings: Settings, arrays: Arrays) -> None:
@@ -192,17 +176,18 @@ def hover(settings: Settings, arrays: Arrays) -> None:
         arrays[name] = np.broadcast_to(arrays[name][:1, ..., :1], arrays[name].shape).copy()
 
 
-def exchanged(settings: Settings, _: Arrays) -> None:
-    """Let two robots fly each other's roles."""
-    given = settings.setdefault("assignment", {"robots": [0, 1, 2], "flipped": [False] * 3})
-    robots = given["robots"]
-    robots[0], robots[1] = robots[1], robots[0]
+def assigned(change: Callable[[list[int], list[bool]], object]) -> Change:
+    """Change which of three robots fly which roles, and which ends."""
+
+    def told(settings: Settings, _: Arrays) -> None:
+        given = settings.setdefault("assignment", {"robots": [0, 1, 2], "flipped": [False] * 3})
+        change(given["robots"], given["flipped"])
+
+    return told
 
 
-def flipped(settings: Settings, _: Arrays) -> None:
-    """Exchange the ends of a robot."""
-    given = settings.setdefault("assignment", {"robots": [0, 1, 2], "flipped": [False] * 3})
-    given["flipped"][0] = not given["flipped"][0]
+exchanged = assigned(lambda robots, _: robots.insert(0, robots.pop(1)))
+flipped = assigned(lambda _, ends: ends.__setitem__(0, not ends[0]))
 
 
 def turned_back(settings: Settings, arrays: Arrays) -> None:
@@ -236,7 +221,7 @@ def turning(settings: Settings, arrays: Arrays) -> None:
     arrays["poses"][:, 2, 4] = np.sin(0.3) * c + np.cos(0.3) * s
 
 
-def body(**values: Any) -> Callable[[Settings, Arrays], None]:
+def body(**values: Any) -> Change:
     """Change the box, as it is and as it was asked."""
 
     def change(settings: Settings, _: Arrays) -> None:
@@ -249,10 +234,8 @@ def body(**values: Any) -> Callable[[Settings, Arrays], None]:
 def small_rim(settings: Settings, _: Arrays) -> None:
     """Make the rim half as wide, as it is and as it was asked."""
     for objects in (settings["objects"], settings["asked"]["objects"]):
-        section = objects["box"]["rim"]["section"]
-        for key, value in section.items():
-            if value is not None:
-                section[key] = (0.5 * np.array(value)).tolist()
+        rim = objects["box"]["rim"]["section"]
+        rim.update({key: (0.5 * np.array(x)).tolist() for key, x in rim.items() if x is not None})
 
 
 def obstacle(settings: Settings, arrays: Arrays) -> None:
@@ -288,300 +271,76 @@ ASKED = ("asked", "team")
 LIES = [
     # Polynomials.
     Lie("morph", "one drone flies 3 cm aside", plus("drones", 0.03, (slice(None), 0, 0)), "story"),
-    Lie(
-        "morph",
-        "a drone makes a detour within a piece",
-        mid("drones", 1, 2, 0.05),
-        "speed|acceleration|jerk",
-    ),
-    Lie(
-        "morph",
-        "a drone jumps by a hundredth of a millimetre",
-        plus("drones", 1e-5, (slice(20, None), 3, 1)),
-        "continuity",
-    ),
+    Lie("morph", "a drone makes a detour within a piece", mid("drones", 1, 2, 0.05), "speed|acceleration|jerk"),
+    Lie("morph", "a drone jumps by a hundredth of a millimetre", plus("drones", 1e-5, (slice(20, None), 3, 1)), "continuity"),
     Lie("morph", "a vertex makes a detour", mid("vertices", 0, 0, 0.05), "cable_length"),
-    Lie(
-        "morph",
-        "vertices are lifted",
-        plus("vertices", 0.05, (slice(None), slice(None), 2)),
-        "cable_length",
-    ),
-    Lie("morph", "all is mirrored", mirrored, "convexity"),
+    Lie("morph", "vertices are lifted", plus("vertices", 0.05, (slice(None), slice(None), 2)), "cable_length"),
+    Lie("morph", "all is mirrored", both(times("drones", -1.0, np.s_[:, :, 0]), times("vertices", -1.0, np.s_[:, :, 0])), "convexity"),
     Lie("morph", "two vertices are exchanged", swapped("vertices", 0, 1), "cable_length"),
     Lie("morph", "two drones are exchanged", swapped("drones", 0, 1), "story"),
     Lie("morph", "it is flown backwards", backwards, "story"),
-    Lie(
-        "morph",
-        "nothing moves",
-        hover,
-        "",
-        "hovering where one starts breaks no limit; where a plan ends is no limit",
-    ),
-    Lie(
-        "morph",
-        "all is scaled by 1.02",
-        both(times("drones", 1.02), times("vertices", 1.02)),
-        "cable_length",
-    ),
-    Lie(
-        "morph",
-        "a piece is written twice as long",
-        lambda s, a: a.update(
-            breaks=a["breaks"] + np.where(np.arange(len(a["breaks"])) > 9, 1e-3, 0)
-        ),
-        "story",
-    ),
-    Lie(
-        "morph",
-        "it takes half of the time",
-        both(
-            times("breaks", 0.5),
-            everywhere("start", lambda t: t / 2),
-            everywhere("end", lambda t: t / 2),
-        ),
-        "acceleration",
-    ),
-    Lie(
-        "morph",
-        "it takes twice the time",
-        both(
-            times("breaks", 2.0),
-            everywhere("start", lambda t: 2 * t),
-            everywhere("end", lambda t: 2 * t),
-        ),
-        "",
-        "a slower flight keeps all limits; no duration was asked",
-    ),
+    Lie("morph", "nothing moves", hover, "", "hovering where one starts breaks no limit; where a plan ends is no limit"),
+    Lie("morph", "all is scaled by 1.02", both(times("drones", 1.02), times("vertices", 1.02)), "cable_length"),
+    Lie("morph", "a piece is written twice as long", lambda s, a: a.update(breaks=a["breaks"] + np.where(np.arange(len(a["breaks"])) > 9, 1e-3, 0)), "story"),
+    Lie("morph", "it takes half of the time", both(times("breaks", 0.5), everywhere("start", lambda t: t / 2), everywhere("end", lambda t: t / 2)), "acceleration"),
+    Lie("morph", "it takes twice the time", both(times("breaks", 2.0), everywhere("start", lambda t: 2 * t), everywhere("end", lambda t: 2 * t)), "", "a slower flight keeps all limits; no duration was asked"),
     Lie("morph", "a piece is cut in two", split, "", "the same curves in other pieces"),
-    Lie(
-        "morph",
-        "drones are written in a higher degree",
-        elevated,
-        "",
-        "the same curves in other coefficients",
-    ),
+    Lie("morph", "drones are written in a higher degree", elevated, "", "the same curves in other coefficients"),
     Lie("morph", "a number is not one", plus("drones", np.nan, (3, 0, 0, 0)), REFUSED),
     Lie("morph", "a number is beyond all", plus("drones", 1e7, (3, 0, 0, 0)), REFUSED),
     Lie("morph", "a drone is missing", lambda s, a: a.update(drones=a["drones"][:, :-1]), REFUSED),
-    Lie(
-        "morph",
-        "single precision",
-        lambda s, a: a.update(drones=a["drones"].astype(np.float32)),
-        REFUSED,
-    ),
+    Lie("morph", "single precision", lambda s, a: a.update(drones=a["drones"].astype(np.float32)), REFUSED),
     Lie("morph", "breaks run back", swapped("breaks", 3, 4, 0), REFUSED),
     Lie("morph", "no vertices", removed("vertices"), REFUSED),
-    Lie(
-        "morph",
-        "another format",
-        lambda s, a: a.update(format=np.array("hitchopt-plan/9")),
-        REFUSED,
-    ),
+    Lie("morph", "another format", lambda s, a: a.update(format=np.array("hitchopt-plan/9")), REFUSED),
     # Legs, lengths, tensions.
     Lie("morph", "legs are told 1 mm longer", plus("legs", 1e-3), "cable_length"),
     Lie("morph", "legs of a cable are exchanged", swapped("legs", 0, 1, 2), "cable_length"),
     Lie("morph", "a cable is told longer", times("cable_length", 1.01, 0), "story"),
-    Lie(
-        "morph",
-        "a cable is told, and asked, longer",
-        both(
-            times("cable_length", 1.01, 0),
-            put(*ASKED, "cable_length", lambda x: [x[0] * 1.01, *x[1:]]),
-        ),
-        "cable_length",
-    ),
+    Lie("morph", "a cable is told, and asked, longer", both(times("cable_length", 1.01, 0), put(*ASKED, "cable_length", lambda x: [x[0] * 1.01, *x[1:]])), "cable_length"),
     Lie("morph", "tensions are told to be twice as large", times("tensions", 2.0), "tension"),
-    Lie(
-        "morph",
-        "tensions and those asked are twice as large",
-        both(
-            times("tensions", 2.0),
-            times("tension", 2.0),
-            put(*ASKED, "tension", lambda x: [2 * t for t in x]),
-        ),
-        "",
-        "tensions are asked then, and drones can pull so",
-    ),
+    Lie("morph", "tensions and those asked are twice as large", both(times("tensions", 2.0), times("tension", 2.0), put(*ASKED, "tension", lambda x: [2 * t for t in x])), "", "tensions are asked then, and drones can pull so"),
     Lie("morph", "a team's tension is another", times("tension", 1.1), "story"),
-    Lie(
-        "morph",
-        "one cable pulls harder",
-        both(
-            times("tensions", 1.2, (slice(None), 0)),
-            times("tension", 1.2, 0),
-            put(*ASKED, "tension", lambda x: [1.2 * x[0], *x[1:]]),
-        ),
-        "equilibrium",
-    ),
+    Lie("morph", "one cable pulls harder", both(times("tensions", 1.2, (slice(None), 0)), times("tension", 1.2, 0), put(*ASKED, "tension", lambda x: [1.2 * x[0], *x[1:]])), "equilibrium"),
     Lie("morph", "tensions of no pull", times("tensions", 0.0), "tension"),
-    Lie(
-        "morph",
-        "a phase allows any tension",
-        both(times("tensions", 1.5), everywhere("tension", [0.1, 9.0])),
-        "tension",
-    ),
+    Lie("morph", "a phase allows any tension", both(times("tensions", 1.5), everywhere("tension", [0.1, 9.0])), "tension"),
     # The team.
     Lie("morph", "drones are told lighter", times("mass", 0.5), "story"),
-    Lie(
-        "morph",
-        "drones are told, and asked, heavier",
-        both(
-            times("mass", 3.0),
-            put(*ASKED, "quadrotor", lambda x: [{**k, "mass": 3 * k["mass"]} for k in x]),
-        ),
-        "thrust",
-    ),
+    Lie("morph", "drones are told, and asked, heavier", both(times("mass", 3.0), put(*ASKED, "quadrotor", lambda x: [{**k, "mass": 3 * k["mass"]} for k in x])), "thrust"),
     Lie("morph", "motors are told stronger", times("max_thrust", 2.0), "story"),
-    Lie(
-        "morph",
-        "motors are told, and asked, weaker",
-        both(
-            times("max_thrust", 0.5),
-            put(
-                *ASKED,
-                "quadrotor",
-                lambda x: [{**k, "max_thrust": 0.5 * k["max_thrust"]} for k in x],
-            ),
-        ),
-        "thrust",
-    ),
+    Lie("morph", "motors are told, and asked, weaker", both(times("max_thrust", 0.5), put(*ASKED, "quadrotor", lambda x: [{**k, "max_thrust": 0.5 * k["max_thrust"]} for k in x])), "thrust"),
     Lie("morph", "cables have weight", put("team", "cable_density", 0.01), "story"),
-    Lie(
-        "morph",
-        "cables have weight, and were asked to",
-        both(put("team", "cable_density", 0.03), put(*ASKED, "cable_density", 0.03)),
-        "equilibrium",
-    ),
+    Lie("morph", "cables have weight, and were asked to", both(put("team", "cable_density", 0.03), put(*ASKED, "cable_density", 0.03)), "equilibrium"),
     Lie("morph", "clasps carry a load", put("team", "load", [0.02] * 3), "story"),
-    Lie(
-        "morph",
-        "clasps carry a load, and were asked to",
-        both(put("team", "load", [0.02] * 3), put(*ASKED, "load", [0.02] * 3)),
-        "equilibrium",
-    ),
+    Lie("morph", "clasps carry a load, and were asked to", both(put("team", "load", [0.02] * 3), put(*ASKED, "load", [0.02] * 3)), "equilibrium"),
     Lie("morph", "friction is told higher", put("team", "cable_friction", 0.3), "story"),
     Lie("morph", "an open chain", put("team", "topology", "open"), REFUSED),
     Lie("morph", "another number of robots", put("team", "robots", 4), REFUSED),
     # Limits and what was asked.
     Lie("morph", "a faster limit", put("limits", "speed", 9.0), "story"),
-    Lie(
-        "morph",
-        "a slower limit, asked as well",
-        both(put("limits", "speed", 0.1), put("asked", "limits", "speed", 0.1)),
-        "speed",
-    ),
-    Lie(
-        "morph",
-        "a vertex limit, asked as well",
-        both(put("limits", "vertex_speed", 0.1), put("asked", "limits", "vertex_speed", 0.1)),
-        "vertex_speed",
-    ),
-    Lie(
-        "morph",
-        "half of all jerk is left for stops, as asked",
-        both(put("limits", "reserve", 0.5), put("asked", "limits", "reserve", 0.5)),
-        "jerk",
-    ),
+    Lie("morph", "a slower limit, asked as well", both(put("limits", "speed", 0.1), put("asked", "limits", "speed", 0.1)), "speed"),
+    Lie("morph", "a vertex limit, asked as well", both(put("limits", "vertex_speed", 0.1), put("asked", "limits", "vertex_speed", 0.1)), "vertex_speed"),
+    Lie("morph", "half of all jerk is left for stops, as asked", both(put("limits", "reserve", 0.5), put("asked", "limits", "reserve", 0.5)), "jerk"),
     Lie("morph", "jerk allowed", put("limits", "jerk", 1e4), "story"),
     Lie("morph", "a tilt that was not asked", put("limits", "tilt", 1.5), "story"),
-    Lie(
-        "morph",
-        "less tilt, asked as well",
-        both(put("limits", "tilt", np.radians(20.0)), put("asked", "limits", "tilt_deg", 20.0)),
-        "tilt",
-    ),
-    Lie(
-        "morph",
-        "a turning rate, asked as well",
-        both(
-            put("limits", "body_rate", np.radians(5.0)),
-            put("asked", "limits", "body_rate_deg", 5.0),
-        ),
-        "body_rate",
-    ),
-    Lie(
-        "morph",
-        "longer legs, asked as well",
-        both(put("limits", "leg", 0.5), put("asked", "limits", "leg", 0.5)),
-        "legs",
-    ),
-    Lie(
-        "morph",
-        "a duration, asked as well",
-        both(put("limits", "duration", 1.0), put("asked", "limits", "duration", 1.0)),
-        "duration",
-    ),
+    Lie("morph", "less tilt, asked as well", both(put("limits", "tilt", np.radians(20.0)), put("asked", "limits", "tilt_deg", 20.0)), "tilt"),
+    Lie("morph", "a turning rate, asked as well", both(put("limits", "body_rate", np.radians(5.0)), put("asked", "limits", "body_rate_deg", 5.0)), "body_rate"),
+    Lie("morph", "longer legs, asked as well", both(put("limits", "leg", 0.5), put("asked", "limits", "leg", 0.5)), "legs"),
+    Lie("morph", "a duration, asked as well", both(put("limits", "duration", 1.0), put("asked", "limits", "duration", 1.0)), "duration"),
     Lie("morph", "smaller drones", put("separation", "radius", 0.05), "story"),
-    Lie(
-        "morph",
-        "larger drones, asked as well",
-        both(put("separation", "radius", 0.25), put("asked", "separation", "radius", 0.25)),
-        "separation",
-    ),
-    Lie(
-        "morph",
-        "wider cables, asked as well",
-        both(put("separation", "cable", 0.4), put("asked", "separation", "cable", 0.4)),
-        "cable_clearance",
-    ),
-    Lie(
-        "morph",
-        "wider crossings, asked as well",
-        both(put("separation", "crossing", 1.5), put("asked", "separation", "crossing", 1.5)),
-        "crossing",
-    ),
+    Lie("morph", "larger drones, asked as well", both(put("separation", "radius", 0.25), put("asked", "separation", "radius", 0.25)), "separation"),
+    Lie("morph", "wider cables, asked as well", both(put("separation", "cable", 0.4), put("asked", "separation", "cable", 0.4)), "cable_clearance"),
+    Lie("morph", "wider crossings, asked as well", both(put("separation", "crossing", 1.5), put("asked", "separation", "crossing", 1.5)), "crossing"),
     Lie("morph", "no arena", put("arena", None), "story"),
-    Lie(
-        "morph",
-        "a lower ceiling, asked as well",
-        both(put("arena", "upper", [4, 4, 0.5]), put("asked", "arena", "upper", [4, 4, 0.5])),
-        "arena",
-    ),
-    Lie(
-        "morph",
-        "a wall in the way that nobody asked",
-        put("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1], [1, 0]], "lower": 0, "upper": 3}]),
-        "story",
-    ),
-    Lie(
-        "morph",
-        "a wall in the way, asked",
-        both(
-            put(
-                "keep_out",
-                [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}],
-            ),
-            put(
-                "asked",
-                "keep_out",
-                [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}],
-            ),
-        ),
-        "keep_out",
-    ),
+    Lie("morph", "a lower ceiling, asked as well", both(put("arena", "upper", [4, 4, 0.5]), put("asked", "arena", "upper", [4, 4, 0.5])), "arena"),
+    Lie("morph", "a wall in the way that nobody asked", put("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1], [1, 0]], "lower": 0, "upper": 3}]), "story"),
+    Lie("morph", "a wall in the way, asked", both(put("keep_out", [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}]), put("asked", "keep_out", [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}])), "keep_out"),
     Lie("morph", "nothing was asked", removed("asked"), "story"),
     Lie("morph", "something else was asked", put("asked", {}), "story"),
-    Lie(
-        "morph",
-        "another start was asked",
-        put("asked", "start", "drones", "q", lambda q: [[q[0][0] + 0.1, *q[0][1:]], *q[1:]]),
-        "story",
-    ),
-    Lie(
-        "morph",
-        "another polygon was asked",
-        put("asked", "start", "hitch", "altitude", 3.0),
-        "story",
-    ),
+    Lie("morph", "another start was asked", put("asked", "start", "drones", "q", lambda q: [[q[0][0] + 0.1, *q[0][1:]], *q[1:]]), "story"),
+    Lie("morph", "another polygon was asked", put("asked", "start", "hitch", "altitude", 3.0), "story"),
     Lie("morph", "a title", put("title", "another one"), "", "a title is a label"),
-    Lie(
-        "morph",
-        "phases have other names",
-        everywhere("name", "fly"),
-        "",
-        "names of phases are labels",
-    ),
+    Lie("morph", "phases have other names", everywhere("name", "fly"), "", "names of phases are labels"),
     # Phases.
     Lie("morph", "a phase ends too early", everywhere("end", lambda t: t - 0.1), "story"),
     Lie("morph", "a phase overlaps", everywhere("start", lambda t: t - 0.01), "story"),
@@ -589,200 +348,60 @@ LIES = [
     Lie("morph", "cables lie on the ground", everywhere("state", "on the ground"), "story"),
     Lie("morph", "single drones", everywhere("state", "none"), "story"),
     Lie("morph", "a state that there is not", everywhere("state", "asleep"), REFUSED),
-    Lie(
-        "morph",
-        "it holds what is not there",
-        everywhere("hold", {"object": "box", "by": "rest", "cables": [0]}),
-        REFUSED,
-    ),
+    Lie("morph", "it holds what is not there", everywhere("hold", {"object": "box", "by": "rest", "cables": [0]}), REFUSED),
     # Forming.
     Lie("form", "robots fly each other's roles", exchanged, "story"),
     Lie("form", "a robot is turned around", flipped, "story"),
-    Lie(
-        "form",
-        "a role is given twice",
-        lambda s, a: s.update(assignment={"robots": [0, 0, 1], "flipped": [False] * 3}),
-        "story",
-    ),
-    Lie(
-        "form",
-        "masses of two roles are exchanged",
-        swapped("mass", 0, 1, 0),
-        "",
-        "robots are alike",
-    ),
+    Lie("form", "a role is given twice", lambda s, a: s.update(assignment={"robots": [0, 0, 1], "flipped": [False] * 3}), "story"),
+    Lie("form", "masses of two roles are exchanged", swapped("mass", 0, 1, 0), "", "robots are alike"),
     Lie("unlike", "masses of two roles are exchanged", swapped("mass", 0, 1, 0), "story"),
-    Lie(
-        "unlike",
-        "robots fly each other's roles, masses and all",
-        both(exchanged, swapped("mass", 0, 1, 0)),
-        "story",
-    ),
+    Lie("unlike", "robots fly each other's roles, masses and all", both(exchanged, swapped("mass", 0, 1, 0)), "story"),
     Lie("unlike", "a robot is turned around", flipped, "story"),
     Lie("unlike", "thrusts of two roles are exchanged", swapped("max_thrust", 1, 2, 0), "story"),
-    Lie(
-        "unlike",
-        "lengths of all roles are shifted",
-        lambda s, a: a.update(cable_length=np.roll(a["cable_length"], 1)),
-        "story",
-    ),
+    Lie("unlike", "lengths of all roles are shifted", lambda s, a: a.update(cable_length=np.roll(a["cable_length"], 1)), "story"),
     Lie("form", "clasping is said to hang free", stated("clasping", "hanging free"), "interlacing"),
-    Lie(
-        "form",
-        "clasping is said to be tightening",
-        stated("clasping", "being tightened"),
-        "interlacing",
-    ),
-    Lie(
-        "form",
-        "hanging free is said to be on the ground",
-        stated("hanging free", "on the ground"),
-        "story",
-    ),
-    Lie(
-        "form",
-        "tightening is said to be hitched",
-        stated("being tightened", "hitched"),
-        "cable_length",
-    ),
-    Lie(
-        "form", "tightening is said to be clasping", stated("being tightened", "clasping"), "story"
-    ),
+    Lie("form", "clasping is said to be tightening", stated("clasping", "being tightened"), "interlacing"),
+    Lie("form", "hanging free is said to be on the ground", stated("hanging free", "on the ground"), "story"),
+    Lie("form", "tightening is said to be hitched", stated("being tightened", "hitched"), "cable_length"),
+    Lie("form", "tightening is said to be clasping", stated("being tightened", "clasping"), "story"),
     Lie("form", "the hitch was there at first", everywhere("state", "hitched"), "cable_length"),
     Lie("form", "the hitch is never there", stated("hitched", "being tightened"), "story"),
     Lie("form", "the second swap turns back", turned_back, "interlacing"),
-    Lie(
-        "form",
-        "drones fly 1.4 m lower",
-        both(
-            plus("drones", -1.4, (slice(None), slice(None), 2)),
-            plus("vertices", -1.4, (slice(None), slice(None), 2)),
-            put(
-                "asked",
-                "start",
-                "drones",
-                lambda d: {k: [[x, y, z - 1.4] for x, y, z in v] for k, v in d.items()},
-            ),
-        ),
-        "cable_clearance",
-    ),
+    Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2)), put("asked", "start", "drones", lambda d: {k: [[x, y, z - 1.4] for x, y, z in v] for k, v in d.items()})), "cable_clearance"),
     Lie("form", "tension is there at once", at_once, "tension"),
     # Friction.
     Lie("slid", "legs pull 10 % harder", times("leg_tensions", 1.1), "equilibrium"),
     Lie("slid", "legs pull as their cables", removed("leg_tensions"), REFUSED),
-    Lie(
-        "slid",
-        "no friction, asked as well",
-        both(put("team", "cable_friction", 0.0), put(*ASKED, "cable_friction", 0.0)),
-        "equilibrium",
-    ),
+    Lie("slid", "no friction, asked as well", both(put("team", "cable_friction", 0.0), put(*ASKED, "cable_friction", 0.0)), "equilibrium"),
     # Carrying.
-    Lie(
-        "carry",
-        "the box floats 5 cm above its clasps",
-        plus("poses", 0.05, (slice(None), 2, 2)),
-        "story",
-    ),
+    Lie("carry", "the box floats 5 cm above its clasps", plus("poses", 0.05, (slice(None), 2, 2)), "story"),
     Lie("carry", "the box is lighter", put("objects", "box", "mass", 0.05), "story"),
-    Lie(
-        "carry",
-        "the box is heavier, asked as well",
-        both(put("objects", "box", "mass", 0.3), put("asked", "objects", "box", "mass", 0.3)),
-        "equilibrium",
-    ),
+    Lie("carry", "the box is heavier, asked as well", both(put("objects", "box", "mass", 0.3), put("asked", "objects", "box", "mass", 0.3)), "equilibrium"),
     Lie("carry", "the box bears nothing", times("borne", 0.0), "story"),
     Lie("carry", "half of the box is borne", times("borne", 0.5), "story"),
     Lie("carry", "nothing is held", everywhere("hold", None), "story"),
-    Lie(
-        "carry",
-        "it is gripped",
-        everywhere("hold", lambda h: h and {**h, "by": "grip"}),
-        "grip|equilibrium|story",
-    ),
-    Lie(
-        "carry",
-        "it is held while it is enclosed",
-        named("enclose", "hold", {"object": "box", "by": "rest", "cables": [0, 1, 2, 3]}),
-        "story",
-    ),
-    Lie(
-        "carry",
-        "the box stays where it was",
-        lambda s, a: a.update(
-            poses=np.broadcast_to(a["poses"][:1, ..., :1], a["poses"].shape).copy()
-        ),
-        "rim",
-    ),
+    Lie("carry", "it is gripped", everywhere("hold", lambda h: h and {**h, "by": "grip"}), "grip|equilibrium|story"),
+    Lie("carry", "it is held while it is enclosed", everywhere("hold", {"object": "box", "by": "rest", "cables": [0, 1, 2, 3]}, "enclose"), "story"),
+    Lie("carry", "the box stays where it was", lambda s, a: a.update(poses=np.broadcast_to(a["poses"][:1, ..., :1], a["poses"].shape).copy()), "rim"),
     Lie("carry", "the box turns", turning, "story|rim"),
     Lie("carry", "the box is fixed", put("objects", "box", "fixed", True), "story"),
-    Lie(
-        "carry",
-        "a smooth rim, asked as well",
-        both(
-            put("objects", "box", "friction", 0.01),
-            put("asked", "objects", "box", "friction", 0.01),
-        ),
-        "rim",
-    ),
+    Lie("carry", "a smooth rim, asked as well", both(put("objects", "box", "friction", 0.01), put("asked", "objects", "box", "friction", 0.01)), "rim"),
     Lie("carry", "a smaller rim, asked as well", small_rim, "rim"),
-    Lie(
-        "carry",
-        "a taller box, asked as well",
-        body(upper=0.9),
-        "enters|support|object_clearance|keep_out",
-    ),
+    Lie("carry", "a taller box, asked as well", body(upper=0.9), "enters|support|object_clearance|keep_out"),
     Lie("carry", "an obstacle at half way, asked as well", obstacle, "keep_out|object_clearance"),
-    Lie(
-        "carry",
-        "objects farther from cables, asked as well",
-        both(put("separation", "object", 0.2), put("asked", "separation", "object", 0.2)),
-        "object_clearance",
-    ),
+    Lie("carry", "objects farther from cables, asked as well", both(put("separation", "object", 0.2), put("asked", "separation", "object", 0.2)), "object_clearance"),
     Lie("carry", "the box stands in the air at first", lifted, "story"),
     Lie("carry", "no objects", removed("objects"), REFUSED),
     Lie("grip", "contacts are 2 cm off", plus("contacts", 0.02, (slice(None), 0, 0, 0)), "grip"),
-    Lie(
-        "grip",
-        "the drum is heavier, asked as well",
-        both(put("objects", "drum", "mass", 0.3), put("asked", "objects", "drum", "mass", 0.3)),
-        "grip",
-    ),
-    Lie(
-        "grip",
-        "the drum is smoother, asked as well",
-        both(
-            put("objects", "drum", "friction", 0.1),
-            put("asked", "objects", "drum", "friction", 0.1),
-        ),
-        "grip",
-    ),
+    Lie("grip", "the drum is heavier, asked as well", both(put("objects", "drum", "mass", 0.3), put("asked", "objects", "drum", "mass", 0.3)), "grip"),
+    Lie("grip", "the drum is smoother, asked as well", both(put("objects", "drum", "friction", 0.1), put("asked", "objects", "drum", "friction", 0.1)), "grip"),
     Lie("grip", "edges run straight", removed("contacts"), REFUSED),
-    Lie(
-        "grip",
-        "edges are said to be straight",
-        lambda s, a: s.pop("contacts"),
-        "cable_length|enters|equilibrium",
-    ),
+    Lie("grip", "edges are said to be straight", lambda s, a: s.pop("contacts"), "cable_length|enters|equilibrium"),
     # Single drones.
     Lie("swarm", "two drones are exchanged", swapped("drones", 0, 1), "story"),
-    Lie(
-        "swarm",
-        "two drones fly the same way",
-        lambda s, a: a.update(drones=a["drones"][:, [0, 0, 2, 3, 4, 5]]),
-        "separation",
-    ),
+    Lie("swarm", "two drones fly the same way", lambda s, a: a.update(drones=a["drones"][:, [0, 0, 2, 3, 4, 5]]), "separation"),
     Lie("swarm", "a drone is tied", everywhere("state", "hitched"), "story"),
     Lie("chain", "the chain is closed", put("team", "topology", "closed"), REFUSED),
-    Lie(
-        "chain",
-        "an end of the chain hangs on",
-        plus("legs", 0.1, (slice(None), 0, 0)),
-        "cable_length",
-    ),
-    Lie(
-        "chain",
-        "an end of the chain leaves its point",
-        plus("drones", 0.05, (slice(None), 0, 2)),
-        "story|cable_length",
-    ),
-]
+    Lie("chain", "an end of the chain hangs on", plus("legs", 0.1, (slice(None), 0, 0)), "cable_length"),
+    Lie("chain", "an end of the chain leaves its point", plus("drones", 0.05, (slice(None), 0, 2)), "story|cable_length"),
+]  # fmt: skip

@@ -7,10 +7,10 @@ import inspect
 import hitchopt as ho
 
 GROUPS = {
-    "plan": ("Planning", ("hitchopt.builder", "hitchopt.planning", "hitchopt.actions")),
+    "plan": ("Planning", ("hitchopt.api",)),
     "results": (
         "Plans",
-        ("hitchopt.plan", "hitchopt.plan_uses", "hitchopt.motion", "hitchopt.trajectory"),
+        ("hitchopt.plan", "hitchopt.motion", "hitchopt.trajectory"),
     ),
     "teams": ("Teams and hitches", ("hitchopt.hitch", "hitchopt.geometry")),
     "problems": (
@@ -20,13 +20,13 @@ GROUPS = {
     "requirements": ("Requirements", ("hitchopt.requirements", "hitchopt.objects")),
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
-    "fits": ("Fits", ("hitchopt.fitting", "hitchopt.holding")),
+    "fits": ("Fits", ("hitchopt.statics.fit", "hitchopt.holding")),
     "stopping": (
         "Stops, steering and feedback",
-        ("hitchopt.stopping", "hitchopt.steering", "hitchopt.feedback"),
+        ("hitchopt.live",),
     ),
-    "statics": ("Statics and tolerance", ("hitchopt.settling",)),
-    "calibration": ("Calibration", ("hitchopt.calibration", "hitchopt.simulation")),
+    "statics": ("Statics and tolerance", ("hitchopt.statics.settle", "hitchopt.statics.tolerance")),
+    "calibration": ("Calibration", ("hitchopt.statics", "hitchopt.simulation")),
     "sweeps": ("Sweeps", ("hitchopt.sweeps",)),
     "errors": ("Errors", ("hitchopt.errors",)),
     "others": ("Others", ("hitchopt",)),

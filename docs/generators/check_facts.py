@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
+from typing import Any
+
 from hitchopt.checks.registry import REPORTS, RULES
-from hitchopt.checks.rule import CheckRule, ReportRule
+from hitchopt.checks.rule import CheckRule, ReportRule, Searched
 from hitchopt.motion.motion import CableState
 
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
@@ -23,7 +26,20 @@ def _facts_of_check(rule: CheckRule) -> str:
         "held by exports": _exports(rule),
         "what eases it": _remedy(rule),
     }
-    return _table(rows)
+    return _table(rows) + _formulas(rule)
+
+
+def _formulas(rule: CheckRule) -> str:
+    """Return the code of a check's formulas, each once."""
+    found: list[Any] = []
+    for finder in rule.finders:
+        found += [finder.find.formula] if isinstance(finder.find, Searched) else []
+        found += finder.shown
+    code = [
+        inspect.cleandoc("\n" + inspect.getsource(getattr(each, "func", each)))
+        for each in dict.fromkeys(found)
+    ]
+    return "" if not code else "\n```python\n" + "\n\n".join(code) + "\n```\n"
 
 
 def _facts_of_report(rule: ReportRule) -> str:

@@ -18,10 +18,8 @@ from PIL import Image
 import hitchopt as ho
 from generators.problem_collection import SECTIONS
 from hitchopt.values import Array
-from hitchopt.view.curves import sampled_curves
-from hitchopt.view.house_colours import COLOURS
-from hitchopt.view.plan_view import draw_plan_view
-from hitchopt.view.style import INK, new_figure, save_figure
+from hitchopt.view.pictures import draw_plan_view, sampled_states
+from hitchopt.view.style import COLOURS, INK, new_figure, save_figure
 
 SIZE = (4.2, 4.2)
 """Width and height [inch]."""
@@ -36,7 +34,7 @@ def draw(file: Path, *, solved: bool) -> Figure:
     axes = figure.add_subplot()
     if solved:
         motion = ho.solve(file).motion
-        draw_plan_view(axes, motion, sampled_curves(motion))
+        draw_plan_view(axes, motion, sampled_states(motion))
         legend = axes.get_legend()
         if legend is not None:
             legend.remove()

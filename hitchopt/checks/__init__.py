@@ -1,4 +1,4 @@
-"""Floor 6: one check a file, from a plan's polynomials only. Imports no planner."""
+"""Floor 6: the certificate, from polynomials alone: a module a family of checks, no planner."""
 
 from hitchopt.checks.certificate import Certificate, CertificateError, Check
 from hitchopt.checks.certify import certify, merged

@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from hitchopt.errors import HitchoptError, InputError, Violation, broken_limit
-from hitchopt.one_line import OneLine
+from hitchopt.errors import HitchoptError, InputError, OneLine, Violation, broken_limit
 
 FORMAT = "hitchopt-certificate/1"
 
@@ -18,8 +17,27 @@ FORMAT = "hitchopt-certificate/1"
 TOLERANCE = 1e-9
 """Relative to a limit, or to the largest length that enters: checks hold within that."""
 
+TIE = 1e-9
+"""Share by which a check's pressure is larger if it is, not by rounding."""
+
 MAX_ROWS = 40
 """Most rows of a table in a notebook; the others are counted."""
+
+
+GROUPS = {
+    "distances": (
+        "separation", "cable_clearance", "crossing", "keep_out", "object_clearance", "arena",
+        "tracking_radius",
+    ),
+    "motion": ("speed", "acceleration", "jerk", "vertex_speed", "body_rate"),
+    "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "support"),
+    "cables": ("legs", "cable_length", "span", "convexity", "interlacing"),
+    "story": ("continuity", "stoppable", "survivable", "duration"),
+}  # fmt: skip
+"""Checks under the headings of the certificate's table; others stand under "other"."""
+
+CLOSEST = 3
+"""Number of checks that a table marks as closest to their limits."""
 
 
 class CertificateError(HitchoptError):
@@ -94,10 +112,8 @@ class Check(OneLine):
             return cls(name, True, None, limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
-        holds = limit is None
-        if limit is not None:
-            least = within(limit, sense, size)
-            holds = bool(worst >= least if sense == "min" else worst <= least)
+        edge = outward if limit is None else within(limit, sense, size)
+        holds = bool(worst >= edge if sense == "min" else worst <= edge)
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
     def _parts(self) -> Iterator[str]:
@@ -126,6 +142,20 @@ class Check(OneLine):
         return _nothing(self.sense) if self.worst is None else self.worst
 
     @property
+    def margin(self) -> float:
+        """Distance to the limit, relative to it, or in the unit where it is 0; below 0 if broken.
+
+        Infinite where there is no limit, or nothing to count: a count of 0 that is at most 0 is at
+        no distance.
+        """
+        if self.limit is None or self.worst is None:
+            return math.inf
+        distance = self.worst - self.limit if self.sense == "min" else self.limit - self.worst
+        if self.limit == 0.0 and self.sense == "max" and self.holds:
+            return math.inf
+        return distance / (abs(self.limit) or 1.0)
+
+    @property
     def pressure(self) -> float:
         """How near the quantity comes to its limit; drones may have different ones."""
         if self.limit is None:
@@ -142,18 +172,17 @@ def _nothing(sense: str) -> float:
 
 def most_pressing(checks: Iterable[Check | None]) -> Check | None:
     """Return the worst of one quantity's checks over several spans of time; None without any."""
-    return max(filter(None, checks), key=lambda check: check.pressure, default=None)
+    found: Check | None = None
+    for check in filter(None, checks):  # of those that tie the first one
+        tie = TIE * abs(found.pressure) if found and math.isfinite(found.pressure) else 0.0
+        if found is None or check.pressure > found.pressure + tie:
+            found = check
+    return found
 
 
 @dataclass(frozen=True)
 class Certificate(OneLine):
-    """All checks of one plan.
-
-    Attributes
-    ----------
-    duration: of the plan [s].
-    checks: in the order of the table.
-    """
+    """All checks of one plan of a duration [s], in the order of the table."""
 
     duration: float
     checks: tuple[Check, ...]
@@ -180,6 +209,22 @@ class Certificate(OneLine):
         return f"<p><b>{escape(verdict)}</b></p>{html_table(heads, rows)}"
 
     @property
+    def groups(self) -> dict[str, tuple[Check, ...]]:
+        """The checks under the headings of the table, in its order."""
+        heading = {name: title for title, names in GROUPS.items() for name in names}
+        found: dict[str, tuple[Check, ...]] = {}
+        for title in (*GROUPS, "other"):
+            checks = tuple(c for c in self.checks if heading.get(c.name, "other") == title)
+            found |= {title: checks} if checks else {}
+        return found
+
+    @property
+    def closest(self) -> tuple[Check, ...]:
+        """The CLOSEST checks with the least margins, the least first."""
+        limited = [check for check in self.checks if math.isfinite(check.margin)]
+        return tuple(sorted(limited, key=lambda check: check.margin)[:CLOSEST])
+
+    @property
     def certified(self) -> bool:
         """Whether every check holds."""
         return all(check.holds for check in self.checks)
@@ -191,10 +236,7 @@ class Certificate(OneLine):
 
     def __getitem__(self, name: str) -> Check:
         """Return the check of that name, or raise KeyError."""
-        for check in self.checks:
-            if check.name == name:
-                return check
-        raise KeyError(name)
+        return {check.name: check for check in self.checks}[name]
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
@@ -221,6 +263,12 @@ class Certificate(OneLine):
         return cls(float(data["duration"]), checks)
 
 
+def _entry(check: Check) -> dict[str, Any]:
+    """Return a check as ``certificate.json`` holds it; only some have a gamma."""
+    entry = asdict(check) | {"where": list(check.where)}
+    return {key: value for key, value in entry.items() if key != "gamma" or value is not None}
+
+
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table with its texts escaped."""
     listed = list(rows)
@@ -231,17 +279,7 @@ def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
 
 
-def _entry(check: Check) -> dict[str, Any]:
-    """Return a check as ``certificate.json`` holds it; only some have a gamma."""
-    entry = {**asdict(check), "where": list(check.where)}
-    if check.gamma is None:
-        del entry["gamma"]
-    return entry
-
-
 def describe(check: Check) -> str:
     """Return one sentence on a check that does not hold."""
-    broken = broken_limit(
-        check.name, check.bound, check.number, check.sense, check.unit, check.where
-    )
-    return f"{broken}, t = {check.time:.4g} s"
+    told = (check.name, check.bound, check.number, check.sense, check.unit, check.where)
+    return f"{broken_limit(*told)}, t = {check.time:.4g} s"

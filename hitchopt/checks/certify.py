@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from hitchopt.checks import duration
-from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.checks.rule import Findings, Found, ReportRule
-from hitchopt.checks.tracking_radius import GAMMA
+from hitchopt.checks.spans import shared_values
+from hitchopt.checks.story import DURATION
+from hitchopt.checks.tracking import GAMMA
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative, sequence
@@ -56,18 +56,15 @@ def certify(
     for i, report in enumerate(reports := sequence("reports", reports)):
         if not isinstance(report, ReportRule):
             raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
-    found: dict[str, Sequence[Found]] = {}
+    found, known = dict[str, Sequence[Found]](), known or {}
     reports = [report for report in reports if not (part and report.whole)]
-    names: list[str] = []
-    if progress is not None:
-        names += [rule.name for rule in RULES if rule.limit_of(motion) is not None]
-        names += [report.name for report in reports]
+    names = [rule.name for rule in RULES if progress and rule.limit_of(motion) is not None]
+    names += [report.name for report in reports]
 
     def tell(name: str) -> None:
         if progress is not None and name in names:
             progress(f"{name}, {names.index(name)} of {len(names)}")
 
-    known = known or {}
     with shared_values():
         for rule in RULES:
             tell(rule.name)
@@ -100,14 +97,11 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
             found[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
     joints = len(parts) > 1
-    checks = [
-        rule.check(motion)
-        if rule.whole and (joints or rule is duration.RULE)
-        else most_pressing(found[rule.name])
-        for rule in RULES
-    ]
-    checks += [
-        rule.check(motion, {}, GAMMA) if rule.whole else most_pressing(found[rule.name])
-        for rule in REPORTS
-    ]
+    checks = []
+    for rule in RULES:
+        anew = rule.whole and (joints or rule is DURATION)
+        checks.append(rule.check(motion) if anew else most_pressing(found[rule.name]))
+    for report in REPORTS:
+        known = most_pressing(found[report.name])
+        checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
     return Certificate(motion.duration, tuple(check for check in checks if check is not None))

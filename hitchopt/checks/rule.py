@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from enum import Enum, auto
+from typing import Generic, TypeVar
 
-from hitchopt.checks.certificate import Check, most_pressing
+import numpy as np
+
+from hitchopt.checks.certificate import Check, most_pressing, within
+from hitchopt.checks.spans import MotionSpans
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.trajectory.enclosed import Bound
+from hitchopt.trajectory.search import BATCH, worst
+from hitchopt.values import Array
+
+S = TypeVar("S", bound=MotionSpans)
 
 
 class Ease(Enum):
@@ -24,15 +33,11 @@ class Ease(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """The worst value that a finder has found.
+    """The worst value that a finder has found; it bounds the quantity for all t.
 
-    Attributes
-    ----------
-    worst: bounds the quantity for all t, rounding included.
-    time: [s], when the quantity is about at its worst.
-    where: names of the drones, cables or vertices.
-    size: the largest length that enters the quantity, in its unit, as in ``within``.
-    limit: where it is not the rule's, as drones have limits of their own.
+    The quantity is about at its worst at ``time`` [s] and ``where``: the names of drones, cables or
+    vertices. ``size`` is the largest length that enters it, as in ``within``, and ``limit`` that of
+    whoever is worst where it is not the rule's, as drones have limits of their own.
     """
 
     worst: float
@@ -43,19 +48,63 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class Finder:
-    """A function that finds a check's quantity while cables are in certain states.
+class Searched(Generic[S]):
+    """A finder of a formula's worst value over spans of a motion.
 
     Attributes
     ----------
-    find: returns the worst value of a motion, given the limit that it is held against.
-    states: of the cables; ``find`` looks at each run of pieces in these.
-    exported: whether curves in exported files are held against the limit as well.
+    over: the spans, as ``where`` names them.
+    formula: bounds the quantity on spans of these; it is its value where they are points.
+    sense, size: as in ``Check`` and ``Finding``.
+    share: (items,), where each has a limit of its own that the formula is a share of.
+    """
+
+    over: type[S]
+    formula: Callable[[S], Bound]
+    sense: str
+    size: float | Callable[[Motion], float] = 1.0
+    share: Callable[[Motion], Array] | None = None
+
+    def __call__(self, motion: Motion, limit: float) -> Finding:
+        """Return the worst value of a motion."""
+        limits = None if self.share is None else self.share(motion)
+        size = self.size(motion) if callable(self.size) else self.size
+        aim = within(limit if limits is None else 1.0, self.sense, size, 0.5)
+        found = worst(self.over.of(motion), self.formula, self.sense, target=aim)
+        if found.item < 0:
+            return Finding(found.worst, 0.0)
+        own = None if limits is None else float(limits[found.item])
+        value = found.worst * (1.0 if own is None else own)
+        return Finding(value, found.time, (self.over.names(motion)[found.item],), size, own)
+
+    def curve(self, motion: Motion, times: Array) -> Array:
+        """Return the formula's worst value over all items at times (samples,) [s]."""
+        breaks, items = motion.drones.breaks, np.arange(len(self.over.names(motion)))
+        piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
+        x = (times - breaks[piece]) / motion.drones.durations[piece]
+        found = []
+        for first in range(0, len(times), max(1, BATCH // len(items))):
+            part = slice(first, first + max(1, BATCH // len(items)))
+            here = np.repeat(piece[part], len(items))
+            spans = self.over(motion, breaks, here, np.tile(items, len(x[part])))
+            points = spans.at(np.repeat(np.clip(x[part], 0.0, 1.0), len(items)))
+            values = self.formula(points).value.reshape(-1, len(items))
+            found.append(np.max(values, 1) if self.sense == "max" else np.min(values, 1))
+        return np.concatenate(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Finder:
+    """Finds a check's quantity, against a limit, on each run of pieces with cables in some states.
+
+    Where ``exported``, curves in exported files are held against the limit as well. ``shown`` is
+    what the documentation shows of the code besides a formula that is searched.
     """
 
     find: Callable[[Motion, float], Finding]
     states: Set[CableState] = frozenset(CableState)
     exported: bool = False
+    shown: tuple[object, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,31 +157,21 @@ class CheckRule:
     def check(self, motion: Motion, *, exported: bool = False) -> Check | None:
         """Return the worst over all spans of time in which the rule applies; None without any.
 
-        Parameters
-        ----------
-        motion: the plan.
-        exported: apply the finders and the limit for exported curves.
+        Where ``exported``, the finders and the limit for exported curves are applied.
         """
         return most_pressing(found.check for found in self.findings(motion, exported=exported))
 
     def findings(self, motion: Motion, *, exported: bool = False) -> tuple[Found, ...]:
         """Return what is found on all spans of time in which the rule applies."""
-        here = motion.cable_states
-        finders = [
-            finder
-            for finder in self.finders
-            if (finder.exported or not exported) and not here.isdisjoint(finder.states)
-        ]
-        if not finders:
-            return ()
-        limit = self.limit(motion) if callable(self.limit) else self.limit
+        limit, here = self.limit_of(motion), motion.cable_states
         if limit is None:
             return ()
         if exported and self.exported_limit is not None:
             limit = self.exported_limit
         return tuple(
             Found(finder.states, self._check(finder.find(span, limit), limit))
-            for finder in finders
+            for finder in self.finders
+            if (finder.exported or not exported) and not here.isdisjoint(finder.states)
             for span in ((motion,) if here <= finder.states else motion.spans(finder.states))
         )
 
@@ -148,14 +187,10 @@ Findings = Mapping[str, Sequence[Found]]
 
 @dataclass(frozen=True, eq=False)
 class ReportRule:
-    """What a certificate reports without a limit, given what its checks have found.
+    """What a certificate reports without a limit: a motion, its findings and ``gamma`` tell it.
 
-    Attributes
-    ----------
-    name, unit, sense: as in ``Check``.
-    find: returns the worst value of a motion; with the findings and ``gamma`` of ``Check``.
-    whole: whether a joined motion has to be looked at anew, its parts not telling of what begins in
-        one and ends in the next. Such a value assumes no ``gamma``.
+    A joined motion has to be looked at anew as a ``whole`` where its parts do not tell of what
+    begins in one and ends in the next. Such a value assumes no ``gamma``.
     """
 
     name: str
@@ -166,14 +201,6 @@ class ReportRule:
 
     def check(self, motion: Motion, found: Findings, gamma: float) -> Check:
         """Return the value as a check that holds."""
-        worst = self.find(motion, found, gamma)
-        return Check.of(
-            self.name,
-            worst.worst,
-            None,
-            self.sense,
-            self.unit,
-            worst.time,
-            worst.where,
-            gamma=None if self.whole else gamma,
-        )
+        worst, given = self.find(motion, found, gamma), None if self.whole else gamma
+        told = (worst.worst, None, self.sense, self.unit, worst.time, worst.where)
+        return Check.of(self.name, *told, gamma=given)

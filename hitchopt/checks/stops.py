@@ -6,10 +6,10 @@ the cable's force, which depends on the place alone. What is carried is pulled a
 fit the plan's own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay
 within what checks ``equilibrium``, ``support`` and ``grip`` leave of their limits.
 
-All are sums of a function of the clock times one of the place. On a cell, a phase of constant s̈
-within one piece, norms bound them, ``|D²x| s² + |Dx| |ṡ|`` and the like. Where that does not do,
-each factor lies near the chord between its ends, off it by a part of its second derivative, and a
-convex measure is largest at one of the four pairs of ends; cells are halved until that decides.
+On a cell, a phase of constant s̈ within one piece, norms bound them: ``s² |D²x| + |ṡ| |Dx|`` and
+the like. Where that does not do, curves are taken for their chords by time, off them by an eighth
+of the square of the cell's length times ``s² |D⁴x| + |ṡ| |D³x|`` and the like; the formulas are
+enclosed, and cells halved until that decides.
 
 A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
 shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
@@ -18,23 +18,31 @@ running on, until a stop can begin; a plan that ends at rest has reached rest th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.bounds.carried_paths import ROWS, carried_paths
-from hitchopt.checks.bounds.rounding_margins import ROUNDING, derivative_margin
-from hitchopt.checks.bounds.static_thrust import StaticThrust
+from hitchopt.checks import clasps, support
+from hitchopt.checks.drones import Hovering
+from hitchopt.checks.gripping import heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
+from hitchopt.checks.spans import derivative_margin
+from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
-from hitchopt.motion.cutting import REST
-from hitchopt.motion.motion import Motion
-from hitchopt.time_limit import check_time
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.loads import centre_path, held_pieces, supports_of
+from hitchopt.motion.motion import HoldBy, Motion
+from hitchopt.motion.retiming import REST
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
@@ -45,6 +53,9 @@ HALVINGS = 7
 BATCH = 20_000
 """Pairs of a cell and a drone that are looked at in one go."""
 
+ORDER = 8
+"""Degree in which forces at rest are written; what that loses is in their radius."""
+
 SLACK = 1e-9
 """Relative margin for the clock's rounding."""
 
@@ -52,14 +63,14 @@ SHORTEST, LONGEST, SLOWEST = 0.1, 2.5, 20.0
 """[s] Durations of stops: the shortest and longest that are tried, and the longest with a reserve
 or something that is carried, which allow no shorter ones."""
 
-SPACING, STARTS = 0.05, 10_000
-"""[s] Distance of stops, for plans of up to ``SPACING * STARTS``."""
+SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
+"""[s] Distances of stops, also while steering, and how many there are at most."""
 
 BISECTIONS = 6
 """Bisections of the logarithm of the least duration that samples allow."""
 
-LONGER = ((1.02,), (1.1, 1.2, 1.6))
-"""Multiples of that which are tried, some together."""
+LONGER = (1.02, 1.1, 1.2, 1.6)
+"""Multiples of that which are tried."""
 
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
@@ -76,22 +87,17 @@ SWITCH = 5.0 / 12.0
 TINY = 1e-12
 """[N], [m/s²] Slack counts as at least this where values are divided by it."""
 
+ROWS = 5
+"""Number of coordinates of a carried path; those that it does not have are zero."""
 
-def stop_phases(start: Array, duration: Array) -> ClockPhases:
-    """Return the phases of stops that begin at plan times ``start`` (m,) at rate 1."""
-    return _between(start, duration, 1.0)
-
-
-def start_phases(start: Array, duration: Array) -> ClockPhases:
-    """Return the phases that lead from rest at plan times (m,) back to rate 1, as stops do."""
-    return _between(start, duration, 0.0)
+EVEN = 0.01
+"""Least share of a sum of two numbers that one of them is taken for."""
 
 
-def _between(start: Array, duration: Array, rate: float) -> ClockPhases:
-    """Return the phases from one of the rates 0 and 1 to the other."""
+def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
+    """Return the phases that lead from a rate, 1 or 0, at plan times (m,) to the other one."""
     start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
-    jerk = (4.0 - 8.0 * rate) / duration**2
-    zero = np.zeros_like(start)
+    jerk, zero = (4.0 - 8.0 * rate) / duration**2, np.zeros_like(start)
     first = np.stack([start, zero + rate, zero, jerk], axis=-1)
     second = advanced(first, 0.5 * duration)
     second[..., 3] = -jerk
@@ -99,65 +105,45 @@ def _between(start: Array, duration: Array, rate: float) -> ClockPhases:
     return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
 
 
-class _Pairs(NamedTuple):
+start_phases = partial(stop_phases, rate=0.0)
+"""Phases that lead from rest back to rate 1, as stops do."""
+
+
+V = TypeVar("V", Array, Enclosed)
+
+
+def _acceleration(s: V, slope: V, v: V, a: V) -> V:
+    return s * s * a + slope * v
+
+
+def _jerk(s: V, slope: V, jerk: V, v: V, a: V, j: V) -> V:
+    return s * s * s * j + s * slope * 3.0 * a + jerk * v
+
+
+@dataclass(frozen=True, eq=False)
+class _Spans:
     """Cells of clocks within one piece of the plan, and an item (a drone, a path) each."""
 
     cells: ClockPhases
     piece: Indices
     item: Indices
 
-    def taken(self, index: Flags | Indices | slice) -> _Pairs:
-        return _Pairs(self.cells.taken(index), self.piece[index], self.item[index])
+    def taken(self, index: Flags | Indices) -> _Spans:
+        return _Spans(self.cells.taken(index), self.piece[index], self.item[index])
 
-    def halves(self) -> _Pairs:
+    def halves(self) -> _Spans:
         half = 0.5 * self.cells.duration
         jets = np.concatenate([self.cells.jets, advanced(self.cells.jets, half)])
         cells = ClockPhases(np.tile(self.cells.owner, 2), jets, np.tile(half, 2))
-        return _Pairs(cells, np.tile(self.piece, 2), np.tile(self.item, 2))
+        return _Spans(cells, np.tile(self.piece, 2), np.tile(self.item, 2))
 
-
-class _Factor(NamedTuple):
-    """Values at both ends of cells (2, …, pairs), and how far between they are off the chord."""
-
-    ends: Array
-    off: Array
-
-
-def _enclosed(*terms: tuple[_Factor, _Factor]) -> _Factor:
-    """Return sums of products of numbers by time and vectors by place.
-
-    Returns
-    -------
-    (4, d, pairs), the values at all pairs of ends, the first and last of them attained; and by how
-    much sums may be off the hull of these.
-    """
-    ends, off = np.zeros(()), np.zeros(())
-    for number, vector in terms:
-        ends = ends + number.ends[:, None, None] * vector.ends
-        most = np.max(np.abs(number.ends), axis=0) + number.off
-        off = off + most * vector.off + number.off * np.max(column_lengths(vector.ends), axis=0)
-    return _Factor(ends.reshape(4, *ends.shape[2:]), off)
-
-
-class _Clock:
-    """The rate and its derivatives at both ends of cells (2, cells), and their largest (cells,)."""
-
-    def __init__(self, cells: ClockPhases) -> None:
-        jets = np.stack([cells.jets.T, cells.ends.T])
-        self.s, self.a, self.j = jets[:, 1], jets[:, 2], jets[:, 3]
-        middle = self.s[0] + 0.5 * cells.duration * self.a[0]  # the hull of its coefficients
-        self.most = np.max(np.abs(jets[:, 1:]), axis=0)
-        np.maximum(self.most[0], np.abs(middle), out=self.most[0])
-        self._bend = cells.duration**2 / 8.0
-
-    def factor(self, ends: Array, curved: Array | float = 0.0) -> _Factor:
-        """Return a function of the clock with a bound of its second derivative by time."""
-        return _Factor(ends, self._bend * curved)
-
-    def squared(self, less: float = 0.0) -> _Factor:
-        """Return the rate's square, less a number."""
-        s, a, j = self.most
-        return self.factor(self.s**2 - less, 2.0 * (a**2 + s * j))
+    @cached_property
+    def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+        """The rate and its two derivatives."""
+        (s, a, j), t = self.cells.jets.T[1:], self.cells.duration
+        rate = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
+        s, a, j = (Enclosed(np.stack(each, axis=-1)[:, None]) for each in rate)
+        return s, a, j
 
 
 class _Curves:
@@ -166,232 +152,201 @@ class _Curves:
     Parameters
     ----------
     breaks: (pieces + 1,) [s]
-    functions: of coefficients (pieces, items, d, degree + 1) each.
-    margins: (pieces, items) each, what is added to their norms.
+    vectors: (pieces, items) each, by the share of the piece.
     """
 
-    def __init__(self, breaks: Array, functions: Sequence[Array], margins: Sequence[Array]) -> None:
-        self.breaks, self.margins = breaks, margins
-        order = max(bernstein.degree(each) for each in functions)
-        self.rows = np.cumsum([0, *(each.shape[2] for each in functions)])
-        self.coefficients = np.concatenate([bernstein.elevate(c, order) for c in functions], axis=2)
-        self.sizes = np.stack([np.max(column_lengths(c), axis=-1) for c in functions])
-        """(functions, pieces, items), bounds of norms."""
-        self.sizes = (self.sizes + margins) * (1.0 + SLACK)
-        h = 8.0 * np.diff(breaks)[:, None] ** 2
-        curved = [bernstein.differentiate(bernstein.differentiate(each)) for each in functions]
-        self._bends = [np.max(column_lengths(c), axis=-1) * (1.0 + SLACK) / h for c in curved]
+    def __init__(self, breaks: Array, vectors: Sequence[Enclosed]) -> None:
+        self.breaks = breaks
+        order, h = max(each.degree for each in vectors), np.diff(breaks)[:, None]
+        self._rows = np.cumsum([0, *(each.c.shape[2] for each in vectors)]).tolist()
+        self._c = np.concatenate([bernstein.elevate(each.c, order) for each in vectors], axis=2)
+        self._margins = np.stack([np.broadcast_to(each.r, self._c.shape[:2]) for each in vectors])
+        slopes = [Enclosed(bernstein.differentiate(each.c)) for each in vectors]
+        bends = [Enclosed(bernstein.differentiate(each.c)) for each in slopes]
+        self._slopes = np.stack([each.size / h for each in slopes])
+        self._bends = np.stack([each.size / h**2 for each in bends])
+        self.sizes = np.stack([each.size + each.r for each in vectors]) * (1.0 + SLACK)
+        """(vectors, pieces, items), bounds of norms."""
 
     @classmethod
     def of(cls, path: PiecewisePolynomial, count: int) -> _Curves:
         """Return the first derivatives of paths (items, d)."""
-        orders = range(1, count + 1)
-        functions = [path.differentiated(k).coefficients for k in orders]
-        return cls(path.breaks, functions, [derivative_margin(path, k) for k in orders])
+        return cls(
+            path.breaks,
+            [
+                Enclosed(path.differentiated(k).coefficients, derivative_margin(path, k))
+                for k in range(1, count + 1)
+            ],
+        )
 
-    def along(self, pairs: _Pairs) -> list[_Factor]:
-        """Return the vectors over cells."""
-        first, last = pairs.cells.jets[:, 0], pairs.cells.ends[:, 0]
-        begin, at = self.breaks[pairs.piece], (pairs.piece, pairs.item)
-        x = (np.stack([first, last], axis=-1) - begin[:, None]) / (
-            self.breaks[pairs.piece + 1] - begin
-        )[:, None]
-        weights = bernstein.basis(np.clip(x, 0.0, 1.0), bernstein.degree(self.coefficients))
-        ends = (weights @ np.swapaxes(self.coefficients[at], 1, 2)).transpose(1, 2, 0).copy()
-        square = (last - first) ** 2
-        return [
-            _Factor(ends[:, row:until], square * bend[at] + margin[at])
-            for row, until, bend, margin in zip(
-                self.rows[:-1], self.rows[1:], self._bends, self.margins, strict=True
-            )
-        ]
-
-
-Look = Callable[[_Pairs], tuple[Flags, Flags]]
-"""Tells of pairs whether a limit is broken, and whether all are shown to be kept."""
+    def along(self, spans: _Spans) -> list[Enclosed]:
+        """Return the vectors by time: chords, and how far curves are off them."""
+        begin, at = self.breaks[spans.piece], (spans.piece, spans.item)
+        times = np.stack([spans.cells.jets[:, 0], spans.cells.ends[:, 0]], axis=-1)
+        x = (times - begin[:, None]) / (self.breaks[spans.piece + 1] - begin)[:, None]
+        weights = bernstein.basis(np.clip(x, 0.0, 1.0), bernstein.degree(self._c))
+        ends = self._c[at] @ np.swapaxes(weights, 1, 2)
+        s, slope, eighth = *(each.size for each in spans.clock[:2]), spans.cells.duration**2 / 8.0
+        curved = s * s * self._bends[:, *at] + slope * self._slopes[:, *at]
+        off = eighth * (1.0 + SLACK) * curved + self._margins[:, *at]
+        rows = pairwise(self._rows)
+        return [Enclosed(ends[:, slice(*row)], r) for row, r in zip(rows, off, strict=True)]
 
 
-def _decide(look: Look, pairs: _Pairs, kept: Flags, *, sampled: bool) -> None:
-    """Set ``kept`` (owners,) to False where limits are not shown to be kept.
-
-    Parameters
-    ----------
-    sampled: only where a value breaks one.
-    """
-    for first in range(0, len(pairs.piece), BATCH):
-        check_time()
-        part = pairs.taken(slice(first, first + BATCH))
-        for _ in range(HALVINGS + 1):
-            part = part.taken(kept[part.cells.owner])
-            if not len(part.piece):
-                break
-            broken, fine = look(part)
-            kept[part.cells.owner[broken]] = False
-            if sampled:
-                break
-            part = part.taken(~fine).halves()
-        else:
-            kept[part.cells.owner] = False
+Judged = tuple[Flags, Flags]
+"""Whether limits are broken, and whether all are shown to be kept (spans,)."""
 
 
-def _within(sum_: _Factor, measure: Callable[[Array], Array], limit: Array) -> tuple[Flags, Flags]:
-    """Return (pairs,) whether a convex measure breaks a limit, and whether it is shown to keep it.
-
-    It is no more than a ball's radius larger within the ball than at its middle.
-    """
-    sizes = measure(sum_.ends)
-    broken = ~(np.maximum(sizes[0], sizes[3]) <= limit)
-    fine: Flags = np.max(sizes, axis=0) * (1.0 + SLACK) + sum_.off <= limit
+def _within(value: Enclosed, measure: Callable[[Array], Array], limit: Array | float) -> Judged:
+    """Judge a convex measure, no more than a ball's radius larger within it than at its middle."""
+    sizes = measure(value.c)
+    broken = ~(np.maximum(sizes[:, 0], sizes[:, -1]) <= limit)
+    fine: Flags = np.max(sizes, axis=1) * (1.0 + SLACK) + value.r <= limit
     return broken, fine
 
 
-class ClockLimits:
+def _turning(thrust: Enclosed, rate: Enclosed, limit: float) -> Judged:
+    """Judge the turning rate ``f × ḟ / f²``."""
+    across = thrust.cross(rate)
+    sizes, most = (column_lengths(each.c)[:, [0, -1]] for each in (thrust, across))
+    least = thrust.norm_below.value
+    fine: Flags = across.norm_above.value * (1.0 + SLACK) <= limit * least**2
+    return ~np.all(most <= limit * sizes**2, axis=1), fine
+
+
+class _Kept:
+    """Items that limit what a clock may do."""
+
+    _curves: _Curves
+
+    def _quick(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
+        """Return (cells, items) whether norms show that limits are kept."""
+        raise NotImplementedError
+
+    def _judged(self, spans: _Spans) -> Judged:
+        raise NotImplementedError
+
+    def look(self, cells: ClockPhases, piece: Indices, kept: Flags) -> None:
+        """Set ``kept`` (owners,) to False where cells, in pieces, are not shown to keep limits."""
+        count = max(1, BATCH // self._curves.sizes.shape[2])
+        for first in range(0, len(piece), count):
+            check_time()
+            row = np.arange(first, min(first + count, len(piece)))
+            row = row[kept[cells.owner[row]]]
+            whole = _Spans(cells.taken(row), piece[row], row)
+            s, slope, jerk = (each.size[:, None] for each in whole.clock)
+            where, item = np.nonzero(~self._quick(s, slope, jerk, piece[row]))
+            spans = _Spans(whole.cells.taken(where), piece[row[where]], item)
+            for _ in range(HALVINGS + 1):
+                if not len(spans.piece):
+                    break
+                broken, fine = self._judged(spans)
+                kept[spans.cells.owner[broken]] = False
+                spans = spans.taken(np.flatnonzero(~fine & kept[spans.cells.owner])).halves()
+            else:
+                kept[spans.cells.owner] = False
+
+
+class ClockLimits(_Kept):
     """The limits of a motion, for clocks.
 
-    Parameters
+    Attributes
     ----------
-    motion: the plan.
+    reserved: whether the plan leaves something of them, so that stops can begin anywhere.
+    sizes: (3, pieces, drones), bounds of the derivatives' norms by plan time.
+    inertia: what is carried; None where nothing is.
     """
 
     def __init__(self, motion: Motion) -> None:
-        self.motion, drones = motion, motion.drones
-        self.breaks = drones.breaks
-        self.reserved = motion.requirements.limits.reserve < 1.0
-        """Whether the plan leaves something of its limits, so that stops can begin anywhere."""
+        self.motion, drones, limits = motion, motion.drones, motion.requirements.limits
+        self.breaks, self.reserved = drones.breaks, limits.reserve < 1.0
         self._curves = _Curves.of(drones, 3)
         self.sizes = self._curves.sizes
-        """(3, pieces, drones), bounds of the derivatives' norms by plan time."""
-        static = StaticThrust.of(motion)
-        hover, beyond = static.largest, static.beyond_cone(motion.requirements.limits.tilt)
-        functions, margins = [static.thrust.coefficients], [static.thrust.radius + ROUNDING * hover]
-        if static.rate is not None:
-            functions.append(static.rate.coefficients)
-            margins.append(static.rate.radius)
-        self._forces = _Curves(self.breaks, functions, margins)
-        team = motion.team
-        self._spare = np.minimum(team.max_thrust - hover - ROUNDING * hover, -beyond) / team.mass
+        forces = [_hovering(motion, lambda spans: spans.thrust)]
+        if limits.body_rate is not None:
+            turned = motion.team.has_cables
+            rate = _hovering(motion, lambda spans: spans.load_rate) if turned else 0.0 * forces[0]
+            forces.append(rate)
+        self._forces = _Curves(self.breaks, forces)
+        team, beyond = motion.team, np.max(self._beyond(forces[0].c), axis=-1) + forces[0].r
+        self._spare = np.minimum(team.max_thrust - self._forces.sizes[0], -beyond) / team.mass
         """(pieces, drones), acceleration that a drone can have in any direction."""
         self.inertia = CarriedInertia.of(motion)
-        """What is carried; None where nothing is."""
 
-    def keep(self, phases: ClockPhases, owners: int, *, sampled: bool = False) -> Flags:
-        """Return (owners,) whether the phases of each clock keep all limits.
-
-        Parameters
-        ----------
-        phases: with rates from -1 to 1.
-        owners: how many clocks there are.
-        sampled: look at samples only, as a first guess; otherwise bound all of the time.
-        """
+    def keep(self, phases: ClockPhases, owners: int) -> Flags:
+        """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
         cells, piece = phases.cut(self.breaks, 0.0)
         flown = (piece >= 0) & (piece < len(self.breaks) - 1)
         cells, piece = cells.taken(flown), piece[flown]
         kept = np.ones(owners, dtype=np.bool_)
-        count = max(1, BATCH // len(self.motion.team.mass))
-        for first in range(0, len(cells), count):
-            row = np.arange(first, min(first + count, len(cells)))
-            row = row[kept[cells.owner[row]]]
-            where, drone = np.nonzero(~self._each(cells.taken(row), piece[row]))
-            pairs = _Pairs(cells.taken(row[where]), piece[row[where]], drone)
-            _decide(self._look, pairs, kept, sampled=sampled)
-        if self.inertia is not None:
-            self.inertia.look(cells, piece, kept, sampled=sampled)
+        for each in (self.inertia, self):
+            if each is not None:
+                each.look(cells, piece, kept)
         return kept
 
-    def _each(self, cells: ClockPhases, piece: Indices) -> Flags:
-        """Return (cells, drones) whether norms show that limits are kept."""
-        limits = self.motion.requirements.limits
-        s, a, j = _Clock(cells).most[..., None]
-        V, A, J = self._curves.sizes[:, piece]
-        acceleration = s * s * A + a * V
-        fine: Flags = acceleration <= np.minimum(self._spare[piece], limits.acceleration)
-        fine &= s * s * s * J + 3.0 * s * a * A + j * V <= limits.jerk
+    def _quick(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
+        limits, (v, a, j) = self.motion.requirements.limits, self.sizes[:, piece]
+        spare = np.minimum(self._spare[piece], limits.acceleration)
+        fine: Flags = _acceleration(s, slope, v, a) <= spare
+        fine &= _jerk(s, slope, jerk, v, a, j) <= limits.jerk
         return fine & (limits.body_rate is None)  # of turning no quick bound comes close
 
-    def _look(self, pairs: _Pairs) -> tuple[Flags, Flags]:
+    def _judged(self, spans: _Spans) -> Judged:
         limits, team = self.motion.requirements.limits, self.motion.team
-        clock = _Clock(pairs.cells)
-        v, a, j = self._curves.along(pairs)
-        s, a1, j1 = clock.most
-        cubed = clock.factor(clock.s**3, 6.0 * s * a1**2 + 3.0 * s**2 * j1)
-        mixed = clock.factor(3.0 * clock.s * clock.a, 9.0 * a1 * j1)
-        acceleration = _enclosed((clock.squared(), a), (clock.factor(clock.a), v))
-        jerk = _enclosed((cubed, j), (mixed, a), (clock.factor(clock.j), v))
-        found = [_within(acceleration, column_lengths, np.asarray(limits.acceleration))]
-        found.append(_within(jerk, column_lengths, np.asarray(limits.jerk)))
-        spare = self._spare[pairs.piece, pairs.item]
-        size = np.max(column_lengths(acceleration.ends), axis=0) + acceleration.off
-        if limits.body_rate is not None or not np.all(size * (1.0 + SLACK) <= spare):
-            mass, forces = team.mass[pairs.item], self._forces.along(pairs)
-            force = _enclosed((clock.factor(np.ones_like(clock.s)), forces[0]))
-            thrust = _plus(force, acceleration, mass)
-            found.append(_within(thrust, column_lengths, team.max_thrust[pairs.item]))
-            found.append(_within(thrust, self._beyond, np.zeros_like(mass)))
+        (s, slope, jerk), (v, a, j) = spans.clock, self._curves.along(spans)
+        acceleration, jerk = _acceleration(s, slope, v, a), _jerk(s, slope, jerk, v, a, j)
+        found = [_within(acceleration, column_lengths, limits.acceleration)]
+        found.append(_within(jerk, column_lengths, limits.jerk))
+        spare = self._spare[spans.piece, spans.item]
+        if limits.body_rate is not None or not np.all(acceleration.norm_above.value <= spare):
+            mass = team.mass[spans.item, None]
+            force, *rate = self._forces.along(spans)
+            thrust = acceleration * mass + force
+            found.append(_within(thrust, column_lengths, team.max_thrust[spans.item]))
+            found.append(_within(thrust, self._beyond, 0.0))
             if limits.body_rate is not None:
-                turning = _enclosed((clock.factor(clock.s, j1), forces[1]))
-                found.append(_turning(thrust, _plus(turning, jerk, mass), limits.body_rate))
+                found.append(_turning(thrust, jerk * mass + s * rate[0], limits.body_rate))
         broken, fine = zip(*found, strict=True)
         return np.any(broken, axis=0), np.all(fine, axis=0)
 
     def _beyond(self, force: Array) -> Array:
-        """Return how far forces (…, 3, pairs) are beyond the cone of the tilt."""
+        """Return how far forces (…, 3, m) are beyond the cone of the tilt."""
         tilt = self.motion.requirements.limits.tilt
-        level = np.hypot(force[:, 0], force[:, 1])
-        beyond: Array = level * np.cos(tilt) - force[:, 2] * np.sin(tilt)
+        level = np.hypot(force[..., 0, :], force[..., 1, :])
+        beyond: Array = level * np.cos(tilt) - force[..., 2, :] * np.sin(tilt)
         return beyond
 
 
-def _plus(one: _Factor, other: _Factor, factor: Array) -> _Factor:
-    off = one.off + factor * other.off * (1.0 + SLACK)
-    return _Factor(one.ends + factor * other.ends, off)
+def _hovering(motion: Motion, value: Callable[[Hovering], Enclosed]) -> Enclosed:
+    """Return a vector of every drone where it hovers, (pieces, drones)."""
+    found = [value(spans).reduced(ORDER) for spans in Hovering.of(motion)]
+    order, shape = max(each.degree for each in found), (motion.drones.pieces, motion.team.drones)
+    c = np.concatenate([bernstein.elevate(each.c, order) for each in found])
+    r = np.concatenate([np.broadcast_to(each.r, len(each.c)) for each in found])
+    return Enclosed(c.reshape(*shape, *c.shape[1:]), r.reshape(shape))
 
 
-def _turning(thrust: _Factor, rate: _Factor, limit: float) -> tuple[Flags, Flags]:
-    """Return (pairs,) whether ``f × ḟ / f²`` breaks a limit, and whether it is shown to keep it.
-
-    Both are the same combination of their values at pairs of ends: products of these two by two,
-    each taken with the other way round, bound the product.
-    """
-    f, g = thrust.ends, rate.ends
-    products = np.cross(f[:, None], g[None], axis=2)
-    across = np.max(column_lengths(0.5 * (products + np.swapaxes(products, 0, 1))), axis=(0, 1))
-    sizes, middle = column_lengths(f), np.mean(f, axis=0)
-    own = column_lengths(products[[0, 3], [0, 3]])
-    broken = ~np.all(own <= limit * sizes[[0, 3]] ** 2, axis=0)
-    across += thrust.off * np.max(column_lengths(g), axis=0)
-    across += rate.off * (np.max(sizes, axis=0) + thrust.off)
-    along = np.sum(middle * f, axis=1) / column_lengths(middle)
-    least = np.maximum(np.min(along, axis=0) - thrust.off, 0.0)
-    fine: Flags = across * (1.0 + SLACK) <= limit * least**2
-    return broken, fine
-
-
-class CarriedInertia:
-    """Paths whose additional accelerations a clock has to keep small.
+class CarriedInertia(_Kept):
+    """Paths (m, ROWS) whose additional accelerations a clock has to keep within a slack.
 
     Parameters
     ----------
-    motion: the plan.
-    parts: of it, on which something is carried, as of ``carried_paths``.
+    parts: of the motion, on which something is carried, as of ``carried_paths``.
     """
 
     def __init__(self, motion: Motion, parts: list[tuple[slice, Array, Array]]) -> None:
-        pieces = motion.drones.pieces
         items = max(path.shape[1] for _, path, _ in parts)
         order = max(bernstein.degree(path) for _, path, _ in parts)
-        paths = np.zeros((pieces, items, ROWS, order + 1))
-        self.slack = np.full((pieces, items), np.inf)
-        """(pieces, items), how large the norms of additional accelerations may be."""
+        paths = np.zeros((motion.drones.pieces, items, ROWS, order + 1))
+        self.slack = np.full(paths.shape[:2], np.inf)
         for run, path, slack in parts:
-            count = path.shape[1]
-            known = np.all(np.isfinite(path), axis=(2, 3))
+            count, known = path.shape[1], np.all(np.isfinite(path), axis=(2, 3))
             paths[run, :count] = np.nan_to_num(bernstein.elevate(path, order))
             self.slack[run, :count] = np.where(known, np.maximum(slack, 0.0), 0.0)
         self.breaks = motion.drones.breaks
         self.paths = PiecewisePolynomial(self.breaks, paths)
         self._curves = _Curves.of(self.paths, 2)
-        edges = [(self.breaks[run.start], self.breaks[run.stop]) for run, _, _ in parts]
-        self._spans = np.array(edges)
+        self._spans = np.array([self.breaks[[run.start, run.stop]] for run, _, _ in parts])
 
     @classmethod
     def of(cls, motion: Motion) -> CarriedInertia | None:
@@ -418,26 +373,15 @@ class CarriedInertia:
         over = max(1.0, float(np.max(added / slack, initial=0.0)))
         return float(np.sqrt(1.0 - 1.0 / over))
 
-    def look(self, cells: ClockPhases, piece: Indices, kept: Flags, *, sampled: bool) -> None:
-        """Set ``kept`` (owners,) to False where the balance is not shown to be kept.
+    def _quick(self, s: Array, slope: Array, _: Array, piece: Indices) -> Flags:
+        v, a = self._curves.sizes[:, piece]
+        found: Flags = np.maximum(s * s, 1.0) * a + slope * v <= self.slack[piece]
+        return found
 
-        Parameters
-        ----------
-        cells: of clocks.
-        piece: (cells,), those they lie in.
-        sampled: only where a value breaks it.
-        """
-        s, a, _ = _Clock(cells).most[..., None]
-        V, A = self._curves.sizes[:, piece]
-        fine = (np.maximum(s * s, 1.0) * A + a * V) * (1.0 + SLACK) <= self.slack[piece]
-        where, item = np.nonzero(~fine & kept[cells.owner][:, None])
-        pairs = _Pairs(cells.taken(where), piece[where], item)
-        _decide(self._look, pairs, kept, sampled=sampled)
-
-    def _look(self, pairs: _Pairs) -> tuple[Flags, Flags]:
-        clock, (v, a) = _Clock(pairs.cells), self._curves.along(pairs)
-        added = _enclosed((clock.squared(less=1.0), a), (clock.factor(clock.a), v))
-        return _within(added, column_lengths, self.slack[pairs.piece, pairs.item])
+    def _judged(self, spans: _Spans) -> Judged:
+        (s, slope, _), (v, a) = spans.clock, self._curves.along(spans)
+        added = _acceleration(s, slope, v, a) - a
+        return _within(added, column_lengths, self.slack[spans.piece, spans.item])
 
 
 @dataclass(frozen=True, eq=False)
@@ -456,22 +400,14 @@ class StopTable:
     durations: Array
 
     @property
-    def waits(self) -> Array:
-        """(stops,) [s]: time from each start to the first rest, its own stop or a later one's."""
-        rests = self.starts + self.durations
-        first = np.minimum.accumulate(rests[::-1])[::-1]
-        found: Array = np.minimum(first, self.end) - self.starts
-        return found
-
-    @property
     def longest(self) -> tuple[Array, Array]:
         """Longest time to rest [s] from each stretch between starts, (stops,), and its begin [s].
 
         The last stretch lies between the last start and the end of the plan.
         """
         begins = np.concatenate([[min(0.0, self.starts[0])], self.starts])
-        reach = np.append(self.starts + self.waits, self.end)
-        return reach - begins, begins
+        rests = np.append(self.starts + self.durations, self.end)
+        return np.minimum.accumulate(rests[::-1])[::-1] - begins, begins
 
     def after(self, time: float) -> tuple[float, float]:
         """Return start and duration [s] of the stop that is first at rest for a command at a time.
@@ -486,92 +422,77 @@ class StopTable:
         return float(self.starts[best]), float(self.durations[best])
 
 
-def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
-    """Return stops that keep all limits of a motion, one at each of many times.
+def stop_table(
+    motion: Motion, limits: ClockLimits | None = None, spacing: float = SPACING
+) -> StopTable:
+    """Return stops that keep all limits of a motion, ``spacing`` [s] from each other.
 
     How long each has to take at least is read off samples; that and a little more is then shown to
     keep all limits, or longer ones where it is not. The end counts as rest only if the drones rest
-    there.
-
-    Parameters
-    ----------
-    motion: the plan.
-    limits: of the motion, where they are known.
+    there. ``limits`` are those of the motion, where they are known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
-    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
+    count = max(2, int(min(np.ceil((end - begin) / spacing), STARTS)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
-    sampled = _Samples(limits)
-    least = sampled.least(starts)
+    least = _least(limits, starts)
     durations = np.full(len(starts), np.inf)
-    for factors in LONGER:
-        left = np.tile(np.flatnonzero(np.isinf(durations)), len(factors))
-        tried = np.repeat(factors, len(left) // len(factors)) * least[left]
-        useful = limits.reserved | (tried < LATEST * (rest - starts[left]))
-        left, tried = left[useful], tried[useful]
-        kept = sampled.keep(starts[left], tried)
-        kept[kept] = _shown(limits, starts[left[kept]], tried[kept])
-        np.minimum.at(durations, left[kept], tried[kept])
+    for factor in LONGER:
+        tried = factor * least
+        useful = limits.reserved | (tried < LATEST * (rest - starts))
+        left = np.flatnonzero(np.isinf(durations) & useful)
+        left = left[_shown(limits, starts[left], tried[left])]
+        durations[left] = tried[left]
     return StopTable(rest, starts, durations)
 
 
-class _Samples:
-    """Derivatives of the drones that lead, and of what is carried, at equal distances of time."""
+def _least(limits: ClockLimits, starts: Array) -> Array:
+    """Return durations (m,) [s] of stops below which samples break a limit."""
+    slow = limits.inertia is not None or limits.reserved
+    low = np.full(len(starts), np.log(SHORTEST))
+    high = np.full(len(starts), np.log(SLOWEST if slow else LONGEST))
+    keep = _sampled(limits)
+    shortest = keep(stop_phases(starts, np.exp(low)))
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        kept = keep(stop_phases(starts, np.exp(middle)))
+        high, low = np.where(kept, middle, high), np.where(kept, low, middle)
+    return np.where(shortest, SHORTEST, np.exp(high))
 
-    def __init__(self, limits: ClockLimits) -> None:
-        self._limits, drones = limits, limits.motion.drones
-        count = int(min(np.ceil(drones.duration / STEP), 3 * STARTS)) + 1
-        self._times = np.linspace(drones.breaks[0], drones.breaks[-1], count)
-        leading = np.unique(np.argmax(limits.sizes, axis=2))
-        parts = drones.alike(drones.coefficients[:, leading])
-        self._jets = np.stack([parts.at(self._times, k) for k in (1, 2, 3)], axis=1)
-        inertia = limits.inertia
-        if inertia is not None:
-            self._paths = np.stack([inertia.paths.at(self._times, k) for k in (1, 2)], axis=1)
-            piece = np.searchsorted(drones.breaks[1:-1], self._times, side="right")
-            self._slack = inertia.slack[piece]
 
-    def least(self, starts: Array) -> Array:
-        """Return durations (m,) [s] below which samples break a limit."""
-        slow = self._limits.inertia is not None or self._limits.reserved
-        low = np.full(len(starts), np.log(SHORTEST))
-        high = np.full(len(starts), np.log(SLOWEST if slow else LONGEST))
-        shortest = self.keep(starts, np.exp(low))
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            kept = self.keep(starts, np.exp(middle))
-            high, low = np.where(kept, middle, high), np.where(kept, low, middle)
-        return np.where(shortest, SHORTEST, np.exp(high))
+def _sampled(limits: ClockLimits) -> Callable[[ClockPhases], Flags]:
+    """Return whether stops keep accelerations, jerks and balances about samples.
 
-    def keep(self, starts: Array, durations: Array) -> Flags:
-        """Return (m,) whether stops keep accelerations, jerks and balances about the samples."""
-        clocks = stop_phases(starts, durations)
-        jets = advanced(clocks.jets[:, None], clocks.duration[:, None] * SHARES)
-        time, s, a, j = np.moveaxis(jets.reshape(-1, 2 * len(SHARES), 4), -1, 0)
+    Of the drones that lead, and of what is carried, at equal distances of plan time.
+    """
+    drones, most = limits.motion.drones, limits.motion.requirements.limits
+    count = int(min(np.ceil(drones.duration / STEP), 3 * STARTS)) + 1
+    times = np.linspace(drones.breaks[0], drones.breaks[-1], count)
+    leading = drones.coefficients[:, np.unique(np.argmax(limits.sizes, axis=2))]
+    jets = np.stack([drones.alike(leading).at(times, k) for k in (1, 2, 3)], axis=1)
+    if (inertia := limits.inertia) is not None:
+        paths = np.stack([inertia.paths.at(times, k) for k in (1, 2)], axis=1)
+        slack = inertia.slack[np.searchsorted(drones.breaks[1:-1], times, side="right")]
+
+    def keep(stops: ClockPhases) -> Flags:
+        there = advanced(stops.jets[:, None], stops.duration[:, None] * SHARES)
+        time, s, a, j = np.moveaxis(there.reshape(-1, 2 * len(SHARES), 4), -1, 0)
         s, a, j = (each[..., None, None] for each in (s, a, j))
-        step = self._times[1] - self._times[0]
-        node = np.rint((time - self._times[0]) / step).astype(np.intp)
-        flown = node < len(self._times)
-        node = np.minimum(node, len(self._times) - 1)
-        x1, x2, x3 = np.moveaxis(self._jets[node], 2, 0)
-        most = self._limits.motion.requirements.limits
-        fine = _shorter(s**2 * x2 + a * x1, most.acceleration)
-        fine &= _shorter(s**3 * x3 + 3.0 * s * a * x2 + j * x1, most.jerk)
-        if self._limits.inertia is not None:
-            x1, x2 = np.moveaxis(self._paths[node], 2, 0)
-            fine &= _shorter((s**2 - 1.0) * x2 + a * x1, self._slack[node])
-        kept: Flags = np.all(fine | ~flown, axis=1)
+        node = np.rint((time - times[0]) / (times[1] - times[0])).astype(np.intp)
+        flown, node = node < count, np.minimum(node, count - 1)
+        x1, x2, x3 = np.moveaxis(jets[node], 2, 0)
+        each = [(_acceleration(s, a, x1, x2), most.acceleration)]
+        each.append((_jerk(s, a, j, x1, x2, x3), most.jerk))
+        if inertia is not None:
+            x1, x2 = np.moveaxis(paths[node], 2, 0)
+            each.append((_acceleration(s, a, x1, x2) - x2, slack[node]))
+        fine = [np.all(np.linalg.norm(x, axis=-1) <= limit, axis=-1) for x, limit in each]
+        kept: Flags = np.all(np.all(fine, axis=0) | ~flown, axis=1)
         return kept
 
-
-def _shorter(vectors: Array, most: Array | float) -> Flags:
-    """Return (m, samples) whether all vectors (m, samples, items, d) are no longer than limits."""
-    squared = np.einsum("msix,msix->msi", vectors, vectors)
-    fine: Flags = np.all(squared <= np.square(most), axis=-1)
-    return fine
+    return keep
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
@@ -587,13 +508,95 @@ def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
     return kept
 
 
-def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
+def carried_paths(motion: Motion) -> Iterator[tuple[slice, Array, Array]]:
+    """Yield runs of pieces on which an object is carried, paths, and their slack.
+
+    Paths are places times masses (pieces, items, coordinates, degree + 1) [kg m], or places [m].
+    """
+    breaks = motion.drones.breaks
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        poses = motion.object_poses.coefficients[:, index]
+        moving = np.any(np.ptp(poses, axis=-1) > STILL, axis=-1)
+        for by, parts in ((HoldBy.REST, _resting), (HoldBy.GRIP, _gripped)):
+            on = moving & held_pieces(motion, name, by)
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
+            for first, last in edges.reshape(-1, 2).tolist():
+                run = slice(first, last)
+                if by is HoldBy.REST and body.rim is None:  # which check support refuses
+                    continue
+                span = motion.taken(run, motion.overlapping(breaks[first], breaks[last]))
+                yield run, *parts(span, index, body)
+
+
+def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Array]:
+    """Return paths and slack of an object that rests on clasps all the time.
+
+    Clasps carry shares of its mass; they take what its centre of mass, being higher, moves from
+    clasp to clasp; friction carries the rim along with clasps; and the line of weight and inertia
+    meets their plane within their polygon.
+    """
+    pose = motion.object_poses.coefficients[:, index]
+    places = motion.vertices.coefficients[:, motion.team.layout.clasps]
+    centre = centre_path(pose, body)
+    order = max(bernstein.degree(centre), bernstein.degree(places))
+    places, centre = bernstein.elevate(places, order), bernstein.elevate(centre, order)
+    assert body.rim is not None
+    height = abs(body.centre_of_mass[2] - body.rim.height)
+    supports = supports_of(motion, index, body)
+    mass = body.mass * supports.shares
+    moving = body.mass * height * np.linalg.norm(supports.gains, axis=-1)
+    moving *= 1.0 + heading_error(Enclosed(pose[:, 3:]))[:, None]
+    # Both add up in z: |a + b|² <= a² / f + b² / (1 - f).
+    speeds = [np.abs(bernstein.differentiate(part)) for part in (places[:, :, 2], centre[:, :2])]
+    upward = mass * np.max(speeds[0], axis=-1)
+    moved = moving * np.max(speeds[1], axis=(1, 2))[:, None]
+    total = upward + moved
+    share = np.divide(upward, total, out=np.full_like(total, 0.5), where=total > 0.0)
+    share = np.clip(share, EVEN, 1.0 - EVEN)
+    factors = np.stack([mass, mass, mass / np.sqrt(share), *[moving / np.sqrt(1.0 - share)] * 2], 2)
+    rows = [places, np.broadcast_to(centre[:, None, :2], (*mass.shape, 2, order + 1))]
+    loads = factors[..., None] * np.concatenate(rows, axis=2)
+    points = np.zeros((len(mass), mass.shape[1] + 1, ROWS, order + 1))
+    points[:, :-1, :3], points[:, -1, :3] = places, centre
+    pushed = motion.vertices.alike(points).differentiated(2).coefficients
+    level = np.max(np.linalg.norm(pushed[:, :, :2], axis=2), axis=-1)
+    pressing = GRAVITY + np.min(pushed[:, :, 2], axis=-1)
+    sliding = (body.friction * pressing - level)[:, :-1] / (1.0 + body.friction)
+    inside = support.SUPPORT.finders[0].find(motion, 0.0).worst
+    lean = height * (1.0 + level[:, -1:] / pressing[:, -1:])
+    tipping = inside * pressing[:, -1:] / (lean + inside)
+    slack = [clasps.spare_forces(motion), sliding, tipping]
+    return np.concatenate([loads, points], axis=1), np.concatenate(slack, axis=1)
+
+
+def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Array]:
+    """Return paths and slack of an object that edges grip all the time.
+
+    They push it as a whole; friction bears it and turns it with them.
+    """
+    pose = motion.object_poses.coefficients[:, index]
+    centre = centre_path(pose, body)
+    order = max(bernstein.degree(pose), bernstein.degree(centre))
+    paths = np.zeros((len(pose), 2, ROWS, order + 1))
+    paths[:, 0, :3] = body.mass * bernstein.elevate(centre, order)
+    # |a| + |b| is at most the root of 2 (a² + b²).
+    paths[:, 1, 0] = np.sqrt(2.0) * paths[:, 0, 2]
+    turning = np.sqrt(2.0) * body.mass * turning_reach(body)
+    paths[:, 1, 1:3] = turning * bernstein.elevate(pose[:, 3:], order)
+    forces = np.min(clasps.spare_forces(motion), axis=1)
+    return paths, np.stack([forces, spare_friction(motion, index)], axis=1)
+
+
+def _find(motion: Motion, found: Findings, gamma: float, spacing: float = SPACING) -> Finding:
     """Return the longest time [s] over all times of the command, and about when that is."""
     del found, gamma
     with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
-        longest, begins = stop_table(motion).longest
+        longest, begins = stop_table(motion, spacing=spacing).longest
     worst = int(np.argmax(longest))
     return Finding(float(longest[worst]), float(begins[worst]))
 
 
 RULE = ReportRule("stoppable", "s", "max", _find, whole=True)
+
+QUICK = replace(RULE, find=partial(_find, spacing=QUICK_SPACING))
+"""The same of fewer stops, for plans of which many are made: it is larger by their distance."""

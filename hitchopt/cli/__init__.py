@@ -1,3 +1,55 @@
-"""The command line; a command imports what it needs when it runs."""
+"""The command line: the group of all commands; a command's module is imported when it runs."""
 
-from hitchopt.cli.commands import main as main
+from __future__ import annotations
+
+import click
+
+from hitchopt.cli.failures import SafeGroup
+
+HELP = {"help_option_names": ["-h", "--help"], "show_default": True}
+"""Settings of all commands' help texts."""
+
+MODULES = {
+    "planning": ("solve", "check", "verify", "init"),
+    "pictures": ("report", "view"),
+    "fleet": ("export", "lint", "abort", "fly"),
+    "simulating": ("simulate", "sweep"),
+    "estimates": ("statics", "calibrate", "fit"),
+}
+"""Where the commands are."""
+
+
+def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
+    if wanted:
+        from importlib import metadata
+
+        try:
+            version = metadata.version("hitchopt")
+        except metadata.PackageNotFoundError:
+            version = "(not installed)"
+        click.echo(f"hitchopt, version {version}")
+        context.exit()
+
+
+@click.group(
+    cls=SafeGroup,
+    modules={name: module for module, names in MODULES.items() for name in names},
+    context_settings=HELP,
+)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show_version,
+    help="Show the version and exit.",
+)
+def main() -> None:
+    """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
+
+    Every plan comes with a certificate that holds for all of continuous time.
+
+    Exit codes: 0 done and certified; 2 the file or the usage is wrong in itself;
+    3 well-formed, but it cannot be met, or its certificate fails; 130 and 143 ended by Ctrl-C and
+    by SIGTERM, with no file half-written.
+    """

@@ -6,14 +6,13 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
-from types import MappingProxyType
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from hitchopt.cli.output import OutputCommand, output, record, say
+from hitchopt.cli.output import output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
-from hitchopt.interrupts import INTERRUPTED, ending_signals
+from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 
 WRONG = 2
 """Exit code of a file or usage that is wrong in itself."""
@@ -27,17 +26,12 @@ class SafeGroup(click.Group):
 
     Parameters
     ----------
-    modules: in ``hitchopt.cli``, those that register the commands of these names when they are
-        imported.
+    modules: of each command, the module in ``hitchopt.cli`` that registers it when it is imported.
     """
 
-    command_class = OutputCommand
-
-    def __init__(
-        self, *args: Any, modules: Mapping[str, str] = MappingProxyType({}), **kwargs: Any
-    ) -> None:
+    def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.modules = modules
+        self.modules = modules or {}
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all commands."""
@@ -105,6 +99,11 @@ def exit_code(error: HitchoptError) -> int:
     return WRONG if isinstance(error, InputError | FileError) else UNMET
 
 
+def unmet() -> NoReturn:
+    """End the running command with UNMET."""
+    click.get_current_context().exit(UNMET)
+
+
 def complain(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr; it is a result too."""
     record(errors=error_entries(error))
@@ -116,13 +115,10 @@ def error_entries(error: HitchoptError) -> list[dict[str, Any]]:
     """Return the error's parts: keys and places of wrong values, or the limits that are broken."""
     if isinstance(error, InputError):
         parts = getattr(error, "errors", (error,))
+        places = [{} if part.place is None else part.place._asdict() for part in parts]
         return [
-            {
-                "message": str(part),
-                "key": part.key,
-                **({} if part.place is None else part.place._asdict()),
-            }
-            for part in parts
+            {"message": str(part), "key": part.key, **place}
+            for part, place in zip(parts, places, strict=True)
         ]
     if isinstance(error, InfeasibleError) and error.violations:
         return [{"message": str(v), **vars(v)} for v in error.violations]

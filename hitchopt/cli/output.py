@@ -1,16 +1,43 @@
-"""What one call of a command prints: tables for people, or one JSON object for scripts."""
+"""What one call of a command prints: tables and progress for people, or one JSON object."""
 
 from __future__ import annotations
 
+import math
 import os
+import re
+import shutil
 import sys
+import threading
+import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from hitchopt.checks.certificate import Certificate, Check
+    from hitchopt.motion.motion import Phase
+
 KEY = "hitchopt.output"
 """Key of a call's Output in click's contexts."""
+
+DEFAULT_WIDTH = 100
+"""Width of tables that are not written to a terminal [characters]."""
+
+MAX_NAMES = 4
+"""Number of drones, cables or vertices that are shown for one check."""
+
+DELAY = 2.0
+"""Time without a bar [s]."""
+
+LINES = 1.0
+"""Shortest time between lines of percentages [s]."""
+
+COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")
+"""Count or percentage in a message."""
 
 
 @dataclass
@@ -33,9 +60,29 @@ class Output:
     def finish(self, command: str, code: int) -> None:
         """Print the object, if one was asked for, with the command's name and exit code."""
         if self.json:
-            from hitchopt.storage.strict_json import strict_json
+            from hitchopt.storage.files import strict_json
 
             echo(strict_json({"command": command, "exit_code": code, **self.content}))
+
+
+class OutputCommand(click.Command):
+    """A command with the options ``--json``, ``-q`` and ``-v``."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        for flags, text in (
+            (("--json",), "Print one JSON object to stdout, all else to stderr."),
+            (("-q", "--quiet"), "Print errors only."),
+            (("-v", "--verbose"), "Print every message of progress to stderr."),
+        ):
+            option = click.Option(
+                flags, is_flag=True, help=text, expose_value=False, callback=_switch
+            )
+            self.params.append(option)
+
+
+def _switch(context: click.Context, option: click.Parameter, value: bool) -> None:
+    setattr(context.meta.setdefault(KEY, Output()), str(option.name), value)
 
 
 def output() -> Output:
@@ -79,27 +126,194 @@ def echo(text: str, *, err: bool = False) -> None:
         os.close(nowhere)
 
 
-class OutputCommand(click.Command):
-    """A command with the options ``--json``, ``-q`` and ``-v``."""
+def table(
+    title: str,
+    words: Sequence[str],
+    numbers: Sequence[str],
+    rows: Iterable[Sequence[object]],
+    last: Sequence[str] = (),
+) -> str:
+    """Return a table as lines of text that fit the terminal.
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        for flags, name, text in (
-            (("--json",), "json", "Print one JSON object to stdout, all else to stderr."),
-            (("-q", "--quiet"), "quiet", "Print errors only."),
-            (("-v", "--verbose"), "verbose", "Print every message of progress to stderr."),
-        ):
-            self.params.append(
-                click.Option(
-                    flags, is_flag=True, help=text, expose_value=False, callback=_setter(name)
-                )
+    Parameters
+    ----------
+    title: above it.
+    words, numbers, last: heads of the columns on the left, of those that are aligned to the right,
+        and of those after them.
+    rows: a cell for every column, or fewer; a bool is a verdict, yes or NO. A row of one text that
+        ends in a colon is a heading.
+    """
+    from io import StringIO
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    found = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for name in (*words, *numbers, *last):
+        aligned = "right" if name in numbers else "left"
+        found.add_column(name, justify=aligned, overflow="fold")  # type: ignore[arg-type]
+    verdicts = {True: Text("yes", style="green"), False: Text("NO", style="bold red")}
+    for row in rows:
+        cells = [verdicts[x] if isinstance(x, bool) else Text(str(x)) for x in row]
+        if len(row) == 1 and str(row[0]).endswith(":"):
+            cells[0].stylize("bold")
+        found.add_row(*cells)
+    terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
+    width = shutil.get_terminal_size().columns if terminal else DEFAULT_WIDTH
+    text = StringIO()
+    # No markup: units in brackets are text.
+    console = Console(file=text, width=width, force_terminal=terminal, markup=False, emoji=False)
+    console.print(found)
+    return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())
+
+
+def quantities(title: str, values: dict[str, str]) -> str:
+    """Return the table of some quantities, one a row."""
+    return table(title, ["quantity"], ["value"], values.items())
+
+
+def phase_table(phases: Sequence[Phase]) -> str:
+    """Return the table of a plan's phases, with a column for remarks if there are any."""
+    last = ["remark"] if any(phase.remark for phase in phases) else []
+    rows = [
+        (p.name, p.step, *(f"{t:.3f} s" for t in (p.start, p.end, p.end - p.start)), p.remark)
+        for p in phases
+    ]
+    heads = ["step", "start", "end", "duration"]
+    return table("Phases", ["phase"], heads, [row[: 5 + len(last)] for row in rows], last)
+
+
+def certificate_table(certificate: Certificate) -> str:
+    """Return the table of a certificate's checks, each with its worst value over all of time.
+
+    Checks stand under the headings of their groups, and those closest to their limits are marked.
+    What is reported without a limit has what it assumes of the vertices in that column.
+    """
+    rows: list[Sequence[object]] = []
+    closest = certificate.closest
+    for heading, checks in certificate.groups.items():
+        rows.append((f"{heading}:",))
+        rows += [(*_check_row(check), "◂" if check in closest else "") for check in checks]
+    last = ("unit", "where", "when", "holds", "")
+    shown = table("Certificate", ["check"], ["worst", "limit"], rows, last)
+    return f"{shown}\n\n ◂ closest to its limit" if closest else shown
+
+
+def _check_row(check: Check) -> list[object]:
+    limit = f"{'≥' if check.sense == 'min' else '≤'} {number(check.limit)}"
+    if check.limit is None:
+        limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"
+    where = ", ".join(check.where[:MAX_NAMES])
+    if len(check.where) > MAX_NAMES:
+        where += f", and {len(check.where) - MAX_NAMES} more"
+    timed = check.worst is not None and math.isfinite(check.time)
+    when = f"{check.time:.3f} s" if timed else ""
+    unit = "" if check.unit == "1" else check.unit
+    return [f"  {check.name}", number(check.worst), limit, unit, where, when, check.holds]
+
+
+def number(value: float | None) -> str:
+    """Return ``value`` in six significant digits; infinite beyond all numbers, a dash for None."""
+    if value is None:
+        return "–"
+    if abs(value) >= sys.float_info.max:
+        return "inf" if value > 0 else "-inf"
+    return f"{value:.6g}"
+
+
+def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
+    """Return the smallest and largest of some values, or the one that all are."""
+    listed = [float(value) for value in values]
+    low, high = (f"{value + 0.0:{digits}}" for value in (min(listed), max(listed)))
+    return low if low == high else f"{low} to {high}"
+
+
+def done_of(message: str) -> tuple[float | None, float | None]:
+    """Return what is done, and of how much, as a message says; None of either without a count."""
+    found = COUNT.search(message)
+    if found is None:
+        return None, None
+    done, total, percent = found.groups()
+    count = (float(percent), 100.0) if percent else (float(done), float(total))
+    return count if count[1] > 0.0 else (None, None)
+
+
+class LateProgress:
+    """Context manager and callback: shows a bar and the last message once ``delay`` is over.
+
+    The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage.
+
+    Parameters
+    ----------
+    message: first message.
+    limit: time limit [s], shown next to the elapsed time, or None.
+    stream: output stream, stderr by default; nothing is shown unless it is a terminal.
+    delay: time before the bar is shown [s].
+    """
+
+    def __init__(
+        self,
+        message: str,
+        limit: float | None = None,
+        *,
+        stream: TextIO | None = None,
+        delay: float = DELAY,
+    ) -> None:
+        self._stream = stream or sys.stderr
+        self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
+        self._message = message
+        self._begun = self._next_line = time.monotonic()
+        self._quiet, self._verbose = output().quiet, output().verbose
+        self._bar: Progress | None = None
+        self._lock = threading.Lock()
+        self._timer = threading.Timer(delay, self._show)
+        self._timer.daemon = True
+
+    def __enter__(self) -> LateProgress:
+        lines = self._quiet or self._verbose
+        if self._stream is not None and self._stream.isatty() and not lines:
+            self._timer.start()
+        self(self._message)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+        if self._timer.is_alive():
+            self._timer.join()
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, message: str) -> None:
+        """Show a message about the current work."""
+        with self._lock:
+            self._message = message
+            now = time.monotonic()
+            if self._verbose and not ("%" in message and now < self._next_line):
+                echo(f"{now - self._begun:6.1f} s  {message}", err=True)
+                self._next_line = now + LINES
+            self._fill()
+
+    def _fill(self) -> None:
+        if self._bar is not None:
+            done, total = done_of(self._message)
+            task = self._bar.task_ids[0]
+            self._bar.update(task, description=self._message, completed=done, total=total)
+
+    def _show(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+        with self._lock:
+            self._bar = Progress(
+                TextColumn("{task.description}", markup=False),
+                BarColumn(),
+                TimeElapsedColumn(),
+                TextColumn(self._at_most, markup=False),
+                console=Console(file=self._stream),
+                transient=True,
             )
-
-
-def _setter(name: str) -> Any:
-    """Return the callback that sets one of an Output's switches."""
-
-    def switch(context: click.Context, _: click.Parameter, value: bool) -> None:
-        setattr(context.meta.setdefault(KEY, Output()), name, value)
-
-    return switch
+            self._bar.add_task(self._message, total=None)  # until there is a count
+            self._fill()
+            self._bar.start()

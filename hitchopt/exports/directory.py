@@ -1,21 +1,23 @@
-"""The files of one solve in its directory, never a mixture of two."""
+"""The files of one solve in its directory, never a mixture of two.
+
+``certificate.json`` is written last and names the digest of ``plan.npz``.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hitchopt.checks.certificate import Certificate
-from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.exports.setpoints import Progress, write_setpoints
-from hitchopt.exports.vertices import write_vertices
-from hitchopt.mission.repair.change import Suggestion
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError
+from hitchopt.exports.setpoints import Progress, write_setpoints, write_vertices
+from hitchopt.mission.repair import Suggestion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.storage.archive import PLAN
-from hitchopt.storage.atomic import Writer, replace_files
-from hitchopt.storage.strict_json import write_strict_json
+from hitchopt.storage.files import Writer, parsed_json, replace_files, write_strict_json
 
 SETPOINTS = "setpoints.csv"
 VERTICES = "vertices.csv"
@@ -77,18 +79,44 @@ def save_plan(
     FileError: the directory cannot be written to.
     """
     certificate.raise_if_violated()
-    content = certificate.to_dict()
-    if motion.assignment is not None:
-        content["assignment"] = motion.assignment.to_dict()
     writers: dict[str, Writer] = {
         PLAN: lambda path: write_plan(path, motion, title, problem),
         SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
         **(pictures or {}),
-        CERTIFICATE: lambda path: write_strict_json(path, content),
     }
     if motion.team.has_cables:
         writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
+    writers[CERTIFICATE] = lambda path: write_strict_json(
+        path, certificate_content(motion, certificate, path.with_name(PLAN))
+    )
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="remove")
+
+
+def certificate_content(motion: Motion, certificate: Certificate, plan: Path) -> dict[str, Any]:
+    """Return what certificate.json says of the motion in a plan file."""
+    assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
+    return {**certificate.to_dict(), **assigned, "plan": _digest(plan)}
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def refuse_mixture(directory: Path) -> None:
+    """Raise FileError unless the directory's certificate is that of its plan.
+
+    For readers of files beside ``plan.npz``: a save that was killed leaves no certificate.
+    """
+    path = directory / CERTIFICATE
+    try:
+        named = parsed_json(path.read_bytes()).get("plan")
+        found = _digest(directory / PLAN)
+    except (OSError, ValueError, AttributeError) as error:
+        words = f"{path}: cannot be read: {error}; was a save killed? solve again"
+        raise FileError(words) from error
+    if named not in (None, found):  # earlier versions named none
+        raise FileError(f"{path}: is of another {PLAN} than the one beside it; solve again")
 
 
 def save_diagnosis(

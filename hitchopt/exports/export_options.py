@@ -9,8 +9,7 @@ from pathlib import Path
 
 from hitchopt.errors import InputError
 
-STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}
-"""Storage formats of a bag, and how their files end."""
+STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of a bag, and how their files end
 
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
 """Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron

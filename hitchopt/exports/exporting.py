@@ -1,33 +1,48 @@
 """A certified plan, written as fleets read it, and verified by what was written.
 
-Files are read back from disk before they get their place: an export that loses a limit of what is
-flown by its rounding or refitting is refused, and nothing that was there before is touched.
+There is one path: files are written into a hidden folder, read back, verified against the plan, and
+moved to their place. An export that loses a limit of what is flown by its rounding or refitting is
+refused, and nothing that was there before is touched.
 """
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
-from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.formats.format import Arrangement, Candidate, Format, Progress, Task
-from hitchopt.exports.manifest import FILE, manifest_of, owned_files, part_folders, parts_manifest
-from hitchopt.exports.verification import FLOWN, PLACES, SLOWER, Verdict, verify
-from hitchopt.motion.cutting import stretched
-from hitchopt.one_line import OneLine
-from hitchopt.storage.atomic import Writer, replace_files
-from hitchopt.storage.strict_json import write_strict_json
+from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine
+from hitchopt.exports.export_options import ExportOptions, checked_rate
+from hitchopt.exports.fleet import placeholder_fleet, read_fleet
+from hitchopt.exports.formats.file_reading import MANIFEST, MANIFEST_FORMAT, read_manifest
+from hitchopt.exports.formats.format import Candidate, Format, Progress, Task
+from hitchopt.exports.formats.known_formats import HOMES, format_of
+from hitchopt.exports.held_tension import PositionLoop, held_tension
+from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.verification import SLOWER, Verdict, verify
+from hitchopt.exports.worst_values import FLOWN, PLACES
+from hitchopt.hitch.forces import undetermined_tension
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import stretched
+from hitchopt.storage.files import replace_files, write_strict_json
 
 FACTORS = (1.002, 1.005, 1.01, 1.02, 1.05, 1.1)
 """Factors of slower flights that are tried after a refusal, in this order."""
 
 MOST_DRONES = 100
 """Size of the largest team for which slower flights are tried; larger ones take too long."""
+
+HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
+"""What the manifest says of feed-forward where the tension is held."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +69,93 @@ def silent(_: str) -> None:
     """Ignore what is being done."""
 
 
+def export_motion(
+    motion: Motion,
+    title: str,
+    options: ExportOptions,
+    folder: Path | str,
+    progress: Progress | None = None,
+) -> tuple[Export, ...]:
+    """Write the plan with these options; return what was written, one entry per part.
+
+    Parameters
+    ----------
+    motion: the plan; it is certified first, stretched as the options say.
+    title: what it is called.
+    options: the format, and how the plan is placed and sampled in it.
+    folder: where to; a name that ends as the format's only file does is that file, its manifest
+        next to it.
+    progress: called with what is being done now.
+
+    Raises
+    ------
+    InputError, FileError: what was asked is wrong in itself, or cannot be written.
+    CertificateError: the plan's certificate does not hold.
+    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
+    UnsupportedError: a library that the format needs is not installed.
+    """
+    kind = format_of(options.format)
+    roles = motion.team.drone_names
+    plan = stretched(motion, options.stretch)
+    rate = kind.rate
+    if options.rate is not None:
+        if kind.rate == 0.0:
+            bound, remedy = f"left out for {kind.name}", "it does not sample"
+            raise InputError("--rate", options.rate, bound, remedy)
+        rate = checked_rate(options.rate)
+    task = Task(
+        plan,
+        title,
+        ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw),
+        placeholder_fleet(roles) if options.fleet is None else read_fleet(options.fleet, roles),
+        rate,
+        options,
+        undetermined=_undetermined(kind, motion, options),
+    )
+    place = Path(folder)
+    _refuse_taken(place)
+    certificate = certify(plan, progress)
+    if options.stretch > 1.0 and motion.borne is not None and certificate.violated:
+        words = f"with --stretch {options.stretch:g}: legs lean by the inertia of what is carried"
+        remedy = "stretch it less, or plan the steps with a longer duration"
+        raise InfeasibleError(each.violation(words, remedy) for each in certificate.violated)
+    if options.hold_tension:
+        loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
+        held = held_tension(plan, loop)
+        task = replace(task, motion=held.motion, notes=(held.note,))
+    return export_plan(kind, task, certificate, place, progress or silent)
+
+
+def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
+    """Return why the files leave the tension undetermined; nothing without a hitch."""
+    team = motion.team
+    if not np.any(motion.formed):
+        return ()
+    fed_forward = kind.carries_pull and bool(np.all(team.feed_forward))
+    return undetermined_tension(
+        integral=kind.receiver_integral or bool(np.any(team.integral)),
+        feed_forward=fed_forward or options.hold_tension,
+    )
+
+
+def _is_file(place: Path) -> bool:
+    """Return whether a place is that of a single file: it ends as files of formats do."""
+    if place.is_dir() or not place.suffix:
+        return False
+    return any(place.suffix.lower() in (*format_of(name).endings, ".yaml") for name in HOMES)
+
+
+def _refuse_taken(place: Path) -> None:
+    """Raise FileError if a file that no export wrote has the place."""
+    if place.exists() and not place.is_dir():
+        if not _is_file(place):
+            raise FileError(f"{place}: is a file; an export is a folder, choose another one")
+        if not place.with_name(f"{place.name}.{MANIFEST}").exists():
+            raise FileError(f"{place}: is there already, and no export's; choose another name")
+
+
 def export_plan(
-    kind: Format, task: Task, certificate: Certificate, folder: Path, progress: Progress = silent
+    kind: Format, task: Task, certificate: Certificate, place: Path, progress: Progress = silent
 ) -> tuple[Export, ...]:
     """Write the plan in a format; return what was written, part by part.
 
@@ -64,41 +164,52 @@ def export_plan(
     kind: the format.
     task: the plan, and all that its files depend on.
     certificate: the plan's certificate.
-    folder: where to; made if it is missing. Only files of an earlier export there are replaced.
+    place: the folder, made if it is missing, of which only files of an earlier export are replaced;
+        or the file.
     progress: called with what is being done now.
 
     Raises
     ------
     CertificateError: the plan's certificate does not hold.
-    InputError: a frame that the format cannot be in.
+    InputError: a frame that the format cannot be in, or a file where it writes several.
     InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written. The
         smallest stretch that was tried and loses nothing is named.
-    FileError: the folder cannot be written to, or holds others' files of these names.
+    FileError: the place cannot be written to, or holds others' files of these names.
     """
     certificate.raise_if_violated()
     if task.frame.name not in kind.frames:
         bound = f"one of {', '.join(kind.frames)} for {kind.name}"
         raise InputError("--frame", task.frame.name, bound, f"leave it out for {kind.frames[0]}")
-    exporter = _Exporter(kind, certificate, progress)
-    try:
-        return exporter.first(task, folder)
-    except InfeasibleError as refusal:
-        eased = any(violation.remedy == SLOWER for violation in refusal.violations)
-        # Offsets that hold the tension are of one pace: a slower flight needs others.
-        tried = eased and len(task.names) <= MOST_DRONES and not task.options.hold_tension
-        for factor in FACTORS if tried else ():
-            progress(f"trying --stretch {factor:g}")
-            slower = replace(task, motion=stretched(task.motion, factor))
-            try:
-                with tempfile.TemporaryDirectory() as trial:
-                    _Exporter(kind, certificate, silent).first(slower, Path(trial) / "trial")
-            except InfeasibleError:
-                continue
-            percent = f"{100 * (factor - 1):.2g} % slower"
-            note = f"verified: --stretch {factor:g} ({percent}) loses nothing"
-            both = f"{refusal.note}\n{note}" if refusal.note else note
-            raise InfeasibleError(refusal.violations, both) from None
-        raise
+    _refuse_taken(place)
+    with _scratch(place) as scratch:
+        exporter = _Exporter(kind, certificate, progress)
+        try:
+            done = exporter.first(task, scratch)
+        except InfeasibleError as refusal:
+            if found := _slower(refusal, exporter, task, scratch):
+                raise found from None
+            raise
+        return _put_file(done, place, kind) if _is_file(place) else _put(done, place, kind, task)
+
+
+def _slower(
+    refusal: InfeasibleError, exporter: _Exporter, task: Task, scratch: Path
+) -> InfeasibleError | None:
+    """Return the refusal with the slower flight that loses nothing; None if none was found."""
+    eased = any(violation.remedy == SLOWER for violation in refusal.violations)
+    # Offsets that hold the tension are of one pace: a slower flight needs others.
+    tried = eased and len(task.names) <= MOST_DRONES and not task.options.hold_tension
+    for factor in FACTORS if tried else ():
+        exporter.progress(f"trying --stretch {factor:g}")
+        slower = replace(task, motion=stretched(task.motion, factor))
+        try:
+            replace(exporter, progress=silent).first(slower, scratch / f"slower {factor:g}")
+        except InfeasibleError:
+            continue
+        note = f"verified: --stretch {factor:g} ({100 * (factor - 1):.2g} % slower) loses nothing"
+        both = f"{refusal.note}\n{note}" if refusal.note else note
+        return InfeasibleError(refusal.violations, both)
+    return None
 
 
 @dataclass(frozen=True)
@@ -109,84 +220,137 @@ class _Exporter:
     certificate: Certificate
     progress: Progress
 
-    def first(self, task: Task, folder: Path) -> tuple[Export, ...]:
+    def first(self, task: Task, scratch: Path) -> list[Export]:
         """Write the first arrangement that loses nothing, or raise what the first of all loses."""
         refusals = []
         try:
-            for arrangement in self.kind.arrangements(task):
+            for number, arrangement in enumerate(self.kind.arrangements(task)):
+                place = scratch / str(number)
                 try:
-                    return self._parts(arrangement, folder)
+                    return [
+                        self._part(part, place / f"part{part.number}", arrangement.note)
+                        for part in arrangement.tasks
+                    ]
                 except InfeasibleError as error:
                     refusals.append(error)
         except InfeasibleError as error:  # there is no other arrangement
             refusals.append(error)
         raise refusals[0]
 
-    def _parts(self, arrangement: Arrangement, folder: Path) -> tuple[Export, ...]:
-        tasks, note = arrangement.tasks, arrangement.note
-        before = part_folders(folder)  # the manifest that names them is about to be replaced
-        names: tuple[str, ...] = ()
-        if len(tasks) == 1:
-            done = [self._whole(tasks[0], folder, note)]
-        else:
-            names = tuple(f"part{i + 1}" for i in range(len(tasks)))
-            with tempfile.TemporaryDirectory() as trial:  # all parts will do, or none is written
-                tried = [
-                    self._whole(part, Path(trial) / name, f"{part.part}: {note}")
-                    for part, name in zip(tasks, names, strict=True)
-                ]
-                done = [self._copied(each, folder / each.folder.name) for each in tried]
-            write = partial(write_strict_json, content=parts_manifest(self.kind, tasks, names))
-            replace_files(folder, {FILE: write}, {FILE, *owned_files(folder)}, seal=FILE)
-        for name in before:  # an earlier export was cut into more parts
-            if name not in names and (folder / name).is_dir():
-                for file in owned_files(folder / name):
-                    (folder / name / file).unlink(missing_ok=True)
-                if not any((folder / name).iterdir()):
-                    (folder / name).rmdir()
-        return tuple(done)
-
-    def _whole(self, task: Task, folder: Path, note: str) -> Export:
+    def _part(self, task: Task, folder: Path, note: str) -> Export:
         """Write the first candidate that loses nothing, or raise what the first of all loses."""
+        folder.mkdir(parents=True)
         refusal: InfeasibleError | None = None
+        whole = f"{task.part}: {note}" if task.part else note
+        more = (*task.notes, *task.undetermined, *((whole,) if whole else ()))
         for number, candidate in enumerate(self.kind.candidates(task), 1):
             attempt = f", attempt {number}" if number > 1 else ""
             self.progress(f"writing {self.kind.name}{attempt}")
-            more = (*task.notes, *task.undetermined, *((note,) if note else ()))
-            noted = replace(candidate, notes=(*candidate.notes, *more))
+            for name, write in candidate.writers.items():
+                write(folder / name)
             try:
-                return self._candidate(task, noted, folder)
+                noted = replace(candidate, notes=(*candidate.notes, *more))
+                verdict = self._verdict(task, noted, folder)
             except InfeasibleError as error:
                 refusal = refusal or error
+                continue
+            return Export(folder, tuple(noted.writers), verdict, noted.notes, task.begins)
         raise refusal or FileError(f"{self.kind.name}: has nothing to write")
 
-    def _candidate(self, task: Task, candidate: Candidate, folder: Path) -> Export:
-        kind, files = self.kind, tuple(candidate.writers)
-        owned = _owned(folder, files)
-        verdicts: list[Verdict] = []
-
-        def check(path: Path) -> None:
-            self.progress(f"reading {kind.name} back")
-            rules = PLACES if task.options.hold_tension else FLOWN
-            recording = kind.read(path.parent, task)
-            verdict = verify(task.motion, recording, task.frame, task.names, rules)
-            if lost := verdict.violations(self.certificate, kind.accuracy):
-                note = "what it rounds or refits costs more than the plan has left"
-                raise InfeasibleError(lost, f"{kind.name} is not written: {note}")
-            kind.certify(path.parent, task)
-            write_strict_json(path, manifest_of(kind, task, candidate, verdict))
-            verdicts.append(verdict)
-
-        replace_files(folder, {**candidate.writers, FILE: check}, owned, seal=FILE)
-        return Export(folder, files, verdicts[-1], candidate.notes, task.begins)
-
-    def _copied(self, done: Export, folder: Path) -> Export:
-        """Copy what was written and verified elsewhere into the folder, all of it or nothing."""
-        writers: dict[str, Writer] = {
-            name: partial(shutil.copyfile, done.folder / name) for name in (*done.files, FILE)
+    def _verdict(self, task: Task, candidate: Candidate, folder: Path) -> Verdict:
+        """Return what files read back say, which is written beside them; raise what they lose."""
+        kind = self.kind
+        self.progress(f"reading {kind.name} back")
+        rules = PLACES if task.options.hold_tension else FLOWN
+        verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
+        if lost := verdict.violations(self.certificate, kind.accuracy):
+            note = "what it rounds or refits costs more than the plan has left"
+            raise InfeasibleError(lost, f"{kind.name} is not written: {note}")
+        kind.certify(folder, task)
+        content = _head(kind, task) | {
+            "heading_rad": task.frame.heading,
+            "drones": {member.role: member.name for member in task.fleet.members},
+            "duration": verdict.duration,
+            "plan_span": list(task.span),
+            "position_error_m": asdict(verdict.position),
+            "velocity_error_m_s": asdict(verdict.velocity),
+            "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
+            "not_carried": verdict.not_carried,
+            "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
+            "undetermined_tension": list(task.undetermined),
+            "notes": list(candidate.notes),
+            "files": sorted(candidate.writers),
         }
-        replace_files(folder, writers, _owned(folder, done.files), seal=FILE)
-        return replace(done, folder=folder)
+        content |= {"receiver": dict(candidate.receiver)} if candidate.receiver else {}
+        write_strict_json(folder / MANIFEST, content)
+        return verdict
+
+
+def _head(kind: Format, task: Task) -> dict[str, Any]:
+    head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
+    return {**head, **task.frame.to_dict()}
+
+
+@contextlib.contextmanager
+def _scratch(place: Path) -> Iterator[Path]:
+    """Yield a hidden folder on the disk of a place, which is gone after the block.
+
+    Raises
+    ------
+    FileError: files cannot be written there.
+    """
+    try:
+        home = next(p for p in (place, *place.absolute().parents) if p.is_dir())
+        with tempfile.TemporaryDirectory(prefix=".hitchopt-", dir=home) as folder:
+            yield Path(folder)
+    except OSError as error:
+        raise FileError(f"{place}: cannot be written: {error.strerror or error}") from error
+
+
+def _put_file(done: Sequence[Export], path: Path, kind: Format) -> tuple[Export, ...]:
+    """Move the only file to its place, its manifest next to it (``plan.csv.export.json``)."""
+    names = [name for part in done for name in part.files]
+    if len(names) > 1 or Path(names[0]).suffix != path.suffix.lower():
+        some = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
+        bound = f"a folder for {kind.name}, or a name that ends as its only file does"
+        raise InputError("-o", str(path), bound, f"it writes {some}")
+    manifest = path.with_name(f"{path.name}.{MANIFEST}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    manifest.unlink(missing_ok=True)  # it seals the file: gone first, back last
+    shutil.move(done[0].folder / names[0], path)
+    shutil.move(done[0].folder / MANIFEST, manifest)
+    return (replace(done[0], folder=path.parent, files=(path.name,)),)
+
+
+def _put(done: Sequence[Export], folder: Path, kind: Format, task: Task) -> tuple[Export, ...]:
+    """Move what was written and verified into the folder, a cut plan into folders of its parts."""
+    before = part_folders(folder)  # the manifest that names them is about to be replaced
+    parts = [part.folder.name for part in done] if len(done) > 1 else []
+    placed = []
+    for part in done:
+        place = folder / part.folder.name if parts else folder
+        names = (*part.files, MANIFEST)
+        writers = {name: partial(_move, part.folder / name) for name in names}
+        replace_files(place, writers, _owned(place, part.files), seal=MANIFEST)
+        placed.append(replace(part, folder=place))
+    if parts:
+        ends = [*(part.begins for part in done[1:]), task.motion.duration]
+        spans = [[part.begins, end] for part, end in zip(done, ends, strict=True)]
+        content = {**_head(kind, task), "duration": task.motion.duration, "parts": parts}
+        content |= {"plan_spans": spans, "files": []}
+        write = partial(write_strict_json, content=content)
+        replace_files(folder, {MANIFEST: write}, _owned(folder, ()), seal=MANIFEST)
+    for name in before:  # an earlier export was cut into more parts
+        if name not in parts and (folder / name).is_dir():
+            for file in owned_files(folder / name):
+                (folder / name / file).unlink(missing_ok=True)
+            if not any((folder / name).iterdir()):
+                (folder / name).rmdir()
+    return tuple(placed)
+
+
+def _move(written: Path, path: Path) -> None:
+    shutil.move(written, path)
 
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
@@ -196,7 +360,7 @@ def _owned(folder: Path, files: Sequence[str]) -> set[str]:
     ------
     FileError: a file of such a name is there and not from an export.
     """
-    owned = {FILE, *owned_files(folder)}
+    owned = {MANIFEST, *owned_files(folder)}
     for name in files:
         if name not in owned and (folder / name).exists():
             raise FileError(
@@ -204,3 +368,22 @@ def _owned(folder: Path, files: Sequence[str]) -> set[str]:
                 "choose another folder with -o"
             )
     return {*owned, *files}
+
+
+def owned_files(folder: Path) -> tuple[str, ...]:
+    """Return the names of an earlier export's files in a folder, its manifest among them."""
+    content = read_manifest(folder)
+    return () if content is None else (*_plain_names(content, "files"), MANIFEST)
+
+
+def part_folders(folder: Path) -> tuple[str, ...]:
+    """Return the names of the folders that an earlier export cut its plan into."""
+    names = _plain_names(read_manifest(folder) or {}, "parts")
+    return tuple(name for name in names if name.startswith("part"))
+
+
+def _plain_names(content: dict[str, Any], key: str) -> tuple[str, ...]:
+    """Return the plain names in a list of the manifest, whatever else it says."""
+    given = content.get(key)
+    names = [n for n in given if isinstance(n, str)] if isinstance(given, list) else []
+    return tuple(n for n in names if Path(n).name == n and "\0" not in n and not n.startswith("."))

@@ -16,16 +16,17 @@ that set points end at rest, too.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import ceil
 
 import numpy as np
 
-from hitchopt.checks.bounds.rates import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
 from hitchopt.exports.recording import lasted
+from hitchopt.exports.worst_values import largest_derivative
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
-from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splitting import on_breaks
 from hitchopt.values import Array, positive
@@ -33,11 +34,8 @@ from hitchopt.values import Array, positive
 DAMPING_RATIO = 5.0 / 6.0
 """c/(2 √(k m)) unless it is given: gains of 36 and 10 per mass, as soft loops of hitches use."""
 
-DEGREE = 8
-"""Degree of the offset's pieces."""
-
-LONGEST = 1.5
-"""Longest piece over √(m/k), the time in which a drone swings by one radian."""
+DEGREE = 8  # Degree of the offset's pieces
+LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings by one radian
 
 HALVINGS = 3
 """Number of times that the pieces are halved while the drones miss the plan by too much."""
@@ -45,8 +43,7 @@ HALVINGS = 3
 LARGEST_MISS = 1e-4
 """[m] Largest distance of drones from the plan that a solution of the equation may leave."""
 
-PROBES = 3
-"""Points between two of Lobatto's at which the equation is checked."""
+PROBES = 3  # Points between two of Lobatto's at which the equation is checked
 
 REST = 2.0
 """[s] Time by which the plan is prolonged; what is left of the offset's motion is then
@@ -59,18 +56,11 @@ some cm/s where pieces are short."""
 
 @dataclass(frozen=True, eq=False)
 class PositionLoop:
-    """Controllers of the drones.
+    """Controllers of the drones."""
 
-    Attributes
-    ----------
-    stiffness: (2n,) [N/m]
-    damping: (2n,) [N s/m]
-    mass: (2n,) [kg]
-    """
-
-    stiffness: Array
-    damping: Array
-    mass: Array
+    stiffness: Array  # (2n,) [N/m]
+    damping: Array  # (2n,) [N s/m]
+    mass: Array  # (2n,) [kg]
 
     @classmethod
     def of(cls, team: Team, stiffness: float | None, damping: float | None) -> PositionLoop:
@@ -107,20 +97,12 @@ class PositionLoop:
 
 @dataclass(frozen=True, eq=False)
 class HeldTension:
-    """A plan's set points that hold its tension.
+    """A plan's set points that hold its tension."""
 
-    Attributes
-    ----------
-    motion: the plan, prolonged, with the set points in place of the drones.
-    loop: the controllers that they are for.
-    offset: largest distance of a set point from its drone [m].
-    miss: largest distance of a drone from the plan, with these controllers [m].
-    """
-
-    motion: Motion
-    loop: PositionLoop
-    offset: float
-    miss: float
+    motion: Motion  # the plan, prolonged, with the set points in place of the drones
+    loop: PositionLoop  # the controllers that they are for
+    offset: float  # largest distance of a set point from its drone [m]
+    miss: float  # largest distance of a drone from the plan, with these controllers [m]
 
     @property
     def note(self) -> str:
@@ -144,12 +126,17 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
     """
     if not motion.team.has_cables:
         raise UnsupportedError("--hold-tension: single drones carry no cables that could pull")
-    whole = _prolonged(motion)
+    end = float(motion.drones.breaks[-1]) + REST
+    *phases, last = motion.phases
+    longer = (*phases, replace(last, end=end))
+    whole = motion.untimed.changed(lambda part: lasted(part, end), longer)
     step = LONGEST * float(np.min(np.sqrt(loop.mass / loop.stiffness)))
     for _ in range(HALVINGS + 1):
-        breaks = _split(whole.drones.breaks, step)
-        offsets = _offsets(whole, loop, breaks)
-        miss = loop.gain * _miss(whole, loop, offsets)
+        pieces = pairwise(whole.drones.breaks.tolist())
+        inner = [np.linspace(a, b, ceil((b - a) / step), endpoint=False) for a, b in pieces]
+        breaks = np.concatenate([*inner, [end]])
+        offsets, error = _solved(whole, loop, breaks)
+        miss = loop.gain * error
         if miss <= LARGEST_MISS:
             break
         step *= 0.5
@@ -160,41 +147,16 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
     split = whole.changed(lambda part: on_breaks(part, breaks), whole.phases)
     degree = max(split.drones.degree, DEGREE)
     places = bernstein.elevate(split.drones.coefficients, degree)
-    places = places + bernstein.elevate(offsets.coefficients, degree)
-    drones = PiecewisePolynomial(breaks, places)
-    parts = dict(vars(split)) | {
-        "drones": drones,
-        "requirements": _eased(split.requirements, drones),
-    }
-    largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
-    return HeldTension(Motion(**parts), loop, largest, miss)
-
-
-def _eased(requirements: Requirements, drones: PiecewisePolynomial) -> Requirements:
-    """Return requirements whose speed and acceleration set points keep: shows state such limits."""
-    limits, share = requirements.limits.planned, 1.0 + SPARE
-    eased = replace(
+    drones = PiecewisePolynomial(breaks, places + bernstein.elevate(offsets.coefficients, degree))
+    limits, share = split.requirements.limits.planned, 1.0 + SPARE
+    eased = replace(  # shows state limits, which set points keep
         limits,
-        speed=max(limits.speed, share * largest_rate(drones, 1).worst),
-        acceleration=max(limits.acceleration, share * largest_rate(drones, 2).worst),
+        speed=max(limits.speed, share * largest_derivative(drones, 1)),
+        acceleration=max(limits.acceleration, share * largest_derivative(drones, 2)),
     )
-    return replace(requirements, limits=eased)
-
-
-def _prolonged(motion: Motion) -> Motion:
-    end = float(motion.drones.breaks[-1]) + REST
-    *phases, last = motion.phases
-    longer = (*phases, replace(last, end=end))
-    return motion.untimed.changed(lambda part: lasted(part, end), longer)
-
-
-def _split(breaks: Array, step: float) -> Array:
-    """Return the breaks with pieces split into equal parts no longer than ``step`` [s]."""
-    counts = np.maximum(1, np.ceil(np.diff(breaks) / step).astype(np.intp))
-    piece = np.repeat(np.arange(len(counts)), counts)
-    part = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
-    found = breaks[piece] + (np.diff(breaks) / counts)[piece] * part
-    return np.append(found, breaks[-1])
+    parts = {"drones": drones, "requirements": replace(split.requirements, limits=eased)}
+    largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
+    return HeldTension(Motion(**(dict(vars(split)) | parts)), loop, largest, miss)
 
 
 def _lobatto(count: int) -> Array:
@@ -203,55 +165,34 @@ def _lobatto(count: int) -> Array:
     return np.concatenate([[0.0], 0.5 + 0.5 * np.sort(slope.roots().real), [1.0]])
 
 
-def _rows(x: Array, loop: PositionLoop, h: float) -> Array:
-    """Return (2n, points, DEGREE + 1): the equation's left side at x (points,) of a piece [s]."""
-    a = (loop.damping / loop.stiffness)[:, None, None] / h
-    b = (loop.mass / loop.stiffness)[:, None, None] / h**2
-    order = [bernstein.derivative_basis(x, DEGREE, derivative) for derivative in range(3)]
-    rows: Array = order[0] + a * order[1] + b * order[2]
-    return rows
+def _solved(motion: Motion, loop: PositionLoop, breaks: Array) -> tuple[PiecewisePolynomial, float]:
+    """Return the offsets (2n, 3) [m] that solve the equation at Lobatto's points, and its error.
 
-
-def _wanted(motion: Motion, loop: PositionLoop, times: Array) -> Array:
-    """Return -F/k (…, 2n, 3) [m] at times (…) [s] from the plan's first break."""
-    forces = states_at(motion, times).cable_forces
-    wanted: Array = -forces / loop.stiffness[:, None]
-    return wanted
-
-
-def _offsets(motion: Motion, loop: PositionLoop, breaks: Array) -> PiecewisePolynomial:
-    """Return the offsets, of shape (2n, 3) [m], that solve the equation at Lobatto's points."""
-    x = _lobatto(DEGREE - 1)
-    durations = np.diff(breaks)
-    times = breaks[:-1, None] + durations[:, None] * x
-    times[:, -1] = breaks[1:]  # the very time at which the next piece begins
-    wanted = _wanted(motion, loop, times - breaks[0])
-    found = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
-    value, slope = wanted[0, 0], np.zeros_like(wanted[0, 0])
-    for piece, h in enumerate(durations):
-        rows = _rows(x, loop, float(h))
-        first = np.stack([value, value + h * slope / DEGREE], axis=-1)
-        right = np.moveaxis(wanted[piece], 0, 1) - np.einsum("dpi,dci->dpc", rows[..., :2], first)
-        others = np.linalg.solve(rows[..., 2:], right)
-        found[piece, ..., :2] = first
-        found[piece, ..., 2:] = np.moveaxis(others, 1, 2)
-        c = found[piece]
-        value, slope = c[..., -1], DEGREE / h * (c[..., -1] - c[..., -2])
-    return PiecewisePolynomial(breaks, found)
-
-
-def _miss(motion: Motion, loop: PositionLoop, offsets: PiecewisePolynomial) -> float:
-    """Return the largest error of the equation [m] at points between Lobatto's."""
+    The error [m] is the largest one at points between them.
+    """
     x = _lobatto(DEGREE - 1)
     inner = np.arange(1, PROBES + 1) / (PROBES + 1)
     probes = (x[:-1, None] + np.diff(x)[:, None] * inner).ravel()
-    worst = 0.0
-    for piece, h in enumerate(offsets.durations):
-        start = offsets.breaks[piece] - offsets.breaks[0]
-        wanted = _wanted(motion, loop, start + float(h) * probes)
-        left = np.einsum("dpi,dci->pdc", _rows(probes, loop, float(h)), offsets.coefficients[piece])
-        worst = max(worst, float(np.max(np.linalg.norm(left - wanted, axis=-1))))
-    return worst
+    order = [bernstein.derivative_basis(np.append(x, probes), DEGREE, i) for i in range(3)]
+    durations = np.diff(breaks)
+    times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
+    times[:, len(x) - 1] = breaks[1:]  # the very time at which the next piece begins
+    forces = states_at(motion, times - breaks[0]).cable_forces
+    wanted = np.moveaxis(-forces / loop.stiffness[:, None], 1, 2)  # (pieces, 2n, points, 3)
+    rate, bend = (v / loop.stiffness for v in (loop.damping, loop.mass))
+    found = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
+    value, slope, miss = wanted[0, :, 0], np.zeros_like(wanted[0, :, 0]), 0.0
+    for c, h, right in zip(found, durations.tolist(), wanted, strict=True):
+        a, b = (rate / h)[:, None, None], (bend / h**2)[:, None, None]
+        rows = order[0] + a * order[1] + b * order[2]  # the equation's left side, by coefficients
+        c[..., :2] = np.stack([value, value + h * slope / DEGREE], axis=-1)
+        rest = right - np.einsum("dpi,dci->dpc", rows[..., :2], c[..., :2])
+        others = np.linalg.solve(rows[:, : len(x), 2:], rest[:, : len(x)])
+        c[..., 2:] = np.moveaxis(others, 1, 2)
+        missing = (np.einsum("dpi,dci->dpc", rows, c) - right)[:, len(x) :]
+        miss = max(miss, float(np.max(np.linalg.norm(missing, axis=-1))))
+        value, slope = c[..., -1], DEGREE / h * (c[..., -1] - c[..., -2])
+    return PiecewisePolynomial(breaks, found), miss
 
 
 def _span(values: Array) -> str:

@@ -1,12 +1,12 @@
 """The curves of time that the drones of a file or folder fly, given window by window.
 
 A recording is read off exported numbers, ours or anybody else's, after rounding. Windows follow one
-another without a gap, so that tables of any length are looked at without being held in memory.
+another without a gap, so that the curves and bounds of long flights are not held in memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,47 +23,20 @@ WINDOW = 20_000
 MAX_SPANS = 20_000_000
 """Largest number of pieces times drones with all drones' breaks merged; no show has more."""
 
-SILENT = 1e-6
-"""Size below which samples are zero but for rounding [m], [m/s], [m/s²]."""
-
-SAME_TIME = 1e-9
-"""Largest difference of samples that are of one time [s]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Consecutive samples of all drones, in a file's frame.
-
-    Attributes
-    ----------
-    t: (S,) [s]
-    derivatives: positions, and velocities and accelerations where the file has them, (m, S, D, 3).
-    """
-
-    t: Array
-    derivatives: Array
-
-    @classmethod
-    def of_rows(cls, t: Array, values: Array) -> Samples:
-        """Return the samples of rows (S, D, 9): positions, velocities and accelerations."""
-        return cls(t, np.moveaxis(values.reshape(*values.shape[:2], 3, 3), 2, 0))
+SILENT = 1e-6  # Size below which samples are zero but for rounding [m], [m/s], [m/s²]
+SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """The curves that exported numbers stand for.
 
-    Attributes
-    ----------
-    names: (D,) of the drones, in the file's order.
-    frame: enu, nwu or ned; empty where the file does not say.
-    smooth: the highest derivative by time that does not jump: 0 positions, 1 velocities,
-        2 accelerations.
-    windows: gives the curves (D, 3) [m] over one span of time after the other.
+    ``smooth`` is the highest derivative by time that does not jump: 0 positions, 1 velocities, 2
+    accelerations. ``windows`` gives the curves (D, 3) [m] over one span of time after the other.
     """
 
-    names: tuple[str, ...]
-    frame: str
+    names: tuple[str, ...]  # (D,) of the drones, in the file's order
+    frame: str  # enu, nwu or ned; empty where the file does not say
     smooth: int
     windows: Callable[[], Iterator[PiecewisePolynomial]]
 
@@ -106,40 +79,54 @@ def recording_of_curves(
     return Recording(tuple(names), frame, smooth, windows)
 
 
+def _refuse_many(pieces: int, drones: int) -> None:
+    if pieces * drones > MAX_SPANS:
+        raise FileError(
+            f"{drones} drones with {pieces} spans of time between their points are more than "
+            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
+        )
+
+
 def recording_of_samples(
-    names: Sequence[str], blocks: Callable[[], Iterable[Samples]], frame: str, smooth: int
+    names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
 ) -> Recording:
     """Return the recording of samples: between two of them the curve that meets both.
 
     The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too. An unknown ``frame`` becomes none.
+    through accelerations too.
+
+    Parameters
+    ----------
+    names: (D,)
+    t: (S,) [s]
+    values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
+    frame: an unknown one becomes none.
+    smooth: the highest derivative that is used.
 
     Raises
     ------
-    FileError, from the windows: times that do not increase, or fewer than two samples.
+    FileError: times that do not increase, or fewer than two samples.
     """
+    check_times(t)
+    if len(t) < 2:
+        raise FileError("has fewer than two samples; nothing moves between them")
+    shape = (len(t), len(names), -1, 3)
+    used = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
+    size = max(1, WINDOW // len(names))
 
     def windows() -> Iterator[PiecewisePolynomial]:
-        t, used = np.empty(0), np.empty((smooth + 1, 0, len(names), 3))
-        count = 0
-        for block in blocks():
-            t = np.concatenate([t[-1:], block.t])
-            used = np.concatenate([used[:, -1:], block.derivatives[: smooth + 1]], axis=1)
-            count += len(block.t)
-            if len(t) < 2:
-                continue
-            check_times(t)
-            yield PiecewisePolynomial.hermite(t, used[:, :-1], used[:, 1:])
-        if count < 2:
-            raise FileError("has fewer than two samples; nothing moves between them")
+        for start in range(0, len(t) - 1, size):
+            here = slice(start, start + size + 1)
+            ends = used[:, here]
+            yield PiecewisePolynomial.hermite(t[here], ends[:, :-1], ends[:, 1:])
 
     return Recording(tuple(names), frame if frame in AXES else "", smooth, windows)
 
 
-def orders_told(recording: Recording) -> int:
-    """Return the highest derivative that a recording of samples holds.
+def with_orders_told(recording: Recording) -> Recording:
+    """Return the recording of samples by no more derivatives than they tell.
 
-    A derivative that is zero at all samples while the drones move is not held: files of positions
+    A derivative that is zero at all samples while the drones move is not told: files of positions
     alone often have columns of zeros, and curves that rest at every sample are not what is flown.
     """
     told, moved = np.zeros(recording.smooth + 1, dtype=np.bool_), False
@@ -151,11 +138,9 @@ def orders_told(recording: Recording) -> int:
             told[order] = any(np.max(np.abs(end)) > SILENT for end in window.ends(order))
         if np.all(told):
             break
-    return recording.smooth if np.all(told) or not moved else int(np.argmin(told)) - 1
-
-
-def with_orders(recording: Recording, orders: int) -> Recording:
-    """Return the recording through the same samples with derivatives up to ``orders`` alone."""
+    if np.all(told) or not moved:
+        return recording
+    orders = int(np.argmin(told)) - 1
 
     def windows() -> Iterator[PiecewisePolynomial]:
         for window in recording.windows():
@@ -180,14 +165,6 @@ def check_times(t: Array, source: str = "") -> None:
         at = int(np.flatnonzero(steps <= 0.0)[0])
         raise FileError(
             f"{place}its times go back from t = {t[at]:g} s to {t[at + 1]:g} s; sort its rows"
-        )
-
-
-def _refuse_many(pieces: int, drones: int) -> None:
-    if pieces * drones > MAX_SPANS:
-        raise FileError(
-            f"{drones} drones with {pieces} spans of time between their points are more than "
-            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
         )
 
 

@@ -1,32 +1,46 @@
-"""Table setpoints.csv: the setpoints of every drone, sample by sample."""
+"""Tables of a plan's directory, setpoints.csv and vertices.csv; the first as a data frame too."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.errors import UnsupportedError
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import States, iterate_states, sample_times
+from hitchopt.motion.states import States, hitch_at, iterate_states, sample_times, states_at
+from hitchopt.values import Array
 
-HEADER = "t,drone,x,y,z,vx,vy,vz,ax,ay,az,jx,jy,jz,yaw,cable_x,cable_y,cable_z"
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+GROUPS = {
+    "positions": ("x", "y", "z"),
+    "velocities": ("vx", "vy", "vz"),
+    "accelerations": ("ax", "ay", "az"),
+    "jerks": ("jx", "jy", "jz"),
+    "yaw": ("yaw",),
+    "cable_forces": ("cable_x", "cable_y", "cable_z"),
+}
+"""Quantities of a row and their columns: [m], [m/s], [m/s²], [m/s³], [rad], [N]."""
+
+HEADER = ",".join(("t", "drone", *(name for group in GROUPS.values() for name in group)))
+
+VERTICES_HEADER = "t,vertex,x,y,z,tension"
 
 NUMBER = "%#.12g"
 """Format of numbers: twelve significant digits, below a nanometre over a kilometre. A decimal point
 is always there, since readers such as polars take a column for whole numbers that begins with one.
 """
 
-NOTHING = "%.1f"
-"""Format of numbers that are zero throughout a block: ``0.0``."""
+NOTHING = "%.1f"  # Format of numbers that are zero throughout a block: ``0.0``
 
 ROWS = 2000
 """Rows that are formatted at once: more are slower, since they leave the processor's cache."""
-
-AHEAD = 4
-"""Blocks of ROWS whose numbers are computed at once, which few rows would slow down."""
 
 Progress = Callable[[float], None]
 """Function that is called now and then with the fraction done, 0 to 1."""
@@ -51,39 +65,36 @@ def write_setpoints(
     """
     times = sample_times(motion.duration, rate)
     names = motion.team.drone_names
-    size = max(1, ROWS // len(names))
     with path.open("w", encoding="utf-8", newline="") as file:
         file.write(HEADER + "\n")
-        for states in iterate_states(motion, times, AHEAD * size):
-            values = setpoint_values(states)
-            for first in range(0, len(values), size):
-                rows = values[first : first + size]
-                file.write(lines_of(names, rows))
-                if progress is not None:
-                    progress(min(float(rows[-1, 0, 0]) / float(times[-1] or 1.0), 1.0))
+        for states in iterate_states(motion, times, max(1, ROWS // len(names))):
+            file.write(lines_of(names, states.t, _values(states)))
+            if progress is not None:
+                progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
 
 
-def setpoint_values(states: States) -> NDArray[np.float64]:
-    """Return the numbers of HEADER's columns, all but the drone's name, (S, D, 17)."""
-    times = np.broadcast_to(states.t[:, None, None], (*states.positions.shape[:2], 1))
-    yaw = np.zeros(times.shape)
+def _values(states: States) -> Array:
+    """Return the numbers of HEADER's columns, all but time and drone, (S, D, 16)."""
     motion = (states.positions, states.velocities, states.accelerations, states.jerks)
-    parts = (times, *motion, yaw, states.cable_forces)
-    values: NDArray[np.float64] = np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
-    return values
+    yaw = np.zeros((*states.positions.shape[:2], 1))
+    values: Array = np.concatenate((*motion, yaw, states.cable_forces), axis=-1) + 0.0
+    return values  # without negative zeros
 
 
-def lines_of(names: tuple[str, ...], values: NDArray[np.float64]) -> str:
-    """Return one line per sample and drone: its first number, the drone's name, the others.
+def lines_of(names: tuple[str, ...], t: Array, values: Array) -> str:
+    """Return one line per sample and drone: the time, the drone's name, the numbers.
 
     Parameters
     ----------
     names: (D,) names of the drones.
+    t: (S,) [s].
     values: (S, D, C)
     """
     zero = np.all(values == 0.0, axis=0)
-    lines = _layout(names, zero.tobytes()) * len(values)
-    return lines % tuple(values.ravel().tolist())
+    numbers = np.concatenate(
+        [np.broadcast_to(t[:, None, None], (*values.shape[:2], 1)), values], -1
+    )
+    return _layout(names, zero.tobytes()) * len(values) % tuple(numbers.ravel().tolist())
 
 
 @lru_cache(maxsize=4)
@@ -91,8 +102,65 @@ def _layout(names: tuple[str, ...], zero: bytes) -> str:
     """Return the lines of one sample, given which of their numbers are zero, (D, C) booleans."""
     count = len(zero) // len(names)
     formats = [NOTHING if nothing else NUMBER for nothing in zero]
-    lines = []
-    for i, name in enumerate(names):
-        first, *others = formats[i * count : (i + 1) * count]
-        lines.append(",".join([first, name.replace("%", "%%"), *others]) + "\n")
+    lines = [
+        ",".join([NUMBER, name.replace("%", "%%"), *formats[i * count : (i + 1) * count]]) + "\n"
+        for i, name in enumerate(names)
+    ]
     return "".join(lines)
+
+
+def write_vertices(path: Path, motion: Motion, rate: float) -> None:
+    """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
+
+    The last row of an open chain, which has one point more than cables, leaves it empty. Parameters
+    and errors are those of ``write_setpoints``.
+    """
+    n, points = motion.team.robots, motion.team.layout.points
+    place = f"{NUMBER},{NUMBER},{NUMBER}"
+    rows = "".join(f"{NUMBER},{k},{place},{NUMBER if k < n else ''}\n" for k in range(points))
+    # Of each row all but the vertex's number: time, place, tension.
+    filled = np.arange(5 * points)[: 5 * points - (points - n)]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(VERTICES_HEADER + "\n")
+        times, size = sample_times(motion.duration, rate), max(1, ROWS // points)
+        for first in range(0, len(times), size):
+            t = times[first : first + size]
+            formed, vertices, tensions = hitch_at(motion, t)
+            values = np.zeros((len(t), points, 5))
+            values[..., 0] = t[:, None]
+            values[..., 1:4] = vertices
+            values[:, :n, 4] = tensions
+            given = values[formed].reshape(-1, 5 * points)[:, filled] + 0.0  # no negative zeros
+            file.write(rows * len(given) % tuple(given.ravel().tolist()))
+
+
+def data_frame(motion: Motion, rate: float) -> DataFrame:
+    """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone.
+
+    Raises
+    ------
+    InputError: a rate that is not positive.
+    UnsupportedError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        remedy = "pip install 'hitchopt[pandas]'"
+        raise UnsupportedError(f"data frames need the package pandas ({error}); {remedy}") from None
+    times, names = sample_times(motion.duration, rate), motion.team.drone_names
+    values = _values(states_at(motion, times))
+    first, _, *columns = HEADER.split(",")
+    phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
+    ends = np.array([phase.end for phase in motion.phases[:-1]])
+    here = np.repeat(np.searchsorted(ends, times, side="right"), len(names))
+    flat = values.reshape(-1, values.shape[-1])
+
+    def words(codes: NDArray[np.intp], each: Iterable[str]) -> pandas.Categorical[str]:
+        return pandas.Categorical.from_codes(codes, categories=pandas.Index(list(each)))
+
+    who = words(np.tile(np.arange(len(names)), len(times)), names)
+    return pandas.DataFrame(
+        {first: np.repeat(times, len(names)), "drone": who}
+        | {name: flat[:, i] for i, name in enumerate(columns)}
+        | {"phase": words(here, phases)}
+    )

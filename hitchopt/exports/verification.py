@@ -9,35 +9,28 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from hitchopt.checks.bounds.rates import largest_rate, norm_bound
-from hitchopt.checks.bounds.rounding_margins import ROUNDING
-from hitchopt.checks.certificate import Certificate, Check, most_pressing
-from hitchopt.checks.registry import RULE_OF, RULES
+from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.rule import CheckRule
 from hitchopt.errors import FileError, Violation
 from hitchopt.exports.recording import Recording, lasted
 from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.worst_values import (
+    FLOWN,
+    Worst,
+    eased_by_slowing,
+    largest_distance,
+    worst_of,
+    written_checks,
+)
 from hitchopt.motion.motion import JOINT, Motion
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.extremum import Cells, Extremum, largest
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 from hitchopt.values import Array
-
-FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
-"""Rules of the checks of what is flown, as they are listed."""
-
-PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
-"""Rules for set points that hold a tension. They are not where the drones are, of which the plan's
-certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
 SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
 """Remedy for checks that a slower flight eases."""
 
-CLEARER = "plan with a wider margin there, or choose another format"
-"""Remedy for the others."""
+CLEARER = "plan with a wider margin there, or choose another format"  # Remedy for the others
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
@@ -50,37 +43,22 @@ NOT_CARRIED = {
 
 @dataclass(frozen=True)
 class Deviation:
-    """The largest distance of exported curves from the plan's over all of the time.
+    """The largest distance of exported curves from the plan's over all of the time."""
 
-    Attributes
-    ----------
-    worst: [m] or [m/s], a bound for all t.
-    time: [s], where it is about attained.
-    drone: name of the drone.
-    """
-
-    worst: float
-    time: float
+    worst: float  # [m] or [m/s], a bound for all t
+    time: float  # [s], where it is about attained
     drone: str
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Errors and checks of exported numbers.
+    """Errors and checks of exported numbers."""
 
-    Attributes
-    ----------
-    duration: duration of what is flown [s].
-    position, velocity: deviations from the plan [m], [m/s].
-    checks: those of FLOWN that the format carries.
-    not_carried: what the format cannot carry, in words.
-    """
-
-    duration: float
-    position: Deviation
-    velocity: Deviation
-    checks: tuple[Check, ...]
-    not_carried: str
+    duration: float  # of what is flown [s]
+    position: Deviation  # from the plan [m]
+    velocity: Deviation  # [m/s]
+    checks: tuple[Check, ...]  # those of what is flown that the format carries
+    not_carried: str  # what the format cannot carry, in words
 
     @property
     def lost(self) -> tuple[Check, ...]:
@@ -96,7 +74,15 @@ class Verdict:
         accuracy: largest position error [m].
         """
         planned = {check.name: check for check in certificate.checks}
-        found = [_violation(check, planned[check.name]) for check in self.lost]
+        found = []
+        for check in self.lost:
+            kept = planned[check.name].bound
+            unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
+            when = (
+                f"at t = {check.time:.4g} s (the plan keeps {kept:.6g}{unit}, "
+                f"the export loses {abs(check.bound - kept):.3g}{unit})"
+            )
+            found.append(check.violation(when, SLOWER if eased_by_slowing(check.name) else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"
@@ -104,16 +90,6 @@ class Verdict:
             error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
             found.append(error)
         return tuple(found)
-
-
-def _violation(check: Check, planned: Check) -> Violation:
-    lost = abs(check.bound - planned.bound)
-    unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
-    return check.violation(
-        f"at t = {check.time:.4g} s (the plan keeps {planned.bound:.6g}{unit}, "
-        f"the export loses {lost:.3g}{unit})",
-        SLOWER if RULE_OF[check.name].derivative else CLEARER,
-    )
 
 
 def verify(
@@ -137,10 +113,15 @@ def verify(
     ------
     FileError: drones that are not the plan's, or less than all of its time.
     """
-    index = _order(recording, names)
+    where = {name: i for i, name in enumerate(recording.names)}
+    missing = [name for name in names if name not in where]
+    if missing or len(where) != len(names):
+        reason = f"{missing[0]} is missing" if missing else "there are more of them"
+        raise FileError(f"its drones are not those of the plan: {reason}")
+    index = [where[name] for name in names]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
-    checks: list[list[Check | None]] = [[] for _ in carried]
-    deviations: list[tuple[Deviation, Deviation]] = []
+    checks: list[list[Check | None]] = []
+    apart: list[tuple[Worst, Worst]] = []
     end = 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
@@ -149,26 +130,17 @@ def verify(
         curves = PiecewisePolynomial(window.breaks, window.coefficients[:, index])
         planned = _planned(motion, window.breaks)
         flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
-        deviations.append(_deviations(flown, planned.drones, motion.team.drone_names))
-        exported = replace(planned, drones=flown)
-        for rule, results in zip(carried, checks, strict=True):
-            results.append(rule.check(exported, exported=True))
+        apart.append(largest_distance(flown, planned.drones))
+        checks.append(written_checks(replace(planned, drones=flown), carried))
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
+    worst = [max(each, key=lambda d: d.value) for each in zip(*apart, strict=True)]
     position, velocity = (
-        max(each, key=lambda d: d.worst) for each in zip(*deviations, strict=True)
+        Deviation(each.value, each.time, motion.team.drone_names[each.drone]) for each in worst
     )
-    worst = tuple(check for check in map(most_pressing, checks) if check is not None)
-    return Verdict(end, position, velocity, worst, NOT_CARRIED[recording.smooth])
-
-
-def _order(recording: Recording, names: Sequence[str]) -> NDArray[np.intp]:
-    where = {name: i for i, name in enumerate(recording.names)}
-    missing = [name for name in names if name not in where]
-    if missing or len(where) != len(names):
-        reason = f"{missing[0]} is missing" if missing else "there are more of them"
-        raise FileError(f"its drones are not those of the plan: {reason}")
-    return np.array([where[name] for name in names], dtype=np.intp)
+    found = map(worst_of, zip(*checks, strict=True))
+    kept = tuple(check for check in found if check is not None)
+    return Verdict(end, position, velocity, kept, NOT_CARRIED[recording.smooth])
 
 
 def _planned(motion: Motion, breaks: Array) -> Motion:
@@ -184,20 +156,3 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
     here = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
     return motion.changed(span, here)
-
-
-def _deviations(
-    flown: PiecewisePolynomial, planned: PiecewisePolynomial, names: Sequence[str]
-) -> tuple[Deviation, Deviation]:
-    degree = max(flown.degree, planned.degree)
-    a = bernstein.elevate(flown.coefficients, degree)
-    b = bernstein.elevate(planned.coefficients, degree)
-    apart = PiecewisePolynomial(flown.breaks, a - b)
-    margin = ROUNDING * float(np.max(np.abs(b)))
-    position = largest(Cells.over(apart.breaks, [apart.coefficients], margin), norm_bound)
-    velocity = largest_rate(apart, 1)
-
-    def named(found: Extremum) -> Deviation:
-        return Deviation(found.worst, found.time, names[found.item])
-
-    return named(position), named(velocity)

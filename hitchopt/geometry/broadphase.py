@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Indices = NDArray[np.intp]
 
@@ -147,6 +150,8 @@ def _listed(first: Boxes, second: Boxes | None, cutoff: float, reaches: list[_Re
 
 
 def _classes(boxes: Boxes, cutoff: float) -> list[_SizeClass]:
+    from scipy.spatial import cKDTree
+
     sizes = boxes.sizes
     floor = max(1e-6 * float(np.max(sizes)), np.finfo(np.float64).tiny)
     unit = max(cutoff, float(np.median(sizes)), floor)

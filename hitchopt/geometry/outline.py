@@ -12,8 +12,7 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError
-from hitchopt.one_line import OneLine
+from hitchopt.errors import InputError, OneLine
 from hitchopt.values import Array, finite, points, positive, whole
 
 MIN_EXTERIOR_ANGLE = 1e-6

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch.team import Team
-from hitchopt.one_line import OneLine
 from hitchopt.values import Array, sequence, whole
 
 

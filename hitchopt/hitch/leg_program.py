@@ -7,21 +7,257 @@ there.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import EAST, length, unit
-from hitchopt.hitch.cable_spans import clasp_loads, leg_vectors, sag_factors
-from hitchopt.hitch.convex_qp import QuadraticProgram, Rows
-from hitchopt.hitch.leg_task import LegTask
+from hitchopt.hitch.forces import (
+    cable_slack_of,
+    clasp_loads,
+    leg_directions,
+    leg_vectors,
+    sag_factors,
+)
 from hitchopt.hitch.parts import CROSSING, SEPARATION, Parts, end_combinations
-from hitchopt.hitch.statics import leg_directions
-from hitchopt.requirements import Arena
-from hitchopt.values import Array
+from hitchopt.hitch.team import Team
+from hitchopt.requirements import Arena, Requirements
+from hitchopt.values import Array, Indices
+
+if TYPE_CHECKING:
+    import casadi as ca
+    import scipy.sparse as sp
+    from scipy import sparse
+
+SPREAD_MARGIN = 1.5
+"""Distance over its limit that the leg lengths called ``spread`` keep."""
+
+LIMIT_MARGIN = 1.001
+"""Distance over its limit of all other leg lengths: a plan's small errors stay within limits."""
+
+CROSSING_MARGIN = 1.005
+"""Largest margin of cables without a common clasp: ``spread`` concerns drones."""
+
+
+@dataclass(frozen=True, eq=False)
+class LegTask:
+    """Leg lengths of one team to be found on J polygons (one, or the knots of a path) at once.
+
+    Attributes
+    ----------
+    team: its cables are split.
+    requirements: distances, and the arena.
+    polygons: (J, points, 2) [m]
+    reference: (J, n) [m], ``d`` to deviate least from.
+    shortest_leg: [m], for both legs of every cable.
+    margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
+    roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
+    fixed: (J,), knots that keep their reference.
+    roll: (J, clasps) [rad], of the legs out of their plane; None for none.
+    """
+
+    team: Team
+    requirements: Requirements
+    polygons: Array
+    reference: Array
+    shortest_leg: float
+    margin: float | Array
+    roughness: float = 0.0
+    fixed: NDArray[np.bool_] | None = None
+    roll: Array | None = None
+
+    @property
+    def level(self) -> bool:
+        """Whether all legs are level: they carry no weight and are not rolled."""
+        return not self.team.loaded and (self.roll is None or not np.any(self.roll))
+
+    @cached_property
+    def margins(self) -> Array:
+        """(J,): the margin of every knot."""
+        return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
+
+    @cached_property
+    def crossing_margins(self) -> Array:
+        """(J,): margin of the distances of two cables."""
+        return np.minimum(self.margins, CROSSING_MARGIN)
+
+    @cached_property
+    def wanted(self) -> float:
+        """The largest of the margins: the margin of leg lengths that keep them all."""
+        return float(np.max(self.margins))
+
+    @cached_property
+    def slack(self) -> Array:
+        """(J, n) [m], read-only: slack of each cable for its two legs."""
+        slack = cable_slack_of(self.team, self.team.layout.edges(self.polygons))
+        slack.setflags(write=False)
+        return slack
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """The smallest and largest ``d`` (J, n) that leave both legs long enough, read-only.
+
+        The same one at the ends of a chain, where a cable has one leg only.
+        """
+        slack, layout = self.slack, self.team.layout
+        shortest = np.minimum(self.shortest_leg, 0.5 * slack)
+        lower = layout.q_legs_of(shortest, slack)
+        upper = layout.q_legs_of(slack - shortest, slack)
+        if self.fixed is not None:
+            lower[self.fixed] = upper[self.fixed] = self.reference[self.fixed]
+        for each in (lower, upper):
+            each.setflags(write=False)
+        return lower, upper
+
+
+@dataclass(frozen=True, eq=False)
+class LegLengths:
+    """Leg lengths that were found.
+
+    Attributes
+    ----------
+    q_legs: (J, n) [m], ``d``.
+    margin: the smallest distance over its limit, measured on these lengths; where margins
+        differ from knot to knot, in proportion to the largest of them.
+    deviation: sum of ``(d - reference)²`` [m²].
+    """
+
+    q_legs: Array
+    margin: float
+    deviation: float
+
+
+RESIDUAL = 1e-6
+"""Largest violation of a row or a bound, in its own unit, of a solution that is used."""
+
+
+@dataclass(frozen=True, eq=False)
+class QuadraticProgram:
+    """``min ½ x'Px + q'x`` over ``lower ≤ A x ≤ upper`` and ``least ≤ x ≤ most``.
+
+    Attributes
+    ----------
+    P: (m, m), symmetric and positive semidefinite.
+    q: (m,)
+    A: (r, m); entries that happen to be zero are stored.
+    lower, upper: (r,)
+    least, most: (m,), or one bound for all unknowns.
+
+    Raises
+    ------
+    ValueError: data of wrong length, not finite, or with crossed bounds.
+    """
+
+    P: sp.csc_array[np.float64]
+    q: Array
+    A: sp.csc_array[np.float64]
+    lower: Array
+    upper: Array
+    least: Array | float = -np.inf
+    most: Array | float = np.inf
+
+    def __post_init__(self) -> None:
+        rows, columns = self.A.shape
+        if self.P.shape != (columns, columns) or self.q.shape != (columns,):
+            raise ValueError(f"objective of {self.P.shape}, {self.q.shape} for {columns} unknowns")
+        if self.lower.shape != (rows,) or self.upper.shape != (rows,):
+            raise ValueError(f"bounds of {self.lower.shape}, {self.upper.shape} for {rows} rows")
+        if not (np.all(np.isfinite(self.q)) and np.all(np.isfinite(self.A.data))):
+            raise ValueError("a program with nan or inf")
+        if not np.all(self.lower <= self.upper):
+            row = int(np.argmax(~(self.lower <= self.upper)))
+            raise ValueError(f"row {row}: {self.lower[row]} <= {self.upper[row]} is crossed")
+
+    def residual(self, x: Array) -> float:
+        """Return the largest violation of a row or a bound at x."""
+        values = self.A @ x
+        gaps = self.lower - values, values - self.upper, self.least - x, x - self.most
+        return float(max(np.max(gap, initial=0.0) for gap in gaps))
+
+
+class Rows:
+    """Rows ``lower ≤ A x ≤ upper`` of a program, gathered block by block.
+
+    Parameters
+    ----------
+    unknowns: number of columns of A.
+    """
+
+    def __init__(self, unknowns: int) -> None:
+        self.count = 0
+        self._unknowns = unknowns
+        self._entries: list[tuple[Indices, Indices, Array]] = []
+        self._bounds: list[tuple[Array, Array]] = []
+
+    def add(
+        self, rows: Indices, columns: Indices, values: Array, lower: Array, upper: Array
+    ) -> int:
+        """Add rows, ``rows`` counting from the first of them; return the index of that one."""
+        first = self.count
+        self._entries.append((first + rows, columns, values))
+        self._bounds.append((lower, upper))
+        self.count += len(lower)
+        return first
+
+    def extend(self, rows: Indices, columns: Indices, value: float) -> None:
+        """Add the same entry to rows that were added before."""
+        self._entries.append((rows, columns, np.full(len(rows), value)))
+
+    def add_bounds(self, columns: Indices, lower: Array | float, upper: Array | float) -> None:
+        """Bound single unknowns."""
+        m = len(columns)
+        bounds = np.broadcast_to(lower, m), np.broadcast_to(upper, m)
+        self.add(np.arange(m), columns, np.ones(m), *bounds)
+
+    def compressed(self) -> tuple[sp.csc_array[np.float64], Array, Array]:
+        """Return A, lower and upper; entries that happen to be zero are stored too."""
+        import scipy.sparse as sp
+
+        rows, columns, values = (np.concatenate(part) for part in zip(*self._entries, strict=True))
+        lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
+        shape = (self.count, self._unknowns)
+        return sp.csc_array((values, (rows, columns)), shape=shape), lower, upper
+
+
+def solve_qp(program: QuadraticProgram) -> Array | None:
+    """Return the minimiser, or None where no solution keeps rows and bounds within RESIDUAL.
+
+    The solver is PIQP, an interior-point method that ships with casadi: OSQP is slow to reach the
+    1e-6 and better that leg lengths need. Its status is not trusted; residuals are recomputed.
+    """
+    import casadi as ca
+
+    H, A = _matrix(program.P), _matrix(program.A)
+    solver = ca.conic(
+        "program", "piqp", {"h": H.sparsity(), "a": A.sparsity()}, {"error_on_fail": False}
+    )
+    solution = solver(
+        h=H,
+        g=program.q,
+        a=A,
+        lba=program.lower,
+        uba=program.upper,
+        lbx=program.least,
+        ubx=program.most,
+    )
+    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
+    if not np.all(np.isfinite(x)) or program.residual(x) > RESIDUAL:
+        return None
+    return np.clip(x, program.least, program.most)
+
+
+def _matrix(given: sp.csc_array[np.float64]) -> ca.DM:
+    """Return a sparse matrix as casadi has it: its own conversion takes a millisecond."""
+    import casadi as ca
+
+    given.sort_indices()
+    sparsity = ca.Sparsity(*given.shape, given.indptr.tolist(), given.indices.tolist())
+    return ca.DM(sparsity, given.data)
+
 
 Index = NDArray[np.intp]
 
@@ -191,6 +427,8 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
         _add_walls(rows, bodies, task.requirements.arena, size - 1)
     hessian = _squares(size)
     if task.roughness > 0.0 and J > 2:
+        from scipy import sparse
+
         bends = sparse.block_diag([_roughness(task), sparse.csc_array((2, 2))])
         hessian = sparse.csc_array(hessian + bends)
     gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
@@ -207,6 +445,8 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
 @lru_cache(maxsize=16)
 def _squares(size: int) -> sparse.csc_array:
     """Return the Hessian of half the sum of squares of all unknowns but the two slacks."""
+    from scipy import sparse
+
     squares = np.append(np.ones(size - 2), [0.0, 0.0])
     return sparse.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
 
@@ -229,6 +469,8 @@ def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
 
 def _roughness(task: LegTask) -> sparse.csc_matrix:
     """Return the Hessian of the fractions' squared second differences along the knots."""
+    from scipy import sparse
+
     J, n = task.reference.shape
     second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
     fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))

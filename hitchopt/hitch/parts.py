@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs, few_close_pairs
-from hitchopt.hitch.layout import CLOSED, Layout, layout_of
+from hitchopt.hitch.team import CLOSED, Layout, layout_of
 from hitchopt.values import Array
 from hitchopt.values import Indices as Index
 

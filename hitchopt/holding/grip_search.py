@@ -15,15 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import TIE
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.holding.capacity import Capacity, largest_mass
-from hitchopt.holding.grip_limits import NO_GRIP, broken_limit_of, grip_margins
-from hitchopt.holding.grip_statics import Grip
+from hitchopt.holding.grip import NO_GRIP, Grip, broken_limit_of, grip_margins
 from hitchopt.objects import Section
 from hitchopt.requirements import Requirements
-from hitchopt.time_limit import check_time
 from hitchopt.values import Array
 
 STEP = 1e-6

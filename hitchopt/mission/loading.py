@@ -2,29 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import FileError, InputError, one_or_all
 from hitchopt.hitch import Quadrotor, Swarm, Team
-from hitchopt.mission.faults import Collector
-from hitchopt.mission.file_models import STEP_KINDS, ProblemKeys
-from hitchopt.mission.object_keys import objects_of
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start, fitting_start
-from hitchopt.mission.schema import Keys, StartKeys, TeamKeys
-from hitchopt.mission.swarm_problem import SwarmProblem
-from hitchopt.mission.swarm_schema import SwarmKeys, SwarmTeamKeys
-from hitchopt.objects import SolidObject
+from hitchopt.mission.keys import (
+    STEP_KINDS,
+    ObjectKeys,
+    ProblemKeys,
+    StartKeys,
+    SwarmKeys,
+    SwarmTeamKeys,
+    TeamKeys,
+)
+from hitchopt.mission.problem import (
+    DronesStart,
+    HitchStart,
+    Problem,
+    Start,
+    SwarmProblem,
+    fitting_start,
+)
+from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.outlines.outline_file import object_outline
 from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
-from hitchopt.storage.plain import Plain, plain
-from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, read_text
-from hitchopt.units import seen_from
+from hitchopt.steps.step_keys import Keys
+from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, plain, read_text
+from hitchopt.values.units import seen_from
+
+T = TypeVar("T")
 
 _KINDS = {list: "a list", str: "only text", bool: "true or false"}
 
@@ -63,7 +77,14 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
     FileError, InputError: as ``read_problem``.
     """
     try:
-        return _problem_of(parse_yaml(text, name), name, directory)
+        data = parse_yaml(text, name)
+        if not isinstance(data, dict):
+            kind = _KINDS.get(type(data), "a number")
+            raise FileError(
+                f"{name}: holds {kind}, but a problem is a mapping with the keys "
+                f"{', '.join(ProblemKeys.model_fields)}; `hitchopt init` writes one"
+            )
+        return any_problem_from_dict(data, directory)
     except InputError as error:
         places = key_places(text, name)
         raise error.located(partial(place_of, places)) from None
@@ -89,16 +110,7 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
         if isinstance(each, dict) and "file" in each and name in objects:
             del each["file"]
             each["outline"] = objects[name].section.core.tolist()
-    return _problem_of(data, "problem", Path()).asked
-
-
-def _problem_of(data: Plain, name: str, directory: Path) -> AnyProblem:
-    if not isinstance(data, dict):
-        raise FileError(
-            f"{name}: holds {_KINDS.get(type(data), 'a number')}, but a problem is a mapping with "
-            f"the keys {', '.join(ProblemKeys.model_fields)}; `hitchopt init` writes one"
-        )
-    return any_problem_from_dict(data, directory)
+    return any_problem_from_dict(data).asked
 
 
 def load_problem(path: str | Path) -> Problem:
@@ -107,7 +119,7 @@ def load_problem(path: str | Path) -> Problem:
     Raises
     ------
     InputError: a problem of single drones; as ``read_problem``.
-    FileError, UnsupportedError: as ``read_problem``.
+    FileError: as ``read_problem``.
     """
     return _of_a_hitch(read_problem(path))
 
@@ -126,25 +138,6 @@ def load_swarm(path: str | Path) -> SwarmProblem:
     return problem
 
 
-def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None) -> AnyProblem:
-    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``.
-
-    Raises
-    ------
-    InputError: as ``read_problem``.
-    """
-    values = plain(data)
-    single = isinstance(values, dict) and _of_single_drones(values)
-    try:
-        if single:
-            return built_swarm(SwarmKeys.model_validate(values), folder)
-        return built_problem(ProblemKeys.model_validate(values), folder)
-    except ValidationError as error:
-        from hitchopt.mission.wording import translated
-
-        raise translated(error, SwarmKeys if single else ProblemKeys) from None
-
-
 def problem_from_dict(data: Mapping[str, object]) -> Problem:
     """Return the problem of a hitch that ``data`` describes; errors as ``load_problem``."""
     return _of_a_hitch(any_problem_from_dict(data))
@@ -156,61 +149,70 @@ def _of_a_hitch(problem: AnyProblem) -> Problem:
     return problem
 
 
-def _of_single_drones(values: dict[str, Plain]) -> bool:
-    """Return whether a problem file is one of single drones: its team counts those."""
-    team = values.get("team")
-    return isinstance(team, dict) and "drones" in team and "robots" not in team
+def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None) -> AnyProblem:
+    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``.
+
+    Raises
+    ------
+    InputError: as ``read_problem``.
+    """
+    values = plain(data)
+    team = values.get("team") if isinstance(values, dict) else None
+    single = isinstance(team, dict) and "drones" in team and "robots" not in team
+    model = SwarmKeys if single else ProblemKeys
+    try:
+        return _built(model.model_validate(values), folder)
+    except ValidationError as error:
+        from hitchopt.mission.wording import translated
+
+        raise translated(error, model) from None
 
 
-def built_problem(keys: ProblemKeys, folder: Path | None = None) -> Problem:
-    """Return the problem of a hitch that ``keys`` describe; drawings are looked for in ``folder``.
+def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
+    """Return the problem that ``keys`` describe; drawings are looked for in ``folder``.
 
     Raises
     ------
     InputError: what single values do not tell, such as counts and shapes; a joint error if several.
     """
     faults = Collector()
-    common = _common_parts(keys, faults)
-    common["objects"] = objects_of(keys.objects, folder, faults)
-    team = faults.attempt("team", lambda: Team(**_team_values(keys.team)))
+    parts = _common_parts(keys, folder, faults)
+    kind: Any = Swarm if isinstance(keys, SwarmKeys) else Team
+    team = faults.attempt("team", lambda: kind(**_team_values(keys.team)))
     if team is None:  # nothing else can be judged without it
         return faults.made(None)
+    if isinstance(keys, SwarmKeys):
+        prisms = [
+            faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))
+            for k, prism in enumerate(keys.keep_out)
+        ]
+        parts["keep_out"] = tuple(prism for prism in prisms if prism is not None)
+        places = np.array(keys.start), np.array(keys.goal)
+        swarm = partial(SwarmProblem, team, *places, duration=keys.duration, **parts)
+        return faults.made(faults.attempt("", swarm))
     start = _start(keys.start, team, faults)
     steps = [_step(i, step, team, faults) for i, step in enumerate(keys.mission)]
     faults.check()
     mission = tuple(step for step in steps if step is not None)
-    return faults.made(Problem(team, start, mission, **common) if start else None)
+    return faults.made(Problem(team, start, mission, **parts) if start else None)
 
 
-def built_swarm(keys: SwarmKeys, folder: Path | None = None) -> SwarmProblem:
-    """Return the problem of single drones that ``keys`` describe; as ``built_problem``."""
-    faults = Collector()
-    common = _common_parts(keys, faults)
-    common["objects"] = objects_of(keys.objects, folder, faults)
-    team = faults.attempt("team", lambda: Swarm(**_team_values(keys.team)))
-    keep_out = [
-        faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))
-        for k, prism in enumerate(keys.keep_out)
-    ]
-    places: dict[str, Any] = {"start": np.array(keys.start), "goal": np.array(keys.goal)}
-    prisms = tuple(prism for prism in keep_out if prism is not None)
-    rest: dict[str, Any] = {"keep_out": prisms, "duration": keys.duration}
-    if team is None:
-        return faults.made(None)
-    return faults.made(faults.attempt("", lambda: SwarmProblem(team, **places, **common, **rest)))
-
-
-def _common_parts(keys: ProblemKeys | SwarmKeys, faults: Collector) -> dict[str, Any]:
+def _common_parts(
+    keys: ProblemKeys | SwarmKeys, folder: Path | None, faults: Collector
+) -> dict[str, Any]:
     """Return the parts that problems of both kinds have, by name, those refused left out."""
-    box = keys.arena
-    parts = {
+    box, separation = keys.arena, keys.separation
+    parts: dict[str, Any] = {
         "title": faults.attempt("", partial(_title, keys.title)),
         "limits": faults.attempt("limits", lambda: Limits(**keys.limits.model_dump())),
-        "separation": faults.attempt(
-            "separation", lambda: Separation(**keys.separation.model_dump())
-        ),
+        "separation": faults.attempt("separation", lambda: Separation(**separation.model_dump())),
         "arena": box and faults.attempt("arena", lambda: Arena(box.lower, box.upper)),
     }
+    objects = {
+        name: faults.attempt(f"objects.{name}", partial(_object, given, folder))
+        for name, given in keys.objects.items()
+    }
+    parts["objects"] = {name: each for name, each in objects.items() if each is not None}
     return {name: part for name, part in parts.items() if part is not None}
 
 
@@ -251,3 +253,59 @@ def _step(i: int, keys: Keys, team: Team, faults: Collector) -> Step | None:
     ((name, given),) = ((name, step) for name, step in keys if step is not None)
     kind, values = STEP_KINDS[name], given.model_dump()
     return faults.attempt(f"mission[{i}].{name}", lambda: kind.from_file(values).fitting(team))
+
+
+KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}
+"""Keys of files for the arguments of ``SolidObject`` that have other names."""
+
+
+def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
+    """Return the object that ``keys`` describe."""
+    values: dict[str, Any] = keys.model_dump()
+    rim, file = values.pop("rim"), values.pop("file")
+    outline, circle = values.pop("outline"), values.pop("circle")
+    if file is not None:
+        try:
+            outline = object_outline(Path(file) if folder is None else folder / file)
+        except InputError as error:
+            raise InputError("file", file, error.bound, error.remedy) from None
+    if rim is not None:
+        rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
+    yaw = math.radians(values.pop("yaw_deg"))
+    lower, upper = values.pop("from_"), values.pop("to")
+    try:
+        return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)
+    except InputError as error:
+        key = KEYS.get(error.key, error.key)
+        if file is not None and key.partition("[")[0] == "outline":
+            bound = f"an outline that is {error.bound.removeprefix('an outline that is ')}"
+            raise InputError("file", file, bound, error.remedy) from None
+        raise InputError(key, error.value, error.bound, error.remedy) from None
+
+
+class Collector:
+    """Gathers faults, so that one run names them all."""
+
+    def __init__(self) -> None:
+        self.inputs: list[InputError] = []
+
+    def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
+        """Return ``make()``, or None where it raises, gathering the error under ``parent``."""
+        try:
+            with seen_from(parent):
+                return make()
+        except InputError as error:
+            self.inputs.append(error)
+        return None
+
+    def check(self) -> None:
+        """Raise what was gathered, as one error."""
+        if self.inputs:
+            raise one_or_all(self.inputs)
+
+    def made(self, whole: T | None) -> T:
+        """Return what was made of all parts, or raise what was gathered."""
+        self.check()
+        if whole is None:
+            raise RuntimeError("a part is missing although nothing was refused")
+        return whole

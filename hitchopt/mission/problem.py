@@ -1,4 +1,4 @@
-"""A problem: team, limits, a start and a list of steps, checked in shape but not yet planned."""
+"""A problem: team, limits, a start and steps that fit, or single drones; not yet planned."""
 
 from __future__ import annotations
 
@@ -8,20 +8,122 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import InputError, UnitWarning
+from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.cable_slack import FAR_OFF, fitting_polygon
-from hitchopt.mission.step_order import fitting_steps
-from hitchopt.motion.asked import asked, hitch_start
+from hitchopt.hitch import Hitch, Swarm, Team
+from hitchopt.hitch.hitch import FAR_OFF, fitting_polygon
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.one_line import OneLine
-from hitchopt.requirements import Arena, Limits, Requirements, Separation, check_requirements
-from hitchopt.steps import Step
-from hitchopt.steps.slack_split import SlackSplit, slack_split
-from hitchopt.units import HEIGHT, check_unit, warn_of_unit
-from hitchopt.values import Array, coordinate, instance, points, sequence, text
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation, check_requirements
+from hitchopt.steps import STEPS, FollowVertex, Step
+from hitchopt.steps.moving import MoveStep
+from hitchopt.steps.step import Stage
+from hitchopt.steps.step_keys import SlackSplit, slack_split
+from hitchopt.values import Array, coordinate, instance, points, positive, sequence, text
+from hitchopt.values.units import HEIGHT, check_unit, warn_of_unit
+
+
+def fitting_steps(
+    team: Team,
+    outline: Outline | None,
+    steps: tuple[Step, ...],
+    objects: Mapping[str, SolidObject] | None = None,
+    *,
+    complete: bool = True,
+) -> tuple[Step, ...]:
+    """Return the steps with their polygons as outlines and their legs as arrays.
+
+    Parameters
+    ----------
+    team: who flies them.
+    outline: the hitch's at the start; None where cables are free.
+    steps: with polygons and legs as a user writes them.
+    objects: those that steps may name.
+    complete: whether the last step may not blend, since nothing follows.
+
+    Raises
+    ------
+    InputError: a step that does not fit the team, the outline it meets, the object that is held, or
+        the next step; its key is that of the problem file, from ``mission`` on.
+    """
+    fitted: list[Step] = []
+    held = _Held()
+    for i, given in enumerate(steps):
+        try:
+            step = given.fitting(team)
+            held = held.after(step, objects or {})
+            outline = step.polygon_left(team, outline)
+            if complete or i + 1 < len(steps):
+                _check_blend(step, steps[i + 1] if i + 1 < len(steps) else None)
+            if i > 0 and steps[i - 1].blends:
+                _check_untimed(step)
+        except InputError as error:
+            raise error.within(f"mission[{i}].{given.name}") from None
+        fitted.append(step)
+    return tuple(fitted)
+
+
+@dataclass(frozen=True)
+class _Held:
+    """How far a hitch is with which object, and whether its outline is that of an earlier step.
+
+    Attributes
+    ----------
+    stage: how far.
+    name: of the object, or an empty word.
+    known: whether the outline is; that around an object follows from the object.
+    """
+
+    stage: Stage = Stage.FREE
+    name: str = ""
+    known: bool = True
+
+    def after(self, step: Step, objects: Mapping[str, SolidObject]) -> _Held:
+        """Return the same after a step, or raise InputError where that does not fit."""
+        name = text("object", getattr(step, "object", self.name))
+        if name and name not in objects:
+            bound = f"one of objects: {', '.join(objects)}" if objects else "an object of the file"
+            raise InputError("object", name, bound, "list it under objects")
+        if step.stages is None:
+            return self
+        begin, end = step.stages
+        if self.stage is not begin:
+            order = (
+                "enclose, grasp, lift, carry, set_down, loosen and leave an object, in this order"
+            )
+            raise InputError("", f"a hitch {self.stage}", f"one {begin}", order)
+        if begin is not Stage.FREE and name != self.name:
+            raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
+        if not self.known and isinstance(step, MoveStep | FollowVertex):
+            bound = "given an outline of the file"
+            raise InputError("", "the outline around an object", bound, "morph before")
+        shaped = getattr(step, "polygon", None) is not None
+        known = shaped or (self.known and not hasattr(step, "object"))
+        return _Held(end, "" if end is Stage.FREE else name, known)
+
+
+def _check_blend(step: Step, following: Step | None) -> None:
+    """Raise InputError where a step cannot go on into the next one, or None, without a stop."""
+    if not step.blends:
+        return
+    if following is None:
+        raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
+    if not following.blendable:
+        names = ", ".join(kind.name for kind in STEPS if kind.blendable)
+        remedy = f"leave it out: only {names} go on into one another"
+        raise InputError("blend", True, f"false before a {following.name}", remedy)
+    _check_untimed(step)
+
+
+def _check_untimed(step: Step) -> None:
+    """Raise InputError where a step that is blended is to be optimised, or has a duration."""
+    reason = "whose path is not optimised"
+    for key, value in vars(step).items():
+        if key in {"optimize", "tension", "duration"} and value:
+            if key == "duration":
+                reason = "which have no stop to end with"
+            bound = f"left out of steps that are blended, {reason}"
+            raise InputError(key, value, bound, f"leave out {key} or blend")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,17 +200,9 @@ class Problem(OneLine):
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        instance("team", self.team, Team)
-        instance("start", self.start, HitchStart, Hitch, DronesStart)
-        check_requirements(self)
-        text("title", self.title)
-        steps = sequence("mission", self.mission)
-        for i, step in enumerate(steps):
-            instance(f"mission[{i}]", step, Step)
-        object.__setattr__(self, "objects", named_objects(self.objects))
+        steps = checked_parts(self, "mission")
         if self.objects:
             check_placed(self.objects, self.requirements.floor)
-        object.__setattr__(self, "start", fitting_start(self.team, self.start))
         if not steps:
             raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
         object.__setattr__(
@@ -126,6 +220,8 @@ class Problem(OneLine):
 
         Where a hitch starts its drones are not known before it is planned: the polygon is.
         """
+        from hitchopt.motion.asked import asked, hitch_start
+
         if isinstance(self.start, DronesStart):
             drones = {"q": self.start.q.tolist(), "r": self.start.r.tolist()}
             return asked(self.team, self.requirements, {"drones": drones})
@@ -138,7 +234,31 @@ class Problem(OneLine):
         return None if isinstance(self.start, DronesStart) else self.start.polygon
 
 
-def named_objects(objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
+def checked_parts(record: Any, steps: str) -> tuple[Step, ...]:
+    """Check a record's parts, fit its start to its team, and return its steps.
+
+    Parameters
+    ----------
+    record: a problem, or one in the making.
+    steps: name of its steps.
+
+    Raises
+    ------
+    InputError: a part of a wrong type, or a start that does not fit the team.
+    """
+    instance("team", record.team, Team)
+    instance("start", record.start, HitchStart, Hitch, DronesStart)
+    check_requirements(record)
+    text("title", record.title)
+    given = sequence(steps, getattr(record, steps))
+    for i, step in enumerate(given):
+        instance(f"{steps}[{i}]", step, Step)
+    object.__setattr__(record, "objects", _named_objects(record.objects))
+    object.__setattr__(record, "start", fitting_start(record.team, record.start))
+    return given
+
+
+def _named_objects(objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
     """Return objects by name.
 
     Raises
@@ -183,3 +303,62 @@ def fitting_start(team: Team, start: Start) -> Start:
     except InputError as error:
         raise error.within(f"start.{key}") from None
     return start
+
+
+@dataclass(frozen=True, eq=False)
+class SwarmProblem(OneLine):
+    """All that the separation planner needs to know.
+
+    Parameters
+    ----------
+    team: who.
+    start, goal: (N, 3) [m]
+    limits, separation, arena, keep_out, title: what to keep, and what to call it.
+    duration: of the flight, exactly [s], or None: as fast as is found.
+    objects: by name; they stand where they are, and the drones stay off them.
+
+    Raises
+    ------
+    InputError: not one point per drone, or a point that is not finite.
+    """
+
+    team: Swarm
+    start: Array
+    goal: Array
+    limits: Limits = field(default_factory=Limits)
+    separation: Separation = field(default_factory=Separation)
+    arena: Arena | None = None
+    keep_out: tuple[Prism, ...] = ()
+    duration: float | None = None
+    title: str = ""
+    objects: Mapping[str, SolidObject] = field(default_factory=dict)
+
+    @property
+    def requirements(self) -> Requirements:
+        """What the plan must satisfy."""
+        return Requirements(self.limits, self.separation, self.arena, self.keep_out, self.objects)
+
+    @property
+    def asked(self) -> dict[str, Any]:
+        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
+        from hitchopt.motion.asked import asked
+
+        return asked(self.team, self.requirements, {"drones": self.start.tolist()})
+
+    def __post_init__(self) -> None:
+        instance("team", self.team, Swarm)
+        for name in ("start", "goal"):
+            bound, remedy = "a list of points [x, y, z]", "give three numbers per drone"
+            given = points(name, getattr(self, name), (1, 3), bound, remedy)
+            if len(given) != self.team.drones:
+                bound = f"{self.team.drones} points, one per drone"
+                remedy = "add or remove points, or change team.drones"
+                raise InputError(name, f"{len(given)} points", bound, remedy)
+            object.__setattr__(self, name, given)
+        object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
+        check_requirements(self)
+        object.__setattr__(self, "objects", dict(self.objects))
+        check_placed(self.objects, self.requirements.floor)
+        text("title", self.title)
+        if self.duration is not None:
+            object.__setattr__(self, "duration", positive("duration", self.duration))

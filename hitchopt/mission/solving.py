@@ -1,39 +1,59 @@
-"""Planning of a problem, step by step, certified as a whole."""
+"""A problem to a certified plan: one loop over its steps; finished ones are remembered."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import copyreg
+import hashlib
+import io
+import math
+import os
+import pickle
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import wraps
+from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
 
-from hitchopt.checks import Certificate, merged
-from hitchopt.checks.bounds.shared_values import shared_values
+import numpy as np
+
+from hitchopt.checks import certify, merged
+from hitchopt.checks.spans import shared_values
 from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
     InputError,
+    Progress,
     TimeLimitError,
     Violation,
 )
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.mission.memory import Progress, remembered
-from hitchopt.mission.problem import DronesStart, Problem, Start
-from hitchopt.motion.motion import Motion, joined_motions
-from hitchopt.requirements import Requirements
+from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
+from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.objects import Slab, SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.requirements import Prism, Requirements
 from hitchopt.steps import Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
     certified,
+    check_above_ground,
     check_at_rest,
+    check_start,
     infeasible,
     seems_to_rest,
 )
-from hitchopt.steps.end_hitch import split_hitch
-from hitchopt.steps.free_cables import check_above_ground, check_start
-from hitchopt.steps.situation import Situation, StepTask
+from hitchopt.steps.moving import plan_blended
+from hitchopt.steps.route_choice import split_hitch
+from hitchopt.steps.step import Situation, StepTask
+from hitchopt.values import Array
 
 AT_START = "at the start (t = 0)"
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def solve_problem(
@@ -54,32 +74,20 @@ def solve_problem(
     """
     # The certificates of a single step and of the plan need the same values, if no other step's.
     with shared_values() if len(problem.mission) == 1 else nullcontext():
-        return _solved(
-            progress, problem.team, problem.start, problem.mission, problem.requirements, optimiser
-        )
+        return _solved(problem, progress, optimiser)
 
 
-@remembered
-def _solved(
-    progress: Progress | None,
-    team: Team,
-    start: Start,
-    steps: tuple[Step, ...],
-    requirements: Requirements,
-    optimiser: bool,
-) -> Certified:
+def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Certified:
+    steps, requirements = problem.mission, problem.requirements
     planned = requirements.planned  # stops on the common clock may use the rest
     first_form = next((step for step in steps if isinstance(step, Form)), None)
-    begun = _begun(progress, team, start, first_form, planned)
-    situation = begun.situation
+    situation, assignment = _begun(progress, problem.team, problem.start, first_form, planned)
     parts: list[Certified] = []
-    groups = list(_groups(steps))
-    step_of = _step if len(groups) > 1 else _only_step
-    for first, group in groups:
+    for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
-        here = situation.at_objects(planned)
+        task = StepTask(situation, first, situation.at_objects(planned), optimiser)
         try:
-            part, situation = step_of(progress, group, StepTask(situation, first, here, optimiser))
+            part, situation = _step(progress, group, task)
         except TimeLimitError:
             raise
         except HitchoptError as error:
@@ -94,19 +102,98 @@ def _solved(
         motion = replace(motion, requirements=requirements)
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
-        broken = infeasible(certificate, motion)
-        raise _advised(broken, certificate, motion, steps)
-    if isinstance(start, DronesStart):
+        raise _advised(Certified(motion, certificate), steps)
+    if isinstance(problem.start, DronesStart):
         check_above_ground(motion)
-    return Certified(replace(motion, assignment=begun.assignment), certificate)
+    return Certified(replace(motion, assignment=assignment), certificate)
 
 
-@dataclass(frozen=True, eq=False)
-class _Begun:
-    """Where a mission starts; from free cables, with the robots' roles for all of the plan."""
+VARIABLE = "HITCHOPT_MEMORY"
+"""Environment variable that turns the memory of finished steps ``off``."""
 
-    situation: Situation
-    assignment: Assignment | None = None
+MAX_OUTCOMES = 512
+"""Number of steps and refusals that are remembered."""
+
+MAX_BYTES = 256 * 2**20
+"""Total size of what is remembered [B]; a step of 1000 robots takes 76 MB."""
+
+_REMEMBERED: OrderedDict[bytes, bytes] = OrderedDict()
+"""Pickled outcomes by the digests of their requests, the least recently used first."""
+
+_LOCK = threading.Lock()
+
+
+def forget() -> None:
+    """Forget all plans of this process: the next ones are planned again."""
+    with _LOCK:
+        _REMEMBERED.clear()
+
+
+def remembered(
+    work: Callable[Concatenate[Progress | None, P], T],
+) -> Callable[Concatenate[Progress | None, P], T]:
+    """Return a function that does its work once for arguments of the same contents.
+
+    Results and InfeasibleErrors are remembered, other errors are not. A result is a copy in any
+    case, so that what comes after is the same with and without memory.
+
+    Parameters
+    ----------
+    work: a function whose outcome depends on its arguments alone, except for the first one, the
+        progress callback.
+    """
+
+    @wraps(work)
+    def found(progress: Progress | None, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        off = os.environ.get(VARIABLE, "").lower() == "off"
+        request = work.__qualname__, args, sorted(kwargs.items())
+        key = b"" if off else hashlib.sha256(_pickled(request)).digest()
+        with _LOCK:
+            stored = _REMEMBERED.pop(key, None)
+        if stored is not None:
+            _tell(progress, "planned before, taken from memory")
+        else:
+            try:
+                stored = _pickled((work(progress, *args, **kwargs), None))
+            except InfeasibleError as error:
+                if type(error) is not InfeasibleError:  # a time limit proves nothing
+                    raise
+                stored = _pickled((None, (error.violations, error.note)))
+        if not off and len(stored) <= MAX_BYTES:
+            with _LOCK:
+                _REMEMBERED[key] = stored  # as the one used last
+                while (
+                    len(_REMEMBERED) > MAX_OUTCOMES
+                    or sum(map(len, _REMEMBERED.values())) > MAX_BYTES
+                ):
+                    _REMEMBERED.popitem(last=False)
+        result, refusal = pickle.loads(stored)
+        if refusal is not None:
+            raise InfeasibleError(*refusal)
+        value: T = result
+        return value
+
+    return found
+
+
+def _read_only(array: Array) -> Any:
+    """Return how an array is pickled: as read-only bytes, also if its memory has gaps."""
+    if array.dtype.hasobject:
+        return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
+    order: Literal["F", "C"] = "F" if array.flags.fnc else "C"
+    return np.ndarray, (array.shape, array.dtype, array.tobytes(order), 0, None, order)
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles arrays as read-only ones."""
+
+    dispatch_table = copyreg.dispatch_table | {np.ndarray: _read_only}
+
+
+def _pickled(value: object) -> bytes:
+    stream = io.BytesIO()
+    _Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(value)
+    return stream.getvalue()
 
 
 @remembered
@@ -116,8 +203,13 @@ def _begun(
     start: Start,
     form: Form | None,
     requirements: Requirements,
-) -> _Begun:
-    """Return where a mission starts, ``form`` being the first step that forms a hitch."""
+) -> tuple[Situation, Assignment | None]:
+    """Return where a mission starts; from free cables, with the robots' roles for all of the plan.
+
+    Parameters
+    ----------
+    form: the first step that forms a hitch.
+    """
     if not isinstance(start, DronesStart):
         if isinstance(start, Hitch):
             hitch = start
@@ -126,38 +218,30 @@ def _begun(
             hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         if not seems_to_rest(hitch, requirements):
             check_at_rest(hitch, requirements, AT_START)
-        return _Begun(Situation.formed(hitch))
+        return Situation.formed(hitch), None
     named = Situation(team, start.drones)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)
     if form is not None and form.assign == "auto":
-        from hitchopt.planners.forming.assigning import assigned
+        from hitchopt.planners.forming.approach import assigned
 
         _tell(progress, "assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
-    return _Begun(Situation(assignment.team(team), assignment.drones(start.drones)), assignment)
+    return Situation(assignment.team(team), assignment.drones(start.drones)), assignment
 
 
-def _new_step(
+@remembered
+def _step(
     progress: Progress | None, group: tuple[Step, ...], task: StepTask
 ) -> tuple[Certified, Situation]:
     """Return the certified motion of steps without a stop, and where it ends."""
     step = group[0]
-    if len(group) == 1:
-        planned = step.plan(task)
-    else:
-        from hitchopt.steps.blending import plan_blended
-
-        planned = plan_blended(group, task)
+    planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
     certificate = planned.certificate
     if certificate is None:
         _tell(progress, f"certifying step {task.index} ({step.name})")
         certificate = certified(planned.motion).certificate
     return Certified(planned.motion, certificate), planned.after
-
-
-_step = remembered(_new_step)
-_only_step = remembered(_new_step, copied=False)
 
 
 def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
@@ -175,44 +259,29 @@ def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
 def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
     """Return the error with the step named wherever its words do not name it yet."""
     names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
-    suffix = f"of step {names}"
-    return InfeasibleError(
-        [
-            _with_remedy(
-                v
-                if f"step {first}" in v.when or "end of step" in v.when
-                else replace(v, when=f"{v.when} {suffix}".strip()),
-                "leave out blend" if len(group) > 1 else "",
-            )
-            for v in error.violations
-        ],
-        error.note,
-    )
+    told = []
+    for violation in error.violations:
+        when = violation.when
+        if f"step {first}" not in when and "end of step" not in when:
+            when = f"{when} of step {names}".strip()
+        advice = "leave out blend" if len(group) > 1 else ""
+        told.append(replace(_with_remedy(violation, advice), when=when))
+    return InfeasibleError(told, error.note)
 
 
-def _advised(
-    error: InfeasibleError, certificate: Certificate, motion: Motion, steps: Sequence[Step]
-) -> InfeasibleError:
-    """Return the error with what can be changed in the steps in which limits are broken."""
-    advised = []
-    for violation, check in zip(error.violations, certificate.violated, strict=True):
-        found = {
-            _advice(steps, phase.step, check.name)
-            for phase in motion.phases
-            if phase.start <= check.time <= phase.end
-        }
-        advised.append(_with_remedy(violation, max(found, default="")))
-    return InfeasibleError(advised, error.note)
-
-
-def _advice(steps: Sequence[Step], i: int, check: str) -> str:
-    if check == "duration":
-        return ""
-    own = steps[i].advice(check)
-    if own:
-        return own
-    blends = any(step.blends for step in steps[max(0, i - 1) : i + 1])
-    return "leave out blend" if blends else ""
+def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
+    """Return what a certificate refuses, with what can be changed in the steps where it does."""
+    error = infeasible(found.certificate, found.motion)
+    told = []
+    for violation, check in zip(error.violations, found.certificate.violated, strict=True):
+        advice = [""]
+        for phase in found.motion.phases:
+            if phase.start <= check.time <= phase.end and check.name != "duration":
+                i = phase.step
+                blends = any(step.blends for step in steps[max(0, i - 1) : i + 1])
+                advice.append(steps[i].advice(check.name) or blends * "leave out blend")
+        told.append(_with_remedy(violation, max(advice)))
+    return InfeasibleError(told, error.note)
 
 
 def _with_remedy(violation: Violation, advice: str) -> Violation:
@@ -222,3 +291,86 @@ def _with_remedy(violation: Violation, advice: str) -> Violation:
 def _tell(progress: Progress | None, message: str) -> None:
     if progress is not None:
         progress(message)
+
+
+SHARE = 1.0 - 1e-6
+"""Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
+
+CORNERS = 24
+"""Number of corners of the polygon around a circle that the planner keeps drones out of."""
+
+THIN = 1e-3
+"""[m] Height of the prism around a rim."""
+
+
+@remembered
+def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
+    """Return the plan with its certificate; ``progress`` is called with what is being done now.
+
+    Raises
+    ------
+    InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
+    """
+    from hitchopt.planners.separation import SeparationTask, separate
+
+    longest = problem.limits.duration
+    if longest is not None and problem.duration is not None and problem.duration > longest:
+        remedy, asked = "lower duration, or raise limits.duration", problem.duration
+        found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
+        raise InfeasibleError([found])
+    planned = problem.requirements.planned
+    bodies = [(name, slab) for name, body in problem.objects.items() for slab in body.slabs]
+    around = tuple(prism_around(problem.objects[name], slab) for name, slab in bodies)
+    prisms = [f"prism {k}" for k in range(len(planned.keep_out))]
+    task = SeparationTask(
+        problem.start,
+        problem.goal,
+        replace(planned, keep_out=planned.keep_out + around, objects={}),
+        duration=problem.duration,
+        acceleration=flyable_accelerations(problem),
+        names=problem.team.drone_names,
+        prisms=(*prisms, *(name for name, _ in bodies)),
+    )
+    separated = separate(task, progress)
+    phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
+    motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
+    certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))
+    if not certificate.certified:
+        raise infeasible(certificate, motion)
+    return Certified(motion, certificate)
+
+
+def prism_around(body: SolidObject, slab: Slab) -> Prism:
+    """Return a prism that holds a slab of an object, where it stands.
+
+    A circle has a polygon of CORNERS corners around it.
+    """
+    corners = slab.section.core
+    if slab.section.radius is not None:
+        angles = -2.0 * np.pi / CORNERS * np.arange(CORNERS)
+        reach = slab.section.radius / np.cos(np.pi / CORNERS)
+        corners = reach * np.column_stack([np.cos(angles), np.sin(angles)])
+    placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
+    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper
+    return Prism(placed[:, :2], min(lower, upper - THIN), upper)
+
+
+def flyable_accelerations(problem: SwarmProblem) -> Array:
+    """(N,) [m/s²]: what each drone can do in any direction, by its limit, its thrust and the tilt.
+
+    Raises
+    ------
+    InfeasibleError: a drone that cannot even hover.
+    """
+    team = problem.team
+    spare = team.max_thrust / team.mass - GRAVITY
+    heavy = np.flatnonzero(spare <= 0.0)
+    if len(heavy):
+        weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
+        most, names = team.max_thrust, team.drone_names
+        raise InfeasibleError(
+            Violation("thrust", weights[i], most[i], "max", "N", (names[i],), "at rest", remedy)
+            for i in heavy
+        )
+    level = GRAVITY * math.sin(problem.limits.tilt)  # what leans the thrust by the tilt at most
+    return np.minimum(SHARE * np.minimum(spare, level), problem.limits.planned.acceleration)

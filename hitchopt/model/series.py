@@ -1,17 +1,28 @@
-"""Truncated Taylor series of casadi expressions by one parameter.
+"""Truncated Taylor series by one parameter, of numpy's arrays and of casadi's expressions alike.
 
-Derivatives up to the third by repeated differentiation make expressions several times longer than
-the arithmetic of series does: a product of two series takes ten products of their coefficients.
+The components of a vector are the first axis of its coefficients, of which a scalar has one. Of
+what does not change, coefficients after the first one are the number 0, which costs nothing.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import factorial
+from typing import Any
 
-import casadi as ca
+import numpy as np
 
-Bilinear = Callable[[ca.SX, ca.SX], ca.SX]
+from hitchopt.values import Array, Indices
+
+ORDER = 3
+"""Order of the highest derivative in jets, the jerk."""
+
+JET = ORDER + 1
+"""Number of columns of a jet."""
+
+UP = [0.0, 0.0, 1.0]
+
+Bilinear = Callable[[Any, Any], Any]
 
 
 class Series:
@@ -22,106 +33,160 @@ class Series:
     coefficients: from order zero on; those of both operands of an operation are as many.
     """
 
-    def __init__(self, coefficients: list[ca.SX]) -> None:
-        self.coefficients = coefficients
+    __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class
+
+    def __init__(self, coefficients: Sequence[Any]) -> None:
+        self.coefficients = list(coefficients)
 
     @classmethod
-    def of_jet(cls, jet: ca.SX) -> Series:
-        """Return the series of a jet (rows, order + 1), derivatives from order zero on."""
-        return cls([jet[:, k] / factorial(k) for k in range(jet.size2())])
+    def of_jet(cls, jet: Array) -> Series:
+        """Return the series of jets (…, rows, JET), derivatives from order zero on.
 
-    @classmethod
-    def constant(cls, value: ca.SX, like: Series) -> Series:
-        """Return the series of what does not change, of as many coefficients as ``like``."""
-        zero = ca.SX.zeros(value.sparsity())
-        return cls([value, *(zero for _ in like.coefficients[1:])])
+        Coefficients are (rows, …).
+        """
+        columns = np.moveaxis(jet, (-1, -2), (0, 1))
+        return cls([column / factorial(k) for k, column in enumerate(columns)])
 
-    @property
-    def jet(self) -> ca.SX:
-        """(rows, order + 1): value and derivatives."""
-        return ca.horzcat(*(factorial(k) * c for k, c in enumerate(self.coefficients)))
+    def constant(self, value: Any) -> Series:
+        """Return the series of what does not change, of as many coefficients."""
+        return Series([value, *(0.0 for _ in self.coefficients[1:])])
 
     @property
-    def value(self) -> ca.SX:
+    def jet(self) -> Array:
+        """(…, rows, JET): value and derivatives, of arrays."""
+        columns = np.stack([factorial(k) * c for k, c in enumerate(self.coefficients)])
+        return np.moveaxis(columns, (0, 1), (-1, -2))
+
+    @property
+    def value(self) -> Any:
         """The value, of order zero."""
         return self.coefficients[0]
 
     def row(self, *rows: int) -> Series:
         """Return some rows of a vector."""
-        return Series([c[list(rows)] for c in self.coefficients])
+        return self._each(lambda c: c[list(rows)])
+
+    def taken(self, index: Indices) -> Series:
+        """Return some items, the last axis of arrays."""
+        return self._each(lambda c: c[..., index])
+
+    @property
+    def upward(self) -> Series:
+        """A scalar as a vector along z."""
+        return self._each(
+            lambda c: np.concatenate([0.0 * c, 0.0 * c, c]) if _is_array(c) else c * UP
+        )
+
+    def _each(self, change: Callable[[Any], Any]) -> Series:
+        return Series([c if isinstance(c, float) else change(c) for c in self.coefficients])
 
     def __add__(self, other: Series) -> Series:
-        return Series([a + b for a, b in zip(self.coefficients, other.coefficients, strict=True)])
+        pairs = zip(self.coefficients, other.coefficients, strict=True)
+        return Series([_sum([a, b]) for a, b in pairs])
 
     def __sub__(self, other: Series) -> Series:
-        return Series([a - b for a, b in zip(self.coefficients, other.coefficients, strict=True)])
+        return self + -other
 
     def __neg__(self) -> Series:
         return Series([-c for c in self.coefficients])
 
-    def __mul__(self, other: Series) -> Series:
-        return convolved(self, other, lambda a, b: a * b)
+    def __mul__(self, other: Series | float) -> Series:
+        if not isinstance(other, Series):
+            return self._each(lambda c: other * c)
+        return _convolved(self, other, lambda a, b: a * b)
+
+    __rmul__ = __mul__
 
     def __truediv__(self, divisor: Series) -> Series:
         """Return the quotient by a scalar, from ``q · b = a``."""
-        b, found = divisor.coefficients, list[ca.SX]()
+        b, found = divisor.coefficients, list[Any]()
         inverse = 1.0 / b[0]
         for k, a in enumerate(self.coefficients):
-            known = sum((found[i] * b[k - i] for i in range(k)), ca.SX(0.0))
-            found.append((a - known) * inverse)
+            known = _sum([_times(found[i], b[k - i]) for i in range(k)])
+            found.append(_times(_sum([a, -known]), inverse))
         return Series(found)
-
-    def __rmul__(self, factor: float) -> Series:
-        return self.scaled(factor)
 
     def __rsub__(self, value: float) -> Series:
         return Series([value - self.value, *(-c for c in self.coefficients[1:])])
 
-    def scaled(self, factor: ca.SX | float) -> Series:
-        """Return the product with a constant scalar."""
-        return Series([factor * c for c in self.coefficients])
+    def dot(self, other: Series) -> Series:
+        """Return the scalar product of vectors."""
+        return _convolved(self, other, _dot)
+
+    def cross(self, other: Series) -> Series:
+        """Return the vector product."""
+        return _convolved(self, other, _cross)
+
+    @property
+    def root(self) -> Series:
+        """The root of a positive scalar: from ``r · r = a``."""
+        value = self.value
+        found = [np.sqrt(value) if _is_array(value) else value.sqrt()]
+        inverse = 0.5 / found[0]
+        for k, c in enumerate(self.coefficients[1:], start=1):
+            known = _sum([_times(found[i], found[k - i]) for i in range(1, k)])
+            found.append(_times(_sum([c, -known]), inverse))
+        return Series(found)
+
+    @property
+    def direction(self) -> Series:
+        """The direction of a vector."""
+        return self / self.dot(self).root
+
+    @property
+    def cosine_and_sine(self) -> tuple[Series, Series]:
+        """Cosine and sine of an angle, from ``c' = -s ψ'`` and ``s' = c ψ'``."""
+        psi = self.coefficients
+        angle = psi[0]
+        numbers = _is_array(angle)
+        c = [np.cos(angle) if numbers else angle.cos()]
+        s = [np.sin(angle) if numbers else angle.sin()]
+        for k in range(1, len(psi)):
+            rates = [i / k * psi[i] for i in range(1, k + 1)]
+            c.append(-_sum([_times(rate, s[k - i]) for i, rate in enumerate(rates, start=1)]))
+            s.append(_sum([_times(rate, c[k - i]) for i, rate in enumerate(rates, start=1)]))
+        return Series(c), Series(s)
 
 
-def convolved(a: Series, b: Series, product: Bilinear) -> Series:
+def _convolved(a: Series, b: Series, product: Bilinear) -> Series:
     """Return the series of a bilinear product, by Leibniz' rule."""
     x, y = a.coefficients, b.coefficients
+    if a is not b:
+        return Series(
+            [_sum([_times(x[i], y[k - i], product) for i in range(k + 1)]) for k in range(len(x))]
+        )
     found = []
-    for k in range(len(x)):
-        terms = [product(x[i], y[k - i]) for i in range(k + 1)]
-        found.append(sum(terms[1:], terms[0]))
+    for k in range(len(x)):  # of a square both halves are alike, but for what is in their middle
+        half = _sum([_times(x[i], x[k - i], product) for i in range((k + 1) // 2)])
+        middle = [] if k % 2 else [_times(x[k // 2], x[k // 2], product)]
+        found.append(_sum([2.0 * half, *middle]))
     return Series(found)
 
 
-def dot(a: Series, b: Series) -> Series:
-    """Return the scalar product of vectors."""
-    return convolved(a, b, ca.dot)
+def _is_zero(value: Any) -> bool:
+    return isinstance(value, float) and value == 0.0
 
 
-def cross(a: Series, b: Series) -> Series:
-    """Return the vector product."""
-    return convolved(a, b, ca.cross)
+def _times(a: Any, b: Any, product: Bilinear = lambda a, b: a * b) -> Any:
+    return 0.0 if _is_zero(a) or _is_zero(b) else product(a, b)
 
 
-def square_root(a: Series) -> Series:
-    """Return the root of a positive scalar: from ``r · r = a``."""
-    found = [ca.sqrt(a.value)]
-    inverse = 0.5 / found[0]
-    for k, c in enumerate(a.coefficients[1:], start=1):
-        known = sum((found[i] * found[k - i] for i in range(1, k)), ca.SX(0.0))
-        found.append((c - known) * inverse)
-    return Series(found)
+def _sum(terms: list[Any]) -> Any:
+    terms = [term for term in terms if not _is_zero(term)]
+    return sum(terms[1:], terms[0]) if terms else 0.0
 
 
-def unit(a: Series) -> Series:
-    """Return the direction of a vector."""
-    return a / square_root(dot(a, a))
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray)
 
 
-def cosine_and_sine(angle: Series) -> tuple[Series, Series]:
-    """Return cosine and sine of an angle, from ``c' = -s ψ'`` and ``s' = c ψ'``."""
-    psi = angle.coefficients
-    c, s = [ca.cos(psi[0])], [ca.sin(psi[0])]
-    for k in range(1, len(psi)):
-        c.append(-sum((i * psi[i] * s[k - i] for i in range(1, k + 1)), ca.SX(0.0)) / k)
-        s.append(sum((i * psi[i] * c[k - i] for i in range(1, k + 1)), ca.SX(0.0)) / k)
-    return Series(c), Series(s)
+def _dot(a: Any, b: Any) -> Any:
+    product = a * b
+    if _is_array(product):
+        return np.add.reduce(product, axis=0, keepdims=True)
+    return sum((product[i] for i in range(1, product.size1())), product[0])
+
+
+def _cross(a: Any, b: Any) -> Any:
+    ahead, behind = [1, 2, 0], [2, 0, 1]
+    return a[ahead] * b[behind] - a[behind] * b[ahead]

@@ -5,22 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import GRAVITY, Swarm, Team
-from hitchopt.hitch.statics import cable_force_rates, cable_forces
+from hitchopt.hitch.forces import cable_force_rates, cable_forces
+from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.tensions import tautness
-from hitchopt.one_line import OneLine
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, as_array, not_negative, positive
-
-if TYPE_CHECKING:
-    from hitchopt.model.evaluation import Attitudes
 
 END_TOLERANCE = 1e-6
 """Distance of a plan's end from the last regular sample [s] below which it is no sample."""
@@ -60,7 +56,7 @@ class States(OneLine):
     cable_forces: (…, 2n, 3) [N], the force of the cable on each drone: the pull of its leg (its
         edge, at a chain's end), ``T_k`` but for friction, and half of the cable's weight; while
         there is no hitch, the pull of a hanging cable. As tensions rise from zero or fall
-        to it, the one passes continuously into the other (``hitchopt.motion.tensions``).
+        to it, the one passes continuously into the other (``hitchopt.motion.loads``).
     cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
         chain. These, legs and tensions mean something only where the hitch is formed.
@@ -99,8 +95,6 @@ class States(OneLine):
 
     @cached_property
     def _attitudes(self) -> Attitudes:
-        from hitchopt.model.evaluation import attitudes  # casadi takes a while to import
-
         masses = self.masses[..., None]
         thrusts = masses * (self.accelerations + [0.0, 0.0, GRAVITY]) - self.cable_forces
         return attitudes(thrusts, masses * self.jerks - self.cable_force_rates)
@@ -109,7 +103,7 @@ class States(OneLine):
     def quaternions(self) -> Array:
         """Attitude of each drone with yaw 0, from its axes to the world's, (…, 2n, 4), w, x, y, z.
 
-        Its z axis points along the thrust (``hitchopt.model.attitude``).
+        Its z axis points along the thrust (``attitudes``).
         """
         return self._attitudes.quaternions
 
@@ -117,6 +111,61 @@ class States(OneLine):
     def body_rates(self) -> Array:
         """Angular velocity of the attitude about the drone's own axes, (…, 2n, 3) [rad/s]."""
         return self._attitudes.body_rates
+
+
+@dataclass(frozen=True, eq=False)
+class Attitudes:
+    """Attitudes and their rates.
+
+    Attributes
+    ----------
+    quaternions: (…, 4), w, x, y, z, from the body's axes to the world's; with yaw 0 and a thrust
+        that points upward w is positive.
+    body_rates: (…, 3) [rad/s], angular velocity about the body's axes.
+    """
+
+    quaternions: Array
+    body_rates: Array
+
+
+def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitudes:
+    """Return the attitudes that point thrusts (…, 3) [N] where they must, at a constant yaw.
+
+    A quadrotor thrusts along its body's z axis only, so the thrust vector and the yaw determine the
+    attitude, and their derivatives the body rates (differential flatness: D. Mellinger and V.
+    Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA 2011). Yaw is the
+    first of the angles yaw, pitch, roll about the axes z, y, x, as receivers of quaternions read
+    it. Rates are nan where there is no thrust, and where it points along the body's y axis at rest.
+
+    Parameters
+    ----------
+    thrusts: (…, 3) [N] or any other unit.
+    thrust_rates: (…, 3), their derivatives by time.
+    yaw: [rad]
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    # As seen from axes that are turned by the yaw.
+    (ahead, left, up), (ahead_rate, left_rate, up_rate) = (
+        (c * f[..., 0] + s * f[..., 1], c * f[..., 1] - s * f[..., 0], f[..., 2])
+        for f in (thrusts, thrust_rates)
+    )
+    upright = np.hypot(ahead, up)
+    pitch, roll = np.arctan2(ahead, up), np.arctan2(-left, upright)
+    with np.errstate(all="ignore"):
+        pitch_rate = (up * ahead_rate - ahead * up_rate) / upright**2
+        stretch = (ahead * ahead_rate + up * up_rate) / upright
+        roll_rate = (left * stretch - left_rate * upright) / (left**2 + upright**2)
+    body_rates = [roll_rate, pitch_rate * np.cos(roll), -pitch_rate * np.sin(roll)]
+    (cr, sr), (cp, sp), (cy, sy) = (
+        (np.cos(0.5 * angle), np.sin(0.5 * angle)) for angle in (roll, pitch, yaw)
+    )
+    quaternions = [
+        cy * cp * cr + sy * sp * sr,
+        cy * cp * sr - sy * sp * cr,
+        cy * sp * cr + sy * cp * sr,
+        sy * cp * cr - cy * sp * sr,
+    ]
+    return Attitudes(np.stack(quaternions, axis=-1), np.stack(body_rates, axis=-1))
 
 
 def thrusts_of(team: Team | Swarm, accelerations: Array, cable_forces: Array) -> Array:
@@ -186,8 +235,7 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     drones = [motion.drones.coefficients]
     for _ in range(3):
         drones.append(bernstein.differentiate(drones[-1]) / h[..., None])
-    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
-    parts = [motion.vertices.coefficients, pulls, tautness(motion)]
+    parts = [motion.vertices.coefficients, leg_tensions(motion), tautness(motion)]
     part_rates = [
         bernstein.differentiate(part) / h.reshape(-1, *[1] * (part.ndim - 1)) for part in parts
     ]

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import ConvexHull, QhullError
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.one_line import OneLine
 from hitchopt.values import MAX_COORDINATE, Array, points, positive
 
 STRAIGHT = 1e-9
@@ -147,6 +145,8 @@ def _radius(radius: object) -> float:
 
 def _clockwise(outline: ArrayLike) -> Array:
     """Return the corners of a convex outline, clockwise, from the one that was given first."""
+    from scipy.spatial import ConvexHull, QhullError
+
     bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
     given = points("outline", outline, (3, 2), bound, remedy)
     size = float(np.max(np.ptp(given, axis=0)))

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.objects.section import Section
 from hitchopt.objects.slab import Slab
-from hitchopt.one_line import OneLine
 from hitchopt.values import Array, as_array, coordinate, finite, instance, not_negative, positive
 
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InputError, UnsupportedError
-from hitchopt.storage.strict_json import parsed_json
+from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 
 FLATNESS = 1e-4

@@ -1,24 +1,34 @@
-"""Motions of single steps, at rest or flying, with their certificates and what these say."""
+"""Motions of single steps, at rest or flying, on free cables or tied, with their certificates."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hitchopt.checks import Certificate, Check, certify
+from hitchopt.checks.hanging import above_ground
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import InfeasibleError
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.hitch.leg_task import LegTask
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.legs import reference_margin
+from hitchopt.motion.loads import tautness
+from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.planners.forming import SwapSettings
+from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
+from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
+from hitchopt.planners.forming.stages import Stage
+from hitchopt.planners.morph.path import RigidPath
 from hitchopt.planners.timing.demands import loads_at_rest
-from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.timing.flight import Flight, fly, turning_stretch
 from hitchopt.requirements import Requirements
+from hitchopt.steps.step import Situation, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 LEVEL = 1e-3
 """[m] Difference of heights up to which drones are level: it adds less than 1e-5 m to a distance of
@@ -165,3 +175,136 @@ def _moment(check: Check, phases: tuple[Phase, ...]) -> str:
         if phase.start <= check.time <= phase.end:
             return f"at t = {check.time:.4g} s, in step {phase.step} ({phase.name})"
     return f"at t = {check.time:.4g} s"
+
+
+# Motions on free cables, and of hitches that are tied or untied.
+
+SAME_ALTITUDE = 1e-9
+"""Altitudes that differ by less are the same [m]."""
+
+TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Shares of the move from the pre-hitch to the hitch at which the cables' heights are sampled."""
+
+
+def hovering(task: StepTask, seconds: float) -> Motion:
+    """Return the motion in which drones on free cables stay: parked, or hovering."""
+    rest = PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
+    motion = free_motion(Stage("parked", rest, CableState.GROUND), task)
+    (phase,) = motion.phases
+    hanging = phase.state is CableState.FREE
+    return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
+
+
+def check_start(task: StepTask) -> None:
+    """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
+    still = hovering(task, 1.0)
+    try:
+        checked(still, "at the start (t = 0)")
+    except InfeasibleError as error:
+        found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
+        found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
+        raise InfeasibleError(found, error.note) from None
+
+
+def _span(violation: Violation, before: Situation) -> Violation:
+    """Return the violation with the drones named that are too far apart, and by how much."""
+    k = int(violation.where[0].removeprefix("cable "))
+    apart = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))
+    length = float(before.team.cable_length[k])
+    return replace(
+        violation,
+        where=(f"robot {k}", f"q{k}", f"r{k}"),
+        when=f"({apart:.6g} m apart on a cable of {length:.6g} m) {violation.when}",
+        remedy=f"move q{k} and r{k} of start.drones closer together, or use a longer cable",
+    )
+
+
+def check_above_ground(motion: Motion) -> None:
+    """Raise InfeasibleError where a drone goes below the ground, z = 0, that it takes off from.
+
+    An arena's floor has a check of its own.
+    """
+    heights = motion.drones.coefficients[:, :, 2]
+    if motion.requirements.arena is not None or np.min(heights) >= -SAME_ALTITUDE:
+        return
+    piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
+    lowest, name = float(np.min(heights)), motion.team.drone_names[drone]
+    when = f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s"
+    remedy = "keep altitudes above 0, or give an arena with a lower floor"
+    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
+
+
+def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
+    """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
+    return joined_motions([_staged(stage, hitch, i, requirements) for stage in stages])
+
+
+def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
+    """Return the motion of a stage."""
+    phase = Phase(stage.name, i, 0.0, stage.drones.duration, state=stage.state)
+    curves = Flight(stage.drones, stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch))
+    return _raised(flying(curves, hitch.team, requirements, [phase]))
+
+
+def free_motion(stage: Stage, task: StepTask) -> Motion:
+    """Return the motion of drones on free cables, of which no hitch is made."""
+    phase = Phase(stage.name, task.index, 0.0, stage.drones.duration, state=stage.state)
+    return _raised(Motion.single(task.before.team, task.requirements, stage.drones, [phase]))
+
+
+def _raised(motion: Motion) -> Motion:
+    """Return the motion of one phase, its cables hanging free where they are clear of the ground.
+
+    A stage that begins or ends on the ground is meant to have them lie there.
+    """
+    (phase,) = motion.phases
+    if phase.state is CableState.GROUND and above_ground(motion):
+        motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
+    return _turning_slowly(motion)
+
+
+def _turning_slowly(motion: Motion) -> Motion:
+    """Return the motion, from rest to rest, slowed until no thrust turns faster than allowed."""
+    limit = motion.requirements.limits.body_rate
+    if limit is None:
+        return motion
+    breaks = motion.drones.breaks
+    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+    forces = (PiecewisePolynomial(breaks, c) for c in (pulls, tautness(motion)))
+    factor = turning_stretch(motion.team, limit, (motion.drones, motion.vertices, *forces))
+    return motion.slowed(factor) if 1.0 < factor < math.inf else motion
+
+
+def tying_site(
+    hitch: Hitch, swap: SwapSettings, senses: Array | None, requirements: Requirements
+) -> tuple[Hitch, PreHitch]:
+    """Return the hitch where it is tied or untied, as much higher as that takes, and its pre-hitch.
+
+    Parameters
+    ----------
+    hitch: to be tied or untied.
+    swap: how the drones turn about each other.
+    senses: (clasps,) how it was formed, to be reversed; None to choose them.
+    requirements: what the plan must satisfy.
+    """
+    pre = find_prehitch(hitch, requirements.separation, swap)
+    if senses is not None:
+        pre = replace(pre, turns=pre.turns.with_senses(senses))
+    floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
+    drawn = (pre.drones + share * (hitch.drones - pre.drones) for share in TIGHTENING)
+    hanging = (hover_altitude(hitch.team, drones, floor, clearance) for drones in drawn)
+    altitude = max(hitch.altitude, floor + clearance + pre.measures.lowest, *hanging)
+    by = altitude - hitch.altitude
+    if by <= SAME_ALTITUDE:
+        return hitch, pre
+    high = Hitch(hitch.team, hitch.polygon, altitude, hitch.q_legs, hitch.roll)
+    return high, replace(pre, turns=pre.turns.raised(by))
+
+
+def lifted(hitch: Hitch, altitude: float, name: str, task: StepTask) -> Motion:
+    """Return the motion of the hitch straight up or down, as one phase of a step."""
+    to = np.append(hitch.polygon.centroid, altitude)
+    flight = fly(RigidPath(hitch, to, 0.0), task.requirements.limits)
+    remark = "cables that hang need more room over the ground than the hitch"
+    phase = Phase(name, task.index, 0.0, flight.duration, remark)
+    return flying(flight, hitch.team, task.requirements, [phase])

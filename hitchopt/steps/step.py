@@ -1,28 +1,251 @@
-"""What every kind of step of a mission is: a record with its checks, its planning and its edits."""
+"""What every kind of step is: a record with its keys, its planning and its edits."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, ClassVar, Self
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Team
-from hitchopt.hitch.cable_slack import fitting_polygon
-from hitchopt.motion.motion import Motion
-from hitchopt.one_line import OneLine
-from hitchopt.steps.edits import StepEdit, Tunable, lasting_for
-from hitchopt.steps.free_cables import lasting
-from hitchopt.steps.situation import StepPlan, StepTask
-from hitchopt.steps.slack_split import slack_split
-from hitchopt.units import DURATION, check_unit
-from hitchopt.values import Array, as_array, flag, positive
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.objects import SolidObject
+from hitchopt.planners.forming import SwapSettings
+from hitchopt.requirements import Requirements
+from hitchopt.steps.step_keys import keys_of, slack_split
+from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.checks import Certificate
+    from hitchopt.motion.motion import Motion
+    from hitchopt.planners.carrying.grip import GrippedHitch
+    from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
+
+
+DECIMALS = 9
+"""Decimals of numbers in edits: far below any tolerance, and short enough to read."""
+
+PLAN_DURATION = "plan duration"
+"""The plan's duration as a constraint, told apart from a step's, which is too short."""
+
+
+@cache
+def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
+    """Return the checks that longer legs, slower or shorter motion, or lower tensions ease."""
+    from hitchopt.checks.registry import RULES
+    from hitchopt.checks.rule import Ease
+
+    return frozenset(rule.name for rule in RULES if rule.ease is Ease[by.upper()])
+
+
+@dataclass(frozen=True, eq=False)
+class StepEdit:
+    """One key of a step with another value.
+
+    Attributes
+    ----------
+    key: within the step, as the file has it.
+    value: to write there, in the file's units.
+    changes: the record's fields with their new values.
+    """
+
+    key: str
+    value: object
+    changes: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Knob:
+    """A number that repair may raise or lower.
+
+    Attributes
+    ----------
+    key: as the file has it; of a step's number, within the step.
+    old, unit: its value, and the unit of it; ``times`` for a factor.
+    put: gives the problem with another value; for a step's number, its edit.
+    sign: 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most.
+    covers: constraints that it can repair; where others are broken too it is not tried.
+    words: what it is, where the key does not tell.
+    extent: what sizes are relative to [unit]; the old value unless given.
+    least, most: sizes below are known not to do; sizes above make no sense.
+    relaxes: it takes nothing away, so that no size can do where the largest does not.
+    family: the first one that does stands for all of this name, such as those of one cable.
+    """
+
+    key: str
+    old: float
+    unit: str
+    put: Callable[[float], Any]
+    sign: int = 1
+    covers: frozenset[str] = frozenset()
+    words: str = ""
+    extent: float | None = None
+    least: float = 0.0
+    most: float = math.inf
+    relaxes: bool = False
+    family: str = ""
+
+    def __post_init__(self) -> None:
+        if self.sign < 0 and self.extent is None:
+            object.__setattr__(self, "most", min(self.most, 1.0 - LEAST_LEFT))
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it gives a step the time that it is known to take at the least."""
+        return self.least > 0.0 and self.key.endswith(".duration")
+
+
+LEAST_LEFT = 0.1
+"""Share of a quantity that is left where it is lowered the most."""
+
+
+def lasting_knobs(key: str, seconds: float, *, longer: bool = False) -> Iterator[Knob]:
+    """Yield the knobs of a duration [s] of a step: shorter, and longer where that may help."""
+
+    def put(new: float) -> StepEdit:
+        return StepEdit(key, new, {key: new})
+
+    if longer:  # which takes nothing away
+        yield Knob(key, seconds, "s", put, 1, frozenset({"duration"}), relaxes=True)
+    yield Knob(key, seconds, "s", put, -1, frozenset({PLAN_DURATION}))
+
+
+def points_scaled(points: Array, factor: float, centre: Array) -> Array:
+    """Return the points (…, 2) [m] moved away from ``centre`` by a factor."""
+    return np.round(centre + factor * (points - centre), DECIMALS)
+
+
+def outline_scaled(outline: Outline, factor: float) -> Outline:
+    """Return the outline scaled about its centroid."""
+    return type(outline)(points_scaled(outline.vertices, factor, outline.centroid))
+
+
+def outline_edit(outline: Outline, factor: float) -> StepEdit:
+    """Return the edit that scales a step's polygon about its centroid."""
+    scaled = outline_scaled(outline, factor)
+    return StepEdit("polygon", scaled.vertices.tolist(), {"polygon": scaled})
+
+
+@dataclass(frozen=True, eq=False)
+class Holding:
+    """An object that a hitch is around, or holds.
+
+    Attributes
+    ----------
+    name: of the object.
+    polygons: of the hitch, in the object's frame.
+    tension: (n,) [N], what cables pull with from grasping to loosening.
+    held: the hitch that holds it; None while it is only around it.
+    borne: whether clasps carry its weight.
+    """
+
+    name: str
+    polygons: HoldPolygons
+    tension: Array
+    held: HeldHitch | GrippedHitch | None = None
+    borne: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """A moment of rest: a hitch, or drones on free cables.
+
+    Attributes
+    ----------
+    team: who flies.
+    drones: (2n, 3) [m], in the order q0, r0, q1, r1, ….
+    hitch: what they hold, or None where cables are free.
+    senses: (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that
+        was there at first is taken to have been formed so.
+    swap: the settings of these turns.
+    holding: what the hitch is around or holds; ``hitch`` is then as if it carried nothing.
+    objects: where objects are by now; None where the problem has them.
+    """
+
+    team: Team
+    drones: Array
+    hitch: Hitch | None = None
+    senses: Array | None = None
+    swap: SwapSettings = field(default_factory=SwapSettings)
+    holding: Holding | None = None
+    objects: Mapping[str, SolidObject] | None = None
+
+    @classmethod
+    def formed(cls, hitch: Hitch) -> Situation:
+        """Return the situation of a hitch that is there at first."""
+        return cls(hitch.team, hitch.drones, hitch)
+
+    def at_objects(self, requirements: Requirements) -> Requirements:
+        """Return requirements with objects where they are by now."""
+        return requirements if self.objects is None else replace(requirements, objects=self.objects)
+
+
+@dataclass(frozen=True, eq=False)
+class StepPlan:
+    """The motion of a step, and where it ends.
+
+    Attributes
+    ----------
+    motion: from rest to rest.
+    after: where it ends.
+    certificate: of the step alone, its duration left open; None where it was not computed yet.
+    """
+
+    motion: Motion
+    after: Situation
+    certificate: Certificate | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class StepTask:
+    """What a step is asked to plan.
+
+    Attributes
+    ----------
+    before: where the mission stands.
+    index: of the step in its mission.
+    requirements: what the plan must satisfy.
+    optimiser: whether the optimiser may be used.
+    """
+
+    before: Situation
+    index: int
+    requirements: Requirements
+    optimiser: bool = True
+
+    @property
+    def hitch(self) -> Hitch:
+        """The hitch to start with; raises InputError where cables are free."""
+        if self.before.hitch is None:
+            raise InputError(f"mission[{self.index}]", None, "given a hitch", "form one before")
+        return self.before.hitch
+
+    @property
+    def holding(self) -> Holding:
+        """What the hitch is around or holds; raises InputError where that is nothing."""
+        if self.before.holding is None:
+            raise InputError(
+                f"mission[{self.index}]", None, "around an object", "enclose it before"
+            )
+        return self.before.holding
+
+    def within(self, requirements: Requirements, situation: Situation) -> StepTask:
+        """Return the same task in another situation, with other requirements."""
+        return replace(self, before=situation, requirements=requirements)
+
+    def ended(
+        self, motion: Motion, hitch: Hitch, certificate: Certificate | None = None
+    ) -> StepPlan:
+        """Return the plan of a motion that ends with a hitch."""
+        after = replace(self.before, hitch=hitch, drones=hitch.drones)
+        return StepPlan(motion, after, certificate)
 
 
 class Stage(StrEnum):
@@ -54,11 +277,10 @@ class Step(OneLine, ABC):
     """Where it begins and ends with respect to an object that is carried; None for anywhere."""
 
     def __post_init__(self) -> None:
-        for name in ("blend", "optimize"):
-            flag(name, getattr(self, name, False))
-        if self.given_duration is not None:
-            object.__setattr__(self, "duration", positive("duration", self.given_duration))
-            check_unit("duration", vars(self)["duration"], DURATION)
+        for name, (key, default) in keys_of(type(self)).items():
+            value = getattr(self, name)
+            if key.check is not None and (value is not None or default is not None):
+                object.__setattr__(self, name, key.check(name, value))
 
     @classmethod
     def from_file(cls, values: dict[str, Any]) -> Self:
@@ -139,7 +361,13 @@ class Step(OneLine, ABC):
 
     def lasting(self, task: StepTask, motion: Motion) -> Motion:
         """Return the motion slowed to last as long as the step was given, if it was."""
-        return lasting(motion, self.given_duration, task.index, self.name)
+        from hitchopt.planners.timing.flight import check_duration
+
+        duration = self.given_duration
+        if duration is None:
+            return motion
+        check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
+        return motion.slowed(duration / motion.duration)
 
     def part(self, step: Step, task: StepTask) -> StepPlan:
         """Return the plan of another step as a part of this one, which refusals name."""
@@ -154,10 +382,10 @@ class Step(OneLine, ABC):
         """Return what to change in the step where it breaks a check; nothing if that is unknown."""
         return ""
 
-    def tunables(self) -> Iterator[Tunable]:
+    def knobs(self) -> Iterator[Knob]:
         """Yield the numbers that repair may change."""
         if self.given_duration is not None:
-            yield lasting_for("duration", self.given_duration, frozenset({"duration"}))
+            yield from lasting_knobs("duration", self.given_duration, longer=True)
 
     def scaled(self, factor: float, centre: Array) -> tuple[StepEdit | None, Array]:  # noqa: ARG002
         """Return the edit that scales the step's outline, and the centre of the outline after it.
@@ -182,34 +410,7 @@ def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> 
         raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
 
 
-def check_index(key: str, index: object) -> None:
-    """Raise InputError for what is no index."""
-    if isinstance(index, bool) or not isinstance(index, int | np.integer) or index < 0:
-        raise InputError(key, index, "a whole number from 0 on", "indices start at 0")
-
-
 def check_within(key: str, index: int, count: int) -> None:
     """Raise InputError where ``index`` is none of ``count``."""
     if index >= count:
         raise InputError(key, index, f"from 0 to {count - 1}", "indices start at 0")
-
-
-def numbers(key: str, value: object, shape: tuple[int | None, ...], words: str) -> Array:
-    """Return ``value`` as a read-only array of that shape; None stands for one or more.
-
-    Raises
-    ------
-    InputError: another shape, described by ``words``, or numbers that are not finite.
-    """
-    array = as_array(value)
-    fits = array.ndim == len(shape) and all(
-        size == wanted if wanted is not None else size > 0
-        for size, wanted in zip(array.shape, shape, strict=True)
-    )
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if not fits:
-        raise InputError(key, value, words, "give plain numbers in SI units")
-    if not np.all(np.isfinite(array)):
-        raise InputError(key, value, "finite", "nan and inf are no quantities")
-    array.setflags(write=False)
-    return array

@@ -6,13 +6,12 @@ pattern of exactly what numpy writes: no text of a file is evaluated as Python.
 
 from __future__ import annotations
 
-import io
 import math
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, HitchoptError
 
-PLAN = "plan.npz"
-"""Name of the archive with a plan, in the plan's directory."""
-
-RECORDING = "recording.npz"
-"""Name of the recording of a simulated flight."""
+PLAN = "plan.npz"  # Name of the archive with a plan, in the plan's directory
+RECORDING = "recording.npz"  # Name of the recording of a simulated flight
 
 MODEST = 64 * 2**20
 """[bytes] Members of this size altogether are read whatever they were packed into."""
@@ -34,8 +30,7 @@ MAX_EXPANSION = 100
 """Largest ratio of unpacked members beyond MODEST to their file: more is a decompression bomb.
 hitchopt's own plans are not compressed."""
 
-MAX_HEADER = 10_000
-"""[bytes] The longest description of an array's shape that is parsed."""
+MAX_HEADER = 10_000  # [bytes] The longest description of an array's shape that is parsed
 
 PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Methods by which members may be packed: those that numpy and shows use."""
@@ -119,26 +114,13 @@ def checked_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
     return data
 
 
-def read_header(
-    name: str, read: Callable[[int], bytes]
-) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Return an array's shape, whether it is in Fortran's order, its type, and the header's bytes.
-
-    Parameters
-    ----------
-    name: of the array, for messages.
-    read: returns the next bytes of the file.
-
-    Raises
-    ------
-    FileError: a header that numpy does not write, or objects.
-    """
-    start = read(8)
-    size = LENGTH_BYTES.get(start[6:8])
-    if start[:6] != b"\x93NUMPY" or size is None:
+def _array(name: str, data: bytes) -> NDArray[Any]:
+    """Return the array of an npy file; raise FileError if numpy writes no such bytes."""
+    size = LENGTH_BYTES.get(data[6:8])
+    if data[:6] != b"\x93NUMPY" or size is None:
         raise FileError(f"array {name!r} does not begin as version 1 or 2 of numpy's format does")
-    length = int.from_bytes(read(size), "little")
-    text = read(min(length, MAX_HEADER)).decode("latin-1")
+    length, start = int.from_bytes(data[8 : 8 + size], "little"), 8 + size
+    text = data[start : start + min(length, MAX_HEADER)].decode("latin-1")
     found = HEADER.fullmatch(text)
     if len(text) < length or found is None:
         raise FileError(
@@ -153,16 +135,10 @@ def read_header(
     if dtype.hasobject:
         raise FileError(f"array {name!r} holds objects, not numbers")
     shape = tuple(int(size) for size in sizes.replace(" ", "").split(",") if size)
-    return shape, order == "True", dtype, 8 + size + length
-
-
-def _array(name: str, data: bytes) -> NDArray[Any]:
-    shape, fortran, dtype, start = read_header(name, io.BytesIO(data).read)
-    size = math.prod(shape) * dtype.itemsize
-    if any(length < 0 for length in shape) or size != len(data) - start:
-        raise FileError(
-            f"array {name!r} claims {size} bytes of numbers and has {len(data) - start}"
-        )
-    if size == 0:
+    numbers, claimed = len(data) - start - length, math.prod(shape) * dtype.itemsize
+    if any(length < 0 for length in shape) or claimed != numbers:
+        raise FileError(f"array {name!r} claims {claimed} bytes of numbers and has {numbers}")
+    if claimed == 0:
         return np.zeros(shape, dtype)
-    return np.frombuffer(data, dtype, offset=start).reshape(shape, order="F" if fortran else "C")
+    whole = np.frombuffer(data, dtype, offset=start + length)
+    return whole.reshape(shape, order="F" if order == "True" else "C")

@@ -19,14 +19,11 @@ from ruamel.yaml import YAML
 from ruamel.yaml.nodes import MappingNode, SequenceNode
 
 from hitchopt.errors import InputError
-from hitchopt.storage.plain import Plain
-from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.storage.yaml_file import Plain, parse_yaml
 
-DECIMALS = 9
-"""Decimals of written numbers: far below any tolerance, and short enough to read."""
+DECIMALS = 9  # Decimals of written numbers: far below any tolerance, and short enough to read
 
-Path = Sequence[str | int]
-"""Keys and indices from the top of a file to a value."""
+Path = Sequence[str | int]  # Keys and indices from the top of a file to a value
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _LINE_END = re.compile(r"\r?\n|\Z")

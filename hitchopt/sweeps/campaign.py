@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
-from hitchopt.simulation.flight_outcome import NOT_SIMULATED, START, Failure
-from hitchopt.simulation.flight_task import Task
-from hitchopt.simulation.rope_flight import Progress
-from hitchopt.simulation.run_report import CAMPAIGN, OWNED, RUNS, number, settings_summary
-from hitchopt.simulation.simulate import Run, simulate
-from hitchopt.simulation.simulation_settings import Settings
-from hitchopt.storage.atomic import Writer, replace_files
-from hitchopt.storage.strict_json import write_strict_json
-from hitchopt.sweeps.cluster import finished
+from hitchopt.simulation.flight import Progress
+from hitchopt.simulation.judgement import NOT_SIMULATED, START, Failure, Run, simulate
+from hitchopt.simulation.report import CAMPAIGN, OWNED, RUNS, number, settings_summary
+from hitchopt.simulation.settings import Settings
+from hitchopt.simulation.task import Task
+from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.sweeps.sweep import Share
+from hitchopt.sweeps.work import finished
 
 FORMAT = "hitchopt-campaign/1"
 
@@ -56,11 +55,8 @@ class Campaign:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Wilson's 95 % interval of the success rate (1927), which suits few runs too."""
-        from scipy.stats import binomtest
-
-        found = binomtest(self.successes, len(self.runs)).proportion_ci(0.95, method="wilson")
-        return float(found.low), float(found.high)
+        """Wilson's 95 % interval of the success rate."""
+        return Share(self.successes, len(self.runs)).interval
 
     @property
     def failures(self) -> Counter[tuple[str, str]]:
@@ -113,21 +109,19 @@ def run_campaign(
     if processes is not None and processes < 1:
         raise InputError("processes", processes, "at least 1", "leave it out for all processors")
     jobs = [(task, replace(settings, seed=settings.seed + i)) for i in range(runs)]
-    width = min(runs, processes or os.cpu_count() or 1)
     found: list[Run] = []
-    for run in _flown(jobs, width):
+    for run in _flown(jobs, min(runs, processes or os.cpu_count() or 1)):
         found.append(run)
         if progress is not None:
             succeeded = sum(run.succeeded for run in found)
             progress(f"{len(found)} of {runs} flown, {succeeded} succeeded")
-    found.sort(key=lambda run: run.seed)
-    return Campaign(settings, tuple(found), task.digest)
+    return Campaign(settings, tuple(sorted(found, key=lambda run: run.seed)), task.digest)
 
 
 def _flown(jobs: list[tuple[Task, Settings]], processes: int) -> Iterator[Run]:
     """Yield the figures of every flight as it ends."""
     if processes == 1:
-        yield from (one_run(job) for job in jobs)
+        yield from map(one_run, jobs)
         return
     tasks = {f"flight-{job[1].seed}": (job,) for job in jobs}
     with contextlib.closing(finished(one_run, tasks, processes)) as done:
@@ -142,13 +136,12 @@ def one_run(job: tuple[Task, Settings]) -> Run:
     ------
     InputError, UnsupportedError: a reason that prevents every other flight as well.
     """
-    task, settings = job
     try:
-        return simulate(task, settings).run
+        return simulate(*job).run
     except (InputError, UnsupportedError):
         raise
     except HitchoptError as error:
-        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
+        return Run(job[1].seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:

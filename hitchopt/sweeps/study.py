@@ -1,28 +1,183 @@
-"""A study: problems and parameters, and the cases that they make."""
+"""A study: problems and parameters, the file that holds them, and the cases that they make."""
 
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
 
-from hitchopt.errors import InputError
-from hitchopt.one_line import OneLine
-from hitchopt.storage.plain import Plain
-from hitchopt.sweeps.parameters import Listed, Parameter, Point, key_parts, points, with_values
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator, ConfigDict, ValidationError, model_validator
+
+from hitchopt.errors import FileError, InputError, OneLine
+from hitchopt.mission.keys import MAX_TITLE
+from hitchopt.mission.wording import translated
+from hitchopt.steps.step_keys import Keys, fault
+from hitchopt.steps.step_keys import key as option
+from hitchopt.storage.yaml_file import Plain, plain, read_yaml
+
+Point = dict[str, Plain]
+"""One value of every parameter, by key path."""
 
 Section = dict[str, Plain]
 """Keys of one section of a study file."""
+
+SECTIONS = ("simulate", "settle", "export")
+"""Sections of a study file that say what is done with a plan."""
+
+MAX_CASES, MAX_SAMPLES = 1_000_000, 100_000
+"""Largest number of cases of one study, more are a typing error; and of samples."""
 
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
 """Packages whose versions are part of every case's digest."""
 
 SIMULATOR = "mujoco"
 """Package whose version counts where flights are simulated."""
+
+_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]{1,6})\]")
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A parameter that takes given values, each with every value of the others.
+
+    Parameters
+    ----------
+    key: path of a key, such as ``team.tension`` or ``mission[0].form.altitude``.
+    values: the values.
+    """
+
+    key: str
+    values: tuple[Plain, ...]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A parameter that is drawn from a range, one value a sample.
+
+    Parameters
+    ----------
+    key: path of a key.
+    low, high: ends of the range.
+    log: whether the logarithm is distributed evenly, not the value.
+    quasi: whether samples are those of a Halton sequence (Owen 2017), which fill the range evenly.
+    """
+
+    key: str
+    low: float
+    high: float
+    log: bool = False
+    quasi: bool = False
+
+    def at(self, shares: NDArray[np.float64]) -> list[float]:
+        """Return the values at shares (samples,) of the range, 0 to 1."""
+        if self.log:
+            return list(np.exp(np.interp(shares, [0.0, 1.0], np.log([self.low, self.high]))))
+        return list(np.interp(shares, [0.0, 1.0], [self.low, self.high]))
+
+
+Parameter = Listed | Drawn
+
+
+def points(parameters: Sequence[Parameter], samples: int, seed: int) -> list[Point]:
+    """Return every combination of the listed values, with every sample of the drawn ones.
+
+    Parameters
+    ----------
+    parameters: in the study's order, which is that of the points: the last listed one changes
+        first, samples before it.
+    samples: number of samples of the drawn ones; 1 counts where none is drawn.
+    seed: of the samples.
+
+    Raises
+    ------
+    InputError: more than MAX_CASES points.
+    """
+    from scipy.stats import qmc
+
+    listed = [p for p in parameters if isinstance(p, Listed)]
+    drawn = [p for p in parameters if isinstance(p, Drawn)]
+    samples = samples if drawn else 1
+    count = int(np.prod([len(p.values) for p in listed])) * samples
+    if count > MAX_CASES:
+        raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
+    quasi = [p.key for p in drawn if p.quasi]
+    even = qmc.Halton(max(len(quasi), 1), scramble=True, seed=np.random.default_rng(seed))
+    shares = dict(zip(quasi, even.random(samples).T, strict=False))
+    chance = np.random.default_rng([seed, 1])
+    shares |= {p.key: chance.random(samples) for p in drawn if not p.quasi}
+    columns = {p.key: p.at(shares[p.key]) for p in drawn}
+    found: list[Point] = []
+    for values in itertools.product(*(p.values for p in listed)):
+        chosen = dict(zip((p.key for p in listed), values, strict=True))
+        for i in range(samples):
+            whole = chosen | {key: float(column[i]) for key, column in columns.items()}
+            found.append({p.key: whole[p.key] for p in parameters})
+    return found
+
+
+def key_parts(key: str) -> list[str | int]:
+    """Return the parts of a key path: ``mission[0].hold`` is ``["mission", 0, "hold"]``.
+
+    Raises
+    ------
+    InputError: no key path.
+    """
+    parts: list[str | int] = []
+    for word in key.split("."):
+        found = _PART.findall(word)
+        if not found or "".join(name or f"[{index}]" for name, index in found) != word:
+            bound = "a key path such as team.tension or mission[0].form.altitude"
+            raise InputError("parameters", key, bound, "names with dots, places in brackets")
+        parts += [name or int(index) for name, index in found]
+    return parts
+
+
+def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
+    """Return a copy of a mapping in which the keys have the values of a point.
+
+    Mappings that are missing on the way are made; lists are as long as they are.
+
+    Raises
+    ------
+    InputError: a path that leads through a value, or past the end of a list.
+    """
+    made: dict[str, Plain] = deepcopy(dict(base))
+    for key, value in point.items():
+        inner: Any = made
+        *path, last = key_parts(key)
+        for part, following in zip(path, [*path, last][1:], strict=True):
+            _check_place(inner, part, key)
+            if isinstance(inner, dict):
+                inner.setdefault(part, {} if isinstance(following, str) else [])
+            inner = inner[part]
+        _check_place(inner, last, key)
+        inner[last] = deepcopy(value)
+    return made
+
+
+def _check_place(inner: Plain, part: str | int, key: str) -> None:
+    """Raise InputError unless a part of a key path is a key of a mapping or a place in a list."""
+    if isinstance(inner, list) and isinstance(part, int):
+        if part < len(inner):
+            return
+        bound, remedy = f"below {len(inner)}, the list's length", "count from 0"
+        raise InputError(f"parameters.{key}", f"[{part}]", bound, remedy)
+    if isinstance(inner, dict) and isinstance(part, str):
+        return
+    kind = "a mapping" if isinstance(inner, dict) else "a value"
+    kind = "a list" if isinstance(inner, list) else kind
+    bound = "a place in a list, in brackets" if isinstance(inner, list) else "the name of a key"
+    raise InputError(f"parameters.{key}", part, bound, f"what is there is {kind}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,112 +211,276 @@ class Case:
         return hashlib.sha256(text.encode()).hexdigest()
 
 
+@cache
+def versions(simulated: bool) -> dict[str, str]:
+    """Return the versions that a row depends on, by package; empty where it is not installed."""
+    found = {}
+    for name in (*LIBRARIES, SIMULATOR) if simulated else LIBRARIES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = ""
+    return found
+
+
+class RangeKeys(Keys):
+    """A range from which values are drawn."""
+
+    model_config = ConfigDict(populate_by_name=True)
+    low: float = option("Lower end", alias="from", examples=[0.2])
+    high: float = option("Upper end", alias="to", examples=[0.6])
+    log: bool = option("Even in the logarithm", False)
+
+
+class GridKeys(RangeKeys):
+    """Values at even distances, the ends among them."""
+
+    count: int = option("Number of values", ge=2, le=MAX_SAMPLES, examples=[4])
+
+
+class ParameterKeys(Keys):
+    """What values a parameter takes: one of four keys."""
+
+    values: list[Any] | None = option(
+        "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
+    )
+    grid: GridKeys | None = option("Values at even distances", None)
+    random: RangeKeys | None = option("Values drawn at random", None)
+    quasi_random: RangeKeys | None = option(
+        "Values of a Halton sequence, which fill the range evenly", None
+    )
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise fault("one of list, grid, random, quasi_random", "keep one of them")
+        span = self.grid or self.random or self.quasi_random
+        if span is not None and not span.low < span.high:
+            raise fault("from below to", "exchange the two")
+        if span is not None and span.log and span.low <= 0.0:
+            raise fault("from above 0 where log is true", "leave out log")
+        return self
+
+    def parameter(self, key: str) -> Parameter:
+        """Return the parameter of a key path."""
+        if (span := self.random or self.quasi_random) is not None:
+            return Drawn(key, span.low, span.high, span.log, self.random is None)
+        if (grid := self.grid) is not None:
+            space = np.geomspace if grid.log else np.linspace
+            return Listed(key, tuple(float(x) for x in space(grid.low, grid.high, grid.count)))
+        return Listed(key, tuple(plain(value) for value in self.values or ()))
+
+
+class SimulateKeys(Keys):
+    """Every plan is flown in the rope simulation."""
+
+    seeds: int = option("Flights of every plan", 1, ge=1, le=100_000)
+    seed: int = option("Seed of the first of them", 0, ge=0)
+    preset: Literal["fast", "accurate"] = option("Resolution of ropes", "fast")
+    drones: Literal["rigid", "point"] = option("Bodies of drones", "rigid")
+    perturbed: bool = option("The usual perturbations", True)
+    noise: float | None = option("Of measured positions [m]", None, ge=0)
+    velocity_noise: float | None = option("Of velocities [m/s]", None, ge=0)
+    wind: float | None = option("Force of gusts [N]", None, ge=0)
+    steady_wind: float | None = option("Constant level force [N]", None, ge=0)
+    cable_error: float | None = option("Of lengths, relative", None, ge=0)
+    start_error: float | None = option("Of starts, per axis [m]", None, ge=0)
+    friction: float | None = option("Replaces the team's", None, ge=0)
+    density: float | None = option("Replaces the team's [kg/m]", None, gt=0)
+    stiffness: float | None = option("Of position loops [N/m]", None, gt=0)
+
+
+class SettleKeys(Keys):
+    """Every plan's hitch is settled: where it rests, and with what tensions."""
+
+    samples: int = option("Times over the taut hitch", 25, ge=1, le=1000)
+    cable_length: float | None = option("Real length [m]", None, gt=0)
+    cable_density: float | None = option("Real density [kg/m]", None, ge=0)
+    stiffness: float | None = option("Of position loops [N/m]", None, gt=0)
+
+
+class ExportKeys(Keys):
+    """Every plan is exported."""
+
+    format: str = option("Name of the format", examples=["skybrush"])
+
+
+def _as_list(value: object) -> object:
+    return {"list": value} if isinstance(value, list) else value
+
+
+class StudyKeys(Keys):
+    """A study: problems, parameters, and what is done with each of their combinations."""
+
+    title: str = option("Title of the study", "", max_length=MAX_TITLE)
+    problem: Any = option(
+        "Path of a problem file, a list of paths, or a problem itself", examples=["triangle.yaml"]
+    )
+    parameters: dict[str, Annotated[ParameterKeys, BeforeValidator(_as_list)]] = option(
+        "What values a key takes; by its path in the problem file, or in this one",
+        default_factory=dict,
+    )
+    samples: int = option("Of what is drawn", 1, ge=1, le=MAX_SAMPLES)
+    seed: int = option("Seed of what is drawn", 0, ge=0)
+    limit: float = option("Time limit of a plan [s]", 600.0, gt=0)
+    simulate: SimulateKeys | None = option("Simulated flights", None)
+    settle: SettleKeys | None = option("Statics", None)
+    export: ExportKeys | None = option("Files for fleets", None)
+
+
 @dataclass(frozen=True, eq=False)
 class Study(OneLine):
     """Problems, parameters, and what is done with every combination of them.
 
-    Parameters
+    Attributes
     ----------
+    keys: of the study file.
     problems: name of each, and its keys as in a problem file.
-    parameters: parameters, by key path in the problem or in this study's own sections.
-    samples: number of samples of parameters that are drawn.
-    seed: of these samples.
-    limit: time limit of every plan [s].
-    simulate, settle, export: keys of these sections of a study file, or None.
-    title: title.
+    parameters: parameters, by key path in the problem or in the study's own sections.
     drawings: outlines of the drawings that parameters ``objects.NAME.file`` name, by file.
     """
 
+    keys: StudyKeys
     problems: tuple[tuple[str, dict[str, Plain]], ...]
-    parameters: tuple[Parameter, ...] = ()
-    samples: int = 1
-    seed: int = 0
-    limit: float = 600.0
-    simulate: Section | None = None
-    settle: Section | None = None
-    export: Section | None = None
-    title: str = ""
-    drawings: Mapping[str, Plain] = field(default_factory=dict)
-    _points: list[Point] = field(default_factory=list, repr=False)
-
-    def __post_init__(self) -> None:
-        self._points.extend(points(self.parameters, self.samples, self.seed))
+    parameters: tuple[Parameter, ...]
+    drawings: Mapping[str, Plain]
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
+        found = points(self.parameters, self.keys.samples, self.keys.seed)
         for name, problem in self.problems:
-            for point in self._points:
+            for point in found:
                 yield from self._cases_at(name, problem, point)
 
     def _cases_at(self, name: str, problem: Mapping[str, Plain], point: Point) -> Iterator[Case]:
-        sections = {key: getattr(self, key) for key in ("simulate", "settle", "export")}
-        own = {key: keys for key, keys in sections.items() if keys is not None}
-        whole = with_values({**problem, **own}, self._outlined(point))
-        done: dict[str, Any] = {key: whole.pop(key, None) for key in sections}
-        flown = done["simulate"]
+        sections = {key: getattr(self.keys, key) for key in SECTIONS}
+        own = {key: keys.model_dump() for key, keys in sections.items() if keys is not None}
+        outlined: Point = {}  # with outlines in place of drawings, as problems have them
+        for path, value in point.items():
+            if _names_drawing(path) and isinstance(value, str):
+                outlined[path.removesuffix("file") + "outline"] = self.drawings.get(value, value)
+            else:
+                outlined[path] = value
+        whole = with_values({**problem, **own}, outlined)
+        done: dict[str, Any] = {key: whole.pop(key, None) for key in SECTIONS}
         seeds: list[int | None] = [None]
-        if isinstance(flown, dict):
-            first, count = flown["seed"], flown["seeds"]
-            seeds = list(range(first, first + count))
+        if isinstance(flown := done["simulate"], dict):
+            seeds = list(range(flown["seed"], flown["seed"] + flown["seeds"]))
             done["simulate"] = {k: v for k, v in flown.items() if k not in {"seed", "seeds"}}
         for seed in seeds:
-            yield Case(name, point, whole, **done, seed=seed, limit=self.limit)
+            yield Case(name, point, whole, **done, seed=seed, limit=self.keys.limit)
 
-    def _outlined(self, point: Point) -> Point:
-        """Return a point with outlines in place of drawings, as problems have them."""
-        made: Point = {}
-        for key, value in point.items():
-            if names_drawing(key) and isinstance(value, str):
-                made[key.removesuffix("file") + "outline"] = self.drawings.get(value, value)
-            else:
-                made[key] = value
-        return made
-
-    def check(self, keys_of: Callable[[str, Plain], Section]) -> None:
+    def check(self) -> None:
         """Raise InputError for paths and values that no problem or section can have.
 
         Every listed value is tried by itself; drawn ones at their first sample.
-
-        Parameters
-        ----------
-        keys_of: checks the keys of a section of the study, by name.
         """
         from hitchopt.mission.loading import any_problem_from_dict
 
-        if not self._points:
-            return
-        trials = [self._points[0]]
+        first = points(self.parameters, self.keys.samples, self.keys.seed)[0]
+        trials = [first]
         for p in self.parameters:
             if isinstance(p, Listed):
-                trials += [{**self._points[0], p.key: value} for value in p.values[1:]]
-            section = key_parts(p.key)[0]
-            if section in {"simulate", "settle", "export"} and getattr(self, str(section)) is None:
+                trials += [{**first, p.key: value} for value in p.values[1:]]
+            section = str(key_parts(p.key)[0])
+            if section in SECTIONS and getattr(self.keys, section) is None:
                 remedy = f"add {section}: to the study"
                 raise InputError(f"parameters.{p.key}", section, "a section of the study", remedy)
         for _, problem in self.problems:
             for point in trials:
                 case = next(self._cases_at("", problem, point))
                 any_problem_from_dict(case.problem)
-                for name in ("simulate", "settle", "export"):
-                    if getattr(case, name) is not None:
-                        keys_of(name, getattr(case, name))
+                done = {key: keys for key in SECTIONS if (keys := getattr(case, key)) is not None}
+                _checked({"problem": "", **done})
 
 
-def names_drawing(key: str) -> bool:
+def _names_drawing(key: str) -> bool:
     """Return whether a key path is that of an object's drawing."""
     parts = key_parts(key)
     return parts[0] == "objects" and parts[-1] == "file"
 
 
-@cache
-def versions(simulated: bool) -> dict[str, str]:
-    """Return the versions that a row depends on, by package."""
-    names = (*LIBRARIES, SIMULATOR) if simulated else LIBRARIES
-    return {name: _version(name) for name in names}
+def load_study(path: str | Path) -> Study:
+    """Return the study in the YAML file at ``path``; problem files are relative to it.
+
+    Raises
+    ------
+    FileError: a file that cannot be read.
+    InputError: keys, types or values that are wrong, or a problem that is.
+    """
+    data = read_yaml(path)
+    if not isinstance(data, dict):
+        raise FileError(f"{path}: a study is a mapping with the keys problem and parameters")
+    return study_from_dict(data, Path(path).parent)
 
 
-def _version(name: str) -> str:
+def study_from_dict(data: Mapping[str, object], directory: str | Path = ".") -> Study:
+    """Return the study that ``data`` describes with the keys of a study file.
+
+    Problem files are relative to ``directory``.
+
+    Raises
+    ------
+    FileError, InputError: as ``load_study``.
+    """
+    values, folder = plain(data), Path(directory)
+    keys = _checked(values)
+    assert isinstance(values, dict)
+    parameters = tuple(each.parameter(key) for key, each in keys.parameters.items())
+    drawn = [p for p in parameters if isinstance(p, Listed) and _names_drawing(p.key)]
+    files = [value for p in drawn for value in p.values if isinstance(value, str)]
+    drawings = {file: _outline(folder / file) for file in files}
+    study = Study(keys, tuple(_problems(values["problem"], folder)), parameters, drawings)
+    study.check()
+    return study
+
+
+def _checked(values: Plain) -> StudyKeys:
+    """Return the keys of a study; raises InputError for what is wrong."""
     try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return ""
+        return StudyKeys.model_validate(values)
+    except ValidationError as error:
+        raise translated(error, StudyKeys) from None
+
+
+def _problems(given: Plain, directory: Path) -> list[tuple[str, dict[str, Plain]]]:
+    """Return the name and the mapping of every problem."""
+    if isinstance(given, dict):
+        return [("problem", _with_outlines(given, directory))]
+    files = given if isinstance(given, list) else [given]
+    if not files:
+        raise InputError("problem", [], "at least one problem", "name a problem file")
+    found = []
+    for i, file in enumerate(files):
+        if not isinstance(file, str) or not file:
+            key = f"problem[{i}]" if isinstance(given, list) else "problem"
+            raise InputError(key, file, "the path of a problem file", "write triangle.yaml")
+        data = read_yaml(directory / file)
+        if not isinstance(data, dict):
+            raise FileError(f"{directory / file}: is no problem file")
+        found.append((Path(file).stem, _with_outlines(data, (directory / file).parent)))
+    return found
+
+
+def _with_outlines(problem: dict[str, Plain], folder: Path) -> dict[str, Plain]:
+    """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
+
+    Workers elsewhere need no drawings then, and digests depend on what these show.
+    """
+    objects = problem.get("objects")
+    if not isinstance(objects, dict):
+        return problem
+    inlined = dict(objects)
+    for name, each in objects.items():
+        if isinstance(each, dict) and isinstance(file := each.get("file"), str):
+            rest = {key: value for key, value in each.items() if key != "file"}
+            inlined[name] = rest | {"outline": _outline(folder / file)}
+    return problem | {"objects": inlined}
+
+
+def _outline(path: Path) -> Plain:
+    from hitchopt.outlines.outline_file import object_outline  # heavy: readers of drawings
+
+    found: Plain = object_outline(path).tolist()
+    return found

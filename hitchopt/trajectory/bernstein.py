@@ -61,16 +61,6 @@ def evaluate(coefficients: Array, x: Array | float) -> Array:
     return values
 
 
-def evaluate_at(coefficients: Array, index: Indices, order: int) -> Array:
-    """Return the values at ``index / order``, where coefficients of degree ``order`` belong.
-
-    As of ``evaluate``, in a part of the time.
-    """
-    weights = _basis_at(order, degree(coefficients))[index]
-    values: Array = np.einsum("...i,...i->...", coefficients, weights)
-    return values
-
-
 def differentiate(coefficients: Array) -> Array:
     """Return the derivative by the local parameter; a constant's is a constant zero."""
     order = degree(coefficients)
@@ -212,12 +202,6 @@ def interpolate(values: Array) -> Array:
 
 
 @lru_cache
-def interpolation_error(order: int) -> float:
-    """Return by how much coefficients of ``interpolate`` may err, relative to the values."""
-    return float(np.max(np.sum(np.abs(_interpolation(order)), axis=1))) * 2.0**-48
-
-
-@lru_cache
 def nodes(order: int) -> Array:
     """(order + 1,): Chebyshev points of the second kind on [0, 1], ends included."""
     if order == 0:
@@ -241,12 +225,6 @@ def elevation(order: int, target: int) -> Array:
         for i in range(max(0, j - target + order), min(order, j) + 1):
             matrix[j, i] = comb(order, i) * comb(target - order, j - i) / comb(target, j)
     return _frozen(matrix)
-
-
-@lru_cache
-def _basis_at(parts: int, order: int) -> Array:
-    """(parts + 1, order + 1): the basis at equal distances."""
-    return _frozen(basis(np.arange(parts + 1) / max(1, parts), order))
 
 
 @lru_cache

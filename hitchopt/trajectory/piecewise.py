@@ -12,8 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError
-from hitchopt.one_line import OneLine
+from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.jet_weights import jet_weights, places
 from hitchopt.values import Array, as_array

@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError, UnsupportedError
-from hitchopt.view.house_colours import facts
+from hitchopt.values import Array
 from hitchopt.view.painter import Camera, Painter
-from hitchopt.view.scene import Scene, extent_points
-
-SUFFIXES = (".gif", ".mp4")
+from hitchopt.view.scene import Scene
+from hitchopt.view.style import draw_lines, facts
 
 SIZE, DOTS = (12.8, 7.2), 100
 """Size of a frame [in], and its resolution [1/in]."""
@@ -59,7 +58,7 @@ def save_film(
 
     kind = path.suffix.lower()
     rate = RATES[kind]
-    options: dict[str, Any] = {"fps": rate, "macro_block_size": 8} if kind == ".mp4" else {}
+    options: dict[str, Any] = {"fps": rate, "macro_block_size": 8}
     if kind == ".gif":
         options = {"duration": 1000.0 / rate, "loop": 0}
     times = np.arange(int(np.ceil(scene.t[-1] * rate)) + 1) / rate
@@ -86,33 +85,31 @@ def check_film(path: Path) -> None:
     InputError: another ending than .gif or .mp4.
     UnsupportedError: a required package is not installed.
     """
-    if path.suffix.lower() not in SUFFIXES:
+    kind = path.suffix.lower()
+    if kind not in RATES:
         raise InputError("film", str(path), "a name in .gif or .mp4", "such as flight.mp4")
-    needed = ("imageio", "imageio_ffmpeg") if path.suffix.lower() == ".mp4" else ("imageio",)
-    for name in needed:
+    for name in ("imageio", "imageio_ffmpeg") if kind == ".mp4" else ("imageio",):
         if find_spec(name) is None:
             words = f"{path}: needs {name}, which is not installed; pip install 'hitchopt[view]'"
             raise UnsupportedError(words)
 
 
-def frames(scene: Scene, times: NDArray[np.float64], title: str) -> Iterator[NDArray[np.uint8]]:
+def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]]:
     """Yield a frame (720, 1280, 3) for every time [s]."""
     camera = Camera.toward(AZIMUTH, ELEVATION)
     figure: Any = Figure(SIZE, dpi=DOTS)
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
-    seen = camera.seen(extent_points(scene))[..., :2]
+    seen = camera.seen(scene.extent_points)[..., :2]
     lower, upper = np.min(seen, axis=(0, 1)) - MARGIN, np.max(seen, axis=(0, 1)) + MARGIN
     height = max(upper[1] - lower[1], (upper[0] - lower[0]) * SIZE[1] / SIZE[0]) / (1.0 - HEAD)
     width = height * SIZE[0] / SIZE[1]
-    middle = 0.5 * (lower[0] + upper[0])
-    bottom = 0.5 * (lower[1] + upper[1]) - 0.5 * height * (1.0 - HEAD)
+    middle, bottom = 0.5 * (lower + upper) - [0.0, 0.5 * height * (1.0 - HEAD)]
     axes.set_xlim(middle - 0.5 * width, middle + 0.5 * width)
     axes.set_ylim(bottom, bottom + height)
-    axes.add_collection(_ground(scene, camera))
-    reach = scene.motion.requirements.separation.radius
-    size = max(1.0, SMALL * height / reach)
+    draw_lines(axes, camera.seen(_ground(scene))[..., :2], "0.9", 0.7, 1)
+    size = max(1.0, SMALL * height / scene.motion.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, THIN * height), size)
     # Edges of the faces' colour close the seams between them.
     shapes: Any = PolyCollection([], linewidths=0.3, edgecolors="face", zorder=2)
@@ -131,18 +128,18 @@ def frames(scene: Scene, times: NDArray[np.float64], title: str) -> Iterator[NDA
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
-def _ground(scene: Scene, camera: Camera) -> LineCollection:
-    """Return a grid of lines on the ground, well beyond all paths."""
+def _ground(scene: Scene) -> Array:
+    """Return the lines (m, 2, 3) [m] of a grid on the ground, well beyond all paths."""
     lower, upper = np.min(scene.drones, axis=(0, 1)), np.max(scene.drones, axis=(0, 1))
     extent = float(np.max(upper - lower))
     step = 10.0 ** np.round(np.log10(max(extent, 1.0) / 6.0))
-    ends = [np.floor((lower[:2] - 3 * extent) / step), np.ceil((upper[:2] + 3 * extent) / step)]
-    lines = []
-    for axis in (0, 1):
-        along = step * np.arange(ends[0][axis], ends[1][axis] + 1)
-        line = np.full((len(along), 2, 3), scene.motion.requirements.floor)
-        line[:, :, axis] = along[:, None]
-        line[:, :, 1 - axis] = step * np.array([ends[0][1 - axis], ends[1][1 - axis]])
-        lines.append(line)
-    seen = camera.seen(np.concatenate(lines))[..., :2]
-    return LineCollection(list(seen), colors="0.9", linewidths=0.7, zorder=1)
+    (left, front), (right, back) = (
+        step * np.floor((lower[:2] - 3 * extent) / step),
+        step * np.ceil((upper[:2] + 3 * extent) / step),
+    )
+    floor = scene.motion.requirements.floor
+    lines = [[[x, front, floor], [x, back, floor]] for x in np.arange(left, right + step / 2, step)]
+    lines += [
+        [[left, y, floor], [right, y, floor]] for y in np.arange(front, back + step / 2, step)
+    ]
+    return np.array(lines)

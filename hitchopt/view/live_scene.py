@@ -1,4 +1,4 @@
-"""A scene drawn in viser: its drones, cables and surroundings at one moment after the other."""
+"""A scene drawn in viser: drones, cables and what stands around, one moment after the other."""
 
 from __future__ import annotations
 
@@ -7,28 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch.layout import Layout
 from hitchopt.values import Array
-from hitchopt.view.cable_curves import CLASPS
-from hitchopt.view.drone_shape import SPAN, Triangles, drone_shape
-from hitchopt.view.house_colours import (
-    MARK_COLOUR,
-    cable_colours,
-    drone_colours,
-    object_colours,
-)
-from hitchopt.view.live_surroundings import add_surroundings
-from hitchopt.view.object_shape import object_shape
-from hitchopt.view.path_segments import path_segments
+from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import Concerned, Moment, Scene
-from hitchopt.view.viser_arrays import (
-    as_bytes,
-    faded,
-    in_linear_light,
-    per_segment,
-    segments,
-    single,
-)
+from hitchopt.view.shapes import SPAN, drone_faces, mesh, object_faces, slab_faces, sphere_faces
+from hitchopt.view.style import MARK_COLOUR, cable_colours, drone_colours, object_colours
 
 Server = Any
 """A viser server; viser is imported only where it is used."""
@@ -45,17 +28,20 @@ PALE = (150, 156, 162)
 GHOSTLY = 0.4
 """Opacity of objects of a ghost, or of an old plan."""
 
-PATH_POINTS = 60_000
-"""Largest number of samples of all paths."""
+FADED, COLOUR_LEFT = (205, 208, 211), 0.2
+"""Grey that old plans tend to, and the share of their own colour that is left."""
 
 PATH_TOLERANCE = 0.002
-"""Largest distance of a drawn path to its samples [m]; from 1.5 m a pixel is about as much."""
+"""Distance of a drawn path to the drone's [m] that its segments aim at: from 1.5 m a pixel is about
+as much, and browsers that draw by software are slow with many segments."""
 
 PATH_WIDTH = 1.2
 """Width of a path [pixels]: thinner ones are drawn with gaps."""
 
-UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0], np.float32)
-"""Attitude of what is not turned."""
+ARENA_COLOUR, KEEP_OUT_COLOUR = (203, 203, 203), (179, 38, 30)
+
+EDGE = 0.006
+"""Thickness of the arena's edges [m]."""
 
 SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
 
@@ -73,45 +59,41 @@ class LiveScene:
 
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:
         self.scene, self._api, self._name, self._ghost = scene, server.scene, name, ghost
-        self._marked = Concerned()
+        self._marked, self._pale = Concerned(), False
         self.shown: dict[str, bool] = {}
-        motion = scene.motion
-        team, separation = motion.team, motion.requirements.separation
+        team, separation = scene.motion.team, scene.motion.requirements.separation
         self._moment = scene.at(0.0)
-        self._size = SPAN * separation.radius
-        colours = as_bytes(drone_colours(team)) if not ghost else None
-        self._drones = self._add_drones(separation.radius, colours)
-        self._cable_colours = as_bytes(cable_colours(team.robots))
+        self._cable_colours = _as_bytes(cable_colours(team.robots))
         if ghost:
             self._cable_colours = np.tile(np.array(PALE, np.uint8), (team.robots, 1))
+        self._drones = self._add_drones(separation.radius)
+        self._bright = [np.array(batch.batched_colors) for batch in self._drones]
         self._cables = self._lines(
-            "cables", segments(self._moment.cables), thickness=2.0 * scene.radius
+            "cables", _segments(self._moment.cables), self._cable_colours, 2.0 * scene.radius
         )
         self._objects = self._add_objects()
-        self._bright = [(batch, np.array(batch.batched_colors)) for batch in self._drones]
-        self._pale = False
-        if ghost:
-            self.show(0.0)
-            return
-        sphere = _sphere()
-        ellipsoid = (separation.radius, separation.radius, separation.height)
-        self._shells = self._batch(
-            "ellipsoids", Triangles(sphere.vertices * ellipsoid, sphere.faces), (42, 140, 130), 0.15
-        )
-        marks = Triangles(1.5 * self._size * sphere.vertices, sphere.faces)
-        self._marks = self._batch("marks", marks, MARK_COLOUR, 0.5, count=1)
-        self._arrows = {
-            "forces": self._arrow("forces", (200, 65, 79)),
-            "thrusts": self._arrow("thrusts", (11, 60, 93)),
-        }
-        self._paths = self._lines("paths", *_paths(scene), thickness=PATH_WIDTH, units="screen")
-        self._labels = [
-            self._api.add_label(f"{name}names/{drone}", drone, position=tuple(place))
-            for drone, place in zip(team.drone_names, self._moment.drones, strict=True)
-        ]
-        add_surroundings(self._api, name, scene)
-        few = len(team.drone_names) <= MOST_NAMED
-        self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
+        if not ghost:
+            axes = [separation.radius, separation.radius, separation.height]
+            self._shells = self._batch("ellipsoids", sphere_faces(axes), (42, 140, 130), 0.15)
+            reach = sphere_faces(1.5 * SPAN * separation.radius)
+            self._marks = self._batch("marks", reach, MARK_COLOUR, 0.5, count=1)
+            points = np.repeat(self._moment.drones[:, None], 2, axis=1)
+            self._arrows = {
+                kind: self._lines(
+                    kind, points, np.tile(np.array(colour, np.uint8), (len(points), 1))
+                )
+                for kind, colour in (("forces", (200, 65, 79)), ("thrusts", (11, 60, 93)))
+            }
+            ends, owners = path_segments(np.moveaxis(scene.drones, 1, 0), PATH_TOLERANCE)
+            pale = (0.5 * _as_bytes(drone_colours(team)) + 120.0).astype(np.uint8)
+            self._paths = self._lines("paths", ends, pale[owners], PATH_WIDTH, "screen")
+            self._labels = [
+                self._api.add_label(f"{name}names/{drone}", drone, position=tuple(place))
+                for drone, place in zip(team.drone_names, self._moment.drones, strict=True)
+            ]
+            self._add_surroundings()
+            few = len(team.drone_names) <= MOST_NAMED
+            self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
         self.show(0.0)
 
     def show(self, time: float) -> None:
@@ -119,13 +101,13 @@ class LiveScene:
         self._moment = moment = self.scene.at(time)
         turns = moment.quaternions / np.linalg.norm(moment.quaternions, axis=-1, keepdims=True)
         for batch in self._drones:
-            batch.batched_positions, batch.batched_wxyzs = single(moment.drones), single(turns)
+            batch.batched_positions, batch.batched_wxyzs = _single(moment.drones), _single(turns)
         if self.scene.motion.team.has_cables:
-            self._cables.points = segments(moment.cables)
+            self._cables.points = _segments(moment.cables)
         for solid, pose in zip(self._objects, moment.objects, strict=True):
             solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
         if not self._ghost:
-            self._show_switched(moment, turns)
+            self._show_switched(moment)
             self._show_marks(moment)
 
     def remove(self) -> None:
@@ -135,7 +117,7 @@ class LiveScene:
     def switch(self, name: str, *, on: bool) -> None:
         """Show or hide paths, ellipsoids, forces, thrusts or names."""
         self.shown[name] = on
-        self._show_switched(self._moment, self._moment.quaternions)
+        self._show_switched(self._moment)
 
     def mark(self, marked: Concerned) -> None:
         """Highlight drones, cables and vertices."""
@@ -143,7 +125,7 @@ class LiveScene:
         colours = faded(self._cable_colours) if self._pale else self._cable_colours.copy()
         colours[list(marked.cables)] = MARK_COLOUR
         if len(colours):
-            self._cables.colors = in_linear_light(per_segment(colours, self._moment.cables))
+            self._cables.colors = self._per_segment(colours, len(self._cables.points))
         self._show_marks(self._moment)
 
     def fade(self, *, on: bool) -> None:
@@ -151,19 +133,14 @@ class LiveScene:
         if on == self._pale:
             return
         self._pale = on
-        for batch, colours in self._bright:
+        for batch, colours in zip(self._drones, self._bright, strict=True):
             batch.batched_colors = faded(colours) if on else colours.copy()
         for solid in self._objects:
             solid.opacity = GHOSTLY if on else None
         self.mark(self._marked)
-        self._show_switched(self._moment, self._moment.quaternions)
+        self._show_switched(self._moment)
 
-    def vertex_places(self) -> Array:
-        """Return where the bends of clasps are drawn now (clasps, 3) [m]."""
-        layout: Layout = self.scene.motion.team.layout
-        return np.asarray(self._moment.cables[layout.ahead, CLASPS[0]])
-
-    def _show_switched(self, moment: Moment, turns: Array) -> None:
+    def _show_switched(self, moment: Moment) -> None:
         self._shells.visible = self.shown["downwash ellipsoids"]
         self._paths.visible = self.shown["paths"] and not self._pale
         for label, place in zip(self._labels, moment.drones, strict=True):
@@ -171,8 +148,8 @@ class LiveScene:
             if label.visible:
                 label.position = tuple(place)
         if self._shells.visible:
-            self._shells.batched_positions = single(moment.drones)
-        w, x, y, z = np.moveaxis(turns, -1, 0)
+            self._shells.batched_positions = _single(moment.drones)
+        w, x, y, z = np.moveaxis(moment.quaternions, -1, 0)
         up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
         vectors = {"forces": moment.cable_forces, "thrusts": moment.thrusts[:, None] * up}
         for name, vector in vectors.items():
@@ -180,101 +157,150 @@ class LiveScene:
             arrow.visible = self.shown[name]
             if arrow.visible:
                 ends = [moment.drones, moment.drones + NEWTON * vector]
-                arrow.points = np.stack(ends, axis=1).astype(np.float32)
+                arrow.points = _single(np.stack(ends, axis=1))
 
     def _show_marks(self, moment: Moment) -> None:
+        """Draw a ball about every drone and every clasp that is marked."""
         layout = self.scene.motion.team.layout
-        clasps = np.isin(layout.clasps, self._marked.vertices)
-        places = [moment.drones[list(self._marked.drones)]]
-        if np.any(clasps):
-            places.append(self.vertex_places()[clasps])
-        points = np.concatenate(places)
+        clasps = moment.cables[layout.ahead, CLASPS[0]]
+        marked = clasps[np.isin(layout.clasps, self._marked.vertices)]
+        points = np.concatenate([moment.drones[list(self._marked.drones)], marked])
         self._marks.visible = len(points) > 0
         if len(points):
-            self._marks.batched_positions = single(points)
-            self._marks.batched_wxyzs = np.tile(UPRIGHT, (len(points), 1))
+            self._marks.batched_positions = _single(points)
+            self._marks.batched_wxyzs = _upright(len(points))
 
-    def _add_drones(self, radius: float, colours: NDArray[np.uint8] | None) -> list[Any]:
-        shape = drone_shape(radius)
-        if colours is None:
-            parts = (shape.frame, shape.rotors)
+    def _add_drones(self, radius: float) -> list[Any]:
+        team, (frame, rotors, rims) = self.scene.motion.team, drone_faces(radius)
+        if self._ghost:
+            parts = (frame, rotors)
             return [self._batch(f"drones/{i}", part, PALE, 0.5) for i, part in enumerate(parts)]
-        open_rotors = np.array([name[0] == "r" for name in self.scene.motion.team.drone_names])
-        fills = np.where(open_rotors[:, None], np.uint8(255), colours)
+        colours = _in_linear_light(_as_bytes(drone_colours(team)))
+        hollow = np.array([name[0] == "r" for name in team.drone_names])[:, None]
         return [
-            self._batch("drones/frame", shape.frame, (43, 47, 51)),
-            self._batch("drones/rotors", shape.rotors, fills),
-            self._batch("drones/rims", shape.rims, colours),
+            self._batch("drones/frame", frame, (43, 47, 51)),
+            self._batch("drones/rotors", rotors, np.where(hollow, np.uint8(255), colours)),
+            self._batch("drones/rims", rims, colours),
         ]
 
     def _add_objects(self) -> list[Any]:
         motion = self.scene.motion
-        bodies, colours = motion.requirements.objects, as_bytes(object_colours(motion))
-        meshes = [object_shape(body) for body in bodies.values()]
+        colours = _as_bytes(object_colours(motion)).tolist()
+        look: dict[str, Any] = {"flat_shading": True, "side": "double", "cast_shadow": False}
+        if self._ghost:
+            look["opacity"], colours = GHOSTLY, [PALE] * len(colours)
         return [
             self._api.add_mesh_simple(
-                f"{self._name}objects/{name}", mesh.vertices.astype(np.float32),
-                mesh.faces.astype(np.uint32), color=PALE if self._ghost else tuple(colour.tolist()),
-                opacity=GHOSTLY if self._ghost else None, flat_shading=True, side="double",
-                cast_shadow=False,
+                f"{self._name}objects/{name}",
+                *mesh(object_faces(body)),
+                color=tuple(colour),
+                **look,
             )
-            for name, mesh, colour in zip(bodies, meshes, colours, strict=True)
-        ]  # fmt: skip
+            for (name, body), colour in zip(
+                motion.requirements.objects.items(), colours, strict=True
+            )
+        ]
+
+    def _add_surroundings(self) -> None:
+        """Add ground, arena and keep-outs."""
+        requirements, drones = self.scene.motion.requirements, self.scene.drones
+        lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
+        size, middle = 2.0 * float(np.max(upper - lower)) + 2.0, 0.5 * (lower + upper)
+        cell = 10.0 ** np.round(np.log10(size / 10.0))
+        self._api.add_grid(
+            f"{self._name}ground", size, size, plane="xy", cell_size=cell, section_size=5.0 * cell,
+            position=(middle[0], middle[1], requirements.floor), cell_color=(205, 209, 213),
+            section_color=(175, 180, 186),
+        )  # fmt: skip
+        if requirements.arena is not None:
+            ends = np.array([requirements.arena.lower, requirements.arena.upper])
+            corners = [[0, 0, 0], [1, 1, 0], [0, 1, 1], [1, 0, 1]]
+            edges = [[a, [*a[:i], 1 - a[i], *a[i + 1 :]]] for a in corners for i in range(3)]
+            box = ends[np.array(edges), np.arange(3)]
+            shades = np.tile(np.array(ARENA_COLOUR, np.uint8), (len(box), 1))
+            self._lines("arena", box, shades, EDGE)
+        for i, prism in enumerate(requirements.keep_out):
+            self._api.add_mesh_simple(
+                f"{self._name}keep_out/{i}", *mesh(slab_faces(prism.slab)), color=KEEP_OUT_COLOUR,
+                opacity=0.25, side="double", cast_shadow=False,
+            )  # fmt: skip
 
     def _batch(
-        self, name: str, mesh: Triangles, colours: Any, opacity: float | None = None, count: int = 0
+        self, name: str, faces: Array, colours: Any, opacity: float | None = None, count: int = 0
     ) -> Any:
+        """Add one shape at the places of all drones, or of the first ones."""
         places = self._moment.drones[: count or None]
         return self._api.add_batched_meshes_simple(
-            f"{self._name}{name}",
-            mesh.vertices.astype(np.float32),
-            mesh.faces.astype(np.uint32),
-            np.tile(UPRIGHT, (len(places), 1)),
-            single(places),
-            batched_colors=in_linear_light(colours) if isinstance(colours, np.ndarray) else colours,
-            opacity=opacity,
-            lod="off",
-            side="double",
-            cast_shadow=False,
+            f"{self._name}{name}", *mesh(faces), _upright(len(places)), _single(places),
+            batched_colors=colours, opacity=opacity, lod="off", side="double", cast_shadow=False,
             receive_shadow=False,
-        )
+        )  # fmt: skip
 
     def _lines(
-        self, name: str, points: Any, colours: Any = None, thickness: float = 0.01,
+        self, name: str, points: NDArray[Any], colours: NDArray[np.uint8], thickness: float = 0.01,
         units: str = "world",
     ) -> Any:  # fmt: skip
-        if colours is None:
-            colours = per_segment(self._cable_colours, self._moment.cables)
+        """Add segments (m, 2, 3) [m]; every colour is that of equally many."""
+        shades = self._per_segment(colours, len(points))
         return self._api.add_line_segments(
-            f"{self._name}{name}", single(points), in_linear_light(colours), thickness=thickness,
+            f"{self._name}{name}", _single(points), shades, thickness=thickness,
             thickness_units=units,
         )  # fmt: skip
 
-    def _arrow(self, name: str, colour: tuple[int, int, int]) -> Any:
-        points = np.repeat(self._moment.drones[:, None], 2, axis=1)
-        shades = np.tile(np.array(colour, np.uint8), (*points.shape[:2], 1))
-        return self._lines(name, points, shades)
+    def _per_segment(self, colours: NDArray[np.uint8], count: int) -> NDArray[np.uint8]:
+        """Return colours (count, 2, 3), each for equally many segments."""
+        each = count // max(len(colours), 1)
+        return np.repeat(np.repeat(_in_linear_light(colours), each, axis=0)[:, None], 2, axis=1)
 
 
-def _paths(scene: Scene) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Return the segments of the drones' paths and their colours, (m, 2, 3) each."""
-    drones = scene.drones
-    stride = max(1, drones.shape[0] * drones.shape[1] // PATH_POINTS)
-    ends, owners = path_segments(np.moveaxis(drones[::stride], 1, 0), PATH_TOLERANCE)
-    pale = 0.5 * as_bytes(drone_colours(scene.motion.team)) + 120.0
-    return single(ends), np.repeat(pale.astype(np.uint8)[owners][:, None], 2, axis=1)
+def path_segments(curves: Array, tolerance: float) -> tuple[Array, NDArray[np.intp]]:
+    """Return segments along smooth curves (m, 2, 3) [m], and the curve that each belongs to (m,).
+
+    Over k equal steps a curve whose second differences are d is off its chord by k² d / 8, by which
+    its samples are chosen.
+
+    Parameters
+    ----------
+    curves: samples (n, points, 3) [m], at least two of each.
+    tolerance: distance of the curve to its segments [m].
+    """
+    bent = np.linalg.norm(np.diff(curves, n=2, axis=1), axis=-1)
+    passed = np.cumsum(np.sqrt(bent / (8.0 * tolerance)), axis=1)
+    chosen = np.ones(curves.shape[:2], np.bool_)
+    chosen[:, 1:-1] = np.diff(np.floor(passed), axis=1, prepend=0.0) > 0.0
+    owners, places = np.nonzero(chosen)
+    points, same = curves[owners, places], owners[1:] == owners[:-1]
+    return np.stack([points[:-1], points[1:]], axis=1)[same], owners[1:][same]
 
 
-def _sphere() -> Triangles:
-    """Return a unit sphere."""
-    rows, columns = 9, 16
-    polar, around = np.meshgrid(
-        np.linspace(0.0, np.pi, rows), np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False),
-        indexing="ij",
-    )  # fmt: skip
-    points = [np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)]
-    i, j = np.meshgrid(np.arange(rows - 1), np.arange(columns), indexing="ij")
-    a, b = i * columns + j, i * columns + (j + 1) % columns
-    faces = [np.stack([a, a + columns, b], -1), np.stack([b, a + columns, b + columns], -1)]
-    vertices = np.stack(points, axis=-1).reshape(-1, 3)
-    return Triangles(vertices, np.concatenate(faces).reshape(-1, 3).astype(np.int32))
+def faded(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return colours of which little is left, before the grey of what does not count any more."""
+    mixed = COLOUR_LEFT * colours + (1.0 - COLOUR_LEFT) * np.array(FADED)
+    return np.rint(mixed).astype(np.uint8)
+
+
+def _single(values: Array) -> NDArray[np.float32]:
+    """Return values in single precision, one after the other in memory."""
+    return np.ascontiguousarray(values, dtype=np.float32)
+
+
+def _upright(count: int) -> NDArray[np.float32]:
+    """Return the attitudes (count, 4) of what is not turned."""
+    return np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1))
+
+
+def _segments(curves: Array) -> NDArray[np.float32]:
+    """Return the segments (m, 2, 3) of curves (n, points, 3)."""
+    return _single(np.stack([curves[:, :-1], curves[:, 1:]], axis=2).reshape(-1, 2, 3))
+
+
+def _as_bytes(colours: tuple[str, ...]) -> NDArray[np.uint8]:
+    """Return colours such as #0b3c5d as bytes (…, 3)."""
+    return np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8).reshape(-1, 3)
+
+
+def _in_linear_light(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return colours in linear light: viser takes those of lines and batches to be."""
+    share = colours / 255.0
+    light = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return np.rint(255.0 * light).astype(np.uint8)

@@ -1,23 +1,30 @@
-"""A scene as flat polygons, the farthest first: what one direction shows of it.
+"""A scene as flat polygons, and a plan as a row of panels: the moments that matter, at one scale.
 
-Cables have pale edges, so that the one that passes over another is told apart in grey as well.
+Polygons are painted the farthest first. Cables have pale edges, so that the one that passes over
+another is told apart in grey as well.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba_array
+from matplotlib.gridspec import SubplotSpec
 from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch import Team
+from hitchopt.motion.motion import JOINT, CableState, Motion
 from hitchopt.values import Array
-from hitchopt.view.drone_shape import SEGMENTS, Triangles, drone_shape
-from hitchopt.view.house_colours import cable_colours, drone_colours, object_colours
-from hitchopt.view.object_shape import normals, object_shape, split
-from hitchopt.view.scene import Moment, Scene
+from hitchopt.view.scene import Moment, Scene, scene_at
+from hitchopt.view.shapes import SEGMENTS, drone_faces, normals, object_faces, split
+from hitchopt.view.style import cable_colours, draw_lines, drone_colours, object_colours
 
 CASING = 1.8
 """Width of a cable with its pale edges over that without."""
@@ -25,24 +32,53 @@ CASING = 1.8
 OVERLAP = 0.5
 """Length by which a cable's segments overlap, in its radii: bends have no gaps."""
 
-FRAME, OPEN, PAPER = "#2b2f33", "#ffffff", "#ffffff"
+FRAME, OPEN, SHADOW = "#2b2f33", "#ffffff", "#e4e7ea"
+"""Colours of drones' frames, of hollow rotors and of cables' edges, and of shadows."""
 
 FEWEST = 4
 """Least number of a rotor's corners."""
 
-SPECKS, PALER = 8, 0.5
-"""Step from which drones are a pixel or two wide, and the share of white in hollow ones then."""
-
-FLAT = np.array([1.0, 1.0, 0.0])
-"""Factors that leave of a direction what is seen."""
-
 SPLITS = 3
-"""How often the sides of an object's triangles are halved, so that near and far are told apart."""
+"""How often the sides of an object's faces are halved, so that near and far are told apart."""
 
 LIGHT, DARKEST = unit(np.array([-0.35, -0.55, 1.0])), 0.62
 """Direction toward the light, and the brightness of a face that is turned away from it."""
 
-SHADOW = "#e4e7ea"
+MOST = 9
+"""Largest number of panels; more would be too small to read."""
+
+FEW = 3
+"""Number of panels up to which there is space for another picture below them."""
+
+MANY, BESIDE = 30, 1
+"""Number of robots beyond which there is a panel of a few cables, and theirs on either side."""
+
+STEPS = {12: 1, MANY: 2, 100: 4, math.inf: 8}
+"""Step of the painter up to that number of robots: more are fewer pixels wide."""
+
+STILL = 1e-3
+"""Distance [m] that some drone is off its place in the panel before; else there is none."""
+
+LONGEST = 1e6
+"""Distance [m] beyond all that drones fly, by which some moments come before others."""
+
+AZIMUTH, ELEVATION = -115.0, 38.0
+"""Where panels are seen from [deg]."""
+
+THICKNESS = 0.011
+"""Radius of a drawn cable as a share of the extent: clasps show over and under in small panels."""
+
+NEAR_WIDTH = 0.5
+"""Share of the cables' drawn width that they have in the larger panel of a few cables."""
+
+MARGIN = 0.08
+"""Margin around everything as a share of a panel's height."""
+
+SMALL = 0.03
+"""Least reach of a drawn drone as a share of a panel's height, while there are few."""
+
+PATH_SAMPLES, PALE = 150, 0.45
+"""Number of points of a drone's path, and its opacity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +128,7 @@ class Painter:
     camera: from where.
     width: half of a cable's drawn width [m]; None for the scene's.
     size: factor of the drones' drawn sizes.
-    step: by which rotors and cables have fewer corners, 1, 2, 4 or SPECKS: few are enough if they
-        are small. Of drones that are SPECKS only the rotors are drawn, hollow ones paler.
+    step: by which rotors and cables have fewer corners: few are enough if they are small.
     """
 
     def __init__(
@@ -104,102 +139,230 @@ class Painter:
         size: float = 1.0,
         step: int = 1,
     ) -> None:
-        team: Team = scene.motion.team
-        self.camera, self.floor = camera, scene.motion.requirements.floor
-        self.width = scene.radius if width is None else width
+        motion, team = scene.motion, scene.motion.team
+        self.camera, self.step, self._floor = camera, step, motion.requirements.floor
+        self._width = scene.radius if width is None else width
         self.cables = to_rgba_array(cable_colours(team.robots))
-        self.step = step
-        radius = size * scene.motion.requirements.separation.radius
-        shape = drone_shape(radius, max(FEWEST, SEGMENTS // self.step))
-        own, specks = to_rgba_array(drone_colours(team)), step >= SPECKS
-        hollow = np.array([name[0] == "r" for name in team.drone_names])
-        open_fills = PALER * to_rgba_array(OPEN) + (1.0 - PALER) * own
-        fills = np.where(hollow[:, None], open_fills if specks else to_rgba_array(OPEN), own)
-        frame = np.broadcast_to(to_rgba_array(FRAME), own.shape)
-        bodies = scene.motion.requirements.objects.values()
-        self.objects = [split(_corners(object_shape(body)), SPLITS) for body in bodies]
+        radius = size * motion.requirements.separation.radius
+        frame, rotors, rims = drone_faces(radius, max(FEWEST, SEGMENTS // step))
+        own = to_rgba_array(drone_colours(team))
+        hollow = np.array([name[0] == "r" for name in team.drone_names])[:, None]
+        dark = np.broadcast_to(to_rgba_array(FRAME), own.shape)
+        fills = np.where(hollow, to_rgba_array(OPEN), own)
+        self._parts = ((frame, dark, True), (rotors, fills, False), (rims, own, False))
         # Objects stand on tables, and lie on cables, which are drawn thicker than they are.
-        self.backs = [
-            body.circumradius / 2**SPLITS if body.fixed else -2.0 * self.width for body in bodies
+        self._objects = [
+            (
+                split(object_faces(body), SPLITS),
+                fill,
+                body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width,
+            )
+            for body, fill in zip(
+                motion.requirements.objects.values(),
+                to_rgba_array(object_colours(motion)),
+                strict=True,
+            )
         ]
-        self.fills = to_rgba_array(object_colours(scene.motion))
-        rotors = (shape.rotors, fills, False)
-        whole = (shape.frame, frame, True), rotors, (shape.rims, own, False)
-        self.parts = (rotors,) if specks else whole
 
     def painted(self, moment: Moment) -> Painting:
         """Return a moment: shadows on the ground, then everything else, the farthest first."""
-        turns = Rotation.from_quat(moment.quaternions, scalar_first=True).as_matrix()
-        layers = []
-        for part, shades, solid in self.parts:
-            corners = np.einsum("dij,vj->dvi", turns, part.vertices) + moment.drones[:, None]
-            quads = self.camera.seen(corners)[:, part.quads].reshape(-1, 4, 3)
-            colours = np.repeat(shades, len(part.quads), axis=0)
-            if solid:
-                shown = normals(quads)[:, 2] > 0.0
-                quads, colours = quads[shown], colours[shown]
-            layers.append((quads, colours, 0.0))
-        layers += self._objects(moment)
+        layers = [*self._drones(moment), *self._bodies(moment)]
         cables = moment.cables[:, :: self.step]
         shades = np.repeat(self.cables, cables.shape[1] - 1, axis=0)
-        casing = np.broadcast_to(to_rgba_array(PAPER), shades.shape)
-        for width, longer, colour, back in (
-            (CASING * self.width, 0.0, casing, self.width),
-            (self.width, OVERLAP * self.width, shades, 0.0),
-        ):
-            layers.append((self._strips(cables, width, longer), colour, back))
-        polygons, colours, nearness = (
-            np.concatenate(column)
-            for column in zip(
-                *(
-                    (quads, shade, np.mean(quads[..., 2], axis=1) - back)
-                    for quads, shade, back in layers
-                ),
-                strict=True,
-            )
-        )
-        order = np.argsort(nearness, kind="stable")
-        ground = cables.copy()
-        ground[..., 2] = self.floor
-        shadows = self._strips(ground, self.width, 0.0)
+        casing = np.broadcast_to(to_rgba_array(OPEN), shades.shape)
+        longer = OVERLAP * self._width
+        layers += [
+            (self._strips(cables, CASING * self._width, 0.0), casing, self._width),
+            (self._strips(cables, self._width, longer), shades, 0.0),
+        ]
+        polygons = np.concatenate([faces for faces, _, _ in layers])
+        colours = np.concatenate([shade for _, shade, _ in layers])
+        nearness = [np.mean(faces[..., 2], axis=1) - back for faces, _, back in layers]
+        order = np.argsort(np.concatenate(nearness), kind="stable")
+        ground = cables * [1.0, 1.0, 0.0] + [0.0, 0.0, self._floor]
+        shadows = self._strips(ground, self._width, 0.0)
         dark = np.broadcast_to(to_rgba_array(SHADOW), (len(shadows), 4))
         return Painting(
             np.concatenate([shadows, polygons[order]])[..., :2],
             np.concatenate([dark, colours[order]]),
         )
 
-    def _objects(self, moment: Moment) -> list[tuple[Array, Array, float]]:
-        """Return the faces of objects that are seen, lit from above."""
+    def _drones(self, moment: Moment) -> list[tuple[Array, Array, float]]:
+        """Return faces as seen, their colours, and how far they are put back [m]."""
+        turns = Rotation.from_quat(moment.quaternions, scalar_first=True).as_matrix()
         layers = []
-        placed = zip(self.objects, moment.objects, self.fills, self.backs, strict=True)
-        for corners, pose, fill, back in placed:
+        for part, shades, solid in self._parts:
+            corners = np.einsum("dij,fvj->dfvi", turns, part) + moment.drones[:, None, None]
+            faces = self.camera.seen(corners).reshape(-1, 4, 3)
+            colours = np.repeat(shades, len(part), axis=0)
+            shown: Any = normals(faces)[:, 2] > 0.0 if solid else slice(None)
+            layers.append((faces[shown], colours[shown], 0.0))
+        return layers
+
+    def _bodies(self, moment: Moment) -> list[tuple[Array, Array, float]]:
+        """Return the faces of objects that are seen, lit from above; as of ``_drones``."""
+        layers = []
+        for (faces, fill, back), pose in zip(self._objects, moment.objects, strict=True):
             turn = Rotation.from_quat(pose[3:], scalar_first=True).as_matrix()
-            there = corners @ turn.T + pose[:3]
+            there = faces @ turn.T + pose[:3]
             outward = normals(there)
             shown = outward @ self.camera.axes[2] > 0.0
             bright = DARKEST + (1.0 - DARKEST) * np.maximum(outward[shown] @ LIGHT, 0.0)
             shades = np.tile(fill, (len(bright), 1))
             shades[:, :3] *= bright[:, None]
-            layers.append((self.camera.seen(there[shown])[:, [0, 1, 2, 2]], shades, back))
+            layers.append((self.camera.seen(there[shown]), shades, back))
         return layers
 
     def _strips(self, curves: Array, width: float, longer: float) -> Array:
         """Return the segments of curves (n, points, 3) as seen quadrangles (m, 4, 3) [m].
 
-        Parameters
-        ----------
-        curves: (n, points, 3) [m]
-        width: half of a segment's width [m].
-        longer: what a segment is longer by at either end [m].
+        ``width`` is half of a segment's, and ``longer`` what it is longer by at either end [m].
         """
         seen = self.camera.seen(curves)
         first, last = seen[:, :-1].reshape(-1, 3), seen[:, 1:].reshape(-1, 3)
-        along = unit((last - first) * FLAT)
+        along = unit((last - first) * [1.0, 1.0, 0.0])
         aside = width * np.stack([-along[:, 1], along[:, 0], np.zeros(len(along))], axis=-1)
         first, last = first - longer * along, last + longer * along
         return np.stack([first - aside, first + aside, last + aside, last - aside], axis=1)
 
 
-def _corners(mesh: Triangles) -> Array:
-    """Return the corners (m, 3, 3) [m] of a mesh's triangles."""
-    return np.asarray(mesh.vertices[mesh.faces])
+@dataclass(frozen=True)
+class Shot:
+    """A moment that has a panel.
+
+    Attributes
+    ----------
+    words: above the panel.
+    time: from the plan's start [s].
+    kept: whether it is shown however many there are, as far as MOST goes.
+    near: whether only a few cables are shown, those nearest to the viewer.
+    """
+
+    words: str
+    time: float
+    kept: bool = False
+    near: bool = False
+
+
+def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
+    """Return start, swaps, the hitch, the end of whatever moves it, and the plan's end.
+
+    Where there are more than MOST, those with the longest paths before them are chosen.
+    """
+    shots = [Shot("start", 0.0, kept=True)]
+    for (_, state), same in groupby(motion.phases, lambda phase: (phase.step, phase.state)):
+        group = list(same)
+        if state is CableState.CLASPING:
+            middle = 0.5 * (group[0].start + group[0].end)
+            shots.append(Shot(group[0].name.rstrip(" 0123456789"), middle, kept=True))
+        elif state is CableState.HITCHED and group[-1].name == "tension":
+            shots.append(Shot("hitched", group[-1].end, kept=True))
+        elif state in (CableState.HITCHED, CableState.NONE):
+            shots += [Shot(phase.name, phase.end) for phase in group if phase.name != "relax"]
+    shots.append(Shot("end", motion.duration, kept=True))
+    times = np.clip([shot.time for shot in shots], 0.0, motion.duration)
+    places = motion.drones.at(motion.drones.breaks[0] + times)
+    gone = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
+    gone = np.concatenate([[np.inf], gone])
+    moved = np.flatnonzero(gone > STILL)
+    rank = gone[moved] + np.where([shots[i].kept for i in moved], LONGEST, 0.0)
+    rank[-1] = np.inf
+    chosen = [shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MOST]])]
+    hitched = [phase.end for phase in motion.phases if phase.state is CableState.HITCHED]
+    if motion.team.robots > MANY and hitched:
+        at = sum(shot.time < hitched[-1] + JOINT for shot in chosen)
+        chosen.insert(at, Shot(f"{2 * BESIDE + 1} of the cables", hitched[-1], near=True))
+    return tuple(chosen)
+
+
+def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> None:
+    """Draw the shots of a plan in a part of a figure."""
+    times = np.unique([0.0, motion.duration, *(min(s.time, motion.duration) for s in shots)])
+    paths = np.unique(np.append(np.linspace(0.0, motion.duration, PATH_SAMPLES), times))
+    flown = motion.drones.at(motion.drones.breaks[0] + paths)
+    draw_storyboard(place, scene_at(motion, times, THICKNESS), shots, (paths, flown))
+
+
+def draw_storyboard(
+    place: SubplotSpec, scene: Scene, shots: Sequence[Shot], flown: tuple[Array, Array]
+) -> None:
+    """Draw the panels of a scene.
+
+    Parameters
+    ----------
+    place: part of a figure that they fill.
+    scene: samples at which all shots' times are.
+    shots: what is shown.
+    flown: times (samples,) [s], the shots' among them, and the drones there (samples, drones, 3)
+        [m]: the paths.
+    """
+    team, radius = scene.motion.team, scene.motion.requirements.separation.radius
+    count, drones = len(shots), scene.drones.shape[1]
+    columns = 2 if count == 4 else min(count, 3)
+    grid: Any = place.subgridspec(math.ceil(count / columns), columns)
+    camera = Camera.toward(AZIMUTH, ELEVATION)
+    moments = [int(np.argmin(np.abs(scene.t - shot.time))) for shot in shots]
+    seen = camera.seen(scene.extent_points)[moments, : 2 * drones, :2]
+    middles = 0.5 * (np.min(seen, axis=1) + np.max(seen, axis=1))
+    half = np.max(np.abs(seen - middles[:, None]), axis=(0, 1)) * (1.0 + 2.0 * MARGIN) + radius
+    size = max(1.0, SMALL * min(1.0, 4.0 / math.sqrt(drones)) / radius * 2.0 * half[1])
+    step = next(step for most, step in STEPS.items() if team.robots <= most)
+    painter = Painter(scene, camera, scene.radius, size, step)
+    closer = Painter(scene, camera, NEAR_WIDTH * scene.radius)
+    paths = camera.seen(flown[1])[..., :2]
+    reached = np.searchsorted(flown[0], scene.t[moments])
+    for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
+        axes: Axes = grid.figure.add_subplot(grid[k // columns, k % columns])
+        moment, centre, reach = scene.at(float(scene.t[i])), middle, half
+        if shot.near:
+            centre, reach = _nearest(scene, camera.seen(moment.cables)[..., :2], half)
+        before = reached[k - 1] if k and not shot.near else reached[k]
+        lines = np.moveaxis(paths[before : reached[k] + 1], 1, 0)
+        draw_lines(axes, lines, drone_colours(team), 0.6, 1, alpha=PALE)
+        painting = (closer if shot.near else painter).painted(moment)
+        _draw_panel(axes, painting, centre, reach)
+        axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
+        if shot.near or k == count - 1:
+            _draw_scale(axes, centre + reach * [1.0, -1.0], reach)
+
+
+def _draw_panel(axes: Axes, painting: Painting, centre: Array, reach: Array) -> None:
+    """Draw what of a painting is within a distance (2,) [m] of a point."""
+    apart = np.min(np.abs(painting.polygons - centre), axis=1)
+    inside = np.all(apart <= reach, axis=1)
+    polygons: Any = painting.polygons[inside]
+    fills: Any = painting.colours[inside]
+    shapes = PolyCollection(polygons, facecolors=fills, linewidths=0.2, edgecolors="face", zorder=2)
+    axes.add_collection(shapes, autolim=False)
+    axes.set_aspect("equal")
+    axes.set_xlim(centre[0] - reach[0], centre[0] + reach[0])
+    axes.set_ylim(centre[1] - reach[1], centre[1] + reach[1])
+    axes.xaxis.set_visible(False)
+    axes.yaxis.set_visible(False)
+    for spine in axes.spines.values():
+        spine.set_color("0.85")
+
+
+def _nearest(scene: Scene, cables: Array, half: Array) -> tuple[Array, Array]:
+    """Return middle and half sizes (2,) [m] of the panel of the cables nearest to the viewer.
+
+    ``cables`` are as seen (n, points, 2) [m], ``half`` the half sizes of the other panels.
+    """
+    first, n = int(np.argmin(np.min(cables[..., 1], axis=1))), len(cables)
+    beside = np.arange(first - BESIDE, first + BESIDE + 1)
+    closed = scene.motion.team.layout.closed
+    shown = cables[beside % n if closed else np.clip(beside, 0, n - 1)]
+    lower, upper = np.min(shown, axis=(0, 1)), np.max(shown, axis=(0, 1))
+    scale = (1.0 + 2.0 * MARGIN) * float(np.max(0.5 * (upper - lower) / half))
+    return 0.5 * (lower + upper), scale * half
+
+
+def _draw_scale(axes: Axes, corner: Array, half: Array) -> None:
+    """Draw a bar of a round length in the lower right corner."""
+    length = 10.0 ** math.floor(math.log10(float(half[0])))
+    right, up = corner - 0.06 * half[0] * np.array([1.0, -1.0])
+    axes.plot([right - length, right], [up, up], color="0.3", linewidth=1.6, zorder=3)
+    axes.annotate(
+        f"{length:g} m", (right - 0.5 * length, up), (0, 3), textcoords="offset points",
+        ha="center", fontsize="x-small", zorder=3,
+    )  # fmt: skip

@@ -1,6 +1,7 @@
-"""What a picture, a film or a page shows of a plan over time: drones, cables, forces.
+"""What a picture, a film or a page shows of a plan over time: drones, cables, forces, objects.
 
 Everything that draws in three dimensions draws a ``Scene``, so that all of them show the same.
+A ghost, beside a plan, is the scene of another plan or of a flight that was simulated.
 """
 
 from __future__ import annotations
@@ -8,14 +9,20 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hitchopt.errors import FileError
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import States, states_at
+from hitchopt.motion.plan_file import read_plan
+from hitchopt.motion.states import states_at
+from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 from hitchopt.values import Array
-from hitchopt.view.cable_curves import POINTS, THICKNESS, CableCurves, cable_curves
+from hitchopt.view.cables import POINTS, THICKNESS, cable_curves
 
 SAMPLES = 1_000_000
 """Largest number of coordinates of drones and cables in a scene, unless FEWEST needs more."""
@@ -34,125 +41,153 @@ CONCERNED = re.compile(r"(?:cable |[qr]-leg |edge |[cpqrd])(\d+)")
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
-    """Samples of a plan over time.
+class Moment:
+    """What is seen at a time; at many of them if all arrays have the times before their axes.
 
     Attributes
     ----------
-    motion: the plan.
-    t: (times,) [s], from its start; the ends of all phases among them.
-    drones: positions (times, N, 3) [m].
-    quaternions: attitudes (times, N, 4), w, x, y, z.
-    thrusts: (times, N) [N].
-    cable_forces: (times, N, 3) [N], on the drones.
-    cables: (times, n, POINTS, 3) [m].
-    objects: (times, objects, 7): places of their bases [m], and quaternions.
-    radius: of drawn cables [m].
+    drones: positions (N, 3) [m].
+    quaternions: attitudes (N, 4), w, x, y, z.
+    thrusts: (N,) [N].
+    cable_forces: (N, 3) [N], on the drones.
+    cables: (n, POINTS, 3) [m].
+    objects: (objects, 7): places of their bases [m], and quaternions.
     """
 
-    motion: Motion
-    t: Array
     drones: Array
     quaternions: Array
     thrusts: Array
     cable_forces: Array
     cables: Array
     objects: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(Moment):
+    """Samples of a plan over time: the arrays of ``Moment`` (times, …).
+
+    Attributes
+    ----------
+    motion: the plan, with limits, arena, keep-outs and objects.
+    t: (times,) [s], from its start; the ends of all phases among them.
+    radius: of drawn cables [m].
+    """
+
+    motion: Motion
+    t: Array
     radius: float
 
     def at(self, time: float) -> Moment:
         """Return the scene at a time [s], interpolated between its samples."""
         i = int(np.clip(np.searchsorted(self.t, time, side="right"), 1, len(self.t) - 1))
         share = float(np.clip((time - self.t[i - 1]) / (self.t[i] - self.t[i - 1]), 0.0, 1.0))
-        return Moment(
-            *(
-                (1.0 - share) * getattr(self, field.name)[i - 1]
-                + share * getattr(self, field.name)[i]
-                for field in fields(Moment)
-            )
-        )
+        every = [getattr(self, field.name) for field in fields(Moment)]
+        return Moment(*((1.0 - share) * each[i - 1] + share * each[i] for each in every))
 
+    @property
+    def extent_points(self) -> Array:
+        """Points (times, m, 3) [m] that a picture has to show.
 
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """A scene at one time; shapes as in ``Scene``, without that of the times."""
-
-    drones: Array
-    quaternions: Array
-    thrusts: Array
-    cable_forces: Array
-    cables: Array
-    objects: Array
+        They are the drones, the places on the ground below them, and boxes around the objects.
+        """
+        floor = self.drones * [1.0, 1.0, 0.0] + [0.0, 0.0, self.motion.requirements.floor]
+        points = [self.drones, floor]
+        for i, body in enumerate(self.motion.requirements.objects.values()):
+            reach, heights = (-body.circumradius, body.circumradius), (body.lower, body.upper)
+            corners = [[x, y, z] for z in heights for x in reach for y in reach]
+            points.append(self.objects[:, i, None, :3] + corners)
+        return np.concatenate(points, axis=1)
 
 
 def scene_of(motion: Motion, samples: int = SAMPLES) -> Scene:
-    """Return the scene of a plan.
+    """Return the scene of a plan at even times, and at the ends of its phases.
 
-    Parameters
-    ----------
-    motion: the plan.
-    samples: largest number of coordinates, by which the number of times follows from the team.
+    ``samples`` is the largest number of coordinates, from which the number of times follows.
     """
-    return scene_at(motion, scene_times(motion, samples))
-
-
-def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
-    """Return the scene of a plan at ascending times (times,) [s].
-
-    Parameters
-    ----------
-    motion: the plan.
-    t: the times.
-    thickness: radius of a drawn cable as a share of the scene's extent.
-    """
-    states = states_at(motion, t)
-    curves = cable_curves(motion, states, thickness)
-    return _scene(motion, states, curves)
-
-
-def extent_points(scene: Scene) -> Array:
-    """Return points (times, m, 3) [m] that a picture of a scene has to show.
-
-    They are the drones, the places on the ground below them, and boxes around the objects.
-    """
-    floor = scene.drones * [1.0, 1.0, 0.0] + [0.0, 0.0, scene.motion.requirements.floor]
-    points = [scene.drones, floor]
-    for i, body in enumerate(scene.motion.requirements.objects.values()):
-        reach = body.circumradius
-        for z in (body.lower, body.upper):
-            corners = [[x, y, z] for x in (-reach, reach) for y in (-reach, reach)]
-            points.append(scene.objects[:, i, None, :3] + corners)
-    return np.concatenate(points, axis=1)
-
-
-def scene_times(motion: Motion, samples: int = SAMPLES) -> Array:
-    """Return times (times,) [s] over a plan: even ones, and the ends of its phases."""
     team = motion.team
     each = PER_DRONE * len(team.drone_names) + 3 * POINTS * team.robots
     count = int(np.clip(samples // each, FEWEST, RATE * motion.duration + 2))
     ends = [phase.end for phase in motion.phases]
     times = np.concatenate([np.linspace(0.0, motion.duration, count), ends])
-    return np.unique(np.clip(np.round(times, 6), 0.0, motion.duration))
+    return scene_at(motion, np.unique(np.clip(np.round(times, 6), 0.0, motion.duration)))
 
 
-def _scene(motion: Motion, states: States, curves: CableCurves) -> Scene:
+def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
+    """Return the scene of a plan at ascending times (times,) [s].
+
+    ``thickness`` is the radius of a drawn cable as a share of the scene's extent.
+    """
+    states = states_at(motion, t)
+    cables, radius = cable_curves(motion, states, thickness)
+    poses = states.object_poses
+    half = 0.5 * np.unwrap(np.arctan2(poses[..., 4], poses[..., 3]), axis=0)[..., None]
+    turns = [np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)]
     return Scene(
-        motion,
-        states.t,
         states.positions,
         states.quaternions,
         np.linalg.norm(states.thrusts(motion.team), axis=-1),
         states.cable_forces,
-        curves.points,
-        _upright(states.object_poses),
-        curves.radius,
+        cables,
+        np.concatenate([poses[..., :3], *turns], axis=-1),
+        motion,
+        states.t,
+        radius,
     )
 
 
-def _upright(poses: Array) -> Array:
-    """Return places and quaternions (times, objects, 7) of poses (times, objects, 5)."""
-    half = 0.5 * np.unwrap(np.arctan2(poses[..., 4], poses[..., 3]), axis=0)[..., None]
-    return np.concatenate([poses[..., :3], np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], -1)
+def ghost_scene(path: Path, motion: Motion) -> Scene:
+    """Return the scene of another plan, or of a simulated flight of ``motion``.
+
+    Parameters
+    ----------
+    path: a recording or a plan, or the directory of either.
+    motion: the plan at whose side it is shown.
+
+    Raises
+    ------
+    FileError: there is neither, it is damaged, or the flight is that of another team.
+    """
+    if path.is_dir():
+        names = [name for name in (RECORDING, PLAN) if (path / name).exists()]
+        if not names:
+            raise FileError(f"{path}: holds neither {RECORDING} nor {PLAN}; name another directory")
+        path = path / names[0]
+    if path.name != RECORDING:
+        return scene_of(read_plan(path))
+    try:
+        arrays = read_arrays(path, ("t", "nodes", "cables", "poses"))
+    except BROKEN as error:
+        raise FileError(f"{path}: not a recording of a simulated flight: {error}") from error
+    first, t = arrays["cables"], arrays["t"]
+    if len(first) != motion.team.robots + 1 or len(t) < 2:
+        raise FileError(f"{path}: a flight of {len(first) - 1} cables; simulate this plan")
+    return recorded_scene(motion, t, arrays["nodes"], first, arrays["poses"])
+
+
+def recorded_scene(
+    motion: Motion, t: Array, nodes: NDArray[Any], first: NDArray[Any], poses: NDArray[Any]
+) -> Scene:
+    """Return the scene of a simulated flight, whose drones' attitudes are not recorded.
+
+    Parameters
+    ----------
+    motion: the plan that was flown.
+    t: (frames,) [s]; negative ones, while cables settle, are left out.
+    nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
+    first: (n + 1,), first node of each cable, and the number of nodes.
+    poses: of the objects (frames, objects, 7): places of their bases [m], and quaternions.
+    """
+    flown = t >= 0.0
+    cables = [
+        nodes[flown][:, np.linspace(start, end - 1, POINTS).round().astype(int)]
+        for start, end in pairwise(first)
+    ]
+    curves = np.stack(cables, axis=1).astype(np.float64)
+    drones = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
+    upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*drones.shape[:2], 4))
+    thrusts, forces = np.zeros(drones.shape[:2]), np.zeros_like(drones)
+    objects, radius = poses[flown].astype(np.float64), scene_of(motion, 0).radius
+    return Scene(drones, upright, thrusts, forces, curves, objects, motion, t[flown], radius)
 
 
 @dataclass(frozen=True)
@@ -167,19 +202,18 @@ class Concerned:
 def concerned(motion: Motion, where: Sequence[str]) -> Concerned:
     """Return what the names in ``where`` of a check stand for; others are ignored."""
     index = {name: i for i, name in enumerate(motion.team.drone_names)}
-    found: dict[str, set[int]] = {"drones": set(), "cables": set(), "vertices": set()}
+    drones, cables, vertices = set[int](), set[int](), set[int]()
     for name in where:
         match = CONCERNED.fullmatch(name)
         if match is None:
             continue
         k = int(match[1])
         if name in index:
-            found["drones"].add(index[name])
+            drones.add(index[name])
         elif name.startswith("p"):
-            found["vertices"].add(k)
+            vertices.add(k)
         else:
-            found["cables"].add(k)
+            cables.add(k)
             if "-leg" in name:
-                found["drones"].add(index[f"{name[0]}{k}"])
-    sorted_found: dict[str, Any] = {key: tuple(sorted(values)) for key, values in found.items()}
-    return Concerned(**sorted_found)
+                drones.add(index[f"{name[0]}{k}"])
+    return Concerned(*(tuple(sorted(found)) for found in (drones, cables, vertices)))

@@ -1,21 +1,40 @@
-"""Line styles and legends that all pictures share, and how a picture is written."""
+"""Colours and words that all pictures and scenes share, and how a figure is made and written.
+
+Live views need the colours alone: matplotlib is imported by the functions that draw with it.
+"""
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from matplotlib import rc_context
-from matplotlib.artist import Artist
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from PIL import Image
+import numpy as np
 
-INK = "0.1"
-LIMIT_COLOUR = "#b3261e"
+from hitchopt.checks.certificate import Certificate
+from hitchopt.hitch import Team
+from hitchopt.motion.motion import Motion
+from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
+"""Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70 per
+cent); the last one, of 45 per cent, stands only between the first and the third."""
+
+TABLE_COLOUR, OBJECT_COLOUR = "#d3d8dd", "#e8d3a8"
+"""Colours of objects that never move, and of those that can be carried."""
+
+MARK_COLOUR = (232, 89, 12)
+"""Colour of what a check concerns, as red, green and blue."""
+
+INK, LIMIT_COLOUR = "0.1", "#b3261e"
 
 DASHES = (0, (6, 2))
 """Line style of limits: they differ from curves in grey as well."""
@@ -23,22 +42,63 @@ DASHES = (0, (6, 2))
 RESOLUTION = 120
 """Resolution of every picture [dots per inch]."""
 
+UNDATED: dict[str, dict[str, str | None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+"""Kinds of drawings, and what would make their bytes depend on more than their content."""
+
+COMPRESSION = 1
+"""Level of zlib: PNG files are 5 to 12 % larger than with 6, in half to two thirds of the time."""
+
+
+def cable_colours(n: int) -> tuple[str, ...]:
+    """Return a colour for each of n cables that differs from both neighbours'."""
+    index = [k % 3 for k in range(n)]
+    if n % 3 == 1 and n > 1:
+        index[-1] = 3
+    return tuple(COLOURS[i] for i in index)
+
+
+def drone_colours(team: Team) -> tuple[str, ...]:
+    """Return a colour for each drone: that of its cable, if there are any."""
+    if team.has_cables:
+        return tuple(colour for colour in cable_colours(team.robots) for _ in range(2))
+    return tuple(COLOURS[i % len(COLOURS)] for i in range(len(team.drone_names)))
+
+
+def object_colours(motion: Motion) -> tuple[str, ...]:
+    """Return a colour for each object."""
+    bodies = motion.requirements.objects.values()
+    return tuple(TABLE_COLOUR if body.fixed else OBJECT_COLOUR for body in bodies)
+
+
+def facts(motion: Motion) -> str:
+    """Return who flies for how long."""
+    drones = f"{len(motion.team.drone_names)} drones"
+    who = f"{motion.team.robots} robots, {drones}" if motion.team.has_cables else drones
+    return f"{who}, {motion.duration:.4g} s"
+
+
+def verdict(certificate: Certificate) -> str:
+    """Return in words whether a plan is certified."""
+    total = len(certificate.checks)
+    if certificate.certified:
+        return f"certified for all t: {total} of {total} limits hold"
+    return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
+
 
 def new_figure(size: tuple[float, float]) -> Figure:
     """Return an empty figure of a size [inch], drawn without pyplot."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=size, dpi=RESOLUTION, layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-UNDATED: dict[str, dict[str, str | None]] = {
-    "svg": {"Date": None},
-    "pdf": {"CreationDate": None},
-}
-"""Kinds of drawings, and what would make their bytes depend on more than their content."""
-
-COMPRESSION = 1
-"""Level of zlib: PNG files are 5 to 12 % larger than with 6, in half to two thirds of the time."""
+def headline(figure: Figure, title: str, words: str) -> None:
+    """Write a plan's title, and words below it, above a figure."""
+    name = textwrap.shorten(title, 100, placeholder=" …")
+    figure.suptitle(f"{name}\n{words}".strip(), fontsize="large", parse_math=False)
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
@@ -50,41 +110,49 @@ def save_figure(figure: Figure, path: Path | str) -> None:
     ------
     OSError: the file cannot be written.
     """
-    with warnings.catch_warnings():
+    from matplotlib import rc_context
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    kind, layout = Path(path).suffix[1:].lower(), figure.get_layout_engine()
+    with warnings.catch_warnings(), rc_context({"svg.hashsalt": "hitchopt"}):
         # A title in a script that the font lacks is drawn with boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        kind = Path(path).suffix[1:].lower()
-        layout = figure.get_layout_engine()
         if layout is not None:  # savefig would draw all of it once more for that
             layout.execute(figure)
             figure.set_layout_engine(None)
         try:
             if kind in UNDATED:
-                with rc_context({"svg.hashsalt": "hitchopt"}):
-                    figure.savefig(path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind])
-            else:
-                _save_png(figure, path)
+                figure.savefig(path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind])
+                return
+            canvas: Any = FigureCanvasAgg(figure)
+            canvas.draw()
+            size = (round(figure.bbox.width), round(figure.bbox.height))
+            # Without a channel of opacity, which takes a quarter of the time.
+            opaque = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
+            opaque.save(path, "PNG", compress_level=COMPRESSION, dpi=(RESOLUTION, RESOLUTION))
         finally:
             figure.set_layout_engine(layout)
 
 
-def _save_png(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG without a channel of opacity, which takes a quarter of the time."""
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()  # type: ignore[no-untyped-call]
-    size = (round(figure.bbox.width), round(figure.bbox.height))
-    drawn = canvas.buffer_rgba()  # type: ignore[no-untyped-call]
-    opaque = Image.frombuffer("RGBA", size, drawn).convert("RGB")
-    dots = (RESOLUTION, RESOLUTION)
-    opaque.save(path, format="png", compress_level=COMPRESSION, dpi=dots)
-
-
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:
     """Return a single marker of a size [points], such as a legend shows."""
+    from matplotlib.lines import Line2D
+
     return Line2D(
         [], [], linestyle="none", marker=shape, markersize=size, markerfacecolor=fill,
         markeredgecolor=edge, label=label,
     )  # fmt: skip
+
+
+def draw_lines(
+    axes: Axes, lines: Array, colours: Any, width: float, order: int, **more: Any
+) -> None:
+    """Draw lines (m, points, 2) of a width [points] in one layer."""
+    from matplotlib.collections import LineCollection
+
+    style = {"colors": colours, "linewidths": width, "zorder": order, **more}
+    axes.add_collection(LineCollection(list(np.asarray(lines)), **style), autolim=False)
 
 
 def legend_below(axes: Axes, handles: Sequence[Artist], gap: float, columns: int) -> None:

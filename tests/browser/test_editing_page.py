@@ -13,9 +13,9 @@ from generators.headless_page import opened_page
 
 import hitchopt as ho
 from hitchopt.steps.certified_motions import Certified
-from hitchopt.view.editing_panel import REACH, EditingPanel
-from hitchopt.view.editing_session import Editing, Stage
-from hitchopt.view.live_view import NARROW_ASPECT, LiveView
+from hitchopt.view.editing import Editing, Stage
+from hitchopt.view.live import NARROW_ASPECT, LiveView
+from hitchopt.view.panel import REACH, EditingPanel
 
 TEXT = """\
 # A triangle off the origin.

@@ -42,22 +42,17 @@ def test_q0_is_seen_where_the_plan_has_it(page: Any, share: float) -> None:
     assert np.linalg.norm(seen - expected) < NEAR
 
 
-def test_a_click_on_a_phase_shows_it(page: Any) -> None:
+def test_a_click_on_a_phase_and_scrubbing_show_it(page: Any) -> None:
     plan = tied_plan()
     for i, phase in enumerate(plan.phases):
         page.locator(f"#strip button[data-phase='{i}']").click(force=True)
         assert page.evaluate("hitchopt.time") == pytest.approx(phase.start, abs=1e-3)
         assert phase.name in page.locator("#phases tr.now").inner_text()
         assert phase.name in page.locator("#clock").inner_text()
-
-
-def test_scrubbing_shows_the_phase(page: Any) -> None:
-    plan = tied_plan()
-    phase = plan.phases[2]
-    middle = 0.5 * (phase.start + phase.end)
-    page.locator("#scrub").fill(str(middle))
-    assert page.evaluate("hitchopt.time") == pytest.approx(middle, abs=1e-3)
-    assert phase.name in page.locator("#phases tr.now").inner_text()
+        middle = 0.5 * (phase.start + phase.end)
+        page.locator("#scrub").fill(str(middle))
+        assert page.evaluate("hitchopt.time") == pytest.approx(middle, abs=1e-3)
+        assert phase.name in page.locator("#phases tr.now").inner_text()
 
 
 def test_a_click_on_a_check_jumps_to_its_worst_moment(page: Any) -> None:

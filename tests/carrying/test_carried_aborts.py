@@ -7,13 +7,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from test_carried_tray import TO, tray
+from carried_plans import TO, tray
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.live.abort import Abort, Aborts
 from hitchopt.motion.motion import Motion
-from hitchopt.stopping.abort import Abort, Aborts
-from hitchopt.stopping.enclosures import Enclosures
 from hitchopt.trajectory import PiecewisePolynomial
 
 BESIDE = {"transport": {"to": [-0.3, 2.6, 1.0]}}
@@ -62,6 +61,7 @@ def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
     np.testing.assert_allclose(whole.object_poses.at(whole.duration)[0, :3], TO, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_before_it_is_lifted_the_hitch_goes_back() -> None:
     aborts = aborts_of(2)
     time = during(aborts.motion, "grasp")
@@ -93,16 +93,3 @@ def test_an_object_that_jumps_is_found() -> None:
     assert (own.holds, found.holds) == (True, False)
     assert found.where == ("tray",)
     assert found.bound == pytest.approx(1e-3, abs=1e-6)
-
-
-def test_what_a_hitch_is_around_follows_from_where_it_is() -> None:
-    motion = aborts_of(2).motion
-    enclosures = Enclosures(motion)
-    for name, held, onward in (("grasp", True, False), ("carry", True, True)):
-        around = enclosures.at(during(motion, name))
-        assert around is not None
-        assert (around.name, around.held, around.onward) == ("tray", held, onward)
-        assert around.way_out is not None
-        assert enclosures.at(around.way_out) is None
-    assert enclosures.at(during(motion, "enclose", 0.0)) is None
-    assert enclosures.at(motion.duration) is None

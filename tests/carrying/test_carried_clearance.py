@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.holding.grip_statics import Grip
+from hitchopt.holding.grip import Grip
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
 

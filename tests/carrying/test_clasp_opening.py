@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
 
 import hitchopt as ho
-from hitchopt.planners.carrying.clasp_opening import check_opens, grip_left
+from hitchopt.planners.carrying.grip_polygon import check_opens, grip_left
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
@@ -58,21 +56,6 @@ def test_the_suggested_friction_is_the_largest_that_opens() -> None:
     assert most == pytest.approx(exact, abs=1e-3)
 
 
-def test_enclose_says_how_large_to_tie_it() -> None:
-    drum = {"circle": 0.2, "to": 0.3, "mass": 0.1, "friction": 0.5, "at": [1.5, 0.0, 0.0]}
-    problem: dict[str, Any] = {
-        "team": {"robots": 3, "cable_length": 1.6, "tension": 1.0, "cable_friction": 0.15},
-        "limits": {"tilt_deg": 60},
-        "objects": {"drum": drum},
-        "start": {
-            "hitch": {"polygon": [[0.4, 0], [-0.2, -0.3464], [-0.2, 0.3464]], "altitude": 1.0}
-        },
-        "mission": [{"enclose": {"object": "drum"}}],
-    }
-    with pytest.raises(ho.InfeasibleError, match=r"as large as around objects\.drum, 0\.5\d? m"):
-        ho.solve(ho.problem_from_dict(problem))
-
-
 def legs_at(angle: float, n: int) -> Array:
     """Return legs (n, 2, 2) [m] of unequal lengths that enclose an angle [rad] at every clasp."""
     turned = 0.7 + 2.0 * np.pi * np.arange(n) / n
@@ -95,10 +78,3 @@ def test_what_grip_is_left_solves_the_law_of_clasps() -> None:
     found = grip_left(legs_at(between, 3), np.array([0.3, 0.2, 0.1]), mu, 0.4)
     assert found == pytest.approx(0.4 * 0.3 * harder * wrapped, rel=1e-9)
     assert wrapped > 0.5
-
-
-@pytest.mark.parametrize("n", [3, 4])
-def test_without_friction_an_open_polygon_grips_nothing(n: int) -> None:
-    inner = np.pi * (n - 2) / n
-    assert grip_left(legs_at(inner, n), np.full(n, 0.3), 0.0, 0.5) == pytest.approx(0.0, abs=1e-12)
-    assert grip_left(legs_at(inner, n), np.full(n, 0.3), 0.1, 0.5) > 0.03

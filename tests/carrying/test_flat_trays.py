@@ -59,7 +59,9 @@ def test_cables_keep_off_the_pillar(plan: ho.Plan) -> None:
     assert worst >= 0.035
 
 
-@pytest.mark.parametrize(("name", "radius"), [("pillar", 0.3), ("stand", 0.31)])
+@pytest.mark.parametrize(
+    ("name", "radius"), [("pillar", 0.3), pytest.param("stand", 0.31, marks=pytest.mark.slow)]
+)
 def test_what_is_in_the_way_is_refused_by_its_name(name: str, radius: float) -> None:
     with pytest.raises(ho.InfeasibleError) as caught:
         ho.solve(any_problem_from_dict(tray(**{name: {"circle": radius}})))

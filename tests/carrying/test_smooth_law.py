@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hitchopt.planners.carrying.smooth_law import SmoothLaw
+from hitchopt.planners.carrying.moves import SmoothLaw
 
 
 @pytest.mark.parametrize("limits", [(0.5, 1.0, 20.0), (5.0, 1.0, 20.0), (0.1, 3.0, 0.5)])

@@ -9,9 +9,16 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.checks import Check
+from hitchopt.checks.rule import CheckRule
 from hitchopt.hitch import Team
-from hitchopt.hitch.cable_spans import cable_slack_of, clasp_loads, leg_vectors, sag_factors
-from hitchopt.hitch.statics import leg_directions
+from hitchopt.hitch.forces import (
+    cable_slack_of,
+    clasp_loads,
+    leg_directions,
+    leg_vectors,
+    sag_factors,
+)
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -167,6 +174,45 @@ def with_parts(
         legs=change(motion.legs),
         tensions=change(motion.tensions),
     )
+
+
+def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the same curves, every piece in two."""
+    breaks = np.sort(np.concatenate([part.breaks, part.breaks[:-1] + 0.3 * part.durations]))
+    c = part.coefficients
+    pieces = [bernstein.restrict(c, 0.0, 0.3), bernstein.restrict(c, 0.3, 1.0)]
+    both = np.stack(pieces, axis=1).reshape(-1, *c.shape[1:])
+    return PiecewisePolynomial(breaks, both)
+
+
+def wild_motion(
+    rng: np.random.Generator, n: int, pieces: int, order: int, noise: float, arena: Arena | None
+) -> Motion:
+    """Return polynomials that are no hitch at all, in a phase that says so."""
+    breaks = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2.0, pieces))])
+    vertices = np.column_stack([convex_polygon(n, rng, rng.uniform(-3.0, 3.0, 2)), np.ones(n)])
+    drones = np.repeat(vertices, 2, axis=0) + 0.5 * rng.normal(size=(2 * n, 3))
+
+    def around(places: Array) -> PiecewisePolynomial:
+        off = noise * rng.normal(size=(pieces, *places.shape, order + 1))
+        return PiecewisePolynomial(breaks, places[..., None] + off)
+
+    return Motion(
+        Team(n, rng.uniform(2.0, 3.0, n), cable_density=0.003),
+        Requirements(Limits(), Separation(), arena),
+        around(drones),
+        around(vertices),
+        PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),
+        PiecewisePolynomial(breaks, rng.uniform(0.2, 0.8, (pieces, n, 3))),
+        (Phase("morph", 0, 0.0, float(breaks[-1]), tension=(0.2, 0.8)),),  # taut all the time
+    )
+
+
+def applied(rule: CheckRule, motion: Motion) -> Check:
+    """Return the check of a motion that a rule applies to."""
+    found = rule.check(motion)
+    assert found is not None
+    return found
 
 
 def with_drones(motion: Motion, coefficients: Array) -> Motion:

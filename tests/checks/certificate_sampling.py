@@ -1,7 +1,7 @@
-"""The certificate's quantities by brute force over samples.
+"""The certificate's quantities by brute force over samples, of hitches and of open chains.
 
-Shares nothing with the package but the evaluation of polynomials: every distance, angle and force
-has its own formula here, and all pairs are looked at.
+Shares nothing with the package but the evaluation of polynomials: who is where is listed by hand,
+every distance, angle and force has its own formula here, and all pairs are looked at.
 """
 
 from __future__ import annotations
@@ -16,44 +16,61 @@ from hitchopt.motion.motion import Motion
 Array = NDArray[np.float64]
 
 
+class Samples:
+    """Where everything is at times: drones x, points p, and which drone hangs on a leg."""
+
+    def __init__(self, motion: Motion, times: Array) -> None:
+        self.motion, self.team, self.n = motion, motion.team, motion.team.robots
+        self.x, self.p, self.T = (
+            part.at(times) for part in (motion.drones, motion.vertices, motion.tensions)
+        )
+        self.a, self.stored = motion.drones.at(times, 2), motion.legs.at(times)
+        points = self.p.shape[1]
+        closed = points == self.n
+        self.first, self.last = np.arange(self.n), (np.arange(self.n) + 1) % points
+        self.own = np.stack([self.first, self.last], axis=1).ravel()  # each drone's point
+        self.legged = np.ones(2 * self.n, dtype=np.bool_)
+        if not closed:
+            self.legged[[0, -1]] = False
+        self.clasps = np.arange(points) if closed else np.arange(1, self.n)
+        self.edges = self.p[:, self.last] - self.p[:, self.first]
+        self.legs = self.x - self.p[:, self.own]
+        self.half = 0.5 * 9.81 * self.team.cable_density
+
+
 def sampled(motion: Motion, times: Array) -> dict[str, float]:
     """Return the worst value of every quantity over ``times``; thrust as a share of the largest."""
-    return {
-        **_distances(motion, times),
-        **_rates(motion, times),
-        **_forces(motion, times),
-        **_shape(motion, times),
-    }
+    s = Samples(motion, times)
+    return {**_distances(s), **_rates(motion, times), **_forces(s), **_shape(s)}
 
 
-def _distances(motion: Motion, times: Array) -> dict[str, float]:
-    n = motion.team.robots
-    x, p = motion.drones.at(times), motion.vertices.at(times)
-    i, j = np.triu_indices(2 * n, 1)
-    gap = x[:, i] - x[:, j]
-    r, h = motion.requirements.separation.radius, motion.requirements.separation.height
+def _distances(s: Samples) -> dict[str, float]:
+    i, j = np.triu_indices(2 * s.n, 1)
+    gap, separation = s.x[:, i] - s.x[:, j], s.motion.requirements.separation
+    r, h = separation.radius, separation.height
     level = (gap[..., 0] ** 2 + gap[..., 1] ** 2) / (2 * r) ** 2
     found = {"separation": float(np.min(np.sqrt(level + gap[..., 2] ** 2 / (2 * h) ** 2)))}
-    parts: list[tuple[str, int, set[int], Array, Array]] = []
-    for k in range(n):
-        m = (k + 1) % n
-        parts.append(("q", k, {k}, p[:, k], x[:, 2 * k]))
-        parts.append(("edge", k, {k, m}, p[:, k], p[:, m]))
-        parts.append(("r", k, {m}, p[:, m], x[:, 2 * k + 1]))
+    parts: list[tuple[bool, int, set[int], Array, Array]] = []
+    for k, (a, b) in enumerate(zip(s.first.tolist(), s.last.tolist(), strict=True)):
+        both = {a, b} & set(s.clasps.tolist())
+        parts.append((True, k, both, s.p[:, a], s.p[:, b]))
+        parts += [(False, k, {a}, s.p[:, a], s.x[:, 2 * k])] * bool(s.legged[2 * k])
+        parts += [(False, k, {b}, s.p[:, b], s.x[:, 2 * k + 1])] * bool(s.legged[2 * k + 1])
     begin = np.stack([part[3] for part in parts], axis=1)
     end = np.stack([part[4] for part in parts], axis=1)
-    foreign = [
-        (drone, m)
-        for drone in range(2 * n)
-        for m, (kind, k, *_) in enumerate(parts)
-        if drone // 2 != k or kind == "edge"
-    ]
-    d, m_ = np.array(foreign).T
-    found["cable_clearance"] = float(np.min(point_to_segment(x[:, d], begin[:, m_], end[:, m_])))
-    apart = [(a, b) for a in range(3 * n) for b in range(a) if not parts[a][2] & parts[b][2]]
-    a, b = np.array(apart).T
-    between = segment_to_segment(begin[:, a], end[:, a], begin[:, b], end[:, b])
-    return {**found, "crossing": float(np.min(between))}
+    d, m = np.array(
+        [
+            (drone, m)
+            for drone in range(2 * s.n)
+            for m, (is_edge, k, *_) in enumerate(parts)
+            if drone // 2 != k or (is_edge and s.legged[drone])
+        ]
+    ).T
+    found["cable_clearance"] = float(np.min(point_to_segment(s.x[:, d], begin[:, m], end[:, m])))
+    apart = [(a, b) for a in range(len(parts)) for b in range(a) if not parts[a][2] & parts[b][2]]
+    i, j = np.array(apart, dtype=np.intp).reshape(-1, 2).T
+    between = segment_to_segment(begin[:, i], end[:, i], begin[:, j], end[:, j])
+    return {**found, "crossing": float(np.min(between, initial=math.inf))}
 
 
 def _rates(motion: Motion, times: Array) -> dict[str, float]:
@@ -65,81 +82,63 @@ def _rates(motion: Motion, times: Array) -> dict[str, float]:
     return {**found, "vertex_speed": float(np.max(vertices))}
 
 
-def _forces(motion: Motion, times: Array) -> dict[str, float]:
-    n = motion.team.robots
-    x, p = motion.drones.at(times), motion.vertices.at(times)
-    T = motion.tensions.at(times)
-    edges = np.roll(p, -1, axis=1) - p
-    u = edges / np.sqrt(np.sum(edges**2, axis=-1, keepdims=True))
-    force = np.empty((len(times), n, 3))
-    thrust = np.empty((len(times), 2 * n, 3))
-    a = motion.drones.at(times, 2)
-    for k in range(n):
-        q, r = x[:, 2 * k] - p[:, k], x[:, 2 * k - 1] - p[:, k]  # r of cable k - 1
-        q_hat = q / np.linalg.norm(q, axis=-1)[:, None]
-        r_hat = r / np.linalg.norm(r, axis=-1)[:, None]
-        T_k, T_before = T[:, k, None], T[:, k - 1, None]
-        force[:, k] = T_k * q_hat + T_k * u[:, k] + T_before * r_hat - T_before * u[:, k - 1]
-        thrust[:, 2 * k] = T_k * q_hat
-        thrust[:, 2 * k - 1] = T_before * r_hat
-    rho, L = 9.81 * motion.team.cable_density, motion.team.cable_length
-    for k in range(n):
-        d = np.linalg.norm(x[:, 2 * k] - p[:, k], axis=-1)
-        e_behind = np.linalg.norm(x[:, 2 * k - 1] - p[:, k], axis=-1)
-        e = np.linalg.norm(x[:, 2 * k + 1] - p[:, (k + 1) % n], axis=-1)
-        d_behind = np.linalg.norm(x[:, 2 * k - 2] - p[:, k - 1], axis=-1)
-        weight = 0.5 * rho * (L[k] - e + L[k - 1] - d_behind) + 9.81 * motion.team.load[k]
-        force[:, k, 2] -= weight
-        for drone, leg in ((2 * k, d), (2 * k - 1, e_behind)):
-            climb = x[:, drone] - p[:, k]
-            grown = 0.5 * rho * climb[:, 2] / leg
-            thrust[:, drone] += grown[:, None] * climb
-            thrust[:, drone, 2] += 0.5 * rho * leg
-            force[:, k] += grown[:, None] * climb
-    thrust += motion.team.mass[:, None] * (a + np.array([0.0, 0.0, 9.81]))
+def _forces(s: Samples) -> dict[str, float]:
+    """Thrusts, and at clasps what legs, edges and weights leave."""
+    other = np.stack([s.last, s.first], axis=1).ravel()
+    span = s.x - s.p[:, np.where(s.legged, s.own, other)]  # along which each cable pulls
+    size = np.linalg.norm(span, axis=-1)
+    root = np.sqrt(np.repeat(s.T, 2, axis=1) ** 2 - (s.half * _level(span)) ** 2)
+    pull = ((s.half * span[..., 2] + root) / size)[..., None] * span
+    thrust = s.team.mass[:, None] * (s.a + np.array([0.0, 0.0, 9.81])) + pull
+    thrust[..., 2] += s.half * size
     norm = np.linalg.norm(thrust, axis=-1)
     lean = np.degrees(np.arctan2(np.hypot(thrust[..., 0], thrust[..., 1]), thrust[..., 2]))
-    residual = np.linalg.norm(force, axis=-1) / np.minimum(T, np.roll(T, 1, axis=1))
+    along = s.edges / np.linalg.norm(s.edges, axis=-1, keepdims=True)
+    legs = np.linalg.norm(s.legs, axis=-1) * s.legged  # none at a chain's ends, right or wrong
+    edge_pull = np.sqrt(s.T**2 - (s.half * _level(s.edges)) ** 2)
+    balance = []
+    for i, here in enumerate(s.clasps.tolist()):
+        k, m = here, here - 1  # the cables ahead and behind
+        T, T_m = s.T[:, k], s.T[:, m]
+        ahead, behind = edge_pull[:, k, None], edge_pull[:, m, None]
+        force = pull[:, 2 * k] + ahead * along[:, k] + pull[:, 2 * m + 1] - behind * along[:, m]
+        carried = s.team.cable_length[[k, m]] - legs[:, [2 * k + 1, 2 * m]]
+        force[:, 2] -= s.half * np.sum(carried, axis=1) + 9.81 * s.team.load[i]
+        balance.append(np.max(np.linalg.norm(force, axis=-1) / np.minimum(T, T_m)))
     return {
-        "thrust": float(np.max(norm / motion.team.max_thrust)),
+        "thrust": float(np.max(norm / s.team.max_thrust)),
         "tilt": float(np.max(lean)),
-        "equilibrium": float(np.max(residual)),
+        "equilibrium": float(max(balance)),
     }
 
 
-def _shape(motion: Motion, times: Array) -> dict[str, float]:
-    n = motion.team.robots
-    x, p = motion.drones.at(times), motion.vertices.at(times)
-    L = motion.team.cable_length
-    edge = np.roll(p, -1, axis=1) - p
-    d = np.linalg.norm(x[:, 0::2] - p, axis=-1)
-    e = np.linalg.norm(x[:, 1::2] - np.roll(p, -1, axis=1), axis=-1)
-    total = np.abs(np.linalg.norm(edge, axis=-1) + d + e + _sag(motion, times) - L)
-    stored = np.abs(motion.legs.at(times) - np.stack([d, e], axis=-1))
-    heading = np.arctan2(edge[..., 1], edge[..., 0])
-    exterior = np.roll(heading, 1, axis=1) - heading
+def _level(spans: Array) -> Array:
+    """The lengths of spans seen from above."""
+    return np.hypot(spans[..., 0], spans[..., 1])
+
+
+def _shape(s: Samples) -> dict[str, float]:
+    legs = np.linalg.norm(s.legs, axis=-1)
+    total = np.linalg.norm(s.edges, axis=-1) + legs[:, 0::2] + legs[:, 1::2]
+    for span in (s.edges, s.legs[:, 0::2], s.legs[:, 1::2]):  # by how much each of them sags
+        size = np.linalg.norm(span, axis=-1)
+        total += (2.0 * s.half / s.T) ** 2 * size * _level(span) ** 2 / 24.0
+    told = np.max(np.abs(s.stored - legs.reshape(s.stored.shape)), axis=-1)
+    off = np.maximum(np.abs(total - s.team.cable_length), told) / s.team.cable_length
+    heading = np.arctan2(s.edges[..., 1], s.edges[..., 0])
+    exterior = heading[:, s.clasps - 1] - heading[:, s.clasps % s.n]
+    exterior = (exterior + math.pi) % (2 * math.pi) - math.pi
+    least = np.min(exterior)
+    if len(s.clasps) < s.n:  # a chain must not go around more than once either
+        least = min(least, np.min(2 * math.pi - np.sum(exterior, axis=1)))
     found = {
-        "legs": float(min(np.min(d), np.min(e))),
-        "cable_length": float(np.max(np.maximum(total, np.max(stored, axis=-1)) / L)),
-        "convexity": float(np.degrees(np.min((exterior + math.pi) % (2 * math.pi) - math.pi))),
+        "legs": float(np.min(legs[:, s.legged])),
+        "cable_length": float(np.max(off)),
+        "convexity": math.degrees(least),
     }
-    assert n == len(L)
-    if motion.requirements.arena is not None:
-        walls = np.minimum(x - motion.requirements.arena.lower, motion.requirements.arena.upper - x)
-        found["arena"] = float(np.min(walls))
+    if (arena := s.motion.requirements.arena) is not None:
+        found["arena"] = float(np.min(np.minimum(s.x - arena.lower, arena.upper - s.x)))
     return found
-
-
-def _sag(motion: Motion, times: Array) -> Array:
-    """By how much cables (times, n) are longer than their straight spans [m]."""
-    x, p = motion.drones.at(times), motion.vertices.at(times)
-    ratio = 9.81 * motion.team.cable_density / motion.tensions.at(times)
-    after = np.roll(p, -1, axis=1)
-    longer = np.zeros(ratio.shape)
-    for a, b in ((p, x[:, 0::2]), (p, after), (after, x[:, 1::2])):
-        level = np.hypot(b[..., 0] - a[..., 0], b[..., 1] - a[..., 1])
-        longer += ratio**2 * np.linalg.norm(b - a, axis=-1) * level**2 / 24.0
-    return longer
 
 
 def point_to_segment(x: Array, a: Array, b: Array) -> Array:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.motion.stored_phases import EARLIER_STATES
+from hitchopt.motion.plan_file import EARLIER_STATES
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 

@@ -1,20 +1,30 @@
 """The certificate as a whole: never beaten by samples, tight, and the same from everywhere."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from certificate_cases import convex_polygon, moving, random_motion, still, with_drones, with_parts
+from certificate_cases import (
+    cut,
+    moving,
+    random_motion,
+    still,
+    wild_motion,
+    with_drones,
+    with_parts,
+)
 from certificate_sampling import sampled
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.motion.motion import Motion
+from hitchopt.requirements import Arena, Limits, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.search import ABSOLUTE
 
 ORDER = [
     "separation",
@@ -69,24 +79,7 @@ def test_no_sample_beats_a_bound_and_bounds_are_tight(n: int, seed: int) -> None
 def test_no_sample_beats_a_bound_of_polynomials_that_are_no_hitch_at_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, pieces, order = (int(rng.integers(*span)) for span in ((3, 7), (1, 4), (1, 9)))
-    breaks = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2.0, pieces))])
-    wild = 10.0 ** rng.uniform(-3.0, 0.7)
-    vertices = np.column_stack([convex_polygon(n, rng, rng.uniform(-3.0, 3.0, 2)), np.ones(n)])
-    drones = np.repeat(vertices, 2, axis=0) + 0.5 * rng.normal(size=(2 * n, 3))
-
-    def around(places: np.ndarray) -> PiecewisePolynomial:
-        noise = wild * rng.normal(size=(pieces, *places.shape, order + 1))
-        return PiecewisePolynomial(breaks, places[..., None] + noise)
-
-    motion = Motion(
-        Team(n, rng.uniform(2.0, 3.0, n), cable_density=0.003),
-        Requirements(Limits(), Separation(), ARENA),
-        around(drones),
-        around(vertices),
-        PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),
-        PiecewisePolynomial(breaks, rng.uniform(0.2, 0.8, (pieces, n, 3))),
-        (Phase("morph", 0, 0.0, float(breaks[-1]), tension=(0.2, 0.8)),),  # taut all the time
-    )
+    motion = wild_motion(rng, n, pieces, order, 10.0 ** rng.uniform(-3.0, 0.7), ARENA)
     found = sampled(motion, np.linspace(0.0, motion.duration, 2001))
     for check in certify(motion).checks:
         if check.name in found:
@@ -160,6 +153,11 @@ def test_limits_and_senses_are_those_of_the_problem() -> None:
     }
 
 
+TURN = np.array(
+    [[math.cos(1.1), -math.sin(1.1), 0.0], [math.sin(1.1), math.cos(1.1), 0.0], [0.0, 0.0, 1.0]]
+)
+
+
 def transformed(motion: Motion, turn: np.ndarray, shift: np.ndarray) -> Motion:
     def mapped(part: PiecewisePolynomial) -> PiecewisePolynomial:
         c = np.einsum("ij,...jk->...ik", turn, part.coefficients) + shift[:, None]
@@ -189,12 +187,23 @@ def assert_same(first: Certificate, second: Certificate, but: tuple[str, ...] = 
             assert a.worst == pytest.approx(b.worst, rel=3e-4, abs=1e-6), a.name
 
 
-def test_where_the_hitch_stands_and_which_way_it_faces_does_not_matter() -> None:
-    motion = random_motion(6, 5)
-    c, s = math.cos(1.1), math.sin(1.1)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    other = transformed(motion, turn, np.array([12.0, -7.0, 2.0]))
-    assert_same(certify(motion), certify(other))
+@pytest.mark.parametrize(
+    ("change", "n", "seed"),
+    [
+        (lambda motion: transformed(motion, TURN, np.array([12.0, -7.0, 2.0])), 6, 5),
+        (lambda motion: with_parts(motion, PiecewisePolynomial.reversed), 4, 9),
+        (lambda motion: with_parts(motion, cut), 5, 11),
+    ],
+    ids=["shifted and turned", "flown backwards", "cut"],
+)
+def test_where_and_which_way_it_flies_and_in_which_pieces_does_not_matter(
+    change: Callable[[Motion], Motion], n: int, seed: int
+) -> None:
+    motion = random_motion(n, seed)
+    first, second = certify(motion), certify(change(motion))
+    assert_same(first, second)
+    time = 4.0 - first["speed"].time if n == 4 else first["speed"].time
+    assert second["speed"].time == pytest.approx(time, abs=1e-2)
 
 
 def test_a_mirrored_hitch_turns_the_wrong_way_and_changes_nothing_else() -> None:
@@ -217,40 +226,17 @@ def test_numbering_changes_names_only() -> None:
             assert back == set(a.where), a.name
 
 
-def test_flown_backwards_all_but_the_times_is_the_same() -> None:
-    motion = random_motion(4, 9)
-    back = with_parts(motion, PiecewisePolynomial.reversed)
-    first, second = certify(motion), certify(back)
-    assert_same(first, second)
-    assert second["speed"].time == pytest.approx(4.0 - first["speed"].time, abs=1e-2)
-
-
 def test_slower_by_two_divides_rates_by_powers_of_two() -> None:
     motion = random_motion(5, 10)
     slow = with_parts(motion, lambda part: part.stretched(2.0))
     first, second = certify(motion), certify(slow)
     for name, power in (("speed", 1), ("acceleration", 2), ("jerk", 3), ("vertex_speed", 1)):
         assert first[name].worst == pytest.approx(second[name].worst * 2**power, rel=3e-4)
-    for name in ("separation", "crossing", "legs", "convexity", "equilibrium"):
+    for name in ("separation", "crossing", "legs", "convexity", "equilibrium", "tracking_radius"):
         assert first[name].worst == pytest.approx(second[name].worst, rel=3e-4, abs=1e-6)
 
 
-def test_cutting_pieces_changes_nothing() -> None:
-    motion = random_motion(5, 11)
-
-    def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:
-        breaks = np.sort(np.concatenate([part.breaks, part.breaks[:-1] + 0.3 * part.durations]))
-        c = part.coefficients
-        pieces = [bernstein.restrict(c, 0.0, 0.3), bernstein.restrict(c, 0.3, 1.0)]
-        both = np.stack(pieces, axis=1).reshape(-1, *c.shape[1:])
-        return PiecewisePolynomial(breaks, both)
-
-    again = with_parts(motion, cut)
-    assert_same(certify(motion), certify(again))
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("index", [0, 3, 4])
+@pytest.mark.parametrize(("axis", "index"), [(0, 0), (1, 3), (2, 4)])
 def test_a_coefficient_moved_by_a_hundredth_of_a_millimetre_shows(axis: int, index: int) -> None:
     motion = random_motion(4, 12)
     before = certify(motion)
@@ -308,5 +294,5 @@ def test_weights_that_come_and_go_with_the_tension_need_the_same_length(end: int
     pull = np.broadcast_to(rise, (motion.tensions.pieces, 3, 8))
     tensions = PiecewisePolynomial(motion.tensions.breaks, pull)
     found = certify(replace(with_drones(motion, drones), tensions=tensions))["cable_length"]
-    assert found.worst == pytest.approx(1e-6 / 2.4, rel=1e-3)
+    assert 1e-6 / 2.4 <= found.bound <= 1e-6 / 2.4 + ABSOLUTE
     assert found.where == ("cable 0",)

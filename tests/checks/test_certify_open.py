@@ -5,19 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from certificate_cases import with_drones
-from open_chain_cases import bent, chain_motion, random_chain, sampled_chain
+from certificate_sampling import sampled
+from open_chain_cases import bent, chain_motion, random_chain
 
 from hitchopt.checks import certify
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
-from hitchopt.requirements import Arena, Requirements, Separation
+from hitchopt.requirements import Arena, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 
 def check_against_samples(motion: Motion, count: int) -> None:
     """No sample may beat a worst, and a fine sampling has to come near to it."""
     certificate = certify(motion)
-    samples = sampled_chain(motion, np.linspace(0.0, motion.duration, count))
+    samples = sampled(motion, np.linspace(0.0, motion.duration, count))
     limit = dict(zip(motion.team.drone_names, motion.team.max_thrust, strict=True))
     names = {check.name for check in certificate.checks if check.limit is not None}
     assert set(samples) | {"continuity", "tension"} == names
@@ -36,7 +37,7 @@ def check_against_samples(motion: Motion, count: int) -> None:
         assert worst == pytest.approx(sample, rel=2e-3, abs=1e-5), name
 
 
-@pytest.mark.parametrize("n", range(2, 9))
+@pytest.mark.parametrize("n", [2, 3, 5, 8])
 def test_worsts_hold_for_all_samples_and_are_tight(n: int) -> None:
     check_against_samples(random_chain(n, 40 + n), 2001)
 
@@ -63,7 +64,7 @@ def test_worsts_hold_for_plans_that_are_wrong_as_well(n: int, seed: int) -> None
     certificate = certify(wrong)
     breaks = wrong.drones.breaks[1:]
     times = [np.linspace(0.0, wrong.duration, 4001), breaks - 1e-12]  # it jumps at the joints
-    samples = sampled_chain(wrong, np.concatenate(times))
+    samples = sampled(wrong, np.concatenate(times))
     assert not certificate["cable_length"].holds
     for name in ("cable_length", "equilibrium", "separation", "cable_clearance", "legs", "tilt"):
         check = certificate[name]
@@ -156,41 +157,3 @@ def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
 
 def _share_below(total: np.ndarray) -> float:
     return float(np.argmax(total > 360.0)) / len(total)
-
-
-def test_reversing_a_chain_exchanges_q_and_r() -> None:
-    """The mirror image, cables in reverse order: the same worsts, at the mirrored places."""
-    motion = random_chain(5, 21)
-    n, team = 5, motion.team
-
-    def mirrored(part: PiecewisePolynomial, *axes: int) -> PiecewisePolynomial:
-        c = np.flip(part.coefficients, axes).copy()
-        if part.shape[-1:] == (3,):
-            c[..., 0, :] *= -1.0
-        return PiecewisePolynomial(part.breaks, c)
-
-    other = Motion(
-        Team(
-            n,
-            team.cable_length[::-1],
-            topology="open",
-            tension=team.tension[::-1],
-            cable_density=team.cable_density,
-        ),
-        Requirements(motion.requirements.limits, motion.requirements.separation, None),
-        mirrored(motion.drones, 1),
-        mirrored(motion.vertices, 1),
-        mirrored(motion.legs, 1, 2),
-        mirrored(motion.tensions, 1),
-        motion.phases,
-    )
-    first, second = (
-        certify(replace(motion, requirements=replace(motion.requirements, arena=None))),
-        certify(other),
-    )
-    for check in first.checks:
-        assert second[check.name].worst == pytest.approx(check.worst, rel=3e-4, abs=1e-6)
-    names = {f"q{k}": f"r{n - 1 - k}" for k in range(n)}
-    names |= {r: q for q, r in names.items()}
-    assert second["speed"].where == tuple(names[d] for d in first["speed"].where)
-    assert second["tilt"].where == tuple(names[d] for d in first["tilt"].where)

@@ -193,7 +193,8 @@ def test_half_of_the_cable_s_weight_hangs_on_each_drone() -> None:
     certificate = certify(still(team, hexagon, np.full(6, d)))
     rise = 0.5 * (9.81 * (0.004 + 0.01 * (1.0 + d)))  # of each leg's pull: half of a clasp's load
     upward = 9.81 * (0.132 + 0.5 * 0.01 * d) + rise
-    pull = 0.5 + 0.5 * 0.0981 * d * rise / 0.5
+    half, sine = 0.5 * 0.0981 * d, rise / 0.5
+    pull = half * sine + math.sqrt(0.25 - half**2 * (1.0 - sine**2))
     level = math.sqrt(pull**2 - rise**2)
     assert certificate["thrust"].worst == pytest.approx(math.hypot(upward, level), rel=2e-4)
     lean = math.degrees(math.atan2(level, upward))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.closest_pairs import closeness
+from hitchopt.checks.closeness import closeness
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion, Phase

@@ -5,9 +5,9 @@ import pytest
 from test_interlacing import FEW, motion_of, stages_of
 
 from hitchopt.checks import certify
-from hitchopt.motion.phases import CableState
-from hitchopt.planners.forming.straight import straight
-from hitchopt.planners.forming.tying_stages import Stage
+from hitchopt.motion.motion import CableState
+from hitchopt.planners.forming.stages import Stage
+from hitchopt.planners.forming.turns import straight
 from hitchopt.requirements import Limits
 
 
@@ -32,12 +32,3 @@ def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
     needed = np.max((np.sum(legs, axis=1) + edges) / hitch.team.cable_length)
     assert needed > 1.02
     assert torn["cable_length"].worst == pytest.approx(needed - 1.0, rel=2e-4)
-
-
-def test_a_larger_prehitch_is_no_tear() -> None:
-    """The clasps' places go along with the drones."""
-    hitch, stages = stages_of(3)
-    points = stages[2].vertices(hitch)
-    assert points.at(points.breaks[-1:])[0] == pytest.approx(hitch.vertices)
-    back = stages[2].reversed("loosen").vertices(hitch)
-    assert back.at(back.breaks[:1])[0] == pytest.approx(hitch.vertices)

@@ -1,19 +1,20 @@
 """What friction may do to legs' pulls, held against samples."""
 
-import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from certificate_cases import applied
 from numpy.typing import NDArray
 
 import hitchopt as ho
-from hitchopt.checks import Check, certify
-from hitchopt.checks.bounds.friction_range import beyond_friction, wrapped
-from hitchopt.checks.equilibrium import RULE
+from hitchopt.checks import certify
+from hitchopt.checks.cables import beyond_friction
+from hitchopt.checks.clasps import EQUILIBRIUM as RULE
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -21,11 +22,7 @@ FRICTION = 0.2
 POLYGON = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
 
 
-def check(motion: Motion) -> Check:
-    """Return the check of a motion that it applies to."""
-    found = RULE.check(motion)
-    assert found is not None
-    return found
+check = partial(applied, RULE)
 
 
 def team(friction: float) -> Team:
@@ -134,7 +131,7 @@ def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
     assert found.where == ("p3",)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_sample_of_any_pulls_is_farther_beyond_friction(leaned: Motion, seed: int) -> None:
     """Pulls that no leg would have, larger or smaller, swinging between all breaks."""
     assert leaned.leg_tensions is not None
@@ -177,24 +174,14 @@ def test_pulls_of_another_shape_are_refused(leaned: Motion) -> None:
         replace(leaned, leg_tensions=wrong)
 
 
-def test_before_it_is_halved_a_bound_holds_as_well() -> None:
-    """Of the angles that cables wrap, from the coefficients of edges and legs that turn far."""
-    rng = np.random.default_rng(5)
-    rows = rng.normal(size=(500, 6, 1)) + 0.5 * rng.normal(size=(500, 6, 4))
-    angles = wrapped(rows, 1e-9)
-    a, b = np.split(bernstein.evaluate(rows[:, None], np.linspace(0.0, 1.0, 101)[:, None]), 2, -1)
-    cosine = np.sum(a * b, axis=-1) / np.linalg.norm(a, axis=-1) / np.linalg.norm(b, axis=-1)
-    sampled = np.min(np.pi - np.arccos(cosine), axis=1)
-    assert np.all(angles <= sampled)
-    assert np.sum(angles > 0.0) > 100
-
-
-def test_tensions_that_rise_from_zero_are_the_legs_own_or_hold_nothing(leaned: Motion) -> None:
+def test_what_legs_pull_over_tensions_that_rise_from_zero_is_told_by_its_limit(
+    leaned: Motion,
+) -> None:
     breaks = leaned.drones.breaks
     rising = np.linspace(0.0, 0.5, len(breaks))
     c = np.stack([rising[:-1], rising[1:]], axis=-1)
     tensions = np.repeat(c[:, None], 4, axis=1)
-    for factor, beyond in ((1.0, 0.0), (1.01, math.inf)):
+    for factor in (1.0, 2.0):
         pulls = factor * np.repeat(tensions[:, :, None], 2, axis=2)
         motion = replace(
             leaned,
@@ -203,7 +190,7 @@ def test_tensions_that_rise_from_zero_are_the_legs_own_or_hold_nothing(leaned: M
         )
         assert motion.leg_tensions is not None
         found = beyond_friction(motion).worst
-        assert found == beyond if beyond else found < 1e-9
+        assert found < 1e-9 if factor == 1.0 else 0.8 < found < 1.0
 
 
 @pytest.mark.parametrize(("cable", "end", "point"), [(0, 0, 0), (2, 1, 3)])

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from free_cases import free_motion, random_flight, through
 
 import hitchopt as ho
-from hitchopt.checks import interlacing
-from hitchopt.checks.bounds import chord_crossings as chord_crossings_module
-from hitchopt.checks.bounds.chord_crossings import chord_crossings
-from hitchopt.checks.bounds.strands import entered
+from hitchopt.checks.crossings import chord_crossings, entered
+from hitchopt.checks.story import INTERLACING
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.straight import straight
-from hitchopt.planners.forming.turns import SwapSettings, swap
-from hitchopt.planners.forming.tying_stages import Stage, tied, undone
+from hitchopt.planners.forming.stages import Stage, tied, undone
+from hitchopt.planners.forming.turns import straight, swap
 from hitchopt.requirements import Limits, Requirements, Separation
-from hitchopt.steps.free_cables import staged
+from hitchopt.steps.certified_motions import staged
 from hitchopt.trajectory import PiecewisePolynomial
 
 KEPT = Requirements(Limits(), Separation(), None)
@@ -60,7 +57,7 @@ def counts(drones: PiecewisePolynomial) -> dict[tuple[int, int], int]:
 
 
 def wrong(motion: Motion) -> set[str]:
-    found = interlacing.RULE.check(motion)
+    found = INTERLACING.check(motion)
     assert found is not None
     assert (found.worst == 0.0) is found.holds is (not found.where)
     return {name for name in found.where if not name.startswith("phase ")}
@@ -84,30 +81,21 @@ def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
 
 
 @pytest.mark.parametrize("n", FEW)
-def test_turning_back_in_the_second_swap_holds_nothing(n: int) -> None:
+def test_a_hitch_that_swaps_did_not_tie_is_named_everywhere(n: int) -> None:
+    """Drones turn back in the second swap, swap only once, or never."""
     hitch, stages = stages_of(n)
     back = Stage("swap 2", stages[0].drones.reversed(), CableState.CLASPING)
-    everywhere = {f"p{k}" for k in range(n)}
-    assert wrong(motion_of(hitch, [stages[0], back, *stages[2:]])) == everywhere
-
-
-@pytest.mark.parametrize("n", [3, 5])
-def test_swapping_only_once_holds_nothing(n: int) -> None:
-    """Drones go straight from half a turn to their places in the hitch; or wrongly, stay there."""
-    hitch, stages = stages_of(n)
     here = stages[0].drones.coefficients[-1, ..., -1]
     flight = straight(hitch.team, Limits(), here, hitch.drones)
     on = Stage("tighten", flight, CableState.TIGHTENING)
-    everywhere = {f"p{k}" for k in range(n)}
-    assert wrong(motion_of(hitch, [stages[0], on, stages[3]])) == everywhere
-    assert wrong(motion_of(hitch, [stages[0], stages[3]])) == everywhere
-
-
-@pytest.mark.parametrize("n", [3, 5])
-def test_a_hitch_that_nothing_tied_is_named(n: int) -> None:
-    hitch, stages = stages_of(n)
     there = Stage("hold", stages[-1].drones)
-    assert wrong(motion_of(hitch, [there, stages[-1]])) == {f"p{k}" for k in range(n)}
+    for flown in (
+        [stages[0], back, *stages[2:]],
+        [stages[0], on, stages[3]],
+        [stages[0], stages[3]],
+        [there, stages[-1]],
+    ):
+        assert wrong(motion_of(hitch, flown)) == {f"p{k}" for k in range(n)}
 
 
 @pytest.mark.parametrize("left_out", [(0,), (2,), (1, 3)])
@@ -155,11 +143,6 @@ def test_a_tangled_approach_is_named_by_its_pair() -> None:
     way = through(np.arange(6.0), np.array(places))
     approach = Stage("approach", way)
     motion = motion_of(hitch, [approach, *stages])
-    met = chord_crossings(way)
-    crossed = {
-        (int(i), int(j)): int(c) for i, j, c in zip(met.first, met.second, met.count, strict=True)
-    }
-    assert crossed.get((0, 2), 0) != 0 or {"cable 0", "cable 2"} <= wrong(motion)
     assert {"cable 0", "cable 2"} <= wrong(motion)
 
 
@@ -168,18 +151,15 @@ def test_robots_that_form_nothing_must_not_tangle() -> None:
     motion = free_motion(team, drones)
     met = chord_crossings(drones)
     names = wrong(motion)
-    assert bool(names) == (np.any(met.count != 0) or len(entered(motion).drone) > 0)
+    assert bool(names) == (np.any(met.count != 0) or len(entered(motion).first) > 0)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_counts_against_samples_of_the_volume(seed: int) -> None:
     """Signs of the volume at samples, wherever chords are close and cross from some side."""
     _, drones = random_flight(seed, n=5, pieces=2)
-    met = chord_crossings(drones)
-    assert np.all(met.certain)
-    counted = {
-        (int(i), int(j)): int(c) for i, j, c in zip(met.first, met.second, met.count, strict=True)
-    }
+    assert np.all(chord_crossings(drones).certain)
+    counted = counts(drones)
     t = np.linspace(0.0, drones.duration, 40001)
     ends = drones.at(t).reshape(len(t), 5, 2, 3)
     for i in range(5):
@@ -198,7 +178,7 @@ def test_counts_against_samples_of_the_volume(seed: int) -> None:
             assert counted.get((i, j), 0) == total
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_laws_of_counting(seed: int) -> None:
     _, drones = random_flight(seed, n=5)
     found = counts(drones)
@@ -270,8 +250,8 @@ def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:
     met = chord_crossings(motion.drones)
     assert not np.any(met.count)
     inside = entered(motion)
-    assert inside.drone.tolist() == [2]
-    assert inside.cable.tolist() == [0]
+    assert inside.first.tolist() == [2]
+    assert inside.second.tolist() == [0]
     assert inside.time == pytest.approx([2.0], abs=0.3)
     assert wrong(motion) == {"p1"}
     # Below the cable, or over the chord, nothing is caught.
@@ -280,24 +260,12 @@ def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:
         for places in around:
             places[2:, 2] += height
         other = replace(motion, drones=through(np.array([0.0, 4.0]), np.array(around)))
-        assert len(entered(other).drone) == 0
+        assert len(entered(other).first) == 0
 
 
 @pytest.mark.parametrize("degree", [0, 3])
-def test_chords_that_overlap_for_good_are_uncertain_at_once(
-    degree: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chords_that_overlap_for_good_are_uncertain_at_once(degree: int) -> None:
     """Halved down to the last cell they would come to 2**30 of them."""
-    looked_at = 0
-    apart = chord_crossings_module._apart
-
-    def counted(cells: Any) -> Any:
-        nonlocal looked_at
-        looked_at += len(cells)
-        return apart(cells)
-
-    monkeypatch.setattr(chord_crossings_module, "_apart", counted)
     on_one_line = np.array([[-1.1, 0, 0], [1.6, 0, 0], [0.4, 0, 0], [1.1, 0, 0]])
     met = chord_crossings(PiecewisePolynomial.constant([0.0, 1.0], on_one_line, degree))
     assert list(met.certain) == [False]
-    assert looked_at <= 4

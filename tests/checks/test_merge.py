@@ -1,15 +1,16 @@
 """A certificate from those of the parts, against one that looks at the whole anew."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
 from hitchopt.checks import certify, merged
-from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import Motion, joined_motions
 
+PROBLEMS = Path(__file__).parents[2] / "problems"
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 
 
@@ -41,8 +42,7 @@ def one_after_the_other(parts: list[Motion], duration: float | None) -> Motion:
     )
 
 
-@pytest.mark.parametrize("count", [1, 4])
-@pytest.mark.parametrize("duration", [None, 100.0, 0.5])
+@pytest.mark.parametrize(("count", "duration"), [(1, None), (4, 100.0), (4, 0.5)])
 def test_merging_equals_looking_anew(
     parts: list[Motion], duration: float | None, count: int
 ) -> None:
@@ -93,19 +93,8 @@ def test_one_part_that_breaks_a_limit_breaks_the_whole(parts: list[Motion]) -> N
 
 
 def test_a_mission_is_certified_as_if_looked_at_as_a_whole() -> None:
-    plan = ho.solve(
-        problem_from_dict(
-            {
-                "team": {"robots": 3, "cable_length": 2.4},
-                "start": {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}},
-                "mission": [
-                    {"morph": {"polygon": [[0.0, -0.8], [-0.4, 0.5], [0.4, 0.5]]}},
-                    {"hold": {"seconds": 0.5}},
-                    {"transport": {"to": [0.4, 0.0, 1.2]}},
-                ],
-            }
-        )
-    )
+    plan = ho.solve(PROBLEMS / "blended.yaml")
+    assert plan.certificate["tracking_radius"].gamma == 1.0
     anew = certify(plan.motion)
     assert [c.name for c in plan.certificate.checks] == [c.name for c in anew.checks]
     for mine, other in zip(plan.certificate.checks, anew.checks, strict=True):

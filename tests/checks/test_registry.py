@@ -11,17 +11,11 @@ from free_cases import free_motion, random_flight
 from open_chain_cases import random_chain
 
 from hitchopt.checks import Certificate, Check, certify
-from hitchopt.checks.bounds.shared_values import shared_values
 from hitchopt.checks.certificate import describe
 from hitchopt.checks.registry import REPORTS, RULE_OF, RULES
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, ReportRule
-from hitchopt.checks.stops import RULE as STOPPABLE
-from hitchopt.motion.motion import CableState, Motion
-from hitchopt.motion.phases import HITCHED_STATE
+from hitchopt.checks.rule import CheckRule, Finder, Finding, ReportRule
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.requirements import Arena
-from hitchopt.trajectory import enclosure
-from hitchopt.trajectory.enclosure import Enclosure
-from hitchopt.values import Array
 
 
 def test_every_rule_has_a_name_of_its_own_and_some_state() -> None:
@@ -102,63 +96,3 @@ def test_only_an_infinity_that_holds_is_nothing(sense: str) -> None:
         assert "q0" in describe(check)
     some = Check.of("x", 3.0, 3.0, sense, "m", 0.0, ())
     assert max((nothing, some), key=lambda each: each.pressure) is some
-
-
-def test_rules_say_what_exports_carry_and_what_eases_them() -> None:
-    hitched = {"separation", "cable_clearance", "cable_length", "speed", "thrust", "tilt"}
-    hitched |= {"arena", "keep_out", "object_clearance"}
-    free = hitched - {"cable_length"} | {"crossing", "span"}
-    single = free - {"cable_clearance", "crossing", "span", "object_clearance"}
-    for state in CableState:
-        carried = {
-            rule.name
-            for rule in RULES
-            for finder in rule.finders
-            if finder.exported and state in finder.states
-        }
-        formed = state is CableState.HITCHED
-        assert carried == (hitched if formed else single if state is CableState.NONE else free)
-    assert {rule.name: rule.derivative for rule in RULES if rule.derivative} == {
-        "speed": 1,
-        "acceleration": 2,
-        "jerk": 3,
-        "vertex_speed": 1,
-        "thrust": 2,
-        "tilt": 2,
-        "body_rate": 3,
-    }
-    eased = {ease: {rule.name for rule in RULES if rule.ease is ease} for ease in Ease}
-    assert eased[Ease.TIME] == {"speed", "acceleration", "jerk", "vertex_speed", "body_rate"}
-    assert eased[Ease.TENSION] == {"thrust", "tilt"}
-    assert eased[Ease.LENGTH] == {
-        "separation",
-        "cable_clearance",
-        "legs",
-        "span",
-        "cable_length",
-    }
-    whole = {rule.name for rule in RULES if rule.whole}
-    assert whole == {"tension", "continuity", "interlacing", "duration"}
-
-
-def test_directions_are_enclosed_once_for_a_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every check by itself says the same."""
-    counted: list[tuple[int, ...]] = []
-    enclosed = enclosure.direction
-
-    def counting(vectors: Array, noise: float = 0.0) -> Enclosure:
-        counted.append(vectors.shape[:2])
-        return enclosed(vectors, noise)
-
-    monkeypatch.setattr(enclosure, "direction", counting)
-    motion = random_motion(4, 5)
-    certificate = certify(motion)
-    whole = (12 * motion.drones.pieces, 3)  # eight legs and four edges on every piece
-    assert counted.count(whole) == 1
-    for name in ("thrust", "tilt", "equilibrium"):
-        assert RULE_OF[name].check(motion) == certificate[name]
-    assert counted.count(whole) == 4
-    with shared_values():  # as retargets have it, whose stops are looked at later
-        assert certify(motion) == certificate
-        STOPPABLE.check(motion, {}, 1.0)
-    assert counted.count(whole) == 5

@@ -10,7 +10,7 @@ import pytest
 from certificate_cases import still, with_drones, with_parts
 
 from hitchopt.checks import certify
-from hitchopt.checks.bounds.rounding_margins import ROUNDING
+from hitchopt.checks.spans import ROUNDING
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial

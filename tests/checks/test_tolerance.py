@@ -12,8 +12,6 @@ import hitchopt as ho
 from hitchopt.checks.certificate import TOLERANCE, Check
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import certificate_at_rest
-from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.extremum import Cells, Estimate, smallest
 
 TEAM = ho.Team(3, 2.4)
 HITCH = ho.Hitch.spread(TEAM, ho.regular_polygon(3, 1.0), altitude=1.0)
@@ -57,23 +55,6 @@ def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:
         assert not broken.certified
 
 
-def test_a_bound_is_as_close_as_the_limit_asks() -> None:
-    """1 + x on [0, 1]: within 1e-4 of it usually, closer where that decides."""
-
-    def loose(blocks: tuple[np.ndarray, ...]) -> Estimate:
-        (rows,) = blocks
-        values = rows[:, 0]
-        wide = np.ptp(values, axis=-1)
-        lowest = np.min(values, axis=-1)
-        return Estimate(lowest - wide, lowest, np.zeros(len(rows)))
-
-    line = bernstein.elevate(np.array([[[[1.0, 2.0]]]]), 2)
-    cells = Cells.over(np.array([0.0, 1.0]), [line])
-    assert 1.0 - 1e-4 <= smallest(cells, loose).worst < 1.0 - 1e-9
-    assert smallest(cells, loose, 1.0 - 1e-9).worst >= 1.0 - 1e-9
-    assert smallest(cells, loose, 1.5).worst < 1.0  # no help where the limit is broken
-
-
 def test_a_plan_whose_duration_is_its_limit_is_certified() -> None:
     limits = ho.Limits(duration=0.1 + 0.2)  # 0.30000000000000004
     plan = ho.hold(HITCH, 0.3, limits=limits)
@@ -100,7 +81,7 @@ def test_drones_may_start_on_a_wall_and_touching() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
-@pytest.mark.parametrize("limits", [{"speed": 1e-4}, {"speed": 1e-6}, {"acceleration": 1e-9}])
+@pytest.mark.parametrize("limits", [{"speed": 1e-6}, {"acceleration": 1e-9}])
 def test_the_slowest_limits_are_planned(limits: dict[str, float]) -> None:
     slow = ho.Limits(**limits)
     ((name, limit),) = limits.items()

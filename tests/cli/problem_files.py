@@ -1,13 +1,20 @@
-"""The problem files of this repository, and what their headers say of them."""
+"""The problem files of this repository, what their headers say of them, and how commands run."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
+
+from click.testing import CliRunner, Result
+
+from hitchopt.cli import main
 
 ROOT = Path(__file__).parents[2]
 GOOD = sorted((ROOT / "problems").glob("*.yaml"))
 BAD = sorted((ROOT / "problems" / "bad").glob("*.yaml"))
 INFEASIBLE = sorted((ROOT / "problems" / "infeasible").glob("*.yaml"))
+TRIANGLE = ROOT / "problems" / "triangle.yaml"
 
 
 def header(path: Path, word: str) -> str:
@@ -16,3 +23,28 @@ def header(path: Path, word: str) -> str:
         if line.startswith(f"# {word}: "):
             return line.removeprefix(f"# {word}: ")
     raise KeyError(f"{path} has no comment '# {word}: …'")
+
+
+def run(*arguments: str | Path, code: int | None = None, given: str | None = None) -> Result:
+    """Run a command in this process; it ends with ``code``, if one is given."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments], input=given)
+    assert code in (None, result.exit_code), result.output
+    return result
+
+
+def refused(*arguments: str | Path, code: int = 2) -> str:
+    """What a command that prints no result writes to stderr."""
+    result = run(*arguments, code=code)
+    assert isinstance(result.exception, SystemExit)
+    assert result.stdout == ""
+    assert "Traceback" not in result.stderr
+    return result.stderr
+
+
+def strict(*arguments: str | Path) -> Any:
+    """What a command prints with ``--json``; not a number is no JSON."""
+
+    def refuse(word: str) -> None:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(run(*arguments, "--json").stdout, parse_constant=refuse)

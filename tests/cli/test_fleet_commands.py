@@ -6,14 +6,15 @@ import math
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from problem_files import run
 
-from hitchopt.cli import main
+from hitchopt.exports import refit as point_rounding
 from hitchopt.exports.formats.known_formats import HOMES
-from hitchopt.exports.refit import point_rounding
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan
+
+pytestmark = pytest.mark.usefixtures("place")
 
 PROBLEM = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -22,9 +23,10 @@ PROBLEM = {
     "mission": [{"transport": {"to": [0.5, 0.5, 1.0]}}],
 }
 
-
 WARNINGS = {"crazyswarm2": 2, "compressed": 2, "skybrush": 1, "skybrush_csv": 1}
 """Formats without feed-forward of the cable force, and those whose controllers have an integral."""
+
+ONE_FILE = {"csv": "csv", "parquet": "parquet", "npz": "npz", "json": "json", "skybrush": "skyc"}
 
 
 @pytest.fixture(scope="module")
@@ -36,193 +38,123 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.fixture(autouse=True)
-def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 @pytest.mark.parametrize("name", list(HOMES))
 def test_every_format_there_and_back(name: str, plan: Path) -> None:
-    done = run("export", plan, "--format", name, "-o", "files")
-    assert done.exit_code == 0, done.output
-    assert "certified as exported" in done.stdout
-    assert "from the plan, over all time" in done.stdout
-    assert "not carried: " in done.stdout
-    again = run("lint", "files")
-    assert again.exit_code == 0, again.output
-    assert f"0 errors, {WARNINGS.get(name, 0)} warning" in again.stdout
-    assert again.stdout.count("warning: tension: ") == WARNINGS.get(name, 0)
+    said = run("export", plan, "--format", name, "-o", "files", code=0).stdout
+    for words in ("certified as exported", "from the plan, over all time", "not carried: "):
+        assert words in said
+    again = run("lint", "files", code=0).stdout
+    assert f"0 errors, {WARNINGS.get(name, 0)} warning" in again
+    assert again.count("warning: tension: ") == WARNINGS.get(name, 0)
+    assert name in run("export", "--help").stdout
+    if name in ONE_FILE:  # written where it is wanted
+        for _ in range(2):
+            file = Path("new") / f"table.{ONE_FILE[name]}"
+            run("export", plan, "--format", name, "-o", file, code=0)
+        (same,) = (path for path in Path("files").iterdir() if path.name != "export.json")
+        assert file.stat().st_size == same.stat().st_size
+        beside = {path.name for path in file.parent.iterdir()}
+        assert beside == {file.name, f"{file.name}.export.json"}
 
 
 def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
-    done = run("export", plan, "--format", "ros2bag", "-o", "bag", "--ros-distro", "jazzy")
-    assert done.exit_code == 0, done.output
+    run("export", plan, "--format", "ros2bag", "-o", "bag", "--ros-distro", "jazzy", code=0)
     assert "version: 9" in Path("bag/metadata.yaml").read_text()
-    assert run("export", plan, "--format", "ros2bag", "--ros-distro", "foxy").exit_code == 2
 
 
 def test_a_lost_limit_ends_with_3_and_what_would_do(
-    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    plan: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(point_rounding, "MOST", -1)  # rounding is left as it is
-    done = run("export", plan, "--format", "compressed", "-o", "files")
-    assert done.exit_code == 3
+    export = ("export", plan, "--format", "compressed", "-o", "files")
+    done = run(*export, code=3)
     assert done.stdout == ""
     assert "error: speed: " in done.stderr
     assert "(the plan keeps 0.29" in done.stderr
-    assert list(tmp_path.iterdir()) == []
+    assert list(place.iterdir()) == []
     (line,) = (line for line in done.stderr.splitlines() if "verified: --stretch" in line)
-    factor = line.split()[3]
-    slower = run("export", plan, "--format", "compressed", "-o", "files", "--stretch", factor)
-    assert slower.exit_code == 0, slower.output
+    run(*export, "--stretch", line.split()[3], code=0)
 
 
-def test_next_to_the_plan_by_default(plan: Path) -> None:
-    done = run("export", plan, "--format", "npz")
-    assert done.exit_code == 0
-    assert (plan.parent / "out-npz" / "setpoints.npz").exists()
-
-
-def test_frames_origin_yaw_and_fleet(plan: Path, tmp_path: Path) -> None:
+def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) -> None:
     roles = [f"{end}{k}" for k in range(3) for end in "qr"]
-    entries = [
-        f"  {role}: {{name: cf{i}, uri: radio://0/80/2M/E7E7E7E70{i}}}"
-        for i, role in enumerate(roles)
-    ]
+    uri = "radio://0/80/2M/E7E7E7E70"
+    entries = [f"  {x}: {{name: cf{i}, uri: {uri}{i}}}" for i, x in enumerate(roles)]
     Path("fleet.yaml").write_text("\n".join(["drones:", *entries]))
-    done = run(
+    run(
         *("export", plan, "--format", "csv", "--frame", "ned", "--origin", "1", "2", "0.5"),
         *("--yaw-deg", "90", "--fleet", "fleet.yaml", "-o", "files", "--rate", "10"),
+        code=0,
     )
-    assert done.exit_code == 0, done.output
-    header, first, *_ = (tmp_path / "files" / "setpoints_ned.csv").read_text().splitlines()
+    header, first, *_ = (place / "files" / "setpoints_ned.csv").read_text().splitlines()
     row = dict(zip(header.split(","), first.split(","), strict=True))
-    assert row["drone"] == "cf0"
-    assert float(row["z"]) == -1.5
+    assert (row["drone"], float(row["z"])) == ("cf0", -1.5)
     assert math.isclose(float(row["yaw"]), 0.0, abs_tol=1e-9)
+    run("export", plan, "--format", "npz", code=0)
+    assert (plan.parent / "out-npz" / "setpoints.npz").exists()
 
 
 @pytest.mark.parametrize(
     ("arguments", "reported"),
     [
-        (["--format", "crazyswarm"], "did you mean crazyswarm2?"),
-        (["--format", "csv", "--frame", "up"], "must be one of enu, nwu, ned"),
-        (["--format", "mavsdk_drone_show", "--frame", "enu"], "must be one of ned for mavsdk"),
-        (["--format", "csv", "--rate", "0"], "--rate = 0.0: must be above 0"),
-        (["--format", "csv", "--rate", "nan"], "--rate = nan"),
-        (["--format", "skybrush", "--rate", "10"], "it does not sample"),
-        (["--format", "csv", "--stretch", "0.9"], "--stretch = 0.9: must be from 1"),
-        (["--format", "csv", "--origin", "1", "2", "inf"], "three finite numbers"),
-        (["--format", "csv", "--yaw-deg", "nan"], "yaw = nan"),
-        (["--format", "csv", "--fleet", "nowhere.yaml"], "nowhere.yaml"),
-        ([], "Missing option '--format'"),
+        ("--format crazyswarm", "did you mean crazyswarm2?"),
+        ("--format csv --frame up", "must be one of enu, nwu, ned"),
+        ("--format mavsdk_drone_show --frame enu", "must be one of ned for mavsdk"),
+        ("--format csv --rate 0", "--rate = 0.0: must be above 0"),
+        ("--format csv --rate nan", "--rate = nan"),
+        ("--format skybrush --rate 10", "it does not sample"),
+        ("--format csv --stretch 0.9", "--stretch = 0.9: must be from 1"),
+        ("--format csv --origin 1 2 inf", "three finite numbers"),
+        ("--format csv --yaw-deg nan", "yaw = nan"),
+        ("--format csv --fleet nowhere.yaml", "nowhere.yaml"),
+        ("--format ros2bag --ros-distro foxy", "'foxy' is not one of"),
+        ("--format csv --hold-tension", "give --stiffness, or team.quadrotor.stiffness"),
+        ("--format csv -o table.npz", "-o = 'table.npz': must be a folder"),
+        ("", "Missing option '--format'"),
     ],
 )
 def test_usage_that_is_wrong_ends_with_2(
-    arguments: list[str], reported: str, plan: Path, tmp_path: Path
+    arguments: str, reported: str, plan: Path, place: Path
 ) -> None:
-    done = run("export", plan, *arguments, "-o", "files")
-    assert done.exit_code == 2, done.output
-    assert reported in done.stderr
-    assert list(tmp_path.iterdir()) == []
+    words = arguments.split()
+    placed = [] if "-o" in words else ["-o", "files"]
+    assert reported in run("export", plan, *words, *placed, code=2).stderr
+    assert list(place.iterdir()) == []
 
 
-def test_the_help_names_every_format() -> None:
-    reported = run("export", "--help").stdout
-    assert all(name in reported for name in HOMES)
-    assert "Formats:" in reported
-
-
-def test_no_plan_or_a_file_in_the_way_end_with_2(plan: Path) -> None:
+def test_what_is_somebody_elses_stays(plan: Path) -> None:
     assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
-    ending = run("export", plan, "--format", "csv", "-o", "table.npz")
-    assert ending.exit_code == 2
-    assert "-o = 'table.npz': must be a folder" in ending.stderr
-    assert list(Path().iterdir()) == []
-    Path("taken").write_text("mine")
-    done = run("export", plan, "--format", "csv", "-o", "taken")
-    assert done.exit_code == 2
-    assert "an export is a folder" in done.stderr
-    assert Path("taken").read_text() == "mine"
+    for name, told in (("taken", "an export is a folder"), ("mine.csv", "")):
+        Path(name).write_text("mine")
+        assert told in run("export", plan, "--format", "csv", "-o", name, code=2).stderr
+        assert Path(name).read_text() == "mine"
 
 
-def test_lint_ends_with_3_where_something_would_go_wrong(plan: Path) -> None:
+def test_lint_reports_what_would_go_wrong(plan: Path) -> None:
     run("export", plan, "--format", "crazyswarm2", "-o", "files")
-    done = run("lint", "files", "--speed", "0.1", "--radius", "2")
-    assert done.exit_code == 3
+    done = run("lint", "files", "--speed", "0.1", "--radius", "2", code=3)
     assert "error: speed: " in done.stderr
     assert "error: separation: " in done.stderr
     assert "2 errors, 2 warnings" in done.stdout
-    assert run("lint", "files", "--radius", "-1").exit_code == 2
-    assert run("lint", "nowhere").exit_code == 2
-    assert "hitchopt check" in run("lint", plan).stderr
+    relative = run("lint", "files", "--relative", code=0)  # flown from the drones' places
+    assert "0 errors, 2 warnings" in relative.stdout
+    run("lint", Path("files") / "q0.csv", "--relative", code=0)
+    run("lint", "files", "--radius", "-1", code=2)
+    run("lint", "nowhere", code=2)
+    for path in (plan, plan / "plan.npz"):
+        assert "hitchopt check" in run("lint", path, code=2).stderr
 
 
-@pytest.mark.parametrize(
-    ("name", "ending"),
-    [
-        ("csv", "csv"),
-        ("parquet", "parquet"),
-        ("npz", "npz"),
-        ("json", "json"),
-        ("skybrush", "skyc"),
-    ],
-)
-def test_a_format_of_one_file_is_written_where_it_is_wanted(
-    plan: Path, name: str, ending: str
-) -> None:
-    place = Path("new") / f"table.{ending}"
-    reported = run("export", plan, "--format", name, "-o", str(place), "--stretch", "1.02")
-    assert reported.exit_code == 0, reported.stderr
-    assert run("export", plan, "--format", name, "-o", "folder", "--stretch", "1.02").exit_code == 0
-    (same,) = (path for path in Path("folder").iterdir() if path.name != "export.json")
-    assert place.stat().st_size == same.stat().st_size
-    beside = {path.name for path in place.parent.iterdir()}
-    assert beside == {place.name, f"{place.name}.export.json"}
-    again = run("export", plan, "--format", name, "-o", str(place), "--stretch", "1.02")
-    assert again.exit_code == 0
-    Path("mine.csv").write_text("mine")
-    assert run("export", plan, "--format", "csv", "-o", "mine.csv").exit_code == 2
-    assert Path("mine.csv").read_text() == "mine"
-
-
-def test_lint_of_trajectories_flown_from_the_drones_places(plan: Path) -> None:
-    run("export", plan, "--format", "crazyswarm2", "-o", "files")
-    done = run("lint", "files", "--relative")
-    assert done.exit_code == 0, done.output
-    assert "0 errors, 2 warnings" in done.stdout
-    alone = run("lint", Path("files") / "q0.csv", "--relative")
-    assert alone.exit_code == 0, alone.output
-
-
-def test_lint_shows_the_limits_that_a_show_sets_itself(plan: Path) -> None:
+def test_a_show_has_limits_of_its_own_and_holds_the_tension_where_asked(plan: Path) -> None:
     run("export", plan, "--format", "skybrush", "-o", "files")
-    done = run("lint", "files")
-    assert done.exit_code == 0, done.output
-    assert "maxVelocityXY 0." in done.stdout
-    assert "of 0.3 m/s, the show's own" in done.stdout
-    assert " of 3 m/s" not in done.stdout
-
-
-def test_lint_refuses_plans_by_name(plan: Path) -> None:
-    told = run("lint", plan / "plan.npz")
-    assert told.exit_code == 2
-    assert "hitchopt check" in told.stderr
-
-
-def test_set_points_hold_the_tension_where_that_is_asked(plan: Path) -> None:
+    said = run("lint", "files", code=0).stdout
+    assert "maxVelocityXY 0." in said
+    assert "of 0.3 m/s, the show's own" in said
+    assert " of 3 m/s" not in said
     options = ["--hold-tension", "--stiffness", "4.75", "--damping", "1.3"]
-    done = run("export", plan, "--format", "skybrush", "-o", "files", *options)
-    assert done.exit_code == 0, done.output
-    assert "note: set points are up to 8.4" in done.stdout
-    assert "loops of 4.75 N/m and 1.3 N s/m" in done.stdout
-    assert "separation" in done.stdout
-    assert "thrust" not in done.stdout.partition("not carried")[0]
+    said = run("export", plan, "--format", "skybrush", "-o", "files", *options, code=0).stdout
+    assert "note: set points are up to 8.4" in said
+    assert "loops of 4.75 N/m and 1.3 N s/m" in said
+    assert "separation" in said
+    assert "thrust" not in said.partition("not carried")[0]
     assert "0 errors, 0 warnings" in run("lint", "files").stdout
-    rigid = run("export", plan, "--format", "csv", "--hold-tension")
-    assert rigid.exit_code == 2
-    assert "give --stiffness, or team.quadrotor.stiffness" in rigid.stderr

@@ -141,9 +141,10 @@ def test_what_differs_from_what_was_asked_is_refused_by_its_key(
     with pytest.raises(FileError) as caught:
         ho.load(tmp_path)
     assert key in str(caught.value)
-    done = CliRunner().invoke(main, ["check", str(tmp_path)])
-    assert done.exit_code == 2
-    assert key in done.output
+    if lie == "no mapping":
+        done = CliRunner().invoke(main, ["check", str(tmp_path)])
+        assert done.exit_code == 2
+        assert key in done.output
 
 
 def test_the_text_of_the_problem_is_compared_too(formed: Path, tmp_path: Path) -> None:
@@ -175,7 +176,11 @@ def test_what_was_asked_is_in_the_order_of_the_start(formed: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["triangle", "open_chain", "carry_box", "swarms/head_on", "form_triangle"]
+    "name",
+    [
+        *("triangle", "open_chain", "swarms/head_on", "form_triangle"),
+        pytest.param("carry_box", marks=pytest.mark.slow),
+    ],
 )
 def test_plans_ask_what_their_problems_do(name: str) -> None:
     path = ROOT / "problems" / f"{name}.yaml"

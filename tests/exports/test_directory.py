@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import json
 from pathlib import Path
 from typing import Any, NoReturn
@@ -10,10 +11,11 @@ import pytest
 from handmade import made_certificate, made_motion
 
 from hitchopt.checks.certificate import Certificate, CertificateError, Check
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Violation
-from hitchopt.exports.directory import OWNED, save_diagnosis, save_plan
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
+from hitchopt.exports.directory import refuse_mixture, save_diagnosis, save_plan
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan, read_title
+from hitchopt.simulation.task import read_task
 
 
 @pytest.fixture(scope="module")
@@ -69,20 +71,6 @@ def test_a_certified_plan_leaves_its_files(
     assert names(tmp_path) == {"out"}
 
 
-def test_the_certificate_is_strict_json(
-    motion: Motion, certificate: Certificate, tmp_path: Path
-) -> None:
-    save_plan(tmp_path, motion, certificate, rate=5.0)
-    data = strict_json(tmp_path / "certificate.json")
-    assert data["format"] == "hitchopt-certificate/1"
-    assert data["certified"] is True
-    assert data["duration"] == 2.53
-    assert [check["worst"] for check in data["checks"]] == [1.3, None, 0.5]
-    keys = ["name", "holds", "worst", "limit", "sense", "unit", "time", "where", "method"]
-    assert list(data["checks"][0]) == keys
-    assert data["checks"][0]["where"] == ["q0", "r3"]
-
-
 def test_a_plan_that_is_not_certified_is_refused(
     motion: Motion, certificate: Certificate, tmp_path: Path
 ) -> None:
@@ -91,62 +79,9 @@ def test_a_plan_that_is_not_certified_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_failing_picture_leaves_nothing(
-    motion: Motion, certificate: Certificate, tmp_path: Path
-) -> None:
-    def broken(path: Path) -> None:
-        path.write_bytes(b"half")
-        raise OSError(5, "Input/output error", str(path))
-
-    with pytest.raises(FileError, match=r"Input/output error \(summary\.png\)"):
-        save_plan(tmp_path / "out", motion, certificate, rate=5.0, pictures={"summary.png": broken})
-    with pytest.raises(InputError, match="rate"):
-        save_plan(tmp_path / "out", motion, certificate, rate=-5.0)
-    assert names(tmp_path) == set()
-
-
-def test_the_directory_tells_the_last_solve(
-    motion: Motion, certificate: Certificate, tmp_path: Path
-) -> None:
-    (tmp_path / "notes.txt").write_text("mine")
-    violation = Violation("legs", 0.1, 0.15, "min", "m", ("q0",), "at t = 0 s", "longer cable")
-    save_plan(tmp_path, motion, certificate, rate=5.0, pictures=PICTURES)
-    save_diagnosis(tmp_path, InfeasibleError([violation]))
-    assert names(tmp_path) == {"notes.txt", "diagnosis.json", "previous"}
-    assert names(tmp_path / "previous") == set(SAVED)
-    save_plan(tmp_path, motion, certificate, rate=5.0)  # no picture this time
-    assert names(tmp_path) == {"notes.txt", *SAVED} - {"summary.png"}
-    for _ in range(3):
-        save_diagnosis(tmp_path, HitchoptError("not found"))
-        assert names(tmp_path) == {"notes.txt", "diagnosis.json", "previous"}
-        assert names(tmp_path / "previous") == {*SAVED} - {"summary.png"}
-        assert read_title(tmp_path / "previous" / "plan.npz") == ""
-    assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert set(OWNED) == {
-        *SAVED,
-        "diagnosis.json",
-        "report.html",
-        "statics.json",
-        "statics.png",
-    } | {
-        "aborts.json",
-        "aborts.zip",
-    }
-
-
-@pytest.mark.parametrize("exchanging", [True, False])
 def test_others_files_in_previous_stay(
-    motion: Motion,
-    certificate: Certificate,
-    tmp_path: Path,
-    exchanging: bool,
-    monkeypatch: pytest.MonkeyPatch,
+    motion: Motion, certificate: Certificate, tmp_path: Path
 ) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(38, "no such call")
-
-    if not exchanging:
-        monkeypatch.setattr("hitchopt.storage.directory_swap.exchange", refuse)
     save_plan(tmp_path, motion, certificate, rate=5.0)
     save_diagnosis(tmp_path, HitchoptError("not found"))
     kept = tmp_path / "previous"
@@ -163,17 +98,23 @@ def test_others_files_in_previous_stay(
     assert [path.name for path in tmp_path.parent.glob(f".{tmp_path.name}*")] == []
 
 
-def test_what_else_is_called_previous_is_not_touched(
+def test_files_of_different_plans_are_refused(
     motion: Motion, certificate: Certificate, tmp_path: Path
 ) -> None:
-    (tmp_path / "previous").write_text("mine")
-    words = "is where hitchopt keeps the last plan; move it away"
-    with pytest.raises(FileError, match=words):
-        save_plan(tmp_path, motion, certificate, rate=5.0)
-    with pytest.raises(FileError, match=words):
-        save_diagnosis(tmp_path, HitchoptError("not found"))
-    assert names(tmp_path) == {"previous"}
-    assert (tmp_path / "previous").read_text() == "mine"
+    one, other = (
+        save_plan(tmp_path / title, motion, certificate, title, 5.0) for title in ("one", "other")
+    )
+    refuse_mixture(one)
+    plan = (one / "plan.npz").read_bytes()
+    assert strict_json(one / "certificate.json")["plan"] == hashlib.sha256(plan).hexdigest()
+    (other / "plan.npz").write_bytes(plan)
+    with pytest.raises(FileError, match=r"certificate\.json: is of another plan\.npz"):
+        refuse_mixture(other)
+    with pytest.raises(FileError, match="is of another"):
+        read_task(other)
+    (one / "certificate.json").unlink()
+    with pytest.raises(FileError, match="was a save killed"):
+        read_task(one)
 
 
 def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:
@@ -196,10 +137,3 @@ def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:
     }
     assert data["violations"][1]["value"] is None
     assert data["violations"][1]["remedy"] == "allow more – länger"
-
-
-def test_a_diagnosis_of_a_planner_that_failed_has_its_words(tmp_path: Path) -> None:
-    save_diagnosis(tmp_path, HitchoptError("no profile was found"))
-    data = strict_json(tmp_path / "diagnosis.json")
-    assert (data["feasible"], data["violations"]) == (False, [])
-    assert data["message"] == "no profile was found"

@@ -67,18 +67,6 @@ def test_no_setpoint_jumps_through_all_parts(
             assert apart < 1e-5  # the plan ends on the floor: landing moves nobody
 
 
-def test_an_upload_before_go_to_is_what_jumps(
-    parts: tuple[Export, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = Fleet(standing(parts[0].folder))
-    fleet.run(monkeypatch, parts[0].folder / "fly.py", answer="stay")
-    for name, craft in fleet.crazyfliesByName.items():
-        trajectory = Rows()
-        trajectory.loadcsv(parts[1].folder / f"{name}.csv")
-        craft.uploadTrajectory(0, 0, trajectory)
-    assert fleet.worst_jump > 1.0
-
-
 def test_started_in_the_air_without_its_option_nothing_jumps_either(
     parts: tuple[Export, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -12,8 +12,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hitchopt as ho
-from hitchopt.exports.formats.csv_table import CsvTable
 from hitchopt.exports.formats.known_formats import HOMES
+from hitchopt.exports.formats.tables import CsvTable
 from hitchopt.exports.held_tension import PositionLoop, held_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
@@ -86,30 +86,6 @@ def test_statics_of_moved_set_points_are_the_plan(plan: ho.Plan) -> None:
     np.testing.assert_allclose(found.vertices, found.planned_vertices, atol=1e-6)
 
 
-def test_set_points_are_smooth(plan: ho.Plan) -> None:
-    held = held_tension(plan.motion, PositionLoop.of(plan.motion.team, None, None)).motion
-    for order, jump in ((0, 1e-12), (1, 1e-10), (2, 1e-6)):
-        left, right = held.drones.ends(order)
-        assert np.max(np.abs(right[:-1] - left[1:])) < jump
-    for order in (1, 2):
-        assert np.max(np.abs(held.drones.at(0.0, order))) < 1e-6
-        assert np.max(np.abs(held.drones.at(held.duration, order))) < 1e-5
-
-
-def test_the_gain_bounds_what_a_miss_does() -> None:
-    """The integral of the impulse response's size, computed apart."""
-    team = ho.Team(3, 2.4, quadrotor=SOFT)
-    for damping in (0.3, 0.8, 1.32, 1.6):
-        loop = PositionLoop.of(team, 4.75, damping)
-        m, c, k = (float(v[0]) for v in (loop.mass, loop.damping, loop.stiffness))
-        roots = np.roots([m, c, k])
-        t = np.linspace(0.0, 20.0, 200_001)
-        response = k / m * (np.exp(roots[0] * t) - np.exp(roots[1] * t)) / (roots[0] - roots[1])
-        assert np.trapezoid(np.abs(response.real), t) == pytest.approx(loop.gain, rel=1e-3)
-    usual = PositionLoop.of(team, None, None)
-    assert usual.damping[0] / usual.mass[0] == pytest.approx(10.0, rel=2e-3)
-
-
 @pytest.mark.parametrize("name", list(HOMES))
 def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path) -> None:
     (done,) = plan.export(name, tmp_path / "files", hold_tension=True)
@@ -175,16 +151,6 @@ def test_exports_and_lint_warn_where_the_tension_is_undetermined(
     (report,) = ho.lint(tmp_path / "files")
     warned = [finding.message for finding in report.findings if finding.rule == "tension"]
     assert warned == said
-
-
-def test_drones_without_cables_are_not_warned_of(tmp_path: Path) -> None:
-    swarm = ho.SwarmProblem(ho.Swarm(1), np.array([[0.0, 0, 1]]), np.array([[0.5, 0, 1]]))
-    plan = ho.solve(swarm)
-    plan.export("crazyswarm2", tmp_path / "files")
-    said = json.loads((tmp_path / "files" / "export.json").read_text())
-    assert said["undetermined_tension"] == []
-    with pytest.raises(ho.UnsupportedError, match="--hold-tension"):
-        plan.export("csv", tmp_path / "held", hold_tension=True, stiffness=5.0)
 
 
 def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:

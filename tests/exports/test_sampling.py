@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from handmade import made_motion
@@ -9,10 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchopt.errors import InputError
-from hitchopt.hitch import Hitch
-from hitchopt.hitch.cable_spans import cable_of, sag_factors
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import hitch_at, iterate_states, sample_times, states_at
+from hitchopt.motion.states import sample_times, states_at
 
 
 @pytest.fixture(scope="module")
@@ -29,20 +25,6 @@ def test_times_are_all_multiples_and_the_end(duration: float, rate: float) -> No
     multiples = [k / rate for k in range(len(times) + 2) if k / rate <= duration]
     extra = [duration] if duration - multiples[-1] > 1e-6 else []
     assert times.tolist() == multiples + extra
-
-
-@given(st.integers(1, 4000), st.integers(1, 240))
-def test_a_whole_number_of_periods_ends_once(k: int, rate: int) -> None:
-    times = sample_times(float(Fraction(k, rate)), rate)
-    assert len(times) == k + 1
-    assert times[-1] == pytest.approx(k / rate, abs=1e-12)
-
-
-def test_the_end_is_left_out_within_a_microsecond_only() -> None:
-    assert sample_times(0.3 + 0.9e-6, 10.0).tolist() == [0.0, 0.1, 0.2, 3 / 10.0]
-    assert sample_times(0.3 + 1.1e-6, 10.0)[-2:].tolist() == [3 / 10.0, 0.3 + 1.1e-6]
-    below = np.nextafter(0.3, 0.0)  # 3/10 is beyond it, by rounding only
-    assert sample_times(below, 10.0).tolist() == [0.0, 0.1, 0.2, below]
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan"), float("inf"), 1e12])
@@ -64,28 +46,6 @@ def test_states_are_those_of_the_polynomials(motion: Motion) -> None:
     np.testing.assert_allclose(states.tensions, motion.tensions.at(t), atol=1e-12)
 
 
-def test_velocities_are_differences_of_positions(motion: Motion) -> None:
-    t, h = np.array([0.31, 1.2, 1.77]), 1e-5
-    pairs = (("positions", "velocities"), ("velocities", "accelerations"))
-    for value, rate in (*pairs, ("accelerations", "jerks")):
-        after, before = (getattr(states_at(motion, t + d), value) for d in (h, -h))
-        expected = getattr(states_at(motion, t), rate)
-        np.testing.assert_allclose((after - before) / (2 * h), expected, atol=1e-6)
-
-
-def test_cable_forces_at_rest_are_the_hitch_s(motion: Motion) -> None:
-    states = states_at(motion, motion.duration)
-    vertices = states.vertices
-    legs = states.positions[0::2] - vertices
-    q_legs = cable_of(legs, sag_factors(motion.team, motion.team.tension))
-    hitch = Hitch(motion.team, vertices[:, :2], float(vertices[0, 2]), q_legs)
-    np.testing.assert_allclose(states.positions, hitch.drones, atol=1e-9)
-    np.testing.assert_allclose(states.cable_forces, hitch.cable_forces, atol=1e-9)
-    thrusts = states.thrusts(motion.team)
-    weight = np.stack([np.zeros(8), np.zeros(8), 9.81 * motion.team.mass], axis=-1)
-    np.testing.assert_allclose(thrusts + hitch.cable_forces, weight, atol=1e-6)
-
-
 def test_values_at_a_break_are_the_later_piece_s_and_the_end_s_the_earlier(motion: Motion) -> None:
     left, right = motion.drones.ends(3)
     assert not np.allclose(left[1], right[0], atol=1e-3)  # the jerk does jump in this motion
@@ -93,24 +53,6 @@ def test_values_at_a_break_are_the_later_piece_s_and_the_end_s_the_earlier(motio
     np.testing.assert_allclose(at[0], left[1], atol=1e-7)
     np.testing.assert_allclose(at[1], left[2], atol=1e-7)
     np.testing.assert_allclose(at[2], right[2], atol=1e-7)
-
-
-@given(st.integers(1, 9), st.lists(st.floats(0.0, 2.53), max_size=40))
-def test_blocks_hold_every_time_once(motion: Motion, size: int, times: list[float]) -> None:
-    t = np.sort(np.array(times, dtype=np.float64))
-    blocks = list(iterate_states(motion, t, size))
-    assert all(1 <= len(block.t) <= size for block in blocks)
-    assert np.array_equal(np.concatenate([np.empty(0), *(block.t for block in blocks)]), t)
-    assert all(len(block.positions) == len(block.t) for block in blocks)
-
-
-@given(st.lists(st.floats(0.0, 2.53), min_size=1, max_size=20))
-def test_the_hitch_alone_is_that_of_the_states(motion: Motion, times: list[float]) -> None:
-    formed, vertices, tensions = hitch_at(motion, np.array(times))
-    states = states_at(motion, times)
-    np.testing.assert_array_equal(formed, states.formed)
-    np.testing.assert_array_equal(vertices, states.vertices)
-    np.testing.assert_array_equal(tensions, states.tensions)
 
 
 @pytest.mark.parametrize("t", [-0.1, float("nan"), [0.0, float("inf")], []])

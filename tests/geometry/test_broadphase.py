@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.geometry.broadphase import Boxes, all_pairs, close_pairs, few_close_pairs
+from hitchopt.geometry.broadphase import Boxes, close_pairs
 
 
 def gap(a: Boxes, i: int, b: Boxes, j: int) -> float:
@@ -39,19 +39,3 @@ def test_close_pairs_are_those_that_all_pairs_show(seed: int, cutoff: float, one
         expected = {(i, j) for i in range(30) for j in range(20) if gap(a, i, b, j) <= cutoff}
     assert len(found) == len(set(found))
     assert set(found) == expected
-
-
-def test_too_many_pairs_are_not_listed() -> None:
-    same = Boxes(np.zeros((50, 3)), np.ones((50, 3)))
-    assert few_close_pairs(same, None, 0.1, 100) is None
-    found = few_close_pairs(same, None, 0.1, 50 * 50)  # its count is of ordered pairs
-    assert found is not None
-    assert len(found) == 50 * 49 // 2
-
-
-def test_all_pairs_counts() -> None:
-    assert len(all_pairs(7, None)) == 21
-    pairs = all_pairs(3, 4)
-    assert sorted(zip(pairs.first.tolist(), pairs.second.tolist(), strict=True)) == list(
-        itertools.product(range(3), range(4))
-    )

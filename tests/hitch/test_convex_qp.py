@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
+from hitchopt.hitch.leg_program import QuadraticProgram, solve_qp
 
 
 def test_rows_may_be_stored_in_any_order_and_hold_zeros() -> None:

@@ -8,16 +8,7 @@ from hypothesis import strategies as st
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import parts
-from hitchopt.hitch.leg_lengths import (
-    quick_split,
-    reference_margin,
-    reference_margins,
-    split_slack,
-)
-from hitchopt.hitch.leg_program import LegBodies, leg_program
-from hitchopt.hitch.leg_task import LegTask
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts, end_combinations
-from hitchopt.requirements import Requirements
+from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
 from problems.random_morph import random_convex_polygon
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
@@ -114,31 +105,6 @@ def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -
     assert np.min(moved.legs) >= limits.leg
 
 
-def test_the_quick_split_keeps_the_limits_as_the_nearest_one_does() -> None:
-    team, rng, tried = Team(3, 2.4), np.random.default_rng(3), 0
-    for _ in range(30):
-        points = TRIANGLE + rng.uniform(-0.15, 0.15, TRIANGLE.shape)
-        slack = team.cable_length - np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-        reference = rng.uniform(0.1, 0.9, 3) * slack
-        if margins(team, points, reference[None])[0] >= 1.0:
-            continue
-        task = LegTask(team, Requirements(), points[None], reference[None], 0.15, 1.001)
-        nearest, quick = split_slack(task), quick_split(task)
-        if nearest.margin < 1.001:
-            continue
-        tried += 1
-        assert margins(team, points, quick.q_legs)[0] >= 1.0
-        assert quick.deviation >= nearest.deviation * (1.0 - 1e-6)
-    assert tried > 5
-
-
-def test_the_quick_split_of_what_no_split_helps_has_the_largest_margin_found() -> None:
-    points = 0.25 * TRIANGLE
-    slack = 1.2 - np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
-    task = LegTask(Team(3, 1.2), Requirements(), points[None], 0.5 * slack[None], 0.15, 9.0)
-    assert 0.0 < quick_split(task).margin < 9.0
-
-
 def test_an_arena_pushes_a_leg_back() -> None:
     team = Team(4, 2.4)
     square = regular_polygon(4, 1.2, 0.3)
@@ -160,6 +126,31 @@ def test_an_arena_too_small_for_any_legs_still_gives_the_best_one() -> None:
     )
     assert np.min(hitch.legs) >= 0.15
     assert float(margins(team, TRIANGLE, hitch.q_legs[None])[0]) >= 0.9
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_near_pairs_are_the_same_however_they_are_searched(
+    topology: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By comparing all, by an index of sweeps through all frames, by one of all frames."""
+    rng = np.random.default_rng(5)
+    found = Parts.of(6, topology)
+    middles = rng.normal(size=(1, len(found.nodes), 2)) + 0.3 * rng.normal(size=(7, 1, 2))
+    middles += 0.1 * rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
+    sizes = rng.uniform(0.0, 0.3, middles.shape)
+    limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
+    seen = []
+    for few, neighbours, chunk in ((100, 0, 50), (0, 1000, 50), (0, 1000, 10**6), (0, 0, 1)):
+        monkeypatch.setattr(parts, "FEW", few)
+        monkeypatch.setattr(parts, "NEIGHBOURS", neighbours)
+        monkeypatch.setattr(parts, "CHUNK", chunk)
+        near = found.near(middles - sizes, middles + sizes, limits, 0.4)
+        seen.append(sorted(zip(*(part.tolist() for part in near), strict=True)))
+        apart = found.near(50.0 * middles, 50.0 * middles, limits, 1e-9)
+        assert [len(part) for part in apart] == [0, 0, 0, 0]
+    assert seen[0] == seen[1] == seen[2] == seen[3]
+    assert {kind for *_, kind in seen[0]} == {SEPARATION, CABLE}
+    assert 100 < len(seen[0]) < 7 * len(np.triu_indices(len(found.nodes), 1)[0]) / 2
 
 
 @pytest.mark.parametrize("n", [3, 4, 7])
@@ -189,86 +180,3 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         else:
             wanted = CROSSING if not clasps & others else -1
         assert kind == wanted, (bodies[a], bodies[b])
-
-
-@pytest.mark.parametrize("topology", ["closed", "open"])
-def test_near_pairs_are_the_same_however_they_are_searched(
-    topology: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By comparing all, by an index of sweeps through all frames, by one of all frames."""
-    rng = np.random.default_rng(5)
-    found = Parts.of(6, topology)
-    middles = rng.normal(size=(1, len(found.nodes), 2)) + 0.3 * rng.normal(size=(7, 1, 2))
-    middles += 0.1 * rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
-    sizes = rng.uniform(0.0, 0.3, middles.shape)
-    limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
-    seen = []
-    for few, neighbours, chunk in ((100, 0, 50), (0, 1000, 50), (0, 1000, 10**6), (0, 0, 1)):
-        monkeypatch.setattr(parts, "FEW", few)
-        monkeypatch.setattr(parts, "NEIGHBOURS", neighbours)
-        monkeypatch.setattr(parts, "CHUNK", chunk)
-        near = found.near(middles - sizes, middles + sizes, limits, 0.4)
-        seen.append(sorted(zip(*(part.tolist() for part in near), strict=True)))
-        apart = found.near(50.0 * middles, 50.0 * middles, limits, 1e-9)
-        assert [len(part) for part in apart] == [0, 0, 0, 0]
-    assert seen[0] == seen[1] == seen[2] == seen[3]
-    assert {kind for *_, kind in seen[0]} == {SEPARATION, CABLE}
-    assert 100 < len(seen[0]) < 7 * len(np.triu_indices(len(found.nodes), 1)[0]) / 2
-
-
-def test_margins_of_many_polygons_are_those_of_each_by_itself() -> None:
-    rng = np.random.default_rng(6)
-    team = Team(4, 2.6)
-    outlines = [random_convex_polygon(4, 1.2, rng) for _ in range(6)]
-    polygons = np.stack([outline.vertices for outline in outlines])
-    q_legs = np.stack([0.5 * (2.6 - outline.edge_lengths) for outline in outlines])
-    q_legs[-1] *= 0.1  # drones at their vertices
-
-    def task(some: slice) -> LegTask:
-        return LegTask(team, Requirements(), polygons[some], q_legs[some], 0.0, 9.0)
-
-    each = [reference_margin(task(slice(j, j + 1))) for j in range(6)]
-    np.testing.assert_array_equal(reference_margins(task(slice(6))), each)
-    assert reference_margin(task(slice(6))) == min(each)
-    assert len(set(each)) == 6
-
-
-def test_rows_of_the_program_bound_the_distances_and_are_tight_where_they_are_made() -> None:
-    rng = np.random.default_rng(4)
-    polygon = random_convex_polygon(5, 1.0, rng).translated([0.3, -0.7])
-    team = Team(5, float(np.max(polygon.edge_lengths)) + rng.uniform(0.6, 0.9, 5))
-    slack = team.cable_length - polygon.edge_lengths
-    reference = slack * rng.uniform(0.35, 0.65, 5)
-    arena = Arena([-9.0, -8.0, 0.0], [7.0, 6.0, 3.0])
-    requirements = Requirements(arena=arena)
-    task = LegTask(team, requirements, polygon.vertices[None], reference[None], 0.15, 1.5)
-    bodies = LegBodies(task, *task.bounds)
-    program = leg_program(task, bodies, reference[None])
-    pair, _, _ = end_combinations(bodies.kind, bodies.first, bodies.second)
-    margin = np.where(bodies.kind == CROSSING, 1.005, 1.5) * bodies.limits[bodies.kind]
-    count = len(bodies.kind)
-    assert set(bodies.kind.tolist()) == {SEPARATION, CABLE, CROSSING}
-
-    def bounds(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        gaps = np.asarray(program.A @ np.append(d, [0.0, 0.0])) - program.lower
-        smallest = np.full(count, np.inf)
-        np.minimum.at(smallest, pair, gaps[: len(pair)])
-        return smallest + margin, gaps[len(pair) :]
-
-    def distances(d: np.ndarray) -> np.ndarray:
-        return np.asarray(np.linalg.norm(bodies.offsets(bodies.nodes(d[None])), axis=1))
-
-    apart = distances(reference) > 1e-6
-    np.testing.assert_allclose(bounds(reference)[0][apart], distances(reference)[apart], atol=1e-6)
-    for _ in range(5):
-        d = slack * rng.uniform(0.2, 0.8, 5)
-        assert np.all(bounds(d)[0] <= distances(d) + 1e-6)
-        x = Hitch(team, polygon, 1.0, d).drones[:, :2]
-        room = np.concatenate([*(x - arena.lower[:2]).T, *(arena.upper[:2] - x).T])
-        np.testing.assert_allclose(bounds(d)[1], room, atol=1e-9)
-    slacks = program.A.toarray()[:, -2:]
-    crossing = bodies.kind[pair] == CROSSING
-    expected = np.where(crossing, [[0.0], [1.0]], [[1.0], [0.0]]).T
-    expected *= bodies.limits[bodies.kind[pair]][:, None]
-    np.testing.assert_array_equal(slacks[: len(pair)], expected)
-    np.testing.assert_array_equal(slacks[len(pair) :], np.tile([0.0, 1.0], (len(room), 1)))

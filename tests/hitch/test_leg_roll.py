@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from hitchopt import Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.hitch.leg_task import LegTask
 from hitchopt.requirements import Requirements
-from hitchopt.steps.end_hitch import split_hitch
-from hitchopt.steps.slack_split import RolledLegs, slack_split
+from hitchopt.steps.route_choice import split_hitch
+from hitchopt.steps.step_keys import RolledLegs, slack_split
 from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
@@ -79,27 +77,6 @@ def test_a_thousand_robots_are_rolled_in_linear_time() -> None:
     edges /= np.linalg.norm(edges, axis=1, keepdims=True)
     aside = own - np.sum(own * edges, axis=1, keepdims=True) * edges
     assert np.min(np.linalg.norm(aside, axis=1)) >= 0.15 - 1e-6
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(3, 7), st.sampled_from([0.0, 0.01]))
-@settings(max_examples=20)
-def test_the_margin_of_a_task_is_that_in_space(seed: int, n: int, density: float) -> None:
-    """Of rolled legs of cables with weight, against all pairs."""
-    rng = np.random.default_rng(seed)
-    polygon = random_convex_polygon(n, 1.2, rng).translated([2.0, 1.0])
-    lengths = polygon.edge_lengths + rng.uniform(0.5, 0.9, n)
-    team = Team(n, lengths, tension=0.8, cable_density=density, load=0.004)
-    h = Hitch.balanced(team, polygon, roll=rng.uniform(-0.7, 0.7, n))
-    task = LegTask(
-        team,
-        Requirements(Limits(), Separation(crossing=0.0)),
-        polygon.vertices[None],
-        h.q_legs[None],
-        0.1,
-        50.0,
-        roll=h.roll[None],
-    )
-    assert reference_margin(task) == pytest.approx(margin(h), rel=1e-9)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from hitchopt import ConvexArc, Hitch, InfeasibleError, InputError, Separation, Team
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
-from hitchopt.hitch.statics import contact_forces
+from hitchopt.hitch.forces import contact_forces
 from problems.random_morph import random_convex_polygon
 
 seeds = st.integers(0, 2**32 - 1)
@@ -118,15 +117,6 @@ def test_spread_chains_move_turn_and_reverse_with_their_arc(
     np.testing.assert_allclose(mirrored.drones, swapped, atol=1e-3)
 
 
-def test_balanced_chains_halve_what_is_free() -> None:
-    team = Team(3, [2.0, 2.3, 2.1], topology="open")
-    h = Hitch.balanced(team, [[0.4, -0.5], [0.2, 0.7], [1.5, 0.8], [1.4, -0.5]])
-    slack = team.cable_length - [math.hypot(0.2, 1.2), math.hypot(1.3, 0.1), math.hypot(0.1, 1.3)]
-    expected = [[0.0, slack[0]], [slack[1] / 2, slack[1] / 2], [slack[2], 0.0]]
-    np.testing.assert_allclose(h.legs, expected)
-    np.testing.assert_allclose(h.fractions, [0.0, 0.5, 1.0])
-
-
 def test_spread_slides_the_free_legs_only() -> None:
     """A sharp clasp: balanced legs would stand too close, as in the paper's triangle."""
     team = Team(4, [2.0, 2.4, 2.4, 2.1], topology="open")
@@ -165,32 +155,6 @@ def test_outlines_of_the_other_topology_or_count_are_refused() -> None:
         Hitch.balanced(Team(3, 2.2, topology="open"), points)
     with pytest.raises(InputError, match="from 2 to"):
         Team(1, 2.2, topology="open")
-
-
-@pytest.mark.parametrize("n", [2, 3, 6])
-def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
-    """By names of parts and sets of clasps, not by indices; p_0 and p_n are no clasps."""
-    clasps = set(range(1, n))
-    bodies: list[tuple[str, int, set[int]]] = [(end, k, set()) for k in range(n) for end in "qr"]
-    for k in range(n):
-        bodies += [("q-leg", k, {k})] if k in clasps else []
-        bodies += [("edge", k, {k, k + 1} & clasps)]
-        bodies += [("r-leg", k, {k + 1})] if k + 1 in clasps else []
-    parts = Parts.of(n, "open")
-    assert len(parts.nodes) == len(bodies) == 2 * n + 3 * n - 2
-    i, j = np.triu_indices(len(bodies), 1)
-    found = parts.kind(i, j)
-    for a, b, kind in zip(i, j, found, strict=True):
-        (first, k, its), (second, m, others) = bodies[a], bodies[b]
-        at_the_end = (first, k) in {("q", 0), ("r", n - 1)}
-        if first in "qr" and second in "qr":
-            wanted = SEPARATION
-        elif first in "qr":
-            own_edge = second == "edge" and not at_the_end
-            wanted = CABLE if k != m or own_edge else -1
-        else:
-            wanted = CROSSING if not its & others else -1
-        assert kind == wanted, (bodies[a], bodies[b])
 
 
 def test_a_chain_too_near_itself_is_shared_as_well_as_it_goes() -> None:

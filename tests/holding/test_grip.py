@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,12 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 import hitchopt as ho
-from hitchopt.holding import grip_search
-from hitchopt.holding.capacity import largest_mass
-from hitchopt.holding.grip_limits import broken_limit_of, grip_margins, largest_tension
+from hitchopt.holding.grip import broken_limit_of, grip_margins, largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
-from hitchopt.planners.carrying.edge_balance import balanced, contacts_of
+from hitchopt.planners.carrying.grip import balanced, contacts_of
 from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
 from hitchopt.requirements import Requirements
 from hitchopt.values import Array
@@ -181,19 +178,6 @@ def test_the_best_grip_keeps_every_limit_and_no_tried_one_is_better(
             assert tried.slip_load(0.5) <= found.slip_load(0.5) * (1.0 + 1e-4)
 
 
-@pytest.mark.parametrize("ulps", [0.0, 1e-13])
-def test_a_disc_is_gripped_as_the_search_starts(ulps: float, monkeypatch: Any) -> None:
-    rng, start = np.random.default_rng(3), grip_search._starts
-    monkeypatch.setattr(
-        grip_search,
-        "_starts",
-        lambda made: [each + ulps * rng.standard_normal(each.shape) for each in start(made)],
-    )
-    found = best_grip(task(DISC, 3, 1.6)).vertices[:, :2]
-    radius = float(np.linalg.norm(found[0]))
-    np.testing.assert_allclose(found, regular(3, radius), atol=1e-8)
-
-
 def test_edges_that_bend_as_before_go_on_smoothly() -> None:
     """Beyond the corner that an edge meets next: about the old one, tangents cut the section."""
     base, away = ODD.centroid + regular(3, 0.45, 0.3), np.array([[0.3, 0.1], [0, 0], [0.1, -0.2]])
@@ -211,20 +195,6 @@ def test_edges_that_bend_as_before_go_on_smoothly() -> None:
     assert np.all(np.linalg.norm(np.diff(kept.contacts, axis=0), axis=-1).max(axis=0) < 1e-3)
     jumps = np.linalg.norm(free.contacts[i + 1] - free.contacts[i], axis=-1)
     assert jumps.max() > 0.05  # a side's length
-
-
-def test_edges_turn_least_before_they_meet_the_next_corner() -> None:
-    vertices = ODD.centroid + regular(3, 0.45, 0.3)
-    wraps = wraps_around(ODD, vertices)
-    least = float(wraps.least_turns(ODD))
-    core, seen = ODD.core, []
-    for k in range(3):
-        for tangent, contact in ((wraps.leaving[k], 0), (wraps.arriving[k], 1)):
-            at = int(np.argmin(np.linalg.norm(core - wraps.contacts[k, contact], axis=-1)))
-            for other in (core[at - 1], core[(at + 1) % len(core)]):
-                side = (other - core[at]) / np.linalg.norm(other - core[at])
-                seen.append(math.acos(min(abs(float(side @ tangent)), 1.0)))
-    assert least == pytest.approx(min(seen), abs=1e-9)
 
 
 SQUARE = ho.Section([[0.18, 0.18], [0.18, -0.18], [-0.18, -0.18], [-0.18, 0.18]])
@@ -310,12 +280,6 @@ def test_a_refused_grip_by_three_cables_is_not_told_to_use_three() -> None:
         remedy = refused.value.violations[0].remedy
         assert ("three cables" in remedy) is told
         assert "another length" in remedy
-
-
-def test_limits_that_are_reached_without_a_load_are_kept() -> None:
-    held = largest_mass(lambda mass: {"grip": 0.2 - mass, "tilt": -1e-12}, 1.0)
-    assert held.mass == pytest.approx(0.2, abs=1e-6)
-    assert largest_mass(lambda mass: {"grip": 0.2 - mass, "tilt": -1e-6}, 1.0).mass == 0.0
 
 
 @pytest.mark.filterwarnings("error")

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from hitchopt.geometry import ConvexArc
 from hitchopt.mission.problem import HitchStart, Problem
+from problems.random_morph import random_convex_polygon
 
 ROOT = Path(__file__).parents[2]
 GOOD = sorted((ROOT / "problems").glob("*.yaml"))
@@ -73,4 +78,25 @@ def triangle() -> dict[str, object]:
             {"follow_vertex": {"vertex": 0, "path": [[0, 2.1, 0.6], [3.5, 2.0, 0.7]]}},
             {"transport": {"to": [2.0, 1.2, 1.6], "yaw_deg": -30, "duration": 9}},
         ],
+    }
+
+
+def random_chain(n: int, seed: int, tension: bool = True) -> dict[str, Any]:
+    """A run of n edges of a random (n + 3)-gon, bent a little, turned and shifted."""
+    rng = np.random.default_rng([n, seed])
+    polygon = random_convex_polygon(n + 3, 1.3, rng, 0.15).translated(rng.uniform(-2.0, 2.0, 2))
+    first = ConvexArc(polygon.vertices[: n + 1])
+    centre = first.centroid
+    second = first.translated(-centre).rotated(rng.uniform(-0.3, 0.3))
+    second = second.scaled(rng.uniform(0.95, 1.05)).translated(centre + rng.uniform(-0.4, 0.4, 2))
+    longest = np.maximum(first.edge_lengths, second.edge_lengths)
+    return {
+        "team": {
+            "robots": n,
+            "topology": "open",
+            "cable_length": (longest + rng.uniform(0.65, 0.7, n)).round(4).tolist(),
+            "tension": rng.uniform(0.4, 0.42, n).round(4).tolist() if tension else 0.4,
+        },
+        "start": {"hitch": {"polygon": first.vertices.round(6).tolist(), "altitude": 1.1}},
+        "mission": [{"morph": {"polygon": second.vertices.round(6).tolist()}}],
     }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.cli.console_tables import phase_table
+from hitchopt.cli.output import phase_table
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.steps import Step
 

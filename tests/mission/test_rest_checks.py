@@ -39,22 +39,6 @@ def test_what_breaks_a_limit_at_rest_does_not_seem_to_rest(
     assert not seems_to_rest(given, requirements)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("optimize", [False, True])
-def test_refusals_name_the_end_where_only_a_certificate_finds_it_broken(
-    monkeypatch: pytest.MonkeyPatch, *, optimize: bool
-) -> None:
-    separation = ho.Separation(radius=0.6)
-    for module in ("hitchopt.steps.hitch_step", "hitchopt.mission.solving"):
-        monkeypatch.setattr(f"{module}.seems_to_rest", lambda *_: True)
-    with pytest.raises(ho.InfeasibleError, match=r"separation: .* at the start \(t = 0\)"):
-        ho.morph(hitch(), TRIANGLE.scaled(1.05), separation=separation, optimize=optimize)
-    arena = ho.Arena([-1.6, -1.6, 0.0], [1.6, 1.6, 3.0])
-    goal = TRIANGLE.translated([0.9, 0.0])
-    with pytest.raises(ho.InfeasibleError, match=r"arena: .* at the end of step 0 \(morph\)"):
-        ho.morph(hitch(), goal, arena=arena, optimize=optimize)
-
-
 def refused(given: ho.Hitch, requirements: Requirements) -> dict[str, Violation]:
     """Return what a hitch breaks at rest, by the names of the checks."""
     with pytest.raises(ho.InfeasibleError) as error:

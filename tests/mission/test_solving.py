@@ -1,15 +1,16 @@
 """Problems to plans: laws of symmetry, bounds against sampling, and what is said when it fails."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from problem_cases import hitch_start
+from problem_cases import hitch_start, random_chain
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.planners.optimise.candidates import OptimisedMorph
+from hitchopt.planners.optimise.search import OptimisedMorph
 from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -46,50 +47,51 @@ def moved(problem: ho.Problem, change: object) -> ho.Problem:
     )
 
 
-@pytest.mark.parametrize(("n", "seed"), [(3, 1), (5, 2), (8, 3)])
-def test_translating_and_turning_the_problem_moves_the_plan_with_it(n: int, seed: int) -> None:
-    problem = random_problem(n, seed)
-    plan = ho.solve(problem)
+Map = Callable[[np.ndarray], np.ndarray]
+"""How positions (times, 2n, 3) of a plan become those of the changed problem's."""
+
+
+def turned(problem: ho.Problem) -> tuple[ho.Problem, Map]:
     angle, offset = 0.7, np.array([3.0, -1.0])
-    other = ho.solve(moved(problem, lambda p: p.rotated(angle).translated(offset)))
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    assert other.duration == pytest.approx(plan.duration, rel=1e-3)
-    expected = plan.at(fractions_of_time(plan)).positions @ turn.T + [*offset, 0.0]
-    found = other.at(fractions_of_time(other)).positions
-    np.testing.assert_allclose(found, expected, atol=1e-3)
+    other = moved(problem, lambda p: p.rotated(angle).translated(offset))
+    return other, lambda x: x @ turn.T + [*offset, 0.0]
 
 
-@pytest.mark.parametrize(("n", "seed"), [(3, 4), (6, 5)])
-def test_renumbering_the_robots_renumbers_the_plan(n: int, seed: int) -> None:
-    problem = random_problem(n, seed)
-    plan = ho.solve(problem)
-    shifted = replace(
-        moved(problem, lambda p: p.renumbered(2)),
-        team=ho.Team(n, np.roll(problem.team.cable_length, -2)),
-    )
-    other = ho.solve(shifted)
+def renumbered(problem: ho.Problem) -> tuple[ho.Problem, Map]:
+    team = ho.Team(problem.team.robots, np.roll(problem.team.cable_length, -2))
+    other = replace(moved(problem, lambda p: p.renumbered(2)), team=team)
+    return other, lambda x: np.roll(x, -4, axis=1)
+
+
+def mirrored(problem: ho.Problem) -> tuple[ho.Problem, Map]:
+    """Edge k of a polygon's image is edge n-2-k; q and r change places. A chain runs back."""
+    n, given = problem.team.robots, problem.team
+    order = (n - 2 - np.arange(n)) % n if given.layout.closed else np.arange(n)[::-1]
+    lengths, tension = given.cable_length[order], given.tension[order]
+    team = ho.Team(n, lengths, topology=given.topology, tension=tension)
+    drones = np.column_stack([2 * order + 1, 2 * order]).ravel()
+    other = replace(moved(problem, lambda p: p.mirrored()), team=team)
+    return other, lambda x: x[:, drones] * [-1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [(turned, random_problem(n, seed)) for n, seed in ((5, 2), (8, 3))]
+    + [(renumbered, random_problem(n, seed)) for n, seed in ((6, 5),)]
+    + [(mirrored, random_problem(n, seed)) for n, seed in ((5, 7),)]
+    + [(turned, problem_from_dict(random_chain(n, seed))) for n, seed in ((4, 3),)]
+    + [(mirrored, problem_from_dict(random_chain(n, k))) for n, k in ((2, 4), (5, 6))],
+)
+def test_the_changed_problem_has_the_changed_plan(
+    change: Callable[[ho.Problem], tuple[ho.Problem, Map]], problem: ho.Problem
+) -> None:
+    changed, mapped = change(problem)
+    plan, other = ho.solve(problem), ho.solve(changed)
     assert other.duration == pytest.approx(plan.duration, rel=1e-3)
-    expected = np.roll(plan.at(fractions_of_time(plan)).positions, -4, axis=1)
+    expected = mapped(plan.at(fractions_of_time(plan)).positions)
     np.testing.assert_allclose(other.at(fractions_of_time(other)).positions, expected, atol=1e-3)
-
-
-@pytest.mark.parametrize(("n", "seed"), [(3, 6), (5, 7)])
-def test_the_mirrored_problem_has_the_mirrored_plan(n: int, seed: int) -> None:
-    problem = random_problem(n, seed)
-    plan = ho.solve(problem)
-    # Edge k of the mirror image is edge n-2-k; q and r change places.
-    order = (n - 2 - np.arange(n)) % n
-    mirrored = replace(
-        moved(problem, ConvexPolygon.mirrored),
-        team=ho.Team(n, problem.team.cable_length[order]),
-    )
-    other = ho.solve(mirrored)
-    assert other.duration == pytest.approx(plan.duration, rel=1e-3)
-    positions = plan.at(fractions_of_time(plan)).positions.reshape(41, n, 2, 3)
-    expected = positions[:, order][:, :, ::-1] * [-1.0, 1.0, 1.0]
-    found = other.at(fractions_of_time(other)).positions.reshape(41, n, 2, 3)
-    np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
 @pytest.mark.parametrize(("n", "seed"), [(3, 8), (6, 9)])
@@ -112,7 +114,7 @@ def test_reversing_start_and_end_reverses_the_path(n: int, seed: int) -> None:
     np.testing.assert_allclose(again, there, atol=5e-3)
 
 
-@pytest.mark.parametrize(("n", "seed"), [(3, 10), (4, 11), (7, 12), (12, 13), (30, 14)])
+@pytest.mark.parametrize(("n", "seed"), [(3, 10), (7, 12), (30, 14)])
 def test_sampling_a_plan_never_beats_its_certificate(n: int, seed: int) -> None:
     plan = ho.solve(random_problem(n, seed))
     team, certificate = plan.motion.team, plan.certificate
@@ -199,13 +201,6 @@ def test_a_start_that_breaks_a_limit_is_told_before_anything_moves() -> None:
     apart = min(np.linalg.norm(drones[i] - drones[j]) for i in range(6) for j in range(i))
     assert separation.value == pytest.approx(apart / 0.24, rel=1e-3)
     assert 0.13 < apart < 0.15  # the paper's experiment 1
-
-
-def test_an_end_that_breaks_a_limit_names_its_step() -> None:
-    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
-    arena = ho.Arena([-1.5, -1.7, 0.0], [1.5, 1.5, 2.0])
-    with pytest.raises(ho.InfeasibleError, match=r"arena.*end of step 0 \(morph\)"):
-        ho.morph(start, [[1.0, -1.0], [0.6, 0.5], [1.4, 0.5]], arena=arena)
 
 
 def test_a_hold_stays_and_an_idle_morph_takes_its_duration() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,13 +11,9 @@ import pytest
 
 from hitchopt import Hitch, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.mission import repair
 from hitchopt.mission.problem import HitchStart, Problem
-from hitchopt.mission.repair import editing
-from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import read_plan, write_plan
-from hitchopt.requirements import Requirements
 from hitchopt.steps import Hold
-from hitchopt.trajectory import PiecewisePolynomial
 
 ORDER = (2, 0, 3, 1)
 
@@ -93,19 +88,6 @@ def test_replacing_one_field_keeps_all_others() -> None:
         assert_fields(changed, team(), but=(field.name,))
 
 
-def test_a_reloaded_plan_has_every_field(tmp_path: Path) -> None:
-    hitch = Hitch.balanced(team(), ARC, 1.1)
-    breaks = np.array([0.0, 2.0])
-    drones, vertices, legs, tensions = (
-        PiecewisePolynomial.constant(breaks, value)
-        for value in (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
-    )
-    phases = (Phase("hold", 0, 0.0, 2.0),)
-    motion = Motion(team(), Requirements(), drones, vertices, legs, tensions, phases)
-    write_plan(tmp_path / "plan.npz", motion)
-    assert_fields(read_plan(tmp_path / "plan.npz").team, team())
-
-
 def test_a_renumbered_team_has_every_field() -> None:
     found = Assignment(ORDER, (False, True, False, True)).team(team())
     for field in fields(Team):
@@ -118,20 +100,20 @@ def test_a_renumbered_team_has_every_field() -> None:
     ("edit", "changed"),
     [
         (
-            lambda p: editing.with_team_values(p, "cable_length", p.team.cable_length * 1.1),
+            lambda p: repair.with_team_values(p, "cable_length", p.team.cable_length * 1.1),
             "cable_length",
         ),
-        (lambda p: editing.with_team_values(p, "tension", p.team.tension * 1.1), "tension"),
+        (lambda p: repair.with_team_values(p, "tension", p.team.tension * 1.1), "tension"),
         (
-            lambda p: editing.with_team_values(
-                p, "max_thrust", 1.1 * editing.team_values(p, "max_thrust")
+            lambda p: repair.with_team_values(
+                p, "max_thrust", 1.1 * repair.team_values(p, "max_thrust")
             ),
             "quadrotor",
         ),
-        (lambda p: editing.with_bound(p, "limits.tilt_deg", 50.0), ""),
-        (lambda p: editing.with_bound(p, "separation.cable", 0.05), ""),
-        (lambda p: editing.with_outlines_scaled(p, 0.9), ""),
-        (lambda p: editing.with_step_edit(p, 0, next(p.mission[0].tunables()).put(3.0)), ""),
+        (lambda p: repair.with_bound(p, "limits.tilt_deg", 50.0), ""),
+        (lambda p: repair.with_bound(p, "separation.cable", 0.05), ""),
+        (lambda p: repair.with_outlines_scaled(p, 0.9), ""),
+        (lambda p: repair.with_step_edit(p, 0, next(p.mission[0].knobs()).put(3.0)), ""),
     ],
 )
 def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], changed: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.mission.loading import load_problem, problem_from_dict
+from hitchopt.mission.loading import load_problem
 
 Array = NDArray[np.float64]
 
@@ -134,16 +133,6 @@ def test_robots_bring_their_own_cables_tensions_and_drones() -> None:
     np.testing.assert_allclose(plan.at(plan.duration).tensions, flown.tension, atol=1e-12)
 
 
-def test_form_then_release_comes_back_to_free_cables_wherever_the_hitch_has_gone() -> None:
-    problem = load_problem(PROBLEMS / "tie_carry_untie.yaml")
-    steps = [s for s in problem.mission if s.name not in {"land", "hold"}]
-    form = steps[0]
-    assert isinstance(form, ho.Form)
-    swap = ho.SwapSettings(sense=-1)  # the mission itself turns the other way
-    plan = ho.solve(replace(problem, mission=(replace(form, swap=swap), *steps[1:])))
-    assert plan.certificate["interlacing"].worst == 0.0
-
-
 def test_a_hitch_that_is_there_at_first_is_released() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.6)
     plan = ho.release(start)
@@ -249,27 +238,6 @@ def test_what_binds_in_the_hitch_or_in_the_swap_is_named(keys: dict[str, Any], b
     assert all("step 0" in v.when for v in told.value.violations)
 
 
-@pytest.mark.parametrize(
-    ("steps", "message"),
-    [
-        ([{"release": {}}], r"mission\[0\]\.release = 'no hitch': .*form one before"),
-        ([{"transport": {"to": [0, 0, 1]}}], r"mission\[0\]\.transport = 'no hitch'"),
-        (
-            [{"form": {"polygon": TRIANGLE.tolist()}}, {"land": {}}],
-            r"mission\[1\]\.land = 'a hitch': .*release it before",
-        ),
-    ],
-)
-def test_missions_that_make_no_sense_are_refused(steps: list[Any], message: str) -> None:
-    data = {
-        "team": {"robots": 3, "cable_length": 2.4},
-        "start": {"drones": {"q": LINES.tolist(), "r": (LINES * [-1, 1, 1]).tolist()}},
-        "mission": steps,
-    }
-    with pytest.raises(ho.InputError, match=message):
-        problem_from_dict(data)
-
-
 def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
     team = ho.Team(3, 2.4, cable_density=0.008)
     plan = forming(LINES + [0, 0, 2], LINES * [-1, 1, 1] + [0, 0, 2], team)
@@ -284,7 +252,10 @@ def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
     legs = taut.positions - taut.vertices[np.array([0, 1, 1, 2, 2, 0])]
     lengths = np.linalg.norm(legs, axis=1)
     pull = taut.cable_forces + np.outer(0.5 * 9.81 * 0.008 * lengths, [0.0, 0.0, 1.0])
-    expected = 0.4 + 0.5 * 9.81 * 0.008 * legs[:, 2]
+    half = (
+        0.5 * 9.81 * 0.008
+    )  # the tension is that at the middle of a span, the pull along its chord
+    expected = np.sqrt(0.16 - half**2 * np.sum(legs[:, :2] ** 2, axis=1)) + half * legs[:, 2]
     np.testing.assert_allclose(np.linalg.norm(pull, axis=1), expected, atol=1e-9)
     assert np.min(legs[:, 2]) > 0.01
     assert certify(plan.motion).certified
@@ -338,14 +309,6 @@ def test_where_drones_stand_close_to_cables_a_formed_hitch_gives_them_room() -> 
     assert all(plan.certificate.certified for plan in found.values())
     np.testing.assert_allclose(
         np.sort(formed_legs(found["spread"]), axis=None), np.sort(spread.legs, axis=None), atol=1e-6
-    )
-
-
-def test_where_there_is_room_anyway_a_formed_hitch_is_spread() -> None:
-    plan = forming(LINES, LINES + [1.2, 0.0, 0.0])
-    spread = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, altitude=1.5)
-    np.testing.assert_allclose(
-        np.sort(formed_legs(plan), axis=None), np.sort(spread.legs, axis=None), atol=1e-6
     )
 
 

@@ -10,9 +10,8 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
-from hitchopt.motion.cutting import cut
-from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.motion.phases import FREE_STATES, HITCHED_STATE
+from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
+from hitchopt.motion.retiming import cut
 from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 

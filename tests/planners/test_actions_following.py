@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.planners.actions.shape_moves import vertex_track
+from hitchopt.planners.morph.actions import vertex_track
 
 START = ho.Hitch(
     ho.Team(5, [2.0, 2.05, 2.1, 2.0, 2.02]),

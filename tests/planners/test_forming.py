@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from itertools import islice, pairwise, permutations, product
+from itertools import permutations, product
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 import hitchopt as ho
-from hitchopt.checks.bounds.chord_crossings import chord_crossings
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.hitch.catenary import Catenary
-from hitchopt.planners.forming.assigning import assigned
-from hitchopt.planners.forming.prehitch import PreHitch, candidates, find_prehitch
-from hitchopt.planners.forming.straight import straight
-from hitchopt.planners.forming.turns import APART, SwapSettings, Turns, rise_that_clears, swap
-from hitchopt.planners.forming.tying_stages import (
+from hitchopt.planners.forming import SwapSettings
+from hitchopt.planners.forming.approach import assigned
+from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
+from hitchopt.planners.forming.stages import (
     PULL_SECONDS,
     SMOOTH,
     Stage,
@@ -26,10 +23,11 @@ from hitchopt.planners.forming.tying_stages import (
     tied,
     undone,
 )
-from hitchopt.planners.forming.wheels import Wheels, turned
+from hitchopt.planners.forming.turns import (
+    straight,
+)
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.requirements import Limits, Separation
-from hitchopt.trajectory import joined
 from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
@@ -77,134 +75,6 @@ def test_the_clock_is_the_fastest_one(goal: float, speed: float) -> None:
     else:
         expected = goal / speed + speed / a + a / j
     assert clock.duration == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("tilt", [0.0, 20.0, 45.0, 70.0])
-def test_the_ellipse_clears_the_pair_at_every_angle(tilt: float) -> None:
-    """The closed form against all angles; a little less would not do."""
-    separation = Separation(radius=0.11, height=0.37)
-    a = APART * 0.11
-    h = rise_that_clears(separation, math.radians(tilt), 0.0)
-    angle = np.linspace(0.0, 2.0 * math.pi, 4001)
-
-    def closest(rise: float) -> float:
-        w = np.array([0.0, -math.sin(math.radians(tilt)), math.cos(math.radians(tilt))])
-        offset = 2.0 * (
-            a * np.cos(angle)[:, None] * [1.0, 0.0, 0.0] + rise * np.sin(angle)[:, None] * w
-        )
-        return float(np.min(np.linalg.norm(offset * separation.scale, axis=1)))
-
-    assert closest(h) == pytest.approx(APART, rel=1e-6)
-    assert closest(0.9 * h) < 0.96 * APART
-    assert rise_that_clears(separation, math.radians(tilt), 5.0) == 5.0
-
-
-@pytest.mark.parametrize("density", [0.0, 0.02])
-def test_all_stages_keep_the_limits_and_follow_one_another(density: float) -> None:
-    hitch = pentagon(density=density)
-    _, stages = stages_of(hitch)
-    assert [s.name for s in stages] == ["swap 1", "swap 2", "tighten", "tension"]
-    assert [s.pull is not None for s in stages] == [False, False, False, True]
-    assert [str(s.state) for s in stages] == ["clasping"] * 2 + ["being tightened", "hitched"]
-    for before, after in pairwise(stages):
-        np.testing.assert_allclose(sampled(before)[-1], sampled(after)[0], atol=1e-12)
-    np.testing.assert_allclose(sampled(stages[-1])[-1], hitch.drones, atol=1e-12)
-    for stage in stages:
-        for order, limit in ((1, 1.0), (2, 2.0), (3, 20.0)):
-            rates = np.linalg.norm(sampled(stage, order), axis=-1)
-            assert np.max(rates) <= limit
-            if order < 3:
-                np.testing.assert_allclose(rates[[0, -1]], 0.0, atol=1e-9)
-    fastest = max(np.max(np.linalg.norm(sampled(s, 2), axis=-1)) for s in stages[:2])
-    assert fastest > 0.9 * 2.0  # the limit that binds is used
-    assert stages[-1].drones.duration == pytest.approx(rise_seconds(hitch.team))
-
-
-def test_drones_stay_on_their_ellipses_and_change_places_twice() -> None:
-    hitch = pentagon()
-    pre, stages = stages_of(hitch)
-    turns, layout = pre.turns, hitch.team.layout
-    for stage in stages[:2]:
-        places = sampled(stage)
-        q, r = places[:, 2 * layout.ahead], places[:, 2 * layout.behind + 1]
-        np.testing.assert_allclose(0.5 * (q + r) - turns.centres, 0.0, atol=1e-9)
-        offset = 0.5 * (q - r)
-        along = np.sum(offset * turns.along, axis=-1) / turns.half
-        upward = np.sum(offset * turns.upward, axis=-1) / turns.rise
-        np.testing.assert_allclose(along**2 + upward**2, 1.0, atol=1e-7)
-        angle = np.unwrap(np.arctan2(upward, along), axis=0)
-        assert np.all(np.diff(angle, axis=0) > -1e-9)  # one sense, all of the way
-        np.testing.assert_allclose(angle[-1] - angle[0], math.pi, atol=1e-9)
-        np.testing.assert_allclose(q[-1], r[0], atol=1e-9)
-        np.testing.assert_allclose(r[-1], q[0], atol=1e-9)
-    np.testing.assert_allclose(sampled(stages[1])[-1], pre.drones, atol=1e-9)
-    # The axis is normal to the chord, and leans outward and up: the upper drone passes inside.
-    np.testing.assert_allclose(np.sum(turns.along * turns.upward, axis=1), 0.0, atol=1e-12)
-    inward = turns.centres - np.append(hitch.polygon.centroid, hitch.altitude)
-    assert np.all(np.sum(turns.upward * inward, axis=1) < 0.0)
-
-
-def test_no_span_comes_taut_and_its_measures_are_what_samples_say() -> None:
-    hitch = pentagon()
-    pre, stages = stages_of(hitch)
-    places = np.concatenate([sampled(stage) for stage in stages[:3]])
-    pairs = places.reshape(len(places), 5, 2, 3)
-    spans = np.linalg.norm(pairs[:, :, 1] - pairs[:, :, 0], axis=-1) / LENGTHS
-    assert np.max(spans) == pytest.approx(pre.measures.span, abs=2e-3)
-    assert np.max(spans) < 0.971
-    swaps = np.concatenate([sampled(stage) for stage in stages[:2]]).reshape(-1, 5, 2, 3)
-    lowest = Catenary.between(swaps[:, :, 0], swaps[:, :, 1], LENGTHS).lowest + swaps[:, :, 0, 2]
-    assert 1.7 - np.min(lowest) == pytest.approx(pre.measures.lowest, abs=5e-3)
-
-
-def test_half_way_the_spans_sum_to_legs_and_edges() -> None:
-    """With legs of full length: over all cables e + l + d, which is the sum of all cables."""
-    hitch = Hitch.balanced(Team(6, 2.0), ho.regular_polygon(6, 1.0).vertices, 1.5)
-    pre, _ = stages_of(hitch)
-    half = pre.turns.drones(np.array(math.pi))
-    spans = np.linalg.norm(half[1::2] - half[0::2], axis=1)
-    # On the lines of the edges: their lengths plus the shortened legs at both ends.
-    assert spans == pytest.approx(1.0 + pre.share * (2.0 - 1.0), abs=1e-9)
-
-
-def test_narrow_vertices_are_widened_and_short_cables_get_a_smaller_polygon() -> None:
-    sharp = Hitch.balanced(Team(3, 2.4), np.array([[0, -1], [-0.4, 0.5], [0.4, 0.5]]), 1.5)
-    pre, _ = stages_of(sharp)
-    assert np.min(pre.turns.half) == pytest.approx(0.15)
-    chord = np.linalg.norm(sharp.drones[0] - sharp.drones[5])
-    assert chord < 0.3  # it stands closer in the hitch
-    short = Hitch.balanced(Team(6, 1.4), ho.regular_polygon(6, 1.0).vertices, 1.5)
-    pre = find_prehitch(short, Separation(), SwapSettings(radius=0.25))
-    assert pre.scale < 1.0
-    assert pre.shortfall <= 0.0
-    never = find_prehitch(short, Separation(), SwapSettings(radius=0.5))
-    assert never.shortfall > 0.0
-
-
-def clasped(turns: Turns) -> bool:
-    """Whether the chords of neighbours pass through each other once on a whole turn, everywhere."""
-    met = chord_crossings(joined([swap(turns, Limits(), half, None) for half in (0, 1)]))
-    n, layout = turns.team.robots, turns.team.layout
-    numbers = np.zeros((n, n), dtype=np.intp)
-    numbers[met.first, met.second] += met.count
-    numbers += numbers.T
-    return bool(np.all(np.abs(numbers[layout.behind, layout.ahead]) == 1))
-
-
-def test_cables_clasp_where_their_chords_cross_half_way() -> None:
-    """Tensions that differ lay some chords of pairs along an edge, and then cables do not clasp."""
-    seen = {False: 0, True: 0}
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        n = int(rng.integers(5, 8))
-        polygon = random_convex_polygon(n, 1.0, rng)
-        hitch = Hitch.balanced(Team(n, 1.9, tension=rng.uniform(0.3, 0.5, n)), polygon, 1.5)
-        for found in islice(candidates(hitch, Separation(), SwapSettings()), 0, 90, 15):
-            linked = found.measures.linked
-            if abs(linked) > 5e-3:
-                seen[linked > 0.0] += 1
-                assert clasped(found.turns) == (linked > 0.0)
-    assert min(seen.values()) > 2
 
 
 @pytest.mark.parametrize(("seed", "n"), [(6, 7), (19, 8)])
@@ -269,19 +139,6 @@ def test_tensions_rise_so_slowly_that_cables_hang_still(team: Team) -> None:
     assert kept_swing(team, 0.5 * seconds) > 0.1
 
 
-def test_the_slowest_cable_sets_the_rise_and_none_has_the_shortest() -> None:
-    """A quarter of the tension or four times the mass double it; a chain's ends have one clasp."""
-    plain = Team(3, [2.0, 2.6, 2.2], tension=[0.4, 0.5, 0.6], cable_density=0.01)
-    assert rise_seconds(plain) == pytest.approx(6.0 * 2.6 * math.sqrt(0.01 / 0.5))
-    weak = Team(3, plain.cable_length, tension=0.25 * plain.tension, cable_density=0.01)
-    assert rise_seconds(weak) == pytest.approx(2.0 * rise_seconds(plain))
-    assert rise_seconds(Team(3, 2.4, tension=0.5)) == PULL_SECONDS
-    chain = Team(3, 2.5, topology="open", tension=0.5, load=[0.03, 0.0])
-    assert rise_seconds(chain) == pytest.approx(6.0 * math.sqrt(2.5 * 0.015 / 0.5))
-    middle = Team(3, 2.5, topology="open", tension=0.5, load=[0.03, 0.01])
-    assert rise_seconds(middle) == pytest.approx(6.0 * math.sqrt(2.5 * 0.02 / 0.5))
-
-
 @pytest.mark.parametrize("shift", [1, 3])
 def test_renumbering_robots_renumbers_the_plan(shift: int) -> None:
     _, stages = stages_of(pentagon())
@@ -338,13 +195,6 @@ def test_the_time_from_the_pre_hitch_does_not_depend_on_how_many_there_are(n: in
     assert total(n) == pytest.approx(total(6), rel=1e-2)
 
 
-def test_slower_swaps_take_as_long_as_is_said() -> None:
-    pre, _ = stages_of(pentagon())
-    assert swap(pre.turns, Limits(), 0, 4.0).duration == pytest.approx(4.0, rel=1e-12)
-    fast = swap(pre.turns, Limits(), 0, None)
-    assert swap(pre.turns, Limits(), 0, 0.01).duration == fast.duration
-
-
 def test_heavy_cables_leave_less_to_accelerate_with() -> None:
     """A drone of little thrust that carries half a heavy cable: slower, or none at all."""
     weak = [ho.Quadrotor(0.12, 1.45)] * 5
@@ -358,34 +208,6 @@ def test_heavy_cables_leave_less_to_accelerate_with() -> None:
     assert slow.duration > 1.05 * quick.duration
     with pytest.raises(ho.InfeasibleError, match=r"^thrust: .* hovering with a hanging cable"):
         straight(Team(5, LENGTHS, cable_density=0.05, quadrotor=weak), Limits(), start, end)
-
-
-def test_straight_ways_stay_between_their_ends_to_the_last_bit() -> None:
-    start = pentagon().drones
-    down = start * [1.0, 1.0, 0.0]
-    flight = straight(pentagon().team, Limits(), start, down)
-    assert np.min(flight.coefficients[:, :, 2]) == 0.0
-    assert np.max(flight.coefficients[:, :, 2]) == np.max(start[:, 2])
-    still = straight(pentagon().team, Limits(), start, start)
-    assert still.duration < 0.1
-
-
-def test_wheels_turn_the_shorter_way_on_circles() -> None:
-    rng = np.random.default_rng(5)
-    start, goal = rng.uniform(-2.0, 2.0, (2, 10, 3))
-    wheels = Wheels.between(start, goal, 0.2)
-    assert np.all(np.abs(wheels.angles) <= math.pi)
-    flight = turned(pentagon().team, wheels, Limits())
-    places = flight.at(np.linspace(0.0, flight.duration, 501)).reshape(-1, 5, 2, 3)
-    arms = 0.5 * (places[:, :, 1] - places[:, :, 0])
-    np.testing.assert_allclose(np.linalg.norm(arms, axis=-1), 0.2, atol=1e-8)
-    np.testing.assert_allclose(places.mean(axis=2) - wheels.centres, 0.0, atol=1e-9)
-    headings = np.unwrap(np.arctan2(arms[..., 1], arms[..., 0]), axis=0)
-    np.testing.assert_allclose(headings[-1] - headings[0], wheels.angles, atol=1e-9)
-    last = goal.reshape(5, 2, 3)
-    directions = last[:, 1, :2] - last[:, 0, :2]
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    np.testing.assert_allclose(arms[-1, :, :2] / 0.2, directions, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -439,15 +261,6 @@ def test_assignments_are_checked() -> None:
 def test_settings_are_checked(keys: dict[str, float], message: str) -> None:
     with pytest.raises(ho.InputError, match=message):
         SwapSettings(**keys)  # type: ignore[arg-type]
-
-
-def test_ellipses_are_turned_by_derivatives_that_finite_differences_confirm() -> None:
-    pre, _ = stages_of(pentagon())
-    turns: Turns = pre.turns
-    angle, step = np.array([0.7, 2.9, 4.4]), 1e-5
-    for order in range(3):
-        slope = (turns.drones(angle + step, order) - turns.drones(angle - step, order)) / (2 * step)
-        np.testing.assert_allclose(turns.drones(angle, order + 1), slope, atol=1e-9)
 
 
 def test_drones_that_pass_each_other_on_their_way_out_go_one_after_the_other() -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
-from collections.abc import Iterator, Sequence
-from types import FrameType
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -16,9 +14,8 @@ import pytest
 import scipy.sparse as sp
 
 import hitchopt as ho
-from hitchopt.hitch.convex_qp import QuadraticProgram
-from hitchopt.planners.optimise.ipopt_steps import answered_later
-from hitchopt.planners.separation.qp import Solver
+from hitchopt.hitch.leg_program import QuadraticProgram
+from hitchopt.planners.separation.program import Solver
 
 QUARTER = ho.regular_polygon(3, 1.0).rotated(0.5)
 
@@ -73,56 +70,6 @@ def test_the_optimiser_ends_on_ctrl_c_at_the_first_solver(nuisances: list[Nuisan
     assert signal.getsignal(signal.SIGINT) is before
 
 
-@pytest.fixture
-def heard() -> Iterator[list[int]]:
-    """The signals that a handler of the user's is told of."""
-    found: list[int] = []
-
-    def hear(number: int, frame: FrameType | None) -> None:
-        assert frame is None or frame.f_code
-        found.append(number)
-
-    before = {number: signal.getsignal(number) for number in (signal.SIGUSR1, signal.SIGUSR2)}
-    for number in before:
-        signal.signal(number, hear)
-    yield found
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-def test_signals_are_answered_once_in_order_and_at_the_end(heard: list[int]) -> None:
-    with answered_later():
-        for number in (signal.SIGUSR2, signal.SIGUSR1, signal.SIGUSR2):
-            signal.raise_signal(number)
-        assert heard == []
-    assert heard == [signal.SIGUSR2, signal.SIGUSR1, signal.SIGUSR2]
-    signal.raise_signal(signal.SIGUSR1)
-    assert len(heard) == 4
-
-
-def test_an_error_within_comes_first_and_handlers_are_put_back(heard: list[int]) -> None:
-    before = [signal.getsignal(number) for number in sorted(signal.valid_signals())]
-    with pytest.raises(ZeroDivisionError), answered_later():
-        raise ZeroDivisionError
-    assert [signal.getsignal(number) for number in sorted(signal.valid_signals())] == before
-    assert heard == []
-
-
-def test_other_threads_leave_handlers_alone(heard: list[int]) -> None:
-    done: list[object] = []
-
-    def work() -> None:
-        with answered_later():
-            done.append(signal.getsignal(signal.SIGUSR1))
-
-    before = signal.getsignal(signal.SIGUSR1)
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert done == [before]
-    assert heard == []
-
-
 class Interrupted:
     """OSQP that says what it says after Ctrl-C, which it keeps to itself."""
 
@@ -148,14 +95,3 @@ def test_osqp_that_was_interrupted_ends_the_plan() -> None:
     found._osqp = Interrupted(found._osqp)
     with pytest.raises(KeyboardInterrupt):
         found.solve(program, one, 0)
-
-
-def test_a_signal_is_answered_also_where_the_work_fails(heard: list[int]) -> None:
-    def interrupted() -> None:
-        with answered_later():
-            signal.raise_signal(signal.SIGUSR1)
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        interrupted()
-    assert heard == [signal.SIGUSR1]

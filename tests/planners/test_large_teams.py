@@ -7,15 +7,14 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_lengths import split_slack
-from hitchopt.hitch.leg_roll import level_margin_bound
-from hitchopt.hitch.leg_task import LegTask
-from hitchopt.planners.optimise import ipopt_steps, search_task
-from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.morph_program import MorphProgram
-from hitchopt.planners.optimise.search_task import SMALL, Effort, work_for
-from hitchopt.planners.path.leg_law import STEEPEST, rolled_more
-from hitchopt.planners.path.shape_path import ShapePath
+from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.legs import level_margin_bound, split_slack
+from hitchopt.planners.morph.legs import STEEPEST, rolled_more
+from hitchopt.planners.morph.path import ShapePath
+from hitchopt.planners.optimise import knots as search_task
+from hitchopt.planners.optimise import program as ipopt_steps
+from hitchopt.planners.optimise.knots import Effort, KnotPath
+from hitchopt.planners.optimise.program import MorphProgram
 from hitchopt.requirements import Requirements
 
 N = 40
@@ -60,22 +59,6 @@ def test_legs_roll_more_half_way_and_end_as_they_are() -> None:
         assert np.max(np.abs(more.at(s))) <= STEEPEST + 1e-12
 
 
-def test_the_raise_is_the_same_on_a_path_in_pieces() -> None:
-    start, end = rolled(1.3), rolled(1.2, 0.01)
-    path = ShapePath.straight(start, end)
-    assert path.roll is not None
-    c = path.roll.coefficients
-    middle = c.mean(axis=-1)
-    halves = np.concatenate([np.stack([c[..., 0], middle], -1), np.stack([middle, c[..., 1]], -1)])
-    cut = ho.PiecewisePolynomial(np.array([0.0, 0.5, 1.0]), halves)
-    pieces = ShapePath(path.team, path.vertices, path.legs, roll=cut)
-    s = np.linspace(0.0, 1.0, 33)
-    for whole, parted in zip(rolled_more(path), rolled_more(pieces), strict=True):
-        assert whole.roll is not None
-        assert parted.roll is not None
-        np.testing.assert_allclose(whole.roll.at(s), parted.roll.at(s), atol=1e-12)
-
-
 def test_level_legs_are_not_rolled_on_the_way() -> None:
     team = ho.Team(3, 2.4)
     start = ho.Hitch.spread(team, np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]))
@@ -92,29 +75,6 @@ def test_no_level_legs_have_a_larger_margin_than_their_bound(n: int) -> None:
         )
         bound = level_margin_bound(task)
         assert split_slack(task).margin <= bound * (1.0 + 1e-9)
-
-
-def test_work_counts_rows_beyond_those_of_small_programs() -> None:
-    effort = Effort(10.0 * SMALL)
-    assert effort.iterations(SMALL, 100) == 100
-    effort.spend(SMALL, 100)
-    assert effort.left == 10.0 * SMALL
-    assert effort.iterations(SMALL + 1, 100) == 100  # costs hardly more
-    effort.spend(SMALL + 1, 100)
-    assert effort.left == 10.0 * SMALL - 100
-    assert effort.iterations(2 * SMALL, 100) == 9
-    effort.spend(2 * SMALL, 8)
-    assert effort.iterations(2 * SMALL, 100) == 0
-    assert effort.over
-
-
-def test_small_teams_are_searched_longer_and_so_are_routes_that_are_asked_for() -> None:
-    counts = [3, 12, 20, 36, 40, 200]
-    works = np.array([work_for(n, asked=False) for n in counts])
-    assert np.all(np.diff(works) <= 0.0)
-    assert works[1] > 1.5e6  # what hard morphs of 12 robots have needed
-    assert works[4] == works[5] == search_task.WORK
-    assert [work_for(n, asked=True) for n in counts] == np.maximum(works, 5.0 * works[5]).tolist()
 
 
 @pytest.mark.slow

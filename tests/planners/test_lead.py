@@ -1,16 +1,11 @@
 """Legs that lead and lag: what they leave as it was, what they gain, and where they do not help."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import regular_polygon
-from hitchopt.planners.path.leading_legs import leading
-from hitchopt.planners.path.shape_path import LegLaw, ShapePath, drones_along
-from hitchopt.trajectory import PiecewisePolynomial
-from problems.random_morph import random_convex_polygon
+from hitchopt.planners.morph.legs import leading
+from hitchopt.planners.morph.path import ShapePath, drones_along
 
 ENDS = np.array([0.0, 1.0])
 CLOSE = ho.Separation(cable=0.07, crossing=0.05)
@@ -44,41 +39,6 @@ def test_drones_start_and_stop_more_gently() -> None:
         np.linalg.norm(drones_along(p, ENDS).positions[..., 1], axis=-1) for p in (path, first)
     )
     assert np.all(led < 0.9 * usual)
-
-
-def slid(path: ShapePath, k: int, slope: float) -> ShapePath:
-    """The path with q-leg k longer by ``slope · s (1 - s)²``."""
-    c = np.zeros((1, path.team.robots, 4))
-    c[0, k, 1] = slope / 3.0
-    return replace(path, legs=LegLaw(PiecewisePolynomial(ENDS, c), path.legs.share))
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_no_other_slope_slows_a_cables_drones_more_at_the_start(seed: int) -> None:
-    """Of a polygon without any symmetry, with a whole slide, against a search."""
-    rng = np.random.default_rng(seed)
-    polygon = random_convex_polygon(5, 1.2, rng)
-    team = ho.Team(5, 2.4)
-    start = ho.Hitch.balanced(team, polygon)
-    goal = ho.Hitch.balanced(team, polygon.rotated(0.2).translated([0.1, 0.05]))
-    path = ShapePath.straight(start, goal)
-
-    def start_of(p: ShapePath, k: int) -> float:
-        v = drones_along(p, ENDS[:1]).positions[0, 2 * k : 2 * k + 2, :, 1]
-        return float(np.sum(v**2))
-
-    from hitchopt.planners.path import leading_legs
-
-    slopes, left = leading_legs._slopes(path, ho.Limits())
-    led, usual = (
-        np.max(np.linalg.norm(drones_along(p, ENDS).positions[..., 1], axis=-1))
-        for p in (leading_legs._slid(path, slopes), path)
-    )
-    assert left == pytest.approx(led / usual, rel=1e-9)
-    for k in range(5):
-        best = start_of(slid(path, k, slopes[0, k]), k)
-        for change in (-0.3, -0.01, 0.01, 0.3):
-            assert start_of(slid(path, k, slopes[0, k] + change), k) > best
 
 
 def test_a_polygon_that_only_grows_has_nothing_to_gain() -> None:

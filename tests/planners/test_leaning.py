@@ -1,6 +1,5 @@
 """Legs that lean against friction: what they leave as it is, how far they go, and laws."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +9,7 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.friction.leaning import Leaning, leaning
-from hitchopt.planners.friction.slip_tensions import FARTHEST, ROOM
+from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
 
 Array = NDArray[np.float64]
 
@@ -148,20 +146,6 @@ def test_it_leans_as_much_as_is_counted_on() -> None:
     np.testing.assert_allclose(leaned(plain, 0.02).turned, turned[1], rtol=1e-9)
 
 
-def test_turned_and_moved_it_leans_the_same() -> None:
-    angle, aside = 0.7, np.array([3.0, -5.0])
-    c, s = math.cos(angle), math.sin(angle)
-    turn = np.array([[c, -s], [s, c]])
-    there = planned(POLYGON @ turn.T + aside, GOAL @ turn.T + aside)
-    here = leaned(planned()).motion
-    moved = leaned(there).motion
-    t = sampled(here)
-    places = here.drones.at(t)
-    places[..., :2] = places[..., :2] @ turn.T + aside
-    np.testing.assert_allclose(moved.drones.at(t), places, atol=1e-6)
-    np.testing.assert_allclose(moved.pulls.at(t), here.pulls.at(t), atol=1e-6)
-
-
 def test_renumbered_it_leans_the_same() -> None:
     def rolled(values: list[float]) -> list[float]:
         return [*values[1:], values[0]]
@@ -176,20 +160,6 @@ def test_renumbered_it_leans_the_same() -> None:
     np.testing.assert_allclose(
         there.drones.at(t), np.roll(here.drones.at(t), -2, axis=1), atol=1e-6
     )
-
-
-def test_in_a_mirror_it_leans_the_same() -> None:
-    """Mirrored and read backwards, so that it is clockwise again: q and r change places."""
-    order = [0, 3, 2, 1]  # vertices; cable k then spans what cable -1-k did
-    flip = np.array([-1.0, 1.0])
-    team = ho.Team(4, LENGTHS[::-1], tension=TENSIONS[::-1])
-    start = ho.Hitch.balanced(team, POLYGON[order] * flip, altitude=1.2)
-    motion = ho.morph(start, GOAL[order] * flip, legs="balanced", duration=4.0).motion
-    assert isinstance(motion, Motion)
-    here, there = leaned(planned()).motion, leaned(motion).motion
-    t = sampled(here)
-    mirrored = here.drones.at(t)[:, ::-1] * np.array([-1.0, 1.0, 1.0])
-    np.testing.assert_allclose(there.drones.at(t), mirrored, atol=1e-6)
 
 
 def test_where_nothing_slides_nothing_leans() -> None:

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
-from hitchopt.hitch.leg_lengths import reference_margin
-from hitchopt.planners.path.blended_path import blended
-from hitchopt.planners.path.leg_law import leg_task_along, with_legs_clear
-from hitchopt.planners.path.rigid_path import RigidPath
-from hitchopt.planners.path.shape_path import ShapePath, shapes_along
-from hitchopt.planners.path.straight_morph import StraightMorph
+from hitchopt.hitch.legs import reference_margin
+from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
+from hitchopt.planners.morph.morph import StraightMorph, blended
+from hitchopt.planners.morph.path import RigidPath, ShapePath, shapes_along
 from hitchopt.requirements import Requirements
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -129,51 +127,6 @@ def test_legs_make_way_where_an_end_stands_at_its_limit() -> None:
     last = [[0.5994, -0.3958], [-0.8439, -0.1823], [-0.0547, 0.5303]]
     start = Hitch.spread(team, first)
     end = Hitch.nearest(team, last, 1.0, start.fractions, limits=Limits(), separation=Separation())
-    linear = ShapePath.straight(start, end)
-    assert distances_on_the_way(linear) < 1.0
-    assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0
-
-
-LARGE = [
-    (-0.338, -1.14),
-    (-1.008, -0.282),
-    (-0.807, 0.757),
-    (-0.026, 1.205),
-    (0.719, 0.868),
-    (1.008, -0.28),
-    (0.286, -1.159),
-]
-SMALL = [
-    (-0.767, -1.067),
-    (-1.271, -0.747),
-    (-1.436, 0.233),
-    (-0.7, 0.858),
-    (-0.141, 0.787),
-    (0.428, -0.032),
-    (0.255, -0.68),
-]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("length", [2.05, 2.09, 2.15])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_rolled_legs_pass_each_other_on_one_side_also_in_a_mirror(
-    length: float, sign: float
-) -> None:
-    team, limits, separation = Team(7, length), Limits(), Separation()
-    first, last = ([sign, 1.0] * np.array(points) for points in (LARGE, SMALL))
-    if sign < 0.0:
-        first, last = first[::-1], last[::-1]
-    start = Hitch.spread(team, first, roll=sign * np.radians(10.0))
-    end = Hitch.nearest(
-        team,
-        last,
-        1.0,
-        start.fractions,
-        limits=limits,
-        separation=separation,
-        roll=start.roll,
-    )
     linear = ShapePath.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
     assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0

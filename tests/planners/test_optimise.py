@@ -10,22 +10,13 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.optimise import candidates, ipopt_steps
-from hitchopt.planners.optimise.candidates import Candidate, OptimisedMorph
+from hitchopt.planners.morph.morph import StraightMorph
+from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise.guesses import (
-    _closed_lengths,
     guesses,
-    mean_turn,
-    widened,
 )
-from hitchopt.planners.optimise.ipopt_steps import solve_program
-from hitchopt.planners.optimise.knot_path import KnotPath
-from hitchopt.planners.optimise.morph_program import MorphProgram
-from hitchopt.planners.optimise.search_task import Effort
-from hitchopt.planners.path.shape_path import ShapePath
-from hitchopt.planners.path.straight_morph import StraightMorph
-from hitchopt.planners.timing.flight_curves import Flight
-from hitchopt.planners.timing.fly_path import fly
+from hitchopt.planners.optimise.search import Candidate, OptimisedMorph
+from hitchopt.planners.timing.flight import Flight, fly
 from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon
 
@@ -57,52 +48,15 @@ def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
     first = random_convex_polygon(n, 1.2, rng)
     last = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))
     found = guesses(first, last, 13)
-    assert found[0].name == "straight"
-    kinds = {guess.name.split(" ")[0] for guess in found}
+    assert next(iter(found)) == "straight"
+    kinds = {name.split(" ")[0] for name in found}
     assert kinds == {"straight", "turned", "edges"}
-    for guess in found:
-        np.testing.assert_allclose(guess.polygons[0], first.vertices, atol=1e-6)
-        np.testing.assert_allclose(guess.polygons[-1], last.vertices, atol=1e-6)
-        if guess.name.startswith("edges"):
-            for polygon in guess.polygons:
+    for name, polygons in found.items():
+        np.testing.assert_allclose(polygons[0], first.vertices, atol=1e-6)
+        np.testing.assert_allclose(polygons[-1], last.vertices, atol=1e-6)
+        if name.startswith("edges"):
+            for polygon in polygons:
                 ConvexPolygon(polygon)  # refuses what is not convex
-
-
-@pytest.mark.parametrize("least", [0.0, 0.9])
-def test_edges_that_turn_keep_the_nearest_lengths_that_close_polygons(least: float) -> None:
-    """By the conditions of their optimum, with bounds that bind and without."""
-    rng = np.random.default_rng(7)
-    polygon = random_convex_polygon(5, 1.2, rng)
-    directions = np.arctan2(*polygon.edge_directions.T[::-1]) + rng.uniform(-0.2, 0.2, (2, 5))
-    lengths = polygon.edge_lengths * rng.uniform(0.8, 1.2, (2, 5))
-    shortest = least * polygon.edge_lengths
-    found = _closed_lengths(directions, lengths, shortest)
-    assert found is not None
-    free = found > shortest + 1e-5
-    assert np.all(found >= shortest - 1e-9)
-    assert np.all(free) == (least == 0.0)
-    for own, angles, wanted, inside in zip(found, directions, lengths, free, strict=True):
-        sides = np.stack([np.cos(angles), np.sin(angles)])
-        np.testing.assert_allclose(sides @ own, 0.0, atol=1e-6)
-        forces = np.linalg.lstsq(sides[:, inside].T, (own - wanted)[inside])[0]
-        left = own - wanted - forces @ sides
-        np.testing.assert_allclose(left[inside], 0.0, atol=1e-5)
-        assert np.all(left > -1e-5)
-
-
-def test_widened_guesses_keep_their_ends_shapes_and_middles() -> None:
-    polygons = guesses(PENTAGON, PENTAGON.renumbered(2), 9)[1].polygons
-    wide = widened(polygons, 0.25)
-    np.testing.assert_allclose(wide[[0, -1]], polygons[[0, -1]], atol=1e-12)
-    np.testing.assert_allclose(wide.mean(axis=1), polygons.mean(axis=1), atol=1e-12)
-    half = ConvexPolygon(wide[4]), ConvexPolygon(polygons[4])
-    np.testing.assert_allclose(half[0].edge_lengths, 1.25 * half[1].edge_lengths)
-    np.testing.assert_allclose(half[0].exterior_angles, half[1].exterior_angles)
-
-
-@pytest.mark.parametrize("angle", [-2.9, -1.0, 0.0, 0.7, 2.5, 3.1])
-def test_the_mean_turn_is_that_of_a_turned_polygon(angle: float) -> None:
-    assert mean_turn(PENTAGON, PENTAGON.rotated(angle).scaled(1.2)) == pytest.approx(angle)
 
 
 NARROW = Requirements(ho.Limits(), ho.Separation(), ho.Arena([-1.55, -1.55, 0], [1.55, 1.55, 3]))
@@ -154,59 +108,6 @@ def test_what_the_judge_turns_down_is_refined_and_never_returned() -> None:
     assert found
     assert max(seen) > seen[0]
     assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
-
-
-def test_next_to_a_clear_guess_one_step_takes_the_place_of_the_search(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Its flight is no slower than that of the path of least energy, made faster."""
-    solved: list[bool] = []
-    solve = solve_program
-
-    def counting(program: MorphProgram, effort: Effort) -> KnotPath | None:
-        solved.append(program.multipliers)
-        return solve(program, effort)
-
-    monkeypatch.setattr(ipopt_steps, "solve_program", counting)
-
-    def found(polygon: ConvexPolygon, turn: float) -> tuple[float, list[bool]]:
-        solved.clear()
-        start, end = ends(Team(len(polygon.vertices), 2.0), polygon, polygon.rotated(turn))
-        task = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE.limits))
-        return task.solve()[0].flight.duration, list(solved)
-
-    shapes, turn = (SQUARE, OCTAGON), 0.25
-    near = [found(shape, turn) for shape in shapes]
-    assert [steps for _, steps in near] == [[False], [False]]
-    assert len(found(SQUARE, 1.2)[1]) > 1
-    monkeypatch.setattr(candidates, "NEXT", 0.0)
-    searched = [found(shape, turn) for shape in shapes]
-    assert all(steps.count(True) > 1 for _, steps in searched)
-    shares = [short / long for (short, _), (long, _) in zip(near, searched, strict=True)]
-    assert shares[0] < 1.001
-    assert shares[1] < 0.995  # the octagon as it turns as a whole
-
-
-def test_guesses_that_are_one_are_optimised_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Turned a little, all guesses are; turned far, each is a way of its own."""
-    solved: list[str] = []
-    solve = solve_program
-
-    def counting(program: MorphProgram, effort: Effort) -> KnotPath | None:
-        solved.append(program.path.name)
-        return solve(program, effort)
-
-    monkeypatch.setattr(ipopt_steps, "solve_program", counting)
-
-    def fly_all(path: ShapePath) -> Flight:
-        return fly(path, FREE.limits)
-
-    OptimisedMorph(*ends(FOUR, SQUARE, SQUARE.rotated(0.3)), FREE, fly_all).solve()
-    near = set(solved)
-    solved.clear()
-    OptimisedMorph(*ends(FOUR, SQUARE, SQUARE.rotated(1.2)), FREE, fly_all).solve()
-    assert len(near) == 1
-    assert len(set(solved)) > 1
 
 
 @pytest.mark.parametrize("name", MUST_PLAN)

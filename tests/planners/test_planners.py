@@ -8,16 +8,14 @@ import pytest
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch, Team
-from hitchopt.planners.actions.flying import ActionFlight
-from hitchopt.planners.actions.shape_moves import move_vertex
+from hitchopt.planners import Planner
+from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.turns import SwapSettings
-from hitchopt.planners.optimise.candidates import OptimisedMorph
-from hitchopt.planners.path.blended_path import BlendedMorph
-from hitchopt.planners.path.straight_morph import StraightMorph
-from hitchopt.planners.planner import Planner
-from hitchopt.planners.timing.flight_curves import Flight
+from hitchopt.planners.morph.actions import ActionFlight, move_vertex
+from hitchopt.planners.morph.morph import BlendedMorph, StraightMorph
+from hitchopt.planners.optimise.search import OptimisedMorph
+from hitchopt.planners.timing.flight import Flight
 from hitchopt.requirements import Requirements
 
 ASKED = Requirements()
@@ -42,7 +40,7 @@ def moved_vertex() -> ActionFlight:
 def test_strategies_are_planners_and_compute_nothing_when_made(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in ("path.straight_morph", "path.blended_path", "actions.flying"):
+    for module in ("morph.morph", "morph.actions"):
         monkeypatch.setattr(f"hitchopt.planners.{module}.fly", refused)
     monkeypatch.setattr("hitchopt.planners.forming.approach.separate", refused)
     goal = find_prehitch(TURNED, ASKED.separation, SwapSettings()).drones
@@ -67,7 +65,7 @@ def test_the_paths_asked_for_join_their_hitches() -> None:
     blend = BlendedMorph((START, TURNED, FARTHER), ASKED)
     for path, ends in (
         (straight.problem, (START, TURNED)),
-        (flown.problem.path, (START, flown.end)),
+        (flown.problem, (START, flown.end)),
         (blend.problem.path, (START, FARTHER)),
     ):
         vertices = path.vertices.at([0.0, 1.0])

@@ -10,7 +10,6 @@ import pytest
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.planners.separation import Separated, SeparationTask, Tether, separate
 from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.trajectory import PiecewisePolynomial
 
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
 POST = Prism([[-0.2, -0.25], [-0.2, 0.25], [0.3, 0.25], [0.3, -0.25]], -1.0, 9.0)
@@ -219,26 +218,6 @@ def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
     assert astray(slow) < 1.05 * astray(fast)
 
 
-def test_curves_to_stay_near_to_are_stayed_near_to() -> None:
-    middle = np.array([[0.0, 1.0, 1.0], [0.0, -1.0, 1.0]])
-    start = np.array([[-1.5, 0.0, 1.0], [-1.5, -0.5, 1.0]])
-    goal = np.array([[1.5, 0.0, 1.0], [1.5, -0.5, 1.0]])
-    half = [
-        np.stack([a + (b - a) * s**3 * (10 - 15 * s + 6 * s * s) for s in np.linspace(0, 1, 12)])
-        for a, b in ((start, middle), (middle, goal))
-    ]
-    breaks = np.linspace(0.0, 2.0, 23)
-    points = np.concatenate([half[0], half[1][1:]])
-    lines = np.stack([points[:-1], points[1:]], axis=-1)
-    nominal = PiecewisePolynomial(breaks, lines)
-    task = SeparationTask(
-        start, goal, Requirements(LIMITS, SEPARATION), nominal=nominal, duration=9.0
-    )
-    found = separate(task)
-    assert_kept(task, found)
-    np.testing.assert_allclose(found.drones.at(4.5), middle, atol=0.15)
-
-
 def test_arena_prism_and_cables_are_kept() -> None:
     around = replace(
         circle(6, 1.8),
@@ -340,7 +319,6 @@ def test_a_duration_that_would_do_is_offered() -> None:
         ({"acceleration": [1.0, 2.0]}, "acceleration"),
         ({"tethers": (Tether(0, 3, 1.0),)}, "tethers"),
         ({"names": ("a", "b")}, "names"),
-        ({"nominal": PiecewisePolynomial.constant([0.0, 1.0], np.zeros((2, 3)))}, "nominal"),
     ],
 )
 def test_tasks_that_are_wrong_in_themselves(change: dict[str, object], words: str) -> None:

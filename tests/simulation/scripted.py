@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.simulation.flight_task import Setpoints, Task
+from hitchopt.simulation.control import PositionGains
+from hitchopt.simulation.flight import Film, Flight, Record
+from hitchopt.simulation.settings import Settings
+from hitchopt.simulation.task import Setpoints, Task
 
 Array = NDArray[np.float64]
 
 RATE = 100.0
-
-NO_WIRES = np.zeros((0, 3, 49, 3), dtype=np.float32)
-"""Outlines of no objects, for a film."""
-
-
-def no_poses(samples: int) -> NDArray[np.float32]:
-    """Return the poses of no objects (samples, 0, 7)."""
-    return np.zeros((samples, 0, 7), dtype=np.float32)
 
 
 def smooth(x: Array) -> Array:
@@ -124,3 +120,37 @@ def forming(
 
 def upward(weight: Array) -> Array:
     return np.multiply.outer(weight, [0.0, 0.0, 1.0])
+
+
+def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
+    """Return a flight at times ``t`` in which all stays at its place; ``known`` are other fields.
+
+    They are fields of ``Record``, ``Film`` or ``Flight``.
+    """
+    n, count = hitch.team.robots, len(t)
+    drones = np.repeat(hitch.drones[None], count, axis=0)
+    ones, many = np.ones((count, n)), np.ones((count, 2 * n))
+    vertices = np.repeat(hitch.vertices[None], count, axis=0)
+    no_poses = np.zeros((count, 0, 7))
+    record = Record(
+        t,
+        drones,
+        drones,
+        vertices,
+        ones,
+        ones,
+        ones,
+        many,
+        many > 2.0,
+        no_poses,
+        no_poses[..., 0] > 0.0,
+    )
+    nodes, wires = np.zeros((count, 4, 3)), np.zeros((0, 3, 49, 3))
+    film = Film(t, nodes, np.array([0, 4]), no_poses, wires)  # type: ignore[arg-type]
+    gains = PositionGains.of(hitch.team, Settings())
+    ended = (None, np.nan, np.nan, 0.01, np.full(n, 0.3), gains, 0.0, None)
+    parts = []
+    for part in (record, film):
+        names = {each.name for each in fields(part)} & known.keys()
+        parts.append(replace(part, **{name: known.pop(name) for name in names}))
+    return replace(Flight(task, parts[0], parts[1], (), *ended), **known)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The controller and the motors by their laws: rest, rotation, finite differences, lag."""
+"""The controller, the motors and disturbances by their laws; position loops by their statics."""
 
 from __future__ import annotations
 
@@ -6,25 +6,36 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scripted import hanging_task
 
-from hitchopt.hitch import GRAVITY
-from hitchopt.simulation.cable_shapes import hanging
-from hitchopt.simulation.drone_control import (
+from hitchopt.errors import InputError
+from hitchopt.hitch import GRAVITY, Quadrotor, Team
+from hitchopt.simulation.control import (
     ATTITUDE_GAIN,
+    RATE_GAIN,
+    Disturbances,
+    Drift,
+    Motors,
     PositionGains,
     attitude_command,
     desired_attitudes,
     desired_thrusts,
 )
-from hitchopt.simulation.drone_motors import Motors
-from hitchopt.simulation.flight_task import Setpoints
-from hitchopt.simulation.mujoco_world import World
-from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.simulation_settings import FAST
-
-Array = NDArray[np.float64]
+from hitchopt.simulation.judgement import simulate
+from hitchopt.simulation.ropes import Ropes, hanging
+from hitchopt.simulation.settings import (
+    CALM,
+    FAST,
+    MOTOR_LAG,
+    USUAL,
+    Perturbations,
+    Preset,
+    Settings,
+)
+from hitchopt.simulation.task import Setpoints
+from hitchopt.simulation.world import World
+from hitchopt.values import Array
 
 MASSES = np.array([0.13, 0.21])
 GAINS = PositionGains(
@@ -54,33 +65,6 @@ def test_at_rest_thrust_carries_the_drone_and_holds_its_cable() -> None:
     np.testing.assert_allclose(moments, 0.0, atol=1e-15)
 
 
-def test_errors_pull_back_softly() -> None:
-    random = np.random.default_rng(3)
-    commanded = commands(random)
-    there, flying = random.normal(size=(2, 3)), random.normal(size=(2, 3))
-    base = desired_thrusts(commanded, MASSES, GAINS, commanded.positions, commanded.velocities)
-    change = desired_thrusts(commanded, MASSES, GAINS, there, flying, 0.1) - base
-    force = GAINS.stiffness[:, None] * (commanded.positions - there)
-    force += GAINS.damping[:, None] * (commanded.velocities - flying)
-    np.testing.assert_allclose(change, force + 0.1)
-
-
-def test_desired_attitudes_are_rotations_along_the_thrust_and_toward_the_yaw() -> None:
-    random = np.random.default_rng(4)
-    desired = random.normal(size=(20, 3)) + [0.0, 0.0, 3.0]
-    yaw = random.uniform(-3.0, 3.0, 20)
-    found = desired_attitudes(desired, yaw)
-    np.testing.assert_allclose(
-        found.transpose(0, 2, 1) @ found, np.eye(3) * np.ones((20, 1, 1)), atol=1e-14
-    )
-    np.testing.assert_allclose(np.linalg.det(found), 1.0)
-    np.testing.assert_allclose(found[:, :, 2] * np.linalg.norm(desired, axis=1)[:, None], desired)
-    heading = np.arctan2(found[:, 1, 0], found[:, 0, 0])
-    level = desired_attitudes(np.tile([0.0, 0.0, 1.0], (20, 1)), yaw)
-    np.testing.assert_allclose(np.arctan2(level[:, 1, 0], level[:, 0, 0]), yaw)
-    assert np.all(np.abs(np.angle(np.exp(1j * (heading - yaw)))) < 1.0)
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_a_world_that_is_turned_about_the_vertical_changes_no_command(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -104,20 +88,6 @@ def test_a_world_that_is_turned_about_the_vertical_changes_no_command(seed: int)
     second = attitude_command(turned, again, turn.as_matrix() @ attitudes, rates, MASSES, INERTIA)
     for a, b in zip(first, second, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-12)
-
-
-def test_a_small_tilt_is_turned_back_as_a_damped_spring_would() -> None:
-    zero = np.zeros((2, 3))
-    still = Setpoints(zero, zero, zero, zero, np.zeros(2), zero)
-    desired = desired_thrusts(still, MASSES, GAINS, zero, zero)
-    for axis in range(3):
-        tilt = np.zeros(3)
-        tilt[axis] = 1e-4
-        attitudes = np.tile(Rotation.from_rotvec(tilt).as_matrix(), (2, 1, 1))
-        _, moments = attitude_command(still, desired, attitudes, zero, MASSES, INERTIA)
-        expected = np.zeros((2, 3))
-        expected[:, axis] = -ATTITUDE_GAIN * 1e-4 * INERTIA[:, axis]
-        np.testing.assert_allclose(moments, expected, atol=1e-10)
 
 
 def test_attitudes_are_commanded_to_turn_as_fast_as_the_thrust_does() -> None:
@@ -154,3 +124,130 @@ def test_thrust_follows_a_command_with_the_lag_and_within_its_limit(rigid: bool)
     np.testing.assert_array_equal(motors.saturated, [True, False])
     applied = world.data.xfrc_applied[world.drone_bodies, :3]
     np.testing.assert_allclose(applied, motors.thrusts[:, None] * up, atol=1e-12)
+
+
+@pytest.mark.parametrize("step", [0.005, 0.1, 1.0])
+def test_spread_and_memory_do_not_depend_on_the_step(step: float) -> None:
+    drift = Drift(0.3, 0.5, (40_000,), np.random.default_rng(1))
+    for _ in range(3):
+        before = drift.value.copy()
+        after = drift.advance(step)
+    assert np.std(after) == pytest.approx(0.3, rel=0.02)
+    correlation = np.mean(before * after) / np.mean(before**2)
+    assert correlation == pytest.approx(np.exp(-step / 0.5), abs=0.02)
+
+
+def test_a_quantity_that_is_switched_off_leaves_the_others_as_they_were() -> None:
+    both = Disturbances(USUAL, 4, 11)
+    windless = Disturbances(replace(USUAL, wind=0.0, steady_wind=0.0, velocity_noise=0.0), 4, 11)
+    np.testing.assert_array_equal(both.cable_scale, windless.cable_scale)
+    np.testing.assert_array_equal(both.start_offset, windless.start_offset)
+    np.testing.assert_array_equal(both.noise.advance(0.1), windless.noise.advance(0.1))
+    assert np.max(np.abs(both.wind.value)) > 0.0
+    assert not np.array_equal(both.start_offset, Disturbances(USUAL, 4, 12).start_offset)
+
+
+def test_gusts_have_the_size_that_was_asked_for() -> None:
+    gusts = Disturbances(replace(CALM, wind=0.05), 3000, 5).wind.value
+    assert np.sqrt(np.mean(np.sum(gusts**2, axis=-1))) == pytest.approx(0.05, rel=0.02)
+
+
+COARSE = Preset("coarse", 0.1, 0.012, 0.001)
+"""Ropes that meet nothing may have long segments."""
+
+SPAN, LENGTH, DENSITY = 0.8, 1.1, 0.02
+"""Distance of a cable's drones and its length [m], and its density [kg/m]."""
+
+
+def rest(settings: Settings, seconds: float = 2.0, **of_drones: float | bool) -> Array:
+    """Return the mean offsets (4, 3) [m] of drones from setpoints that know no cable weight."""
+    kind = Quadrotor(mass=0.15, **of_drones)  # type: ignore[arg-type]
+    team = Team(2, LENGTH, topology="open", quadrotor=kind)
+    place = np.array([[0.0, 0.0, 2.0], [SPAN, 0.0, 2.0], [0.0, 3.0, 2.0], [SPAN, 3.0, 2.0]])
+    still = np.repeat(place[None], round(100 * seconds) + 1, axis=0)
+    task = hanging_task(team, still, np.zeros_like(still))
+    settings = replace(settings, preset=COARSE, density=DENSITY, pull_test=False)
+    flight = simulate(task, settings).flight
+    assert flight.error is None
+    chosen = flight.record.t > flight.task.duration + 0.5
+    offsets: Array = np.mean(flight.record.drones[chosen], axis=0) - place
+    return offsets
+
+
+@pytest.mark.parametrize(("body", "stiffness"), [("rigid", 4.0), ("point", 12.0)])
+def test_ropes_whose_weight_setpoints_do_not_hold_pull_drones_down(
+    body: str, stiffness: float
+) -> None:
+    """Nothing but setpoints.csv is fed forward: each drone sinks by half a rope's weight over k."""
+    sunk = rest(Settings(body=body, stiffness=stiffness))
+    expected = -0.5 * GRAVITY * DENSITY * LENGTH / stiffness
+    np.testing.assert_allclose(sunk[:, 2], expected, rtol=0.02)
+    np.testing.assert_allclose(rest(Settings(body=body), stiffness=stiffness), sunk, atol=1e-12)
+
+
+def test_a_steady_wind_moves_every_drone_by_its_force_over_the_stiffness() -> None:
+    windy = Settings(perturbations=Perturbations(steady_wind=0.06), stiffness=6.0, seed=3)
+    shift = rest(windy) - rest(replace(windy, perturbations=CALM))
+    force = Disturbances(windy.perturbations, 2, 3).steady_wind
+    np.testing.assert_allclose(shift, np.tile(force / 6.0, (4, 1)), atol=2e-4)
+
+
+def test_integral_action_brings_drones_back_whatever_pulls_at_them() -> None:
+    before, after = (rest(Settings(body="point", integral=True), seconds) for seconds in (0.1, 8.0))
+    assert np.all(before[:, 2] < -0.01)
+    assert np.max(np.abs(after)) < 0.1 * np.min(np.abs(before[:, 2]))
+    np.testing.assert_allclose(rest(Settings(body="point"), 8.0, integral=True), after, atol=1e-12)
+
+
+@pytest.mark.parametrize("integral", [False, True])
+@pytest.mark.parametrize("body", ["rigid", "point"])
+def test_a_loop_that_oscillates_more_and_more_is_refused(body: str, integral: bool) -> None:
+    """The limit is that of the linear system's matrix: position, velocity, tilt, rate, moment."""
+    mass = 0.132
+
+    def growth(stiffness: float) -> float:
+        settings = Settings(body=body)
+        damping = 2.0 * (5.0 / 6.0) * np.sqrt(stiffness * mass)
+        winding = stiffness / 2.0 if integral else 0.0
+        # x, v, wound force, then the force's own states.
+        if body == "point":
+            a = np.zeros((4, 4))
+            a[1, 3] = 1.0 / mass
+            command, last = 3, 1.0 / settings.lag
+            a[3, 3] = -last
+        else:
+            a = np.zeros((6, 6))
+            a[1, 3], a[3, 4], a[4, 5] = 1.0 / mass, 1.0, 1.0
+            last = ATTITUDE_GAIN / MOTOR_LAG
+            a[5, 3:] = [-last, -RATE_GAIN / MOTOR_LAG, -1.0 / MOTOR_LAG]
+            command = 5
+        a[0, 1] = 1.0
+        a[2, 0] = -winding
+        a[command, :3] += last * np.array([-stiffness, -damping, 1.0])
+        if not integral:
+            a = np.delete(np.delete(a, 2, 0), 2, 1)
+        return float(np.max(np.linalg.eigvals(a).real))
+
+    low, high = 1.0, 1000.0
+    for _ in range(40):
+        middle = np.sqrt(low * high)
+        low, high = (middle, high) if growth(middle) < 0.0 else (low, middle)
+    team = Team(3, 2.4, quadrotor=Quadrotor(mass=mass))
+    stable = Settings(body=body, stiffness=0.999 * low, integral=integral)
+    np.testing.assert_allclose(PositionGains.of(team, stable).stiffness, 0.999 * low)
+    with pytest.raises(InputError, match="oscillates more and more"):
+        PositionGains.of(team, replace(stable, stiffness=1.001 * low))
+
+
+def test_the_teams_stiffness_is_used_and_an_option_replaces_it() -> None:
+    kinds = [Quadrotor(), Quadrotor(stiffness=2.5, integral=True), Quadrotor(feed_forward=False)]
+    team = Team(3, 2.4, quadrotor=kinds)
+    gains = PositionGains.of(team, Settings())
+    own = 36.0 * 0.132
+    np.testing.assert_allclose(gains.stiffness, [own, own, 2.5, 2.5, own, own])
+    np.testing.assert_array_equal(gains.integral > 0.0, [False, False, True, True, False, False])
+    np.testing.assert_array_equal(gains.feed_forward, [True] * 4 + [False] * 2)
+    other = PositionGains.of(team, Settings(stiffness=7.0, integral=False, feed_forward=True))
+    np.testing.assert_allclose(other.stiffness, 7.0)
+    np.testing.assert_array_equal(other.integral, 0.0)
+    assert other.feed_forward.all()

@@ -10,15 +10,11 @@ import pytest
 from scripted import regular_hitch, standing
 
 import hitchopt as ho
-from hitchopt.losing.flown_reaction import reacting
-from hitchopt.losing.reaction import Reactions
-from hitchopt.simulation import rope_flight
-from hitchopt.simulation.flight_outcome import judge
-from hitchopt.simulation.flight_records import Touch
-from hitchopt.simulation.flight_task import read_task
-from hitchopt.simulation.lost_drones import loss_outcome
-from hitchopt.simulation.rope_flight import fly
-from hitchopt.simulation.simulation_settings import ACCURATE, FAST, Loss, Preset, Settings
+from hitchopt.live.lost import Reactions, reacting
+from hitchopt.simulation.flight import Touch, fly
+from hitchopt.simulation.judgement import judge, loss_outcome
+from hitchopt.simulation.settings import Loss, Settings
+from hitchopt.simulation.task import read_task
 
 
 @pytest.mark.parametrize("text", ["q0", "q0@", "@1.0", "q0@soon", "q0@nan"])
@@ -35,19 +31,6 @@ def test_a_loss_that_cannot_be_is_refused(loss: Loss, words: str) -> None:
     task = standing(regular_hitch(3), 0.5)
     with pytest.raises(ho.InputError, match=words):
         fly(task, Settings(lost=loss))
-
-
-@pytest.mark.parametrize("preset", [FAST, ACCURATE])
-def test_steps_are_finer_after_a_loss(preset: Preset) -> None:
-    """Ropes that run over the lost drone's clasp strain too much with the preset's own."""
-    settings = Settings(lost=Loss("q0", 0.01), preset=preset, pull_test=False)
-    run = rope_flight._Run(standing(regular_hitch(3), 0.02), settings, None)
-    used = []
-    for time in (0.0, 0.02):
-        run._step(time, 0, 1.0)
-        used.append(run._world.model.opt.timestep)
-    assert used[0] == preset.time_step
-    assert used[1] <= min(preset.time_step / 3.0, 0.00034) * (1.0 + 1e-9)
 
 
 @pytest.mark.slow
@@ -71,24 +54,6 @@ def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
     record, lost = flight.record, team.drone_names.index("r1")
     assert np.max(record.thrusts[record.t > 0.5, lost]) < 1e-3
     assert judge(flight).failures == ()
-
-
-@pytest.mark.slow
-def test_who_pushes_inward_stays_inward(tmp_path: Path) -> None:
-    """Survivors that do not push are back at their setpoints once the lost drone lies."""
-    team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
-    corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
-    plan = ho.hold(ho.Hitch.spread(team, corners, altitude=2.0), 1.0)
-    task, loss = read_task(plan.save(tmp_path)), Loss("q0", 0.2)
-    found = Reactions(plan.motion).found("q0", 0.2)
-    assert found.inward is not None
-    out = []
-    for inward in (None, found.inward):
-        record = fly(reacting(task, replace(found, inward=inward)), Settings(lost=loss)).record
-        late = np.argmin(np.abs(record.t - 1.7))
-        level = record.drones[late, 1:, :2]
-        out.append(float(np.mean(np.linalg.norm(level - np.mean(corners, axis=0), axis=-1))))
-    assert out[0] - out[1] > 0.1
 
 
 @pytest.mark.slow

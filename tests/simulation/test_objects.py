@@ -10,18 +10,13 @@ from scripted import RATE, hanging_task, regular_hitch, smooth
 
 from hitchopt.errors import InputError
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.simulation.disturbances import Disturbances
-from hitchopt.simulation.flight_cargo import Cargo
-from hitchopt.simulation.flight_outcome import judge
-from hitchopt.simulation.flight_task import Task
-from hitchopt.simulation.mujoco_world import World
-from hitchopt.simulation.object_outcome import _slips
-from hitchopt.simulation.object_wires import wires
-from hitchopt.simulation.object_xml import _second_moments
+from hitchopt.simulation.control import Disturbances
+from hitchopt.simulation.judgement import Simulation, judge, simulate
+from hitchopt.simulation.report import summary
 from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.run_report import summary
-from hitchopt.simulation.simulate import Simulation, simulate
-from hitchopt.simulation.simulation_settings import ACCURATE, CALM, FAST, USUAL, Preset, Settings
+from hitchopt.simulation.settings import ACCURATE, CALM, FAST, USUAL, Preset, Settings
+from hitchopt.simulation.task import Cargo, Task
+from hitchopt.simulation.world import World
 
 TABLE = Section([[-0.4, -0.4], [0.4, -0.4], [0.4, 0.4], [-0.4, 0.4]])
 BOX = Section([[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]])
@@ -48,22 +43,6 @@ def test_objects_stand_still_on_the_ground_and_on_tables_of_any_shape() -> None:
     np.testing.assert_allclose(
         world.poses[:, :3], [each.at for each in objects.values()], atol=1e-4
     )
-
-
-@pytest.mark.parametrize("section", [BOX, KITE, ROUND], ids=["box", "kite", "round"])
-def test_second_moments_are_those_of_points_spread_over_the_section(section: Section) -> None:
-    grid = np.stack(np.meshgrid(*[np.linspace(-0.25, 0.25, 201)] * 2), axis=-1).reshape(-1, 2)
-    inside = grid[section.clearance(grid)[0] <= 0.0]
-    centred = inside - np.mean(inside, axis=0)
-    xx, yy, xy = _second_moments(section)
-    np.testing.assert_allclose([[xx, xy], [xy, yy]], centred.T @ centred / len(inside), atol=2e-4)
-
-
-def test_outlines_are_those_of_floor_and_ceiling() -> None:
-    rings = wires({"box": SolidObject(BOX, 0.1, 0.3)})
-    assert rings.shape == (1, 3, 49, 3)
-    for ring, height in zip(rings[0], (0.1, 0.3, 0.3), strict=True):
-        np.testing.assert_allclose(ring[0], [*BOX.placed([0.0, 0.0], 0.0)[0], height], atol=1e-6)
 
 
 def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
@@ -167,15 +146,6 @@ def test_objects_are_aloft_between_the_places_where_they_stand() -> None:
     np.testing.assert_array_equal(np.flatnonzero(cargo.aloft[:, 0]), [3, 4])
     ends_aloft = replace(cargo, poses=poses[:5], borne=borne[:5], held=borne[:5] > 0.0)
     np.testing.assert_array_equal(np.flatnonzero(ends_aloft.aloft[:, 0]), [3, 4])
-
-
-def test_slips_of_several_flights_with_an_object_do_not_add_up() -> None:
-    x = np.array([5.0, 1.0, 1.1, 1.3, 7.0, np.nan, 2.0, 2.05, np.nan, 2.1])
-    offsets = np.column_stack([x, 0.0 * x, 0.0 * x])
-    carried = np.array([False, True, True, True, False, True, True, True, True, True])
-    found = _slips(offsets, carried)
-    np.testing.assert_allclose(found, [0.0, 0.1, 0.3, 0.0, 0.05, 0.1], atol=1e-12)
-    assert _slips(offsets, np.zeros(10, dtype=np.bool_)).size == 0
 
 
 def test_the_heading_of_what_looks_round_is_not_judged(lifted: Simulation) -> None:

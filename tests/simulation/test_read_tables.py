@@ -7,17 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import regular_hitch, standing
 
 from hitchopt.errors import FileError
-from hitchopt.exports.setpoints import HEADER, write_setpoints
-from hitchopt.exports.vertices import write_vertices
+from hitchopt.exports.setpoints import HEADER, write_setpoints, write_vertices
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.states import states_at
 from hitchopt.requirements import Limits, Requirements, Separation
-from hitchopt.simulation.flight_task import Task, read_tables
+from hitchopt.simulation.task import Task, read_tables
 from hitchopt.trajectory import PiecewisePolynomial
 
 
@@ -72,12 +70,6 @@ def test_what_was_written_is_read(tmp_path: Path, topology: str) -> None:
     assert found.digest == digest
 
 
-def test_a_plan_without_a_hitch_has_an_empty_table(tmp_path: Path) -> None:
-    found = read(tmp_path, made(formed=False))
-    assert not found.formed.any()
-    np.testing.assert_array_equal(found.vertices, np.zeros((28, 4, 3)))
-
-
 def test_a_hitch_is_read_at_the_times_at_which_it_exists(tmp_path: Path) -> None:
     setpoints, vertices = written(tmp_path, made("open"))
     lines = vertices.read_text(encoding="utf-8").splitlines()
@@ -93,12 +85,6 @@ def test_tables_of_different_rates_are_refused(tmp_path: Path) -> None:
     write_vertices(vertices, made(), 70.0)
     with pytest.raises(FileError, match=r"vertices\.csv: holds times that setpoints\.csv has not"):
         read_tables(setpoints, vertices, made().team)
-
-
-def test_setpoints_hold_until_the_next_one() -> None:
-    task = standing(regular_hitch(3), 0.05)
-    for elapsed, index in ((-1.0, 0), (0.0, 0), (0.0099, 0), (0.01, 1), (0.029999999, 3), (9.0, 5)):
-        assert task.index(elapsed) == index
 
 
 @pytest.mark.parametrize(
@@ -128,13 +114,6 @@ def test_broken_tables_are_refused(tmp_path: Path, change: object, words: str) -
     path.write_text("\n".join(change(lines)) + "\n", encoding="utf-8")
     with pytest.raises(FileError, match=words):
         read_tables(path, vertices, made().team)
-
-
-def test_a_missing_table_is_reported(tmp_path: Path) -> None:
-    setpoints, vertices = written(tmp_path, made())
-    vertices.unlink()
-    with pytest.raises(FileError, match="there is no such file; solve the problem first"):
-        read_tables(setpoints, vertices, made().team)
 
 
 def test_a_table_of_another_team_is_refused(tmp_path: Path) -> None:

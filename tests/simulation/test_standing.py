@@ -1,4 +1,4 @@
-"""A hitch that begins formed and is at rest: forces balance, sag is counted, equal by seed."""
+"""Simulated flights: hitches that stand, bear loads, are formed, and are corrected."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scripted import hanging_task, regular_hitch, standing, unformed
+from scripted import forming, hanging_task, regular_hitch, standing, unformed
 
+import hitchopt as ho
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.simulation.simulate import Simulation, simulate
-from hitchopt.simulation.simulation_settings import FAST, Perturbations, Settings
-from hitchopt.simulation.validity import InvalidRunError
+from hitchopt.simulation.judgement import Simulation, simulate
+from hitchopt.simulation.settings import FAST, USUAL, Perturbations, Settings
+from hitchopt.simulation.task import read_task
+from hitchopt.simulation.world import InvalidRunError
 
 
 @pytest.fixture(scope="module")
@@ -138,3 +140,127 @@ def test_drones_that_touch_are_reported() -> None:
     first = {(touch.first, touch.second): touch.time for touch in done.flight.touches}
     assert first["q0", "r2"] == 0.0
     assert {failure.kind for failure in done.outcome.failures} >= {"touch"}
+
+
+CALM = Settings(body="point", pull_test=False)
+LOADS = np.array([0.01, 0.0, 0.02])
+
+
+def lifted(loads: np.ndarray, shares: float = 1.0) -> tuple[float, np.ndarray]:
+    """Return the drones' upward force at rest [N], and the clasps' height over the plan's [m]."""
+    task = standing(regular_hitch(3, load=loads, tension=0.8), 1.0)  # type: ignore[arg-type]
+    done = simulate(replace(task, taut=np.full(task.tensions.shape, shares)), CALM)
+    assert done.outcome.failures == ()
+    record, gains = done.flight.record, done.flight.gains
+    rows = (record.t > 1.0) & (record.t < done.flight.rested)
+    sunk = np.mean(record.commanded[rows] - record.drones[rows], axis=0)[:, 2]
+    held = -task.setpoints.cable_forces[0, :, 2] + gains.stiffness * sunk
+    return float(np.sum(held)), np.nanmean(done.errors.offsets[50:, :, 2], axis=0)
+
+
+@pytest.mark.slow
+def test_drones_carry_the_loads_and_clasps_stay_at_their_heights() -> None:
+    held, heights = lifted(LOADS)
+    cables = 3 * 0.01 * 2.3
+    assert held == pytest.approx(GRAVITY * (np.sum(LOADS) + cables), rel=0.02)
+    assert np.max(np.abs(heights)) < 0.015  # legs that rise for no load would stand 4 cm off
+
+
+@pytest.mark.slow
+def test_only_the_share_that_the_plan_states_hangs_there() -> None:
+    whole, _ = lifted(LOADS)
+    half, heights = lifted(LOADS, 0.5)
+    assert whole - half == pytest.approx(0.5 * GRAVITY * np.sum(LOADS), rel=0.03)
+    assert heights[2] > 0.02  # planned for a load that is not there
+
+
+def test_a_plan_says_how_its_loads_are_taken_up(tmp_path_factory: pytest.TempPathFactory) -> None:
+    hitch = regular_hitch(3, load=0.01)
+    place = tmp_path_factory.mktemp("loaded")
+    ho.transport(hitch, to=[0.1, 0.0, 2.1]).save(place)
+    task = read_task(place)
+    assert task.taut is not None
+    np.testing.assert_allclose(task.taut, 1.0)
+    np.testing.assert_array_equal(task.load_shares(0), np.ones(3))
+
+
+def flown(n: int, turns: list[float] | list[tuple[float, float]], settings: Settings) -> Simulation:
+    return simulate(forming(regular_hitch(n), turns, swap=2.0), settings)
+
+
+@pytest.mark.slow
+def test_two_half_turns_form_a_triangle_that_holds() -> None:
+    done = flown(3, [1.0, 1.0, 1.0], Settings(perturbations=USUAL, seed=5))
+    assert done.outcome.failures == ()
+    assert done.outcome.hitched
+    assert [clasp.name for clasp in done.outcome.clasps] == ["p0", "p1", "p2"]
+    assert {abs(clasp.linking) for clasp in done.outcome.clasps} == {1}
+    angle = 2.0 * np.pi / 3.0  # exterior: two pulls of 0.5 N close the force triangle
+    for clasp in done.outcome.clasps:
+        assert clasp.least_bearing == pytest.approx(0.3 * 2.0 * 0.5 * np.cos(0.5 * angle))
+        assert clasp.bearing > 3.0 * clasp.least_bearing
+    assert np.nanmax(done.errors.without_sag[-50:]) < 0.15
+    tensions = done.flight.record.tensions
+    assert np.max(tensions[:300]) < 0.5 * np.min(tensions[-50:])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("turns", "unlinked"),
+    [
+        ([(0.5, -0.5)] * 3, {"p0", "p1", "p2"}),  # turning back
+        ([1.0, -1.0, 0.0], {"p2"}),  # one vertex left out, the others turned either way
+    ],
+    ids=["turning back", "one left out"],
+)
+def test_what_must_fail_does_and_is_named(
+    turns: list[float] | list[tuple[float, float]], unlinked: set[str]
+) -> None:
+    done = flown(3, turns, Settings(body="point"))
+    assert not done.outcome.hitched
+    assert done.flight.error is None
+    found = {f.where[0] for f in done.outcome.failures if f.kind == "unlinked"}
+    assert found == unlinked
+    links = {clasp.name: abs(clasp.linking) for clasp in done.outcome.clasps}
+    assert links == {name: int(name not in unlinked) for name in ("p0", "p1", "p2")}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 4])
+def test_cables_that_merely_cross_are_no_clasps(n: int) -> None:
+    """Half a turn, drawn tight as it is: every cable runs straight across its neighbours."""
+    task = forming(regular_hitch(n), [(0.5, 0.0)] * n, swap=2.0, swapped=True)
+    done = simulate(task, Settings(body="point", perturbations=USUAL, seed=7))
+    clasps = done.outcome.clasps
+    assert any(abs(clasp.linking) == 1 for clasp in clasps)  # Gauss's integral alone would hold
+    assert all(0.0 < clasp.bearing < 0.2 * clasp.least_bearing for clasp in clasps)
+    assert not any(clasp.bears or clasp.holds for clasp in clasps)
+    lost = {f.where[0] for f in done.outcome.failures if f.kind == "lost"}
+    assert lost == {clasp.name for clasp in clasps if abs(clasp.linking) == 1}
+
+
+@pytest.mark.slow
+def test_half_a_turn_holds_nothing() -> None:
+    done = flown(3, [(0.5, 0.0)] * 3, Settings(body="point", pull_test=False))
+    assert not done.outcome.hitched
+    kinds = {failure.kind for failure in done.outcome.failures}
+    assert "unlinked" in kinds
+    assert np.isnan(done.flight.pulled)
+
+
+@pytest.mark.slow
+def test_measured_vertices_take_the_sag_away() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
+    plan = ho.hold(start, 2.5)
+    measured: dict[str, float | bool] = {"vertex_noise": 0.01, "vertex_delay": 0.05}
+    off, on = (
+        ho.simulate(plan, feedback=feedback, perturbations=measured, pull_test=False)
+        for feedback in (False, True)
+    )
+    assert on.run.succeeded
+    last = [np.nanmean(flight.errors.errors[-20:]) for flight in (off, on)]
+    assert last[0] > 0.05
+    assert last[1] < 0.25 * last[0]
+    moved = on.flight.record.commanded[-1] - off.flight.record.commanded[-1]
+    assert np.all(moved[:, 2] > 0.05)  # drones are told to fly higher
+    assert np.all(np.linalg.norm(moved[:, :2], axis=-1) < 0.1)

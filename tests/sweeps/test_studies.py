@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,16 @@ from hypothesis import strategies as st
 from study_cases import PROBLEM
 
 from hitchopt.errors import FileError, HitchoptError, InputError
-from hitchopt.storage.plain import key_path
-from hitchopt.sweeps.parameters import Drawn, Listed, key_parts, points, with_values
-from hitchopt.sweeps.study_file import load_study, study_from_dict
+from hitchopt.storage.yaml_file import key_path
+from hitchopt.sweeps.study import (
+    Drawn,
+    Listed,
+    key_parts,
+    load_study,
+    points,
+    study_from_dict,
+    with_values,
+)
 
 NAMES = st.from_regex(r"[a-z_][a-z_0-9]{0,8}", fullmatch=True)
 
@@ -23,12 +29,6 @@ NAMES = st.from_regex(r"[a-z_][a-z_0-9]{0,8}", fullmatch=True)
 @given(NAMES, st.lists(NAMES | st.integers(0, 999_999), max_size=5))
 def test_key_paths_are_those_of_messages(first: str, rest: list[str | int]) -> None:
     assert key_parts(key_path([first, *rest])) == [first, *rest]
-
-
-@pytest.mark.parametrize("key", ["", "team.", "team..tension", "a b", "team[x]", "a-b", "[]"])
-def test_what_is_no_key_path_is_refused(key: str) -> None:
-    with pytest.raises(InputError, match="a key path such as"):
-        key_parts(key)
 
 
 @given(st.lists(st.integers(1, 4), max_size=3), st.integers(1, 5), st.integers(0, 99))
@@ -43,19 +43,6 @@ def test_every_combination_occurs_once(sizes: list[int], samples: int, seed: int
         assert all(isinstance(v, float) and low <= v <= high for v in values)
     assert found == points([*listed, *drawn], samples, seed)
     assert found != points([*listed, *drawn], samples, seed + 1)
-
-
-def test_samples_do_not_depend_on_listed_parameters() -> None:
-    drawn = [Drawn("x", 0.0, 1.0), Drawn("y", 0.0, 1.0, quasi=True)]
-    alone = points(drawn, 5, 3)
-    beside = points([Listed("a", (1, 2)), *drawn], 5, 3)
-    assert [{k: p[k] for k in ("x", "y")} for p in beside] == alone * 2
-
-
-def test_a_halton_sequence_fills_the_range_evenly() -> None:
-    values = [float(str(p["x"])) for p in points([Drawn("x", 2.0, 6.0, quasi=True)], 64, 0)]
-    counts, _ = np.histogram(values, bins=8, range=(2.0, 6.0))
-    assert np.all(np.abs(counts - 8) <= 2)
 
 
 def test_values_are_set_in_a_copy() -> None:
@@ -122,29 +109,6 @@ def test_cases_are_told_apart_by_all_that_counts(tmp_path: Path) -> None:
         {"team.tension": 0.3},
         {"team.tension": 0.4},
     ]
-
-
-def test_drawings_of_objects_are_relative_to_the_file_that_names_them(tmp_path: Path) -> None:
-    """Of a problem in the study as of one in a file beside it, from wherever it is read."""
-    (tmp_path / "problems").mkdir()
-    shape = '<rect x="0" y="0" width="0.4" height="0.3"/>'
-    svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1">{shape}</svg>'
-    (tmp_path / "box.svg").write_text(svg)
-    (tmp_path / "problems" / "box.svg").write_text(svg.replace("0.4", "0.6"))
-    box = {"file": "box.svg", "at": [3.0, 0.0, 0.0], "fixed": True}
-    problem = PROBLEM | {"objects": {"box": box}}
-    (tmp_path / "problems" / "problem.yaml").write_text(json.dumps(problem))
-    (tmp_path / "here.yaml").write_text(json.dumps({"problem": problem}))
-    (tmp_path / "there.yaml").write_text(json.dumps({"problem": "problems/problem.yaml"}))
-    for name, width in (("here", 0.4), ("there", 0.6)):
-        ((_, found),) = load_study(tmp_path / f"{name}.yaml").problems
-        objects = found["objects"]
-        assert isinstance(objects, dict)
-        made = objects["box"]
-        assert isinstance(made, dict)
-        assert "file" not in made
-        points = np.array(made["outline"], dtype=np.float64)
-        np.testing.assert_allclose(np.ptp(points, axis=0), [width, 0.3], atol=1e-9)
 
 
 def test_a_whole_section_can_be_a_parameter() -> None:

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import dask
 import distributed
 import pandas
 import pytest
@@ -20,10 +19,17 @@ from study_cases import PROBLEM
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
-from hitchopt.sweeps.cluster import AHEAD, SETTINGS, finished
-from hitchopt.sweeps.dataset import MEASURED, ROWS, load_sweep, write_outcome, write_study
-from hitchopt.sweeps.study_file import study_from_dict
-from hitchopt.sweeps.sweep_summary import Share, column_of, summary
+from hitchopt.sweeps.study import study_from_dict
+from hitchopt.sweeps.sweep import (
+    MEASURED,
+    ROWS,
+    Share,
+    column_of,
+    load_sweep,
+    summary,
+    write_outcome,
+    write_study,
+)
 from hitchopt.sweeps.work import Outcome, outcome_of
 
 STUDY: dict[str, Any] = {
@@ -115,26 +121,6 @@ def test_plans_are_settled_simulated_and_exported(tmp_path: Path) -> None:
 def test_workers_are_processes_of_this_machine(tmp_path: Path) -> None:
     rows = ho.run_sweep({**STUDY, "parameters": {}}, tmp_path, workers=1)
     assert list(rows["status"]) == ["planned"]
-
-
-def test_every_task_is_done_once_however_many_are_handed_out(scheduler: str) -> None:
-    tasks = {f"task-{k}": (k, k + 1) for k in range(3 * AHEAD * 2 + 1)}
-    done = [(key, future.result()) for key, future in finished(max, tasks, 1, scheduler)]
-    assert dict(done) == {key: second for key, (_, second) in tasks.items()}
-    assert len(done) == len(tasks)
-
-
-def test_workers_of_this_machine_are_not_profiled() -> None:
-    tasks = {name: (name,) for name in SETTINGS if name.startswith("distributed.worker")}
-    for name, future in finished(dask.config.get, tasks, 1):
-        assert future.result() == SETTINGS[name]
-
-
-def test_workers_of_this_machine_keep_freed_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    name = "MALLOC_TRIM_THRESHOLD_"
-    monkeypatch.delenv(name, raising=False)
-    for _, future in finished(os.environ.get, {"task": (name,)}, 1):
-        assert future.result() is None
 
 
 @pytest.mark.slow

@@ -49,14 +49,6 @@ def test_differentiate(order: int, seed: int) -> None:
 
 
 @few
-@given(orders, orders, seeds)
-def test_values_where_coefficients_belong(order: int, parts: int, seed: int) -> None:
-    c, index = some(order, seed, parts + 1), np.arange(parts + 1)
-    found = bernstein.evaluate_at(c, index, parts)
-    np.testing.assert_array_equal(found, bernstein.evaluate(c, index / max(1, parts)))
-
-
-@few
 @given(orders, st.integers(0, 5), seeds)
 def test_elevation_changes_the_form_only(order: int, more: int, seed: int) -> None:
     c = some(order, seed, 2)

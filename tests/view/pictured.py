@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.objects import Section, SolidObject
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
@@ -56,3 +59,11 @@ def made_certificate() -> Certificate:
             Check.of("thrust", 1.456, 2.6, "max", "N", 1.7, ("r1",)),
         ),
     )
+
+
+def with_box(yaw: float = 0.7) -> Motion:
+    """Return a motion beside which a box stands."""
+    corners = [[-0.3, -0.1], [0.2, -0.2], [0.3, 0.15], [-0.1, 0.25]]
+    box = SolidObject(Section(corners), 0.0, 0.3, at=(1.5, 2.0, 0.4), yaw=yaw)
+    motion = make_motion(3)
+    return replace(motion, requirements=replace(motion.requirements, objects={"box": box}))

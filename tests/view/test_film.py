@@ -1,4 +1,4 @@
-"""Films: refusals before the flight, and written files."""
+"""Paintings and films: what is drawn where, refusals before the flight, and written files."""
 
 from __future__ import annotations
 
@@ -9,20 +9,22 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
-from matplotlib.colors import to_rgba_array
-from pictured import make_motion
-from scipy.spatial.transform import Rotation
+from pictured import make_motion, with_box
 
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.values import Array
 from hitchopt.view import film as films
-from hitchopt.view.cable_curves import CLASPS
+from hitchopt.view.cables import CLASPS
 from hitchopt.view.film import check_film, frames, save_film
-from hitchopt.view.ghost_scene import ghost_scene, recorded_scene
-from hitchopt.view.painter import FRAME, SPECKS, Camera, Painter
-from hitchopt.view.scene import scene_of
+from hitchopt.view.painter import Camera, Painter
+from hitchopt.view.scene import ghost_scene, scene_of
+from hitchopt.view.shapes import drone_faces, normals, object_faces, sphere_faces, split
+
+CORNERS = [[-0.3, -0.1], [0.2, -0.2], [0.3, 0.15], [-0.1, 0.25]]
 
 
 def short_motion(n: int = 3) -> Motion:
@@ -52,113 +54,75 @@ def test_frames_show_the_motion() -> None:
     assert 0.001 < np.mean(np.any(first != last, axis=-1)) < 0.3
 
 
+def volume_and_area(faces: Array) -> tuple[float, Array]:
+    """Return the volume that faces enclose, and their areas summed as vectors."""
+    corners = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+    areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return float(np.sum(np.linalg.det(corners)) / 6.0), 0.5 * np.sum(areas, axis=0)
+
+
+@pytest.mark.parametrize("times", [0, 2])
+@pytest.mark.parametrize("section", [Section(CORNERS), Section(radius=0.2)])
+def test_faces_enclose_the_body(section: Section, times: int) -> None:
+    """By the divergence theorem, which holds only if all faces are there and look outward."""
+    volume, area = volume_and_area(split(object_faces(SolidObject(section, 0.1, 0.4)), times))
+    assert volume == pytest.approx(0.3 * section.area, rel=0.01 if section.radius else 1e-9)
+    np.testing.assert_allclose(area, 0.0, atol=1e-12)
+
+
+def test_drones_spheres_and_rims_have_their_sizes() -> None:
+    frame, rotors, rims = drone_faces(0.1)
+    np.testing.assert_allclose(volume_and_area(frame)[1], 0.0, atol=1e-12)
+    assert np.all(normals(rotors)[:, 2] > 0.999)
+    assert 0.07 < np.max(np.linalg.norm(rims[..., :2], axis=-1)) < 0.1
+    volume, _ = volume_and_area(sphere_faces([0.1, 0.1, 0.3]))
+    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.1 * 0.1 * 0.3, rel=0.1)
+    rim = Rim(Section(radius=0.5), 0.25)
+    points = object_faces(SolidObject(Section(CORNERS), 0.0, 0.3, rim=rim)).reshape(-1, 3)
+    assert np.max(points[np.linalg.norm(points[:, :2], axis=1) > 0.49, 2]) == 0.25
+
+
 def test_what_is_nearer_is_painted_later() -> None:
     """Seen from above, the strand that is higher at a clasp covers the other."""
-    scene = scene_of(make_motion(4))
-    camera = Camera.toward(-90.0, 89.0)
-    moment = scene.at(1.0)
-    painting = Painter(scene, camera).painted(moment)
-    assert painting.polygons.shape == (*painting.colours.shape[:1], 4, 2)
-    cables = moment.cables
-    strands = [(0, CLASPS[0]), (3, CLASPS[1])]
-    own = Painter(scene, camera).cables
-    order = []
-    for cable, point in strands:
-        middle = camera.seen(0.5 * (cables[cable, point] + cables[cable, point + 1]))[:2]
-        same = np.all(painting.colours == own[cable], axis=1)
+    scene, camera = scene_of(make_motion(4)), Camera.toward(-90.0, 89.0)
+    moment, painter = scene.at(1.0), Painter(scene, camera)
+    painting, order = painter.painted(moment), []
+    for cable, point in ((0, CLASPS[0]), (3, CLASPS[1])):
+        strand = moment.cables[cable, point : point + 2]
+        middle = camera.seen(np.mean(strand, axis=0))[:2]
+        own = np.all(painting.colours == painter.cables[cable], axis=1)
         apart = np.linalg.norm(np.mean(painting.polygons, axis=1) - middle, axis=1)
-        order.append((int(np.argmin(np.where(same, apart, np.inf))), cables[cable, point, 2]))
+        order.append((int(np.argmin(np.where(own, apart, np.inf))), strand[0, 2]))
     order.sort()
     assert order[0][1] <= order[1][1] + 1e-9
 
 
-def test_frames_are_painted_on_the_sides_toward_the_viewer() -> None:
-    scene, camera = scene_of(short_motion()), Camera.toward(-115.0, 38.0)
-    moment = scene.at(0.1)
-    painter = Painter(scene, camera)
-    frame, rotors, rims = (part for part, *_ in painter.parts)
-    turns = Rotation.from_quat(moment.quaternions, scalar_first=True).as_matrix()
-    corners = np.einsum("dij,fvj->dfvi", turns, frame.vertices[frame.quads])
-    boxes = corners.reshape(len(turns), 3, 6, 4, 3)
-    outward = np.mean(boxes, axis=3) - np.mean(boxes, axis=(2, 3))[:, :, None]
-    shown = outward @ camera.axes[2] > 0.0
-    assert np.all(np.sum(shown, axis=2) == 3)
-    expected = camera.seen(boxes[shown] + np.repeat(moment.drones, 9, axis=0)[:, None])[..., :2]
-    painting = painter.painted(moment)
-    dark = np.all(painting.colours == to_rgba_array(FRAME), axis=1)
-    found = painting.polygons[dark]
-    assert len(found) == len(expected) == 9 * len(turns)
-    apart = np.max(np.abs(found[:, None] - expected[None]), axis=(2, 3))
-    assert np.all(np.min(apart, axis=1) < 1e-12)
-    assert np.all(np.min(apart, axis=0) < 1e-12)
-    drawn = len(turns) * (9 + len(rotors.quads) + len(rims.quads))
-    robots, points = moment.cables.shape[:2]
-    assert len(painting.polygons) == drawn + 3 * robots * (points - 1)
+def test_objects_are_painted_where_they_stand() -> None:
+    """All else is far from the box, whose corners bound what is painted there."""
+    scene, camera = scene_of(with_box(), 0), Camera.toward(-115.0, 32.0)
+    box = scene.motion.requirements.objects["box"]
+    outline = box.section.placed(box.at[:2], box.yaw)
+    expected = camera.seen(np.array([[*corner, z] for corner in outline for z in (0.4, 0.7)]))
+    middle = np.mean(expected[:, :2], axis=0)
+    polygons = Painter(scene, camera).painted(scene.at(0.0)).polygons
+    seen = polygons[np.all(np.abs(np.mean(polygons, axis=1) - middle) < 0.5, axis=1)]
+    flat = seen.reshape(-1, 2)
+    np.testing.assert_allclose(np.min(flat, axis=0), np.min(expected[:, :2], axis=0), atol=1e-9)
+    np.testing.assert_allclose(np.max(flat, axis=0), np.max(expected[:, :2], axis=0), atol=1e-9)
 
 
-def test_specks_are_rotors_alone_where_the_drones_are() -> None:
-    scene, camera = scene_of(short_motion()), Camera.toward(-115.0, 38.0)
-    moment = scene.at(0.1)
-    painter = Painter(scene, camera, step=SPECKS)
-    assert len(painter.parts) == 1
-    rotors, fills, _ = painter.parts[0]
-    q, r = fills[0::2], fills[1::2]
-    np.testing.assert_allclose(r[:, :3], 0.5 * (q[:, :3] + 1.0))  # q and r of a cable share its hue
-    painting = painter.painted(moment)
-    places = camera.seen(moment.drones)[:, :2]
-    for place, fill in zip(places, fills, strict=True):
-        own = np.all(painting.colours == fill, axis=1)
-        apart = np.max(np.abs(np.mean(painting.polygons, axis=1) - place), axis=1)
-        reach = scene.motion.requirements.separation.radius
-        assert np.sum(own & (apart < reach)) >= len(rotors.quads)
-    robots, points = moment.cables[:, ::SPECKS].shape[:2]
-    drawn = 2 * robots * len(rotors.quads) + 3 * robots * (points - 1)
-    assert len(painting.polygons) == drawn
-
-
-def test_the_camera_s_axes_are_a_rotation() -> None:
-    axes = Camera.toward(-115.0, 32.0).axes
-    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-12)
-    assert np.linalg.det(axes) == pytest.approx(1.0)
-    assert axes[1, 2] > 0.0
-
-
-def test_a_film_without_its_packages_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_film_that_cannot_be_made_is_refused(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with pytest.raises(FileError, match="cannot be written"):
+        save_film(tmp_path / "missing" / "flight.gif", scene_of(short_motion()))
+    assert list(tmp_path.iterdir()) == []
     monkeypatch.setattr(films, "find_spec", lambda name: name == "imageio" or None)
     check_film(Path("flight.gif"))
     with pytest.raises(UnsupportedError, match=r"flight\.MP4: needs imageio_ffmpeg"):
         check_film(Path("flight.MP4"))
-    monkeypatch.setattr(films, "find_spec", lambda _: None)
-    with pytest.raises(UnsupportedError, match="needs imageio"):
-        check_film(Path("flight.gif"))
     with pytest.raises(InputError, match="film"):
         check_film(Path("flight.avi"))
-
-
-def test_what_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="cannot be written"):
-        save_film(tmp_path / "missing" / "flight.gif", scene_of(short_motion()))
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
-    motion = make_motion(3)
-    nodes = np.zeros((6, 30, 3), dtype=np.float32)
-    nodes[..., 0] = np.arange(30)
-    nodes[..., 2] = np.arange(6)[:, None]
-    t, first = 0.1 * np.arange(-2.0, 4.0), np.array([0, 10, 20, 30])
-    np.savez_compressed(
-        tmp_path / "recording.npz", t=t, nodes=nodes, cables=first, poses=np.zeros((6, 0, 7))
-    )
-    found = ghost_scene(tmp_path, motion)
-    np.testing.assert_allclose(found.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
-    np.testing.assert_allclose(found.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
-    again = recorded_scene(motion, t, nodes, first, np.zeros((6, 0, 7)))
-    np.testing.assert_array_equal(again.cables, found.cables)
-    with pytest.raises(FileError, match="a flight of 3 cables"):
-        ghost_scene(tmp_path, make_motion(4))
-    with pytest.raises(FileError, match="holds neither"):
-        ghost_scene(tmp_path.parent, motion)
 
 
 @pytest.mark.slow

@@ -14,80 +14,126 @@ before they are written, and what is read back is what is flown.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import comb
 
-from hitchopt.errors import FileError
-from hitchopt.exports.formats.crazyflie_memory import BYTES, CrazyflieFormat
-from hitchopt.exports.formats.crazyswarm2_start import fly_script, note_text, settings_text
+from hitchopt.errors import FileError, HitchoptError
+from hitchopt.exports.formats.compressed import (
+    BYTES,
+    LONGEST,
+    STEADY,
+    CrazyflieFormat,
+    beyond_memory,
+)
 from hitchopt.exports.formats.file_reading import read_text
-from hitchopt.exports.formats.format import Candidate, Task, writer_of
-from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.piece_fitting import Kind, Scale, best_breaks, fitted
-from hitchopt.storage.atomic import Writer
+from hitchopt.exports.formats.format import (
+    Candidate,
+    DroneFacts,
+    Finding,
+    Loaded,
+    Task,
+    error,
+    is_place,
+    note,
+    warning,
+    writer_of,
+)
+from hitchopt.exports.recording import recording_of_curves
+from hitchopt.exports.reference_frame import AXES
+from hitchopt.exports.refit import Kind, Scale, best_breaks, fitted
+from hitchopt.requirements import Separation
+from hitchopt.storage.files import Writer
+from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
-DEGREE = 7
-"""Degree of every piece."""
-
-COLUMNS = 33
-"""Numbers of a row."""
-
-PIECE_BYTES = 4 * COLUMNS
-"""Size of a piece in the drone's memory [B]."""
+DEGREE = 7  # Degree of every piece
+COLUMNS = 33  # Numbers of a row
+PIECE_BYTES = 4 * COLUMNS  # Size of a piece in the drone's memory [B]
 
 HEADER = ",".join(
     ["duration", *(f"{axis}^{i}" for axis in ("x", "y", "z", "yaw") for i in range(DEGREE + 1))]
 )
 
-MAX_ROWS = 100_000
-"""Rows of a file that is read."""
-
-NOTHING = 1e-10
-"""Powers that never add more than this are left out [m]."""
-
-
-LEAST = 2
-"""Rows of a file at least: the usual reader fails on one."""
+MAX_ROWS = 100_000  # Rows of a file that is read
+NOTHING = 1e-10  # Powers that never add more than this are left out [m]
+LEAST = 2  # Rows of a file at least: the usual reader fails on one
 
 KIND = Kind(degree=DEGREE, match=3, quantum=1.0 / 1024.0, longest=60.0, shortest=8.0 / 1024.0)
 """Durations are exact in single precision; position, velocity and acceleration are continuous. A
 piece of a millisecond would have coefficients of 1e12, and their rounding jolts."""
 
-MOST = BYTES // PIECE_BYTES
-"""Pieces that a drone's memory holds: 31."""
+MOST = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
+COARSEST = 1.0  # Largest error of a refit over Scale: a millimetre
+SMOOTH = 2  # Acceleration is continuous
 
-COARSEST = 1.0
-"""Largest error of a refit over Scale: a millimetre."""
+CLOSE = 1.0 - 1e-4
+"""Ratio of an ellipsoid's size: drones closer than it, standing or seen from above, block each
+other; below 1 by the rounding of file digits."""
 
-SMOOTH = 2
-"""Acceleration is continuous."""
+MOST_CROWDED = 10  # Largest number of pairs of places that are reported
+SETTINGS = "crazyflies.yaml"  # Name of Crazyswarm2's settings
 
-STACKED = 1.0 - 1e-4
-"""Share of an ellipsoid's width: drones closer than it, seen from above, block each other."""
+DEFAULT_TYPE: dict[str, Any] = {
+    "motion_capture": {
+        "tracking": "librigidbodytracker",
+        "marker": "default_single_marker",
+        "dynamics": "default",
+    },
+    "big_quad": False,
+    "battery": {"voltage_warning": 3.8, "voltage_critical": 3.7},
+}
+"""Settings of every type that the fleet file does not describe."""
+
+FOR_ALL: dict[str, Any] = {
+    "firmware_params": {
+        "commander": {"enHighLevel": 1},
+        "stabilizer": {"estimator": 2, "controller": 2},
+    },
+    "broadcasts": {"num_repeats": 15, "delay_between_repeats_ms": 1},
+}
+"""Kalman filter, Mellinger's controller, the high-level commander that flies trajectories."""
+
+LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
+
+
+PLACE = """
+This is {place}.
+Launch with part1/crazyflies.yaml and fly part1/fly.py, then every next part's fly.py --from-here.
+Answer "stay" after all parts but the last.
+"""
+
+
+NO_PULL = """\
+The cables' pull is not in the polynomials, and the on-board controller's integral does not find
+it: that brings drones to their places, where any tension may be. Turn it off and export with
+--hold-tension, or stream full states."""
+"""What the note says of the cables' pull."""
+
+HELD_PULL = """\
+The polynomials are moved outward: drones without feed-forward of the cables' pull are where the
+plan says. Turn the on-board controller's integral off, and set the gains that the export stated."""
+"""What it says where set points hold the tension."""
 
 
 @dataclass(frozen=True, eq=False)
 class PolyTable:
-    """Pieces of one drone as they stand in a file.
+    """Pieces of one drone as they stand in a file."""
 
-    Attributes
-    ----------
-    durations: (rows,) [s]
-    powers: (rows, 4, 8) of x, y, z [m] and yaw [rad], ascending.
-    frame: frame that the header names; empty where it names none.
-    """
-
-    durations: Array
-    powers: Array
-    frame: str = ""
+    durations: Array  # (rows,) [s]
+    powers: Array  # (rows, 4, 8) of x, y, z [m] and yaw [rad], ascending
+    frame: str = ""  # that the header names; empty where it names none
+    headed: bool = True  # whether the first line is words
 
     @property
     def curve(self) -> PiecewisePolynomial:
@@ -122,12 +168,7 @@ def _scales(durations: Array, powers: Array) -> Array:
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:
-    """Write one drone's pieces, (rows,) and (rows, 4, 8); the header's last label names the frame.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
-    """
+    """Write one drone's pieces, (rows,) and (rows, 4, 8); the header names the frame."""
     rows = np.column_stack([durations, powers.reshape(len(durations), -1)])
     single = rows.astype(np.float32).astype(np.float64) + 0.0  # no negative zeros
     header = f"{HEADER}  # frame: {frame}"
@@ -142,9 +183,21 @@ def read_poly_csv(path: Path) -> PolyTable:
     FileError: no such file, a row without 33 finite numbers, a duration that is not positive.
     """
     lines = read_text(path).splitlines() or [""]
-    header, _, note = lines[0].partition("#")
-    texts = [line.partition("#")[0].strip().rstrip(",") for line in lines]
-    rows = [_row(path, i + 1, text) for i, text in enumerate(texts) if i > 0 and text]
+    header, _, comment = lines[0].partition("#")
+    rows = []
+    for number, line in enumerate(lines[1:], 2):
+        parts = line.partition("#")[0].strip().rstrip(",").split(",")
+        if parts == [""]:
+            continue
+        if len(parts) != COLUMNS:
+            raise FileError(
+                f"{path}: line {number} has {len(parts)} numbers, not {COLUMNS} "
+                "(duration, then 8 each of x, y, z, yaw); it is truncated or another format"
+            )
+        try:
+            rows.append([float(part) for part in parts])
+        except ValueError as fault:
+            raise FileError(f"{path}: line {number}: {fault}") from fault
     if not rows:
         raise FileError(
             f"{path}: has no row of numbers after its first line ({header[:40]!r}); it is truncated"
@@ -158,41 +211,27 @@ def read_poly_csv(path: Path) -> PolyTable:
     if np.any(wrong := table[:, 0] <= 0.0):
         row = int(np.argmax(wrong))
         raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")
-    frame = note.partition("frame:")[2].strip()
-    return PolyTable(table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1), frame)
-
-
-def _row(path: Path, number: int, text: str) -> list[float]:
-    parts = text.split(",")
-    if len(parts) != COLUMNS:
-        raise FileError(
-            f"{path}: line {number} has {len(parts)} numbers, not {COLUMNS} "
-            "(duration, then 8 each of x, y, z, yaw); it is truncated or another format"
-        )
     try:
-        return [float(part) for part in parts]
-    except ValueError as error:
-        raise FileError(f"{path}: line {number}: {error}") from error
+        float(header.partition(",")[0])
+        headed = False  # the first line is a piece, which readers skip
+    except ValueError:
+        headed = True
+    frame = comment.partition("frame:")[2].strip()
+    return PolyTable(table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1), frame, headed)
 
 
 class Crazyswarm2(CrazyflieFormat):
     """One CSV per drone, crazyflies.yaml, fly.py and a note."""
 
     name = "crazyswarm2"
+    file = "{name}.csv"
+    endings = several = (".csv",)
     kind = KIND
     bound = COARSEST
     unit = "pieces"
     nearness = f"within {1e3 * COARSEST * Scale().position:g} mm of"
     remedy = "--format compressed holds about three times as much; let the plan rest now and then"
     accuracy = 1e-3
-    feed_forward = (
-        "not in these files: a polynomial's acceleration is its curve's own, and the on-board "
-        "controller adds gravity but not the cable's pull; its integral brings drones to their "
-        "places and leaves the tension to the cables' lengths: stream full states (ros2bag), or "
-        "turn it off and export with --hold-tension"
-    )
-    carries_pull = False
-    receiver_integral = True
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:  # noqa: ARG002
         """Return 31."""
@@ -214,31 +253,174 @@ class Crazyswarm2(CrazyflieFormat):
         first, last = starts[0], ends[-1]
         write = partial(write_poly_csv, durations=durations, frame=task.frame.name)
         writers: dict[str, Writer] = {
-            f"{name}.csv": partial(write, powers=powers[:, i]) for i, name in enumerate(task.names)
+            file: partial(write, powers=powers[:, i]) for i, file in enumerate(self.files(task))
         }
-        writers["crazyflies.yaml"] = writer_of(settings_text(task, first))
-        writers["fly.py"] = writer_of(fly_script(task, first, last, curves.duration))
-        writers["README.txt"] = writer_of(note_text(task, curves.duration))
+        for file, content in start_files(task, first, last, curves.duration).items():
+            writers[file] = writer_of(content)
         used = curves.pieces * PIECE_BYTES
-        note = f"{curves.pieces} pieces, {used} of {BYTES} bytes of each drone's memory"
+        words = f"{curves.pieces} pieces, {used} of {BYTES} bytes of each drone's memory"
         warnings = (*_stacked(task, first, "take off from"), *_stacked(task, last, "land on"))
-        yield Candidate(writers, (note, *warnings))
+        yield Candidate(writers, (words, *warnings))
 
-    def read(self, folder: Path, task: Task) -> Recording:
-        """Return the curves of the drones' files."""
-        tables = [read_poly_csv(folder / f"{name}.csv") for name in task.names]
-        curves = [table.curve for table in tables]
-        return recording_of_curves(task.names, curves, tables[0].frame, SMOOTH)
+    def recognises(self, labels: Sequence[str]) -> bool:
+        """Return whether it begins with ``duration``, or has 33 columns of whatever."""
+        return labels[0] == "duration" or len(labels) == COLUMNS
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what CSV files of polynomial pieces hold, one drone each."""
+        names = [path.stem for path in files]
+        tables = [read_poly_csv(path) for path in files]
+        facts, findings = [], []
+        for name, table in zip(names, tables, strict=True):
+            rows = len(table.durations)
+            facts.append(DroneFacts(name, rows, rows * PIECE_BYTES, float(np.sum(table.durations))))
+            findings += [*beyond_memory(facts[-1]), *_faults(name, table)]
+        frames = {table.frame for table in tables} - {""}
+        if len(frames) > 1:
+            findings.append(error("frame", "", f"files are in {' and '.join(sorted(frames))}"))
+        frame = next(iter(frames)) if len(frames) == 1 and frames <= set(AXES) else ""
+        places, faults = _places(files[0].parent / SETTINGS, set(names))
+        return Loaded(
+            self.name,
+            recording_of_curves(names, [table.curve for table in tables], frame, SMOOTH),
+            tuple(facts),
+            (*findings, *faults, *_crowded(places)),
+            places=places,
+            place_key="initial_position",
+        )
+
+
+def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:
+    """Return crazyflies.yaml (fileversion 3), fly.py and README.txt by their names.
+
+    Parameters
+    ----------
+    task: the plan, or a part of it.
+    first, last: (D, 3) [m], where the trajectories begin, with drones on the floor below, and end.
+    duration: of the trajectories [s].
+    """
+    fleet, frame, robots = task.fleet, task.frame.name, []
+    for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True):
+        robots += [
+            f"  {member.name}:",
+            "    enabled: true",
+            f"    uri: {json.dumps(member.uri)}",
+            # ROS refuses lists that mix integers and floats, so every number has a point.
+            f"    initial_position: [{x:.6f}, {y:.6f}, 0.0]",
+            f"    type: {json.dumps(member.type)}",
+            f"    role: {member.role}  # in the plan",
+        ]
+    types = [
+        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, DEFAULT_TYPE))}"
+        for name in dict.fromkeys(member.type for member in fleet.members)
+    ]
+    settings = [
+        f"# frame: {frame}; drones wait on the floor below their trajectories' starts",
+        *("fileversion: 3", "", "robots:", *robots, "", "robot_types:", *types, ""),
+        f"all: {json.dumps(fleet.settings or FOR_ALL)}\n",
+    ]
+    places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
+    script = _template("fly_script.txt").format(
+        title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
+        place=f"This is {task.part}.\n" if task.part else "",
+        frame=frame,
+        duration=duration,
+        heading=task.frame.heading,
+        first=json.dumps(places, indent=4),
+        height=round(float(np.min(first[:, 2])), 3),
+        land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
+    )
+    hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
+    note = _template("start_note.txt").format(
+        title=task.title or "A plan of hitchopt",
+        place=PLACE.format(place=task.part) if task.part else "",
+        frame=frame,
+        duration=duration,
+        placeholders="" if fleet.given else hint,
+        pull=HELD_PULL if task.options.hold_tension else NO_PULL,
+    )
+    return {SETTINGS: "\n".join(settings), "fly.py": script, "README.txt": note}
+
+
+def _template(name: str) -> str:
+    """Return the text of a file beside this module, with fields in braces."""
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")
 
 
 def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
     """Give a warning where drones start, or land, below one another: fly.py goes straight up."""
     width = 2.0 * task.motion.requirements.separation.radius
-    pairs = cKDTree(places[:, :2]).query_pairs(STACKED * width)
+    pairs = cKDTree(places[:, :2]).query_pairs(CLOSE * width)
     if pairs:
         i, j = min(pairs)
         more = f" and {len(pairs) - 1} pairs more" if len(pairs) > 1 else ""
         yield (
             f"{task.names[i]} and {task.names[j]}{more} would {what} one place, as one is above "
             "the other: fly.py and crazyflies.yaml will not do, bring them there one by one"
+        )
+
+
+def _faults(name: str, table: PolyTable) -> Iterator[Finding]:
+    """Yield what is wrong with one drone's table of pieces."""
+    if len(table.durations) < LEAST:
+        yield error("one row", name, "the usual reader fails on it; split the piece")
+    if not table.headed:
+        words = "has none: readers skip the first line, and with it the first piece; put a line of"
+        yield error("header", name, f"{words} names before it")
+    longest = float(np.max(table.durations))
+    if longest > LONGEST:
+        most = f"a piece lasts {longest:.4g} s; compressed trajectories allow {LONGEST} s"
+        yield note("duration", name, most)
+    powers = table.powers[:, 3]
+    ends = np.sum(powers * table.durations[:, None] ** np.arange(powers.shape[1]), axis=1)
+    jumps = np.abs(np.angle(np.exp(1j * (powers[1:, 0] - ends[:-1]))))  # whole turns are none
+    if np.max(jumps, initial=0.0) > STEADY:
+        joint = int(np.argmax(jumps))
+        yield warning(
+            "jump",
+            name,
+            f"yaw jumps by {math.degrees(jumps[joint]):.3g}° at "
+            f"t = {np.sum(table.durations[: joint + 1]):.4g} s; "
+            "let every piece begin with the yaw at which the one before ends",
+        )
+
+
+def _places(path: Path, names: set[str]) -> tuple[dict[str, list[float]], list[Finding]]:
+    """Return the places in the settings beside the trajectories, and the findings on them."""
+    if not path.is_file():
+        return {}, []
+    try:
+        data = read_yaml(path)
+    except HitchoptError as fault:
+        return {}, [warning("settings", path.name, f"cannot be read: {fault}")]
+    robots = data.get("robots") if isinstance(data, dict) else None
+    if not isinstance(robots, dict):
+        return {}, [warning("settings", path.name, "has no robots")]
+    found = []
+    places: dict[str, list[float]] = {}
+    for name in sorted(set(robots) ^ names):
+        missing = "trajectory" if name in robots else f"entry in {path.name}"
+        found.append(warning("settings", name, f"has no {missing}"))
+    for name in sorted(set(robots) & names):
+        entry = robots[name]
+        place = entry.get("initial_position") if isinstance(entry, dict) else None
+        if is_place(place, {3}):
+            places[name] = place
+        else:
+            found.append(warning("settings", name, "has no initial_position of 3 numbers"))
+    return places, found
+
+
+def _crowded(places: Mapping[str, Sequence[float]]) -> Iterator[Finding]:
+    """Yield which drones stand so close that they cannot take off together."""
+    names = list(places)
+    scaled = np.reshape(list(places.values()), (-1, 3)) * Separation().scale
+    pairs = cKDTree(scaled).query_pairs(CLOSE, output_type="ndarray")
+    for one, other in ((names[i], names[j]) for i, j in pairs[:MOST_CROWDED]):
+        yield error(
+            "start",
+            f"{one}, {other}",
+            f"their initial_positions are {math.dist(places[one], places[other]):.3g} m apart: "
+            "they cannot take off together; place them apart, and see that the paths to their "
+            "trajectories are free",
         )

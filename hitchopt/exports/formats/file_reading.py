@@ -1,8 +1,9 @@
-"""Read files from any source: text, tables of numbers, zips; every fault is a FileError."""
+"""Read files from any source: text, tables, zips, manifests; every fault is a FileError."""
 
 from __future__ import annotations
 
 import contextlib
+import json
 import zipfile
 from collections.abc import Iterator, Sequence
 from importlib import import_module
@@ -15,8 +16,12 @@ from hitchopt.errors import FileError, HitchoptError, UnsupportedError
 from hitchopt.storage.archive import BROKEN, checked_bytes, refuse_bomb
 from hitchopt.values import Array
 
-MAX_UNPACKED = 500_000_000
-"""Size limit of all that is read of one zip, unpacked [B]."""
+MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
+"""Name of the file with what an export holds, in which frame, and what was checked; its format."""
+
+MAX_MANIFEST = 50_000_000  # Size limit of a manifest that is read [B]
+
+MAX_UNPACKED = 500_000_000  # Size limit of all that is read of one zip, unpacked [B]
 
 
 @contextlib.contextmanager
@@ -36,7 +41,8 @@ def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Ite
             raise
         raise FileError(f"{path}: {error}") from error
     except (*BROKEN, kind) as error:
-        raise FileError(f"{path}: is no {what}, or a damaged one: {error}") from error
+        words = repr(error) if isinstance(error, LookupError) else str(error)
+        raise FileError(f"{path}: is no {what}, or a damaged one: {words}") from error
 
 
 def read_text(path: Path) -> str:
@@ -52,38 +58,35 @@ def read_text(path: Path) -> str:
         raise FileError(f"{path}: cannot be read: {error}") from error
 
 
-def column_places(header: str, wanted: Sequence[str], usual: str, source: str) -> list[int]:
-    """Return where the wanted columns stand by a table's first line.
+def read_columns(
+    lines: Sequence[str],
+    header: str,
+    wanted: Sequence[str],
+    usual: str,
+    source: str,
+    least: int = 0,
+) -> Array:
+    """Return the wanted columns of a table's lines as numbers; blank ones are left out.
 
     Parameters
     ----------
+    lines: of the table, without the first one.
     header: the first line.
     wanted: names of columns.
     usual: the first line that hitchopt writes.
     source: name of the file.
+    least: fewest rows.
 
     Raises
     ------
-    FileError: a column is missing.
+    FileError: a column is missing, fewer rows, rows that are too short, or text that is no number.
     """
-    found = header.split(",")
-    missing = [name for name in wanted if name not in found]
+    labels = header.split(",")
+    missing = [name for name in wanted if name not in labels]
     if missing:
-        raise FileError(
-            f"{source}: its first line has no column {missing[0]!r}; it must be {usual}"
-        )
-    return [found.index(name) for name in wanted]
-
-
-def read_numbers(
-    lines: Sequence[str], columns: Sequence[int], source: str, least: int = 0
-) -> Array:
-    """Return some columns of lines as numbers, (rows, columns); blank lines are left out.
-
-    Raises
-    ------
-    FileError: fewer rows than ``least``, rows that are too short, or text that is no number.
-    """
+        words = f"its first line has no column {missing[0]!r}; it must be {usual}"
+        raise FileError(f"{source}: {words}")
+    columns = [labels.index(name) for name in wanted]
     table = np.empty((0, len(columns)))
     filled = [line for line in lines if line.strip()]
     try:
@@ -98,18 +101,9 @@ def read_numbers(
 
 @contextlib.contextmanager
 def opened_zip(path: Path, what: str) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file for the block; whatever is wrong with it within the block is a FileError.
-
-    Parameters
-    ----------
-    path: name of the file.
-    what: what it is expected to be, as in "is no ``what``".
-    """
+    """Open a zip file for the block; whatever is wrong with it within the block is a FileError."""
     with reading(path, what), zipfile.ZipFile(path) as archive:
-        try:
-            yield archive
-        except (KeyError, TypeError, AttributeError, IndexError) as error:
-            raise FileError(f"{path}: is no {what}: {error!r} in its description") from error
+        yield archive
 
 
 def read_members(
@@ -144,3 +138,23 @@ def needed(module: str) -> Any:
         raise UnsupportedError(
             f"this format needs the package {package} ({error}); pip install 'hitchopt[export]'"
         ) from error
+
+
+def read_manifest(folder: Path) -> dict[str, Any] | None:
+    """Return what the manifest in a folder says; None where there is none, or not one of ours.
+
+    Raises
+    ------
+    FileError: there is one that cannot be read.
+    """
+    path = folder / MANIFEST
+    try:
+        if not path.is_file():
+            return None
+        if path.stat().st_size > MAX_MANIFEST:
+            raise FileError(f"{path}: is too large for a manifest")
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise FileError(f"{path}: cannot be read: {error}; remove it, or export anew") from error
+    ours = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
+    return content if ours else None

@@ -1,54 +1,123 @@
-"""The interface of formats, and the plans that they are given."""
+"""The interface of formats: the plans they write, and what they read and find in files."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, SupportsInt, TypeGuard
+
+import numpy as np
 
 from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.fleet import Fleet
 from hitchopt.exports.recording import Recording
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import States
-from hitchopt.storage.atomic import Writer
+from hitchopt.motion.states import Attitudes, States, attitudes
+from hitchopt.storage.files import Writer
 from hitchopt.values import Array
 
-Progress = Callable[[str], None]
-"""Function that is called with what is being done now."""
+Progress = Callable[[str], None]  # Function that is called with what is being done now
+
+FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes that are turned by 180° about x
+
+FARTHEST = 1e6
+"""[m] No drone is farther from its origin: sums and squares of such numbers stay finite."""
+
+ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
+"""Levels of a finding: the flight fails; it may fail; information for the pilot."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One problem, or one piece of information, found in fleet files.
+
+    Attributes
+    ----------
+    level: ERROR, WARNING or NOTE.
+    rule: name of the rule in one word or two, such as ``memory`` or ``end marker``.
+    where: drone or file; empty for all of them.
+    message: value, bound, and the remedy.
+    """
+
+    level: str
+    rule: str
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        place = f" {self.where}:" if self.where else ""
+        return f"{self.level}: {self.rule}:{place} {self.message}"
+
+
+error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NOTE))
+"""Constructors of findings of each level from rule, place and message."""
+
+
+def and_more(name: str, count: SupportsInt) -> str:
+    """Return the name, and how many more of the ``count`` drones are concerned."""
+    return name if int(count) == 1 else f"{name} and {int(count) - 1} more"
+
+
+def is_place(value: object, lengths: Collection[int]) -> TypeGuard[list[float]]:
+    """Return whether a value from a file is a list of so many coordinates within FARTHEST [m]."""
+    return (
+        isinstance(value, list)
+        and len(value) in lengths
+        and all(type(x) in {int, float} and abs(x) <= FARTHEST for x in value)
+    )
+
+
+@dataclass(frozen=True)
+class DroneFacts:
+    """Size and duration of one drone's file.
+
+    Attributes
+    ----------
+    name: of the drone.
+    pieces: of its curve; 0 where it is sampled.
+    size: [bytes] in the drone's memory; 0 where it is not uploaded.
+    duration: [s] of its own file; 0 where all drones share their times.
+    """
+
+    name: str
+    pieces: int = 0
+    size: int = 0
+    duration: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Loaded:
+    """Contents of files, read."""
+
+    kind: str  # name of the format, as in ``hitchopt export --format``
+    recording: Recording  # what the drones fly
+    facts: tuple[DroneFacts, ...]  # one per drone
+    findings: tuple[Finding, ...] = ()  # those made while reading
+    streamed: bool = False  # whether samples are sent in flight: gaps between them count then
+    places: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of drones that stand [m]
+    place_key: str = "place"  # name of these places, (2,) or (3,), in the files
+    own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
+    together: bool = True  # whether all are in one frame, so that distances mean something
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A plan or a part of it, and everything that its files depend on.
+    """A plan or a part of it, and everything that its files depend on."""
 
-    Attributes
-    ----------
-    motion: the plan, from t = 0 on.
-    title: what the plan is called.
-    frame: the file's axes, and where the plan lies in them.
-    fleet: who flies its drones.
-    rate: samples a second of the formats that sample [Hz].
-    options: what the user asked for.
-    begins: when in the plan the motion begins [s]; 0 unless the plan was cut.
-    number, count: which part of how many the motion is, from 1 on.
-    undetermined: why the files leave the cables' tension undetermined, in words.
-    notes: what else the user should know of it.
-    """
-
-    motion: Motion
+    motion: Motion  # from t = 0 on
     title: str
-    frame: ReferenceFrame
-    fleet: Fleet
-    rate: float
-    options: ExportOptions
-    begins: float = 0.0
-    number: int = 1
-    count: int = 1
-    undetermined: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    frame: ReferenceFrame  # the file's axes, and where the plan lies in them
+    fleet: Fleet  # who flies its drones
+    rate: float  # samples a second of the formats that sample [Hz]
+    options: ExportOptions  # what the user asked for
+    begins: float = 0.0  # when in the plan the motion begins [s]; 0 unless the plan was cut
+    number: int = 1  # which part of the plan the motion is, from 1 on,
+    count: int = 1  # of how many
+    undetermined: tuple[str, ...] = ()  # why the files leave the cables' tension undetermined
+    notes: tuple[str, ...] = ()  # what else the user should know of it
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -89,43 +158,53 @@ class Task:
         forward = frame.vectors(states.accelerations) - self.pulls(states)
         return frame.points(states.positions), frame.vectors(states.velocities), forward
 
+    def attitudes(self, states: States) -> Attitudes:
+        """Return attitudes and body rates, from the body's axes to the file's.
+
+        The body's z axis is along the thrust ``m (a_ff + g ẑ)``, its yaw is the frame's heading. In
+        a frame whose z axis points down the body's axes are forward, right, down, as its readers
+        expect; in others forward, left, up. Where set points hold the tension there is no cable
+        force in the thrust, as in all that is fed forward: the position loop tilts drones.
+        """
+        frame, team = self.frame, self.motion.team
+        if self.options.hold_tension:
+            nothing = np.zeros_like(states.cable_forces)
+            states = replace(states, cable_forces=nothing, cable_force_rates=nothing)
+        thrusts = frame.vectors(states.thrusts(team))
+        rates = frame.vectors(states.thrust_rates(team))
+        if frame.vectors(np.array([0.0, 0.0, 1.0]))[2] > 0.0:
+            return attitudes(thrusts, rates, frame.heading)
+        found = attitudes(thrusts * FLIPPED, rates * FLIPPED, -frame.heading)
+        return Attitudes(found.quaternions * [1.0, *FLIPPED], found.body_rates * FLIPPED)
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Files that may do; the export tries one candidate after the other.
+    """Files that may do; the export tries one candidate after the other."""
 
-    Attributes
-    ----------
-    writers: for each file's name, what writes it.
-    notes: what the user should know of them.
-    receiver: what must be set where they are flown, for the manifest; empty for nothing.
-    """
-
-    writers: Mapping[str, Writer]
-    notes: tuple[str, ...] = ()
-    receiver: Mapping[str, Any] = field(default_factory=dict)
+    writers: Mapping[str, Writer]  # for each file's name, what writes it
+    notes: tuple[str, ...] = ()  # what the user should know of them
+    receiver: Mapping[str, Any] = field(default_factory=dict)  # its settings, for the manifest
 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """A plan as a whole, or cut.
-
-    Attributes
-    ----------
-    tasks: one after the other.
-    note: why it is so, for the user; nothing for the usual.
-    """
+    """A plan as a whole, or cut into tasks to be flown one after the other."""
 
     tasks: tuple[Task, ...]
-    note: str = ""
+    note: str = ""  # why it is so, for the user; nothing for the usual
 
 
 class Format(Protocol):
-    """One file format.
+    """One file format: what is written, how files are read, ours or anybody else's, and lint.
 
     Attributes
     ----------
     name: as given to ``--format``.
+    file: name of the file; with ``{name}`` or ``{number}`` of the drone each has its own, with
+        ``{frame}`` it tells the frame.
+    endings: of the files that hold trajectories.
+    several: those of them of which every drone has a file.
     frames: those that its files may be in, the usual one first.
     rate: samples a second if nothing else is asked [Hz]; 0 where nothing is sampled.
     accuracy: the largest position error that it is meant to have [m].
@@ -135,12 +214,15 @@ class Format(Protocol):
     """
 
     name: str
+    file: str
+    endings: tuple[str, ...]
+    several: tuple[str, ...] = ()
     frames: tuple[str, ...]
-    rate: float
+    rate: float = 0.0
     accuracy: float
     feed_forward: str
-    carries_pull: bool
-    receiver_integral: bool
+    carries_pull: bool = False
+    receiver_integral: bool = False
 
     def arrangements(self, task: Task) -> Iterator[Arrangement]:
         """Give the task as a whole, then in parts to be flown one after the other, at rest between.
@@ -162,14 +244,33 @@ class Format(Protocol):
         """
         ...
 
-    def read(self, folder: Path, task: Task) -> Recording:
-        """Return what the files in a folder say, read as anybody else would.
+    def files(self, task: Task) -> tuple[str, ...]:
+        """Return the names of the files with the trajectories of a task."""
+        frame, each = task.frame.name, enumerate(task.names, 1)
+        names = (self.file.format(name=name, number=i, frame=frame) for i, name in each)
+        return tuple(dict.fromkeys(names))
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what files hold, ours or anybody else's, and what is wrong with them.
 
         Raises
         ------
         FileError: they are damaged.
         """
         ...
+
+    def recognises(self, labels: Sequence[str]) -> bool:  # noqa: ARG002
+        """Return whether the first line of a CSV file, in lower case, is one of this format."""
+        return False
+
+    def read(self, folder: Path, task: Task) -> Recording:
+        """Return what the files of a task in a folder say.
+
+        Raises
+        ------
+        FileError: they are damaged.
+        """
+        return self.load([folder / name for name in self.files(task)]).recording
 
     def certify(self, folder: Path, task: Task) -> None:  # noqa: ARG002
         """Certify what the files hold besides the flight that is read; most hold nothing else.
@@ -180,6 +281,28 @@ class Format(Protocol):
         InfeasibleError: it breaks a limit.
         """
         return
+
+
+def lines_at_rates(
+    file: str, write: Callable[[Path, Task], None], task: Task, others: Sequence[float]
+) -> Iterator[Candidate]:
+    """Yield a file of lines between samples, at the usual rate and unless it is given at others.
+
+    Parameters
+    ----------
+    file: its name.
+    write: writes a task at its rate to a path.
+    task: the plan.
+    others: higher rates [Hz], for plans of which lines lose a limit.
+    """
+
+    def sampled(each: Task) -> Mapping[str, Writer]:
+        return {file: lambda path: write(path, each)}
+
+    yield Candidate(sampled(task))
+    for rate in () if task.options.rate is not None else others:
+        note = f"at {rate:g} Hz: lines between fewer samples lose a limit"
+        yield Candidate(sampled(replace(task, rate=rate)), (note,))
 
 
 def writer_of(content: str | bytes) -> Writer:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from hitchopt.errors import InputError
-from hitchopt.exports.formats.format import Format
+
+if TYPE_CHECKING:
+    from hitchopt.exports.formats.format import Format
 
 HOMES = {
     "crazyswarm2": "crazyswarm2:Crazyswarm2",
@@ -14,10 +17,11 @@ HOMES = {
     "skybrush_csv": "skybrush_csv:SkybrushCsv",
     "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
     "ros2bag": "ros2bag:Ros2Bag",
-    "csv": "csv_table:CsvTable",
-    "parquet": "parquet_table:ParquetTable",
-    "npz": "npz_table:NpzTable",
-    "json": "json_table:JsonTable",
+    "csv": "tables:CsvTable",
+    "parquet": "tables:ParquetTable",
+    "npz": "tables:NpzTable",
+    "json": "tables:JsonTable",
+    "gltf": "gltf:Gltf",
 }
 """Module and class of every format."""
 

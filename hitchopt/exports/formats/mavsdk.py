@@ -1,11 +1,24 @@
 """Format mavsdk_drone_show: ``Drone N.csv``, setpoints for PX4 through MAVSDK, north-east-down.
 
 ``idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb`` at 20 Hz, mode 70 (manoeuvring), yaw in
-degrees as MAVSDK takes it. Before the plan's rows the drones wait on the ground and rise to their
-first places; ``mavsdk_receiver`` has the rules by which rows are flown, and the manifest the
-settings with which all of them are.
+degrees as MAVSDK takes it.
 
-Feed-forward: PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
+**Not all rows are flown.** They are played by the clock, but until a row is at
+``INITIAL_CLIMB_ALTITUDE_THRESHOLD`` or above **and** ``INITIAL_CLIMB_TIME_THRESHOLD`` has passed,
+the drone climbs straight up at 1 m/s instead, and time runs on; with a shared global origin it then
+spends 3 s on a straight line to the row of that moment. A show whose last row is not above
+``GROUND_ALTITUDE_THRESHOLD`` is cut off from its half on, where a row is below 2 m or in its last
+second: the drone lands from there. Without ``AUTO_GLOBAL_ORIGIN_MODE`` every drone's rows are
+counted from its own first one, in altitude too. Velocities and accelerations are sent only with
+local setpoints, and only if asked for. The manifest has the settings with which all of a plan's
+rows are flown, with their velocities and accelerations.
+
+**The rise.** Drones are armed on the ground, so their first row is there, below the plan's first
+place. They wait until all of them follow their rows, rise together, straight up, and rest before
+the plan begins. Seen from above nothing moves; a hitch whose drones begin at one altitude rises as
+it is. The cables' pull grows with the altitude.
+
+**Feed-forward.** PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
 cable. So ``ax, ay, az`` are ``a_ff = a - F / m``, with the cable's force F on the drone: thrust is
 then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration feed-forward on.
 """
@@ -13,42 +26,150 @@ then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
-from math import ceil
+from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hitchopt.errors import FileError
-from hitchopt.exports.formats.file_reading import column_places, read_numbers, read_text
-from hitchopt.exports.formats.format import Candidate, Format, Task
-from hitchopt.exports.formats.mavsdk_lead_in import LeadIn, lead_in, receiver_for, rising_check
-from hitchopt.exports.formats.mavsdk_receiver import LATE
-from hitchopt.exports.recording import Recording, Samples, recording_of_samples
+from hitchopt.checks.certificate import Check
+from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.formats.file_reading import read_columns, read_manifest, read_text
+from hitchopt.exports.formats.format import (
+    Candidate,
+    DroneFacts,
+    Finding,
+    Format,
+    Loaded,
+    Task,
+    and_more,
+    error,
+    note,
+    warning,
+)
+from hitchopt.exports.recording import Recording, recording_of_samples
+from hitchopt.exports.worst_values import drone_check
 from hitchopt.motion.states import states_at
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
 
-READ = COLUMNS.split(",")[1:11]
-"""Columns that are read: time, position, velocity and acceleration."""
+READ = COLUMNS.split(",")[1:11]  # Columns that are read: time, position, velocity and acceleration
 
 ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"
 """A row of mode 70; all that are no counts have a decimal point."""
 
-SMOOTH = 2
-"""Quintics run through positions, velocities and accelerations."""
+SMOOTH = 2  # Quintics run through positions, velocities and accelerations
+SAME_TIME = 1e-6  # Largest difference of the drones' times in one row [s]
 
-SAME_TIME = 1e-6
-"""Largest difference of the drones' times in one row [s]."""
+BLEND = 3.0
+"""Duration of the straight line from the climb to the rows [s], with a shared global origin."""
+
+LANDING_ALTITUDE, LANDING_TIME, LANDING_SHARE = 2.0, 1.0, 0.5
+"""Altitude [m], remaining time [s] and share of the rows: a show that ends on the ground is cut off
+from that share on, below that altitude or within that time."""
+
+LATE = 5.0  # Longest time that arming takes after the common start [s]: rows run meanwhile
+
+REMAINING = 0.1
+"""[m] Rows that move a drone no farther, seen from above, may be replaced by a climb or a landing;
+so far may a first row be from the ground."""
+
+NAMES = {
+    "climb_altitude": "INITIAL_CLIMB_ALTITUDE_THRESHOLD",
+    "climb_time": "INITIAL_CLIMB_TIME_THRESHOLD",
+    "ground_altitude": "GROUND_ALTITUDE_THRESHOLD",
+    "shared_origin": "AUTO_GLOBAL_ORIGIN_MODE",
+    "global_setpoints": "USE_GLOBAL_SETPOINTS",
+    "velocities": "FEEDFORWARD_VELOCITY_ENABLED",
+    "accelerations": "FEEDFORWARD_ACCELERATION_ENABLED",
+}
+"""Names of the settings in ``src/params.py``."""
+
+WAIT = LATE + BLEND
+"""Wait on the ground [s]: a drone that is late, or is drawn to its row, is there by then."""
+
+SETTLE = 3.0  # Wait at the first places [s]
+SPEED, ACCELERATION = 0.5, 0.5  # Largest speed and acceleration while rising [m/s], [m/s²]
+LEAST = 1.0  # Shortest duration of the rise [s]
+DIGITS = 5e-9  # Relative error of a number in the files, which has nine digits
+BELOW = 1.0  # Distance of thresholds below all rows [m]: those are never under them
+
+
+@dataclass(frozen=True)
+class Receiver:
+    """Settings of mavsdk_drone_show; those that it comes with where nothing is given."""
+
+    climb_altitude: float = 5.0  # [m], which ends the initial climb
+    climb_time: float = 5.0  # [s], together with this
+    ground_altitude: float = 1.0  # [m], at or below which a show ends on the ground
+    shared_origin: bool = True  # whether rows are taken as they stand, not from the first one
+    global_setpoints: bool = True  # whether positions are sent as latitude, longitude, altitude
+    velocities: bool = False  # whether local setpoints hold them
+    accelerations: bool = False
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any]) -> Receiver:
+        """Return the receiver with settings by their names in ``src/params.py``.
+
+        Raises
+        ------
+        FileError: a value of another type, or a number that is not finite.
+        """
+        values: dict[str, Any] = {}
+        for field in fields(cls):
+            name = NAMES[field.name]
+            value = settings.get(name, field.default)
+            if isinstance(field.default, bool) != isinstance(value, bool) or not (
+                isinstance(value, int | float) and math.isfinite(value)
+            ):
+                raise FileError(f"{name}: is {value!r}, not {type(field.default).__name__}")
+            values[field.name] = value
+        return cls(**values)
+
+    def settings(self) -> dict[str, float | bool]:
+        """Return the settings by their names in ``src/params.py``."""
+        return {NAMES[field.name]: getattr(self, field.name) for field in fields(self)}
+
+    def lowered(self, places: Array) -> Array:
+        """Return how much lower than its rows (S, D, 3) [m] each drone flies, (D,) [m]."""
+        return np.zeros(places.shape[1]) if self.shared_origin else -places[0, :, 2]
+
+    def followed(self, t: Array, places: Array, late: float = 0.0) -> NDArray[np.bool_]:
+        """Return which rows are sent to which drone, (S, D).
+
+        Parameters
+        ----------
+        t: times of the rows (S,) [s].
+        places: positions of the rows (S, D, 3) [m], north-east-down.
+        late: after the first row, how long it takes until the drone climbs [s].
+        """
+        altitude = -places[..., 2] - self.lowered(places)
+        climbing = t - t[0] - late
+        over = (altitude >= self.climb_altitude) & (climbing >= self.climb_time)[:, None]
+        over &= (climbing >= 0.0)[:, None]
+        climbed = np.logical_or.accumulate(over, axis=0)
+        landing = climbed & (altitude[-1] <= self.ground_altitude)
+        landing &= (np.arange(1, len(t) + 1) >= LANDING_SHARE * len(t))[:, None]
+        landing &= (altitude < LANDING_ALTITUDE) | (t[-1] - t <= LANDING_TIME)[:, None]
+        if self.shared_origin and self.global_setpoints:
+            first = np.where(climbed.any(axis=0), t[np.argmax(climbed, axis=0)], np.inf)
+            climbed &= t[:, None] >= first + BLEND
+        return climbed & ~np.logical_or.accumulate(landing, axis=0)
 
 
 class MavsdkDroneShow(Format):
-    """Setpoints of 20 Hz for PX4."""
+    """Setpoints of 20 Hz for PX4, ``Drone N.csv`` from 1 in the plan's order."""
 
     name = "mavsdk_drone_show"
+    file = "Drone {number}.csv"
+    endings = (".csv",)
+    several = endings
     frames = ("ned",)
     rate = 20.0
     accuracy = 2e-3
@@ -57,21 +178,20 @@ class MavsdkDroneShow(Format):
         "and knows no cable; fly it with acceleration feed-forward on"
     )
     carries_pull = True
-    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the files, numbered from 1 in the plan's order.
+        """Give the files.
 
         Raises
         ------
         InfeasibleError: drones that begin above one another cannot take off.
         """
         lead = lead_in(task)
-        check = rising_check(task, lead)
+        check = _rising_check(task, lead)
         settings = receiver_for(task).settings()
-        files = file_names(len(task.names))
         rows = rows_of(task, lead)
-        writers = {name: partial(write_rows, rows=rows[:, i]) for i, name in enumerate(files)}
+        write = partial(np.savetxt, fmt=ROW, header=COLUMNS, comments="", encoding="ascii")
+        writers = {name: partial(write, X=rows[:, i]) for i, name in enumerate(self.files(task))}
         notes = (
             f"the plan begins {lead.duration:g} s after the show (row {lead.rows}): until then the "
             "drones wait on the ground and rise straight up, with their cables not looked at",
@@ -90,12 +210,41 @@ class MavsdkDroneShow(Format):
             receiver["separation_before"] = check.worst
         yield Candidate(writers, notes, receiver)
 
+    def recognises(self, labels: Sequence[str]) -> bool:
+        """Return whether the first columns are index, time and north."""
+        return labels[:3] == ["idx", "t", "px"]
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what CSV files hold, one drone each; shorter ones rest at their end.
+
+        Nobody knows the pull in their accelerations, so cubics run through positions and
+        velocities.
+        """
+        tables = [read_table(path) for path in files]
+        names = tuple(path.stem for path in files)
+        lengths = [len(table) for table in tables]
+        findings = []
+        if len(set(lengths)) > 1:
+            shortest = int(np.argmin(lengths))
+            rows = f"has {lengths[shortest]} rows, others up to {max(lengths)}"
+            findings = [warning("duration", names[shortest], f"{rows}; let it rest at its end")]
+            longest = max(tables, key=len)[:, 0]
+            for i, table in enumerate(tables):
+                rest = np.zeros((len(longest) - len(table), table.shape[1]))
+                rest[:, 0], rest[:, 1:4] = longest[len(table) :], table[-1, 1:4]
+                tables[i] = np.concatenate([table, rest])
+        places = np.stack([table[:, 1:4] for table in tables], axis=1)
+        findings += receiver_findings(files[0].parent, names, tables[0][:, 0], places)
+        facts = (DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
+        recording = recording_of_tables(names, tables, None)
+        return Loaded(self.name, recording, tuple(facts), tuple(findings), streamed=True)
+
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the curves through the plan's setpoints as the receiver flies them.
 
         The cables' pull is taken out of accelerations.
         """
-        files = file_names(len(task.names))
+        files = self.files(task)
         lead, receiver = lead_in(task), receiver_for(task)
         tables = [read_table(folder / name) for name in files]
         if len({len(table) for table in tables}) > 1 or len(tables[0]) <= lead.rows + 1:
@@ -109,40 +258,105 @@ class MavsdkDroneShow(Format):
                 f"{folder / files[drone]}: mavsdk_drone_show does not fly its row at t = {t:g} s"
             )
         # Altitudes are counted from the first row, and that is on the ground.
-        ground = task.frame.points(lead.ground)[:, 2]
+        ground = task.frame.points(lead.curves.at(0.0))[:, 2]
         for table, lower, down in zip(tables, receiver.lowered(places), ground, strict=True):
             table[:, 0] -= lead.duration
             table[:, 3] += lower + down
         return recording_of_tables(task.names, [table[lead.rows :] for table in tables], task)
 
 
-def file_names(drones: int) -> tuple[str, ...]:
-    """Return the files' names."""
-    return tuple(f"Drone {i + 1}.csv" for i in range(drones))
+@dataclass(frozen=True, eq=False)
+class LeadIn:
+    """The rows before a plan's own: ``rows`` steps, in which drones rise from the ground."""
+
+    rows: int
+    duration: float  # [s]
+    share: PiecewisePolynomial  # of the rise, 0 to 1, with continuous acceleration
+    curves: PiecewisePolynomial  # positions (D, 3) [m] while rising, in the plan's axes
+
+
+def lead_in(task: Task) -> LeadIn:
+    """Return the rows before the plan's own."""
+    motion = task.motion
+    limits = motion.requirements.limits
+    first = motion.drones.coefficients[0, ..., 0]
+    ground = np.column_stack([first[:, :2], np.full(len(first), motion.requirements.floor)])
+    highest = float(np.max(np.abs(first - ground)))
+    # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
+    rise = max(
+        LEAST,
+        1.875 * highest / min(SPEED, limits.speed),
+        (10.0 / 3.0**0.5 * highest / min(ACCELERATION, limits.acceleration)) ** 0.5,
+        (60.0 * highest / limits.jerk) ** (1.0 / 3.0),
+    )
+    rows = ceil((WAIT + rise + SETTLE) * task.rate)
+    breaks = np.array([0.0, WAIT, WAIT + rise, rows / task.rate])
+
+    def between(start: Array, end: Array) -> PiecewisePolynomial:
+        ends = np.zeros((3, 4, *start.shape))
+        ends[0, :2], ends[0, 2:] = start, end
+        return PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
+
+    share = between(np.zeros(()), np.ones(()))
+    return LeadIn(rows, rows / task.rate, share, between(ground, first))
+
+
+def _rising_check(task: Task, lead: LeadIn) -> Check | None:
+    """Return the separation for all t, the rounding in the files included; None of one drone.
+
+    Raises
+    ------
+    InfeasibleError: drones that begin above one another cannot rise straight up to there.
+    """
+    motion, curves = task.motion, lead.curves
+    c = drone_check("separation", curves, replace(motion.requirements, arena=None))
+    if c is None:
+        return None
+    where = tuple(motion.team.drone_names[int(drone[1:])] for drone in c.where)
+    reach = float(np.max(np.abs(task.frame.points(curves.coefficients[[0, -1], ..., 0]))))
+    scale = float(np.max(motion.requirements.separation.scale))
+    worst = c.bound - 2.0 * 3.0**0.5 * DIGITS * reach * scale
+    c = Check.of(c.name, worst, c.limit, c.sense, c.unit, c.time, where)
+    if not c.holds:
+        when = "while the drones rise straight up from the ground to their first places"
+        remedy = "begin with the drones side by side, or choose another format"
+        raise InfeasibleError(
+            (c.violation(when, remedy),),
+            "mavsdk_drone_show is not written: its drones take off from below their first places",
+        )
+    return c
+
+
+def receiver_for(task: Task) -> Receiver:
+    """Return the settings with which every row is flown, with its velocity and acceleration."""
+    altitudes = task.motion.drones.coefficients[:, :, 2] - task.motion.requirements.floor
+    below = floor(min(0.0, float(np.min(altitudes)))) - BELOW
+    return Receiver(
+        climb_altitude=below,
+        climb_time=0.0,
+        ground_altitude=below,
+        shared_origin=False,
+        global_setpoints=False,
+        velocities=True,
+        accelerations=True,
+    )
 
 
 def rows_of(task: Task, lead: LeadIn) -> Array:
     """Return all drones' rows (S, D, 12): index, time, nine setpoints and yaw in degrees."""
     samples = ceil(task.motion.duration * task.rate - 1e-6) + 1
     index = np.arange(lead.rows + samples)
-    t = index / task.rate
-    plan = task.setpoints(states_at(task.motion, t[:samples]))
-    values = [lead.values(task, t[: lead.rows]), np.concatenate(plan, axis=-1)]
+    t, frame = index / task.rate, task.frame
+    before, plan = t[: lead.rows], task.setpoints(states_at(task.motion, t[:samples]))
+    pull = task.pulls(states_at(task.motion, np.zeros(1))) * lead.share.at(before)[:, None, None]
+    velocities, forward = (frame.vectors(lead.curves.at(before, order)) for order in (1, 2))
+    rising = (frame.points(lead.curves.at(before)), velocities, forward - pull)
+    values = [np.concatenate(parts, axis=-1) for parts in (rising, plan)]
     rows = np.empty((len(index), len(task.names), 12))
     rows[..., 0], rows[..., 1] = index[:, None], t[:, None]
     rows[..., 2:11] = np.concatenate(values) + 0.0  # no negative zeros
     rows[..., 11] = math.degrees(task.frame.heading)
     return rows
-
-
-def write_rows(path: Path, rows: Array) -> None:
-    """Write one drone's rows (S, 12).
-
-    Raises
-    ------
-    OSError: the file cannot be written.
-    """
-    np.savetxt(path, rows, ROW, header=COLUMNS, comments="", encoding="ascii")
 
 
 def read_table(path: Path) -> Array:
@@ -158,8 +372,7 @@ def read_table(path: Path) -> Array:
     found = set(header.split(","))
     vectors = [READ[:4], *(vector for vector in (READ[4:7], READ[7:]) if found & set(vector))]
     told = [name for vector in vectors for name in vector]
-    columns = column_places(header, told, COLUMNS, str(path))
-    table = read_numbers(lines, columns, str(path), least=2)
+    table = read_columns(lines, header, told, COLUMNS, str(path), least=2)
     whole = np.zeros((len(table), len(READ)))
     whole[:, [READ.index(name) for name in told]] = table
     return whole
@@ -171,7 +384,7 @@ def recording_of_tables(
     """Return the curves through all drones' rows, which share their times.
 
     With a task the cables' pull is taken out of the accelerations, and quintics run through all
-    three; without one nobody knows the pull, and cubics run through positions and velocities.
+    three; without one cubics run through positions and velocities.
 
     Raises
     ------
@@ -185,5 +398,75 @@ def recording_of_tables(
     if task is not None:
         values[..., 6:] += task.pulls(states_at(task.motion, t))
         values[t > task.motion.duration, :, 6:] = 0.0
-    samples = Samples.of_rows(t, values)
-    return recording_of_samples(names, lambda: [samples], "ned", 1 if task is None else SMOOTH)
+    return recording_of_samples(names, t, values, "ned", 1 if task is None else SMOOTH)
+
+
+def receiver_findings(
+    folder: Path, names: Sequence[str], t: Array, places: Array
+) -> Iterator[Finding]:
+    """Yield which rows are not flown as they stand, one finding a rule.
+
+    The settings are those that the folder's manifest states, else those that the show comes with.
+
+    Parameters
+    ----------
+    folder: of the files.
+    names: (D,) of the drones.
+    t: times of the rows (S,) [s].
+    places: positions of the rows (S, D, 3) [m], north-east-down.
+
+    Raises
+    ------
+    FileError: a manifest that cannot be read.
+    """
+    stated = (read_manifest(folder) or {}).get("receiver")
+    settings = stated.get("settings") if isinstance(stated, dict) else None
+    if settings is not None and not isinstance(settings, dict):
+        raise FileError(f"{folder}: its manifest's settings of the receiver are no map")
+    receiver = Receiver() if settings is None else Receiver.of(settings)
+    followed = receiver.followed(t, places, 0.0 if settings is None else LATE)
+    flown, each = followed.any(axis=0), np.arange(len(names))
+    if not np.all(flown):
+        never = np.flatnonzero(~flown)
+        highest = float(np.max(-places[:, never, 2] - receiver.lowered(places)[never]))
+        yield error(
+            "climb",
+            and_more(names[never[0]], len(never)),
+            f"mavsdk_drone_show flies none of its rows: it climbs until a row is at "
+            f"{receiver.climb_altitude:g} m and {receiver.climb_time:g} s have passed, and they go "
+            f"up to {highest:.4g} m; set {NAMES['climb_altitude']} below them and "
+            f"{NAMES['climb_time']} to 0",
+        )
+    first = np.argmax(followed, axis=0)
+    last = len(t) - 1 - np.argmax(followed[::-1], axis=0)
+    rows = np.arange(len(t))[:, None]
+    lower = f"{NAMES['climb_altitude']} and {NAMES['climb_time']} lower"
+    land = f"{NAMES['ground_altitude']} below {receiver.ground_altitude:g}"
+    for rule, lost, met, end, remedy in (
+        ("climb", rows < first, first, "before", f"let it wait until then, or set {lower}"),
+        ("landing", rows > last, last, "after", f"end higher, or set {land}"),
+    ):
+        across = np.linalg.norm((places - places[met, each])[..., :2], axis=-1)
+        moved = np.max(np.where(lost, across, 0.0), axis=0) * flown
+        if np.any(moved > REMAINING):
+            drone = int(np.argmax(moved))
+            yield warning(
+                rule,
+                and_more(names[drone], np.count_nonzero(moved > REMAINING)),
+                f"mavsdk_drone_show replaces its rows {end} t = {t[met[drone]]:.4g} s by a "
+                f"{rule}, and they move it by {moved[drone]:.3g} m across; {remedy}",
+            )
+    # Without settings the mode is unknown; every mode but one counts from the first row.
+    counting = Receiver(shared_origin=False) if settings is None else receiver
+    low = counting.lowered(places)
+    if np.any(np.abs(low) > REMAINING):
+        drone = int(np.argmax(np.abs(low)))
+        yield warning(
+            "launch",
+            and_more(names[drone], np.count_nonzero(np.abs(low) > REMAINING)),
+            f"its first row is at {low[drone]:.3g} m: unless {NAMES['shared_origin']} is on, "
+            "altitudes are counted from there, and it flies so much lower; begin on the ground",
+        )
+    if settings is not None and receiver != Receiver():
+        words = ", ".join(f"{name} = {value}" for name, value in receiver.settings().items())
+        yield note("settings", "", f"flown as they stand only with {words} in src/params.py")

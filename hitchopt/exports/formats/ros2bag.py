@@ -10,42 +10,60 @@ Feed-forward: accelerations of the trajectory are the drone's own, ``a``. Those 
 are ``a_ff = a - F / m`` with the cable's force F on the drone, since the controllers that take them
 (Mellinger's among them) add gravity and know no cable: the thrust is ``m (a_ff + g ẑ)``. Attitudes
 are those of the thrust. Angular velocities of the trajectory are about the frame's axes, those of
-the full states about the body's.
+the full states about the body's. Bags are made and read with rosbags, without ROS.
 """
 
 from __future__ import annotations
 
+import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hitchopt.errors import FileError
 from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
-from hitchopt.exports.formats.attitude_in_frame import angular_velocities, attitudes_of
-from hitchopt.exports.formats.file_reading import needed
-from hitchopt.exports.formats.format import Candidate, Format, Task
-from hitchopt.exports.formats.ros2_messages import FRAMES, Messages, bag_recording
-from hitchopt.exports.recording import Recording
+from hitchopt.exports.formats.file_reading import needed, reading
+from hitchopt.exports.formats.format import Candidate, DroneFacts, Format, Loaded, Task
+from hitchopt.exports.recording import Recording, recording_of_samples
 from hitchopt.motion.states import iterate_states, sample_times
-from hitchopt.storage.atomic import Writer
+from hitchopt.storage.files import Writer
+from hitchopt.values import Array
 
 STEM = "setpoints"
 
 METADATA = "metadata.yaml"
 
-BLOCK = 20_000
-"""Setpoints that are held at once."""
+BLOCK = 20_000  # Setpoints that are held at once
+
+FULL_STATE = "crazyflie_interfaces/msg/FullState"
+TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+POINT = "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"
+PATH = "nav_msgs/msg/Path"
+
+FULL_STATE_TEXT = """std_msgs/Header header
+geometry_msgs/Pose pose
+geometry_msgs/Twist twist
+geometry_msgs/Vector3 acc
+"""
+"""Definition of crazyflie_interfaces' message, which no ROS distribution brings along."""
+
+FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}
+"""Frames by the names in messages' headers: REP 105 has ``map``, east-north-up by REP 103."""
 
 FRAME_IDS = {frame: name for name, frame in FRAMES.items() if frame != "ned"}
-"""Names of fixed frames: REP 105 has ``map``, which is east-north-up by REP 103."""
+"""Names of fixed frames."""
 
 
 class Ros2Bag(Format):
     """A bag to play."""
 
     name = "ros2bag"
+    file = STEM
+    endings = tuple(STORAGES.values())
     frames = tuple(FRAME_IDS)
     rate = 100.0
     accuracy = 1e-3
@@ -54,12 +72,15 @@ class Ros2Bag(Format):
         "and body rates to match; trajectory: the drone's own acceleration"
     )
     carries_pull = True
-    receiver_integral = False
+
+    def files(self, task: Task) -> tuple[str, ...]:
+        """Return the name of the bag's data."""
+        return (f"{STEM}{STORAGES[task.options.storage]}",)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one bag there is."""
         writers: dict[str, Writer] = {
-            f"{STEM}{STORAGES[task.options.storage]}": lambda path: write_bag(path, task),
+            self.files(task)[0]: lambda path: write_bag(path, task),
             METADATA: lambda path: None,  # noqa: ARG005  written with the data
         }
         notes = (
@@ -68,8 +89,14 @@ class Ros2Bag(Format):
         )
         yield Candidate(writers, notes)
 
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what the trajectories of a bag hold, given by its data or its metadata."""
+        path = files[0]
+        recording = bag_recording(path.parent if path.name == METADATA else path)
+        return Loaded(self.name, recording, tuple(map(DroneFacts, recording.names)), streamed=True)
+
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return the curves of the trajectories."""
+        """Return the curves of the trajectories, found by the metadata."""
         return bag_recording(folder)
 
 
@@ -86,34 +113,134 @@ def write_bag(path: Path, task: Task) -> None:
     stage = path.parent / STEM  # the library makes a directory, and calls the data by its name
     version = ROS_DISTROS[task.options.ros_distro]
     with bags.Writer(stage, version=version, storage_plugin=storage) as bag:
-        _write_messages(bag, Messages(FRAME_IDS[task.frame.name]), task)
+        _write_messages(bag, task)
     for name in (path.name, METADATA):
         shutil.move(stage / name, path.parent / name)
     stage.rmdir()
 
 
-def _write_messages(bag: Any, messages: Messages, task: Task) -> None:
+def _write_messages(bag: Any, task: Task) -> None:
+    store, frame = message_types(), FRAME_IDS[task.frame.name]
     times = sample_times(task.motion.duration, task.rate)
-    topics = [
-        messages.connection(bag, f"/{name}/cmd_full_state", messages.FULL_STATE)
-        for name in task.names
-    ]
+
+    def topic(name: str, kind: str) -> Any:
+        return bag.add_connection(f"/{name}", kind, typestore=store)
+
+    def send(connection: Any, t: float, message: Any) -> None:
+        data = store.serialize_cdr(message, message.__msgtype__)
+        bag.write(connection, round(1e9 * t), bytes(data))
+
+    def made(kind: str, *values: Any) -> Any:
+        return store.types[kind if "/msg/" in kind else f"geometry_msgs/msg/{kind}"](*values)
+
+    def stamp(kind: str, t: float) -> Any:
+        return made(f"builtin_interfaces/msg/{kind}", *divmod(round(1e9 * t), 1_000_000_000))
+
+    def header(t: float) -> Any:
+        return made("std_msgs/msg/Header", stamp("Time", t), frame)
+
+    def vector(v: Array) -> Any:
+        return made("Vector3", *v.tolist())
+
+    def twist(v: Array, rates: Array) -> Any:
+        return made("Twist", vector(v), vector(rates))
+
+    def turned(q: Array) -> Any:
+        w, x, y, z = q.tolist()
+        return made("Quaternion", x, y, z, w)
+
+    def pose(place: Array, q: Array) -> Any:
+        return made("Pose", made("Point", *place.tolist()), turned(q))
+
+    topics = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
     blocks = []
     for states in iterate_states(task.motion, times, max(1, BLOCK // len(task.names))):
-        attitudes = attitudes_of(task, states)
-        positions, velocities, forward = task.setpoints(states)
+        attitudes = task.attitudes(states)
+        places, velocities, forward = task.setpoints(states)
         own = task.frame.vectors(states.accelerations)
-        turning = angular_velocities(attitudes)
-        row = (positions, velocities, own, turning, attitudes.quaternions)
-        blocks.append(np.concatenate(row, axis=-1))
-        flown = (positions, attitudes.quaternions, velocities, attitudes.body_rates, forward)
+        q, rates = attitudes.quaternions, attitudes.body_rates
+        once = np.cross(q[..., 1:], rates)  # body rates about the file's axes instead of the body's
+        turning = rates + 2.0 * (q[..., :1] * once + np.cross(q[..., 1:], once))
+        blocks.append(np.concatenate((places, velocities, own, turning, q), axis=-1))
         for s, t in enumerate(states.t.tolist()):
-            for d, topic in enumerate(topics):
-                messages.write(bag, topic, t, messages.full_state(t, *(v[s, d] for v in flown)))
+            for d, each in enumerate(topics):
+                i = (s, d)
+                moved = twist(velocities[i], rates[i])
+                state = (header(t), pose(places[i], q[i]), moved, vector(forward[i]))
+                send(each, t, made(FULL_STATE, *state))
     table = np.concatenate(blocks)  # a trajectory is one message of all samples
+    level = np.array([math.cos(0.5 * task.frame.heading), 0, 0, math.sin(0.5 * task.frame.heading)])
+    still = np.zeros(3)
     for d, name in enumerate(task.names):
-        topic = messages.connection(bag, f"/{name}/trajectory", messages.TRAJECTORY)
-        trajectory = messages.trajectory(name, times, table[:, d])
-        messages.write(bag, topic, 0.0, trajectory)
-        topic = messages.connection(bag, f"/{name}/path", messages.PATH)
-        messages.write(bag, topic, 0.0, messages.path(times, table[:, d, :3], task.frame.heading))
+        points, poses = [], []
+        for t, row in zip(times.tolist(), table[:, d], strict=True):
+            place, velocity, acceleration, turning = np.split(row[:12], 4)
+            moved = made("Transform", vector(place), turned(row[12:]))
+            twists = [twist(velocity, turning)], [twist(acceleration, still)]
+            points.append(made(POINT, [moved], *twists, stamp("Duration", t)))
+            poses.append(made("PoseStamped", header(t), pose(place, level)))
+        trajectory = made(TRAJECTORY, header(0.0), [name], points)
+        send(topic(f"{name}/trajectory", TRAJECTORY), 0.0, trajectory)
+        send(topic(f"{name}/path", PATH), 0.0, made(PATH, header(0.0), poses))
+
+
+@lru_cache
+def message_types() -> Any:
+    """Return the types of ROS 2, and FullState; raise UnsupportedError without rosbags."""
+    typesys = needed("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    store.register(typesys.get_types_from_msg(FULL_STATE_TEXT, FULL_STATE))
+    return store
+
+
+def bag_recording(path: Path) -> Recording:
+    """Return the curves of all MultiDOFJointTrajectory messages of a bag, a folder or a file.
+
+    Raises
+    ------
+    UnsupportedError: rosbags is not installed.
+    FileError: no bag, a damaged one, or one without such messages.
+    """
+    highlevel, store = needed("rosbags.highlevel"), message_types()
+    found: dict[str, Array] = {}
+    frame = ""
+    # The library raises many exceptions of its own, without a common root.
+    with (
+        reading(path, "bag", Exception),
+        highlevel.AnyReader([path], default_typestore=store) as bag,
+    ):
+        kinds = sorted({connection.msgtype for connection in bag.connections})
+        wanted = [c for c in bag.connections if c.msgtype == TRAJECTORY]
+        if not wanted:  # of no connection the library gives all messages
+            raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
+        for connection, _, data in bag.messages(wanted):
+            message = bag.deserialize(data, connection.msgtype)
+            frame = FRAMES.get(message.header.frame_id, "")
+            for i, name in enumerate(message.joint_names):
+                if name in found:
+                    raise FileError(f"holds two trajectories of {name!r}")
+                found[name] = _table(message, i)
+    if not found:
+        raise FileError(f"{path}: its trajectories name no joint")
+    names, tables = tuple(found), list(found.values())
+    if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
+        raise FileError(f"{path}: its trajectories have different times")
+    values = np.stack(tables, axis=1)
+    smooth = 2 if np.all(np.isfinite(values)) else 0
+    return recording_of_samples(names, values[:, 0, 0], values[..., 1:], frame, smooth)
+
+
+def _table(message: Any, joint: int) -> Array:
+    """Return t, position, velocity, acceleration of one joint, (S, 10); nan where not given."""
+    rows = []
+    for point in message.points:
+        at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+        place = point.transforms[joint].translation
+        row = [at, place.x, place.y, place.z]
+        for given in (point.velocities, point.accelerations):
+            linear = given[joint].linear if len(given) > joint else None
+            row += [math.nan] * 3 if linear is None else [linear.x, linear.y, linear.z]
+        rows.append(row)
+    if len(rows) < 2:
+        raise FileError("a trajectory has fewer than two points")
+    return np.array(rows, dtype=np.float64)

@@ -6,7 +6,13 @@ Skybrush's server stores whole milliseconds and whole millimetres (multiples of 
 32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, and what is read
 back and certified are the curves that the server stores.
 
-Drones without cables have coordinated returns as well (``skybrush_returns``).
+**Coordinated returns** of drones without cables are every drone's ``settings.rthPlan``:
+``{"version": 1, "landingSpeed", "entries": [{"time", "action", "target", "duration", "preDelay",
+"postDelay"}]}``: all times are whole seconds, those of the entries are the same for all drones. A
+command at t takes the first entry from t on: the show goes on until its time, then the drone waits,
+flies level to its target on a line (``goToKeepAlt``) or nowhere (``land``), waits and goes down.
+After the last entry drones land where they are. Velocity jumps where lines meet, so what is
+certified are distances, places and speeds. The server without its extension drops all of it.
 
 Feed-forward: the autopilots behind Skybrush track positions (and velocities) with controllers of
 their own; the format has no place for accelerations, so the cable's pull is not in it.
@@ -15,33 +21,55 @@ their own; the format has no place for accelerations, so the cable's pull is not
 from __future__ import annotations
 
 import json
+import math
+import posixpath
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
+from math import ceil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
+from hitchopt.checks.certificate import Check
+from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.formats.compressed import keeping_of
-from hitchopt.exports.formats.format import Candidate, Format, Task
-from hitchopt.exports.formats.skybrush_returns import certify_returns, return_plans
-from hitchopt.exports.formats.skybrush_show import MILLI, read_show, storage_scale, stored
-from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.refit.piece_fitting import Kind, Scale, breaks_within, fitted
-from hitchopt.exports.refit.point_rounding import rounded, settled
-from hitchopt.exports.returns import Return, landing_speed, planned_returns, stated
-from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.exports.formats.file_reading import opened_zip, read_members
+from hitchopt.exports.formats.format import (
+    Candidate,
+    DroneFacts,
+    Finding,
+    Format,
+    Loaded,
+    Task,
+    error,
+    is_place,
+    warning,
+)
+from hitchopt.exports.recording import Recording, check_times, recording_of_curves
+from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded, settled
+from hitchopt.exports.worst_values import LINES, OWN_LIMITS, written_checks
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.storage.files import parsed_json
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.splitting import merged_breaks
+from hitchopt.values import Array, Indices
 
-FILE = "show.skyc"
+MILLI = 1e-3  # Unit of what Skybrush's server stores, [m] and [s]
+REACH = 32768  # Numbers on either side of zero that 16 bits with a sign hold
+MAX_DRONES = 20_000  # Size limit of a show that is read
+DEGREE = 3  # Degree of the pieces
 
-KIND = Kind(degree=3, match=2, quantum=MILLI, longest=1.0, shortest=0.1)
+KIND = Kind(degree=DEGREE, match=2, quantum=MILLI, longest=1.0, shortest=0.1)
 """Cubic pieces: from 1.001 s on the server's arithmetic loses a millisecond of some durations; a
 millimetre of a control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 
-SMOOTH = 1
-"""Acceleration jumps after rounding; so does velocity, by as much as the note says."""
+SMOOTH = 1  # Acceleration jumps after rounding; so does velocity, by as much as the note says
 
 SCALE = Scale(position=1e-3, velocity=3e-2, acceleration=0.5)
 """Errors of the refit that weigh alike."""
@@ -58,23 +86,34 @@ NUDGE = 1e-6
 and in binary most of them lie just below."""
 
 
+LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or after a level flight
+SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
+LANDING = 0.5  # [m/s] Usual speed of a descent
+SPARE = 1.01  # Separation of a return that is planned: rounding to millimetres takes some of it
+MOST = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
+
+
 class SkybrushShow(Format):
     """Cubic curves in one show."""
 
     name = "skybrush"
+    file = "show.skyc"
+    endings = (".skyc",)
     frames = ("nwu",)
-    rate = 0.0
     accuracy = 2e-3
     feed_forward = (
         "not in this file: the autopilots track positions with controllers of their own, and the "
         "format has no accelerations"
     )
-    carries_pull = False
-    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give refits, each with more points than the one before."""
-        returns = None if task.motion.team.has_cables else planned_returns(task.motion)
+        plans: Sequence[Any] = [None] * len(task.names)
+        returning: tuple[str, ...] = ()
+        if not task.motion.team.has_cables:
+            returns = planned_returns(task.motion)
+            plans = return_plans(returns, landing_speed(task.motion), task.frame, task.motion)
+            returning = (stated(returns),)
         for bound in BOUNDS:
             breaks = breaks_within(task.motion.drones, KIND, bound, scale=SCALE)
             if breaks is None:
@@ -90,23 +129,56 @@ class SkybrushShow(Format):
                     f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
                     f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments "
                     "join",
-                    *(() if returns is None else (stated(returns),)),
+                    *returning,
                 )
-                shown = partial(write_show, task=task, breaks=breaks)
-                write = partial(shown, points=whole.coefficients, returns=returns)
-                yield Candidate({FILE: write}, notes)
+                write = partial(write_show, task=task, curves=whole, plans=plans)
+                yield Candidate({self.file: write}, notes)
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what a ``.skyc`` holds."""
+        show = read_show(files[0])
+        own, findings = _limits(show.validation)
+        for name, curve in show.curves.items():
+            if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
+                words = f"a piece lasts {shortest:.2g} s, which Skybrush rounds to none"
+                findings.append(error("duration", name, f"{words}; leave its point out"))
+        places = {name: home for name, home in show.homes.items() if is_place(home, {2, 3})}
+        findings += [
+            warning("start", name, "has no home of two or three numbers")
+            for name in show.curves
+            if name not in places
+        ]
+        return Loaded(
+            self.name,
+            recording_of_curves(tuple(show.curves), tuple(show.curves.values()), "nwu", SMOOTH),
+            tuple(DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in show.curves.items()),
+            tuple(findings),
+            places=places,
+            place_key="home",
+            own=own,
+        )
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the show as Skybrush's server stores them."""
-        drones = read_show(folder / FILE).curves
-        curves = [stored(curve) for curve in drones.values()]
-        return recording_of_curves(tuple(drones), curves, "nwu", SMOOTH)
+        drones = read_show(folder / self.file).curves
+        return recording_of_curves(tuple(drones), [*map(stored, drones.values())], "nwu", SMOOTH)
 
     def certify(self, folder: Path, task: Task) -> None:
         """Certify the coordinated returns of drones without cables."""
         if not task.motion.team.has_cables:
-            path = folder / FILE
-            certify_returns(str(path), read_show(path), task)
+            certify_returns(folder / self.file, read_show(folder / self.file), task)
+
+
+def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
+    """Return the limits in a show's ``settings.validation``, and the findings on the others."""
+    given = {key: validation[key] for key in OWN_LIMITS if validation.get(key) is not None}
+    own = {
+        key: value
+        for key, value in given.items()
+        if isinstance(value, float) and math.isfinite(value) and value > 0.0
+    }
+    fault = "settings.validation.{} is no positive number, so it is not checked; correct it"
+    return own, [warning("settings", "", fault.format(key)) for key in given if key not in own]
 
 
 def _roundings(curves: PiecewisePolynomial, quantum: float) -> list[PiecewisePolynomial]:
@@ -125,30 +197,20 @@ def _jump(curves: PiecewisePolynomial) -> float:
     return float(np.max(np.linalg.norm(left[1:] - right[:-1], axis=-1), initial=0.0))
 
 
-def write_show(
-    path: Path, task: Task, breaks: Array, points: Array, returns: Sequence[Return] | None = None
-) -> None:
-    """Write the show.
+def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Sequence[Any]) -> None:
+    """Write the show of cubic curves (D, 3), north-west-up, of whole millimetres.
 
-    Parameters
-    ----------
-    path: name of the zip.
-    task: the plan, for title, names and limits.
-    breaks: (pieces + 1,) [s]
-    points: (pieces, D, 3, 4) Bézier control points [m], north-west-up, of whole millimetres.
-    returns: coordinated returns of drones without cables; None for no plan of returns at all.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
+    ``plans`` has ``rthPlan`` of every drone, or None; the plan's limits are for Skybrush's checks.
+    Raises OSError if it cannot be written.
     """
-    times = [round(t, 3) for t in breaks.tolist()]
+    requirements = task.motion.requirements
+    speed = requirements.limits.speed
+    validation = {"minDistance": 2.0 * requirements.separation.radius}
+    validation |= {"maxVelocityXY": speed, "maxVelocityZ": speed}
+    times = [round(t, 3) for t in curves.breaks.tolist()]
+    points = curves.coefficients
     points = np.round(points + np.copysign(NUDGE, points) * (points != 0.0), 6) + 0.0
     drones = []
-    landing, count = landing_speed(task.motion), len(task.names)
-    plans: list[Any] = [None] * count
-    if returns is not None:
-        plans = return_plans(returns, landing, task.frame, task.motion)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, here, plan in zip(task.names, np.moveaxis(points, 1, 0), plans, strict=True):
             first, last = here[0, :, 0].tolist(), here[-1, :, 3].tolist()
@@ -164,22 +226,296 @@ def write_show(
             settings |= {} if plan is None else {"rthPlan": plan}
             trajectory = {"trajectory": {"$ref": f"./{file}#"}}
             drones.append({"type": "generic", "settings": {**settings, **trajectory}})
-        archive.writestr("show.json", json.dumps(_show(task, drones), allow_nan=False))
+        show = {
+            "version": 1,
+            "environment": {"type": "indoor"},
+            "settings": {"validation": validation},
+            "meta": {"title": task.title, **task.frame.to_dict()},
+            "swarm": {"drones": drones},
+        }
+        archive.writestr("show.json", json.dumps(show, allow_nan=False))
 
 
-def _show(task: Task, drones: list[Any]) -> dict[str, Any]:
-    """Return the description of the show, with the plan's limits for Skybrush's own checks."""
-    requirements = task.motion.requirements
-    speed = requirements.limits.speed
-    validation = {
-        "minDistance": 2.0 * requirements.separation.radius,
-        "maxVelocityXY": speed,
-        "maxVelocityZ": speed,
-    }
-    return {
-        "version": 1,
-        "environment": {"type": "indoor"},
-        "settings": {"validation": validation},
-        "meta": {"title": task.title, **task.frame.to_dict()},
-        "swarm": {"drones": drones},
-    }
+@dataclass(frozen=True, eq=False)
+class Show:
+    """What a show holds, as far as it is read: by drone, and unchecked but for the curves."""
+
+    curves: dict[str, PiecewisePolynomial]  # positions (3,) [m] over the show's time
+    homes: dict[str, Any]  # None where nothing stands
+    validation: Mapping[str, Any]  # the limits that the show sets itself
+    returns: dict[str, Any]  # rthPlan; None where nothing stands
+
+
+def read_show(path: Path) -> Show:
+    """Return the show; each file in the zip is read once, however many drones refer to it.
+
+    Raises
+    ------
+    FileError: no zip, no show, a trajectory that is damaged, or more than anyone flies.
+    """
+    with opened_zip(path, "Skybrush show") as archive:
+        (content,) = read_members(path, archive, [archive.getinfo("show.json")])
+        show = parsed_json(content)
+        drones = show["swarm"]["drones"]
+        if not isinstance(drones, list) or not 0 < len(drones) <= MAX_DRONES:
+            raise FileError(f"{path}: show.json names no drones, or more than {MAX_DRONES}")
+        settings: dict[str, Any] = {}
+        for number, drone in enumerate(drones):
+            name = str(drone["settings"].get("name", number + 1))
+            if name in settings:
+                raise FileError(f"{path}: two drones are called {name!r}")
+            settings[name] = drone["settings"]
+        files = {name: _file(each["trajectory"]) for name, each in settings.items()}
+        members = {file: archive.getinfo(file) for file in files.values() if file}
+        first = {file: name for name, file in reversed(files.items())}
+        contents = read_members(path, archive, list(members.values()))
+        shared = {
+            file: _curve(f"{path}: {first[file]}", parsed_json(content))
+            for file, content in zip(members, contents, strict=True)
+        }
+        curves = {
+            name: shared[file] if file else _curve(f"{path}: {name}", settings[name]["trajectory"])
+            for name, file in files.items()
+        }
+        own = show.get("settings")
+    homes, returns = (
+        {name: each.get(key) for name, each in settings.items()} for key in ("home", "rthPlan")
+    )
+    validation = own.get("validation") if isinstance(own, dict) else None
+    return Show(curves, homes, validation if isinstance(validation, dict) else {}, returns)
+
+
+def _file(trajectory: Any) -> str | None:
+    """Return the zip's file that a trajectory is in; None where it stands in the show itself."""
+    reference = trajectory.get("$ref") if isinstance(trajectory, dict) else None
+    if not isinstance(reference, str):
+        return None
+    return posixpath.normpath(reference.partition("#")[0])
+
+
+def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
+    """Return the cubics (3,) [m] of a trajectory, at its first place until it takes off."""
+    points = trajectory["points"]
+    start = float(trajectory.get("takeoffTime", 0.0))
+    if not isinstance(points, list) or len(points) < 2:
+        count = len(points) if isinstance(points, list) else 0
+        raise FileError(f"{source}: its trajectory has {count} points; two are the least")
+    times = start + np.array([point[0] for point in points], dtype=np.float64)
+    check_times(times, source)
+    pieces = []
+    for before, point in pairwise(points):
+        controls = np.array([before[1], *(point[2:] and point[2]), point[1]], dtype=np.float64)
+        if controls.ndim != 2 or controls.shape[1] != 3:
+            raise FileError(f"{source}: its points are not [t, [x, y, z], [[x, y, z], …]]")
+        if len(controls) > DEGREE + 1:
+            inner = len(controls) - 2
+            raise FileError(f"{source}: {inner} control points; cubic is the most there is")
+        pieces.append(bernstein.elevate(controls.T, DEGREE))
+    if times[0] > 0.0:  # it waits for its turn to take off
+        times = np.concatenate([[0.0], times])
+        pieces.insert(0, np.repeat(pieces[0][:, :1], DEGREE + 1, axis=1))
+    return PiecewisePolynomial(times, np.array(pieces))
+
+
+def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
+    """Return the least multiple of millimetres that all drones (…, 3) can be stored in.
+
+    Every drone's curve is stored in multiples of its own, by how far its points reach; rounding may
+    move them farther by ``beyond`` [m].
+    """
+    reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1)) + beyond
+    scales = (np.ceil(reach / MILLI).astype(np.int64) + REACH) // REACH
+    return int(np.lcm.reduce(np.atleast_1d(scales)))
+
+
+def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the curve (3,) of one drone as the server stores it: digits beyond are cut off."""
+    scale = storage_scale(curve)
+    points = np.trunc(curve.coefficients * (1000.0 / scale)) * (scale * MILLI)
+    lasting = np.floor(np.round(curve.durations, 3) * 1000.0) * MILLI
+    first = float(np.round(curve.breaks[0], 3))
+    return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
+
+
+@dataclass(frozen=True, eq=False)
+class Return:
+    """A return of D drones."""
+
+    time: float  # of the plan, at which it begins [s]
+    targets: Array  # (D, 2) [m], level, where the drones go down
+    duration: float  # of the lines [s]; 0 where all go down at once
+    before: Array  # (D,) [s], for which drones wait before their lines
+    after: Array  # (D,) [s], and after them
+
+    def curves(self, start: Array, floor: float, landing: float) -> PiecewisePolynomial:
+        """Return what drones at ``start`` (D, 3) fly, from t = 0 to rest on the ground, (D, 3) [m].
+
+        ``floor`` is the height of the ground [m], ``landing`` the speed of the descent [m/s].
+        """
+        there = np.column_stack([self.targets, start[:, 2]])
+        down = np.column_stack([self.targets, np.full(len(start), floor)])
+        falling = np.maximum(start[:, 2] - floor, 0.0) / landing
+        begins, ends = self.before, self.before + self.duration
+        lowers = ends + self.after
+        lands = lowers + falling
+        breaks = merged_breaks([np.array([0.0, 1e-2, float(np.max(lands)) + 1e-2])])
+        inner = np.unique(np.round(np.concatenate([begins, ends, lowers, lands]), 9))
+        breaks = merged_breaks([breaks, inner[(inner > 0.0) & (inner < breaks[-1])]])
+
+        def share(first: Array, last: Array) -> Array:
+            spans = np.maximum(last - first, 1e-12)
+            found: Array = np.clip((breaks[:, None] - first) / spans, 0.0, 1.0)
+            return found[..., None]
+
+        level, low = share(begins, ends), share(lowers, lands)
+        places = start + level * (there - start) + low * (down - there)
+        return PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
+
+
+def return_checks(motion: Motion, flown: Return, start: Array, landing: float) -> list[Check]:
+    """Return the checks of a return whose drones begin at ``start`` (D, 3) [m]."""
+    requirements = motion.requirements.untimed
+    curves = flown.curves(start, requirements.floor, landing)
+    phase = Phase("return", 0, 0.0, curves.duration)
+    whole = Motion.single(motion.team, requirements, curves, [phase])
+    return [check for check in written_checks(whole, LINES) if check is not None]
+
+
+def landing_speed(motion: Motion) -> float:
+    """Return the speed of descents [m/s]."""
+    return min(LANDING, SHARE * motion.requirements.limits.speed)
+
+
+def planned_returns(motion: Motion) -> tuple[Return, ...]:
+    """Return the returns of a plan, at times of whole seconds, the last one after its end.
+
+    Times from which none was found are left out: a command then waits for the next one.
+    """
+    every = max(1, ceil(motion.duration / MOST))
+    times = range(0, ceil(motion.duration) + every, every)
+    found = (_planned_return(motion, float(time)) for time in times)
+    return tuple(each for each in found if each is not None)
+
+
+def _planned_return(motion: Motion, time: float) -> Return | None:
+    """Return the first return from a time [s] that keeps all limits; None if none was found."""
+    start = motion.drones.at(min(time, motion.duration))
+    landing = landing_speed(motion)
+    for tried in _tries(motion, time, start, landing):
+        checks = return_checks(motion, tried, start, landing)
+        spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
+        if spare and all(check.holds for check in checks):
+            return tried
+    return None
+
+
+def _tries(motion: Motion, time: float, start: Array, landing: float) -> Iterator[Return]:
+    """Yield returns: down at once, then to places of the plan, at once or the lower ones first."""
+    level, zero = start[:, :2], np.zeros(len(start))
+    yield Return(time, level, 0.0, zero, zero)
+    ends = motion.drones.coefficients[-1, ..., -1]
+    first = motion.drones.coefficients[0, ..., 0]
+    speed = SHARE * motion.requirements.limits.speed
+    fall = ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / landing) + 1.0
+    # Drones of one height go down together, the lowest first.
+    turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1).astype(float)
+    places = (ends[:, :2], first[:, :2])
+    for goal in (*(place[assigned(level, place)] for place in places), *places, level):
+        far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
+        duration = float(max(1, ceil(far / speed)))
+        yield Return(time, goal, duration, zero, zero)
+        yield Return(time, goal, duration, zero, fall * turn)
+        yield Return(time, goal, duration, (fall + duration) * turn, zero)
+
+
+def assigned(level: Array, goal: Array) -> Indices:
+    """Return (D,) which place each drone flies to such that the squares of distances are least.
+
+    Lines of one clock then do not cross at one time.
+    """
+    apart = np.sum((level[:, None] - goal) ** 2, axis=-1)
+    rows, columns = linear_sum_assignment(apart)
+    order: Indices = columns[np.argsort(rows)]
+    return order
+
+
+def stated(returns: Sequence[Return]) -> str:
+    """Return the times of returns in words."""
+    if not returns:
+        return "no coordinated return was found; drones would land where they are"
+    times = ", ".join(f"{each.time:g}" for each in returns)
+    return (
+        f"rthPlan: coordinated returns from t = {times} s; drones are taken to stop at once there"
+    )
+
+
+def return_plans(
+    returns: Sequence[Return], landing: float, frame: ReferenceFrame, motion: Motion
+) -> list[dict[str, Any]]:
+    """Return ``rthPlan`` of each drone, in the show's frame."""
+    plans: list[list[dict[str, Any]]] = [[] for _ in motion.team.drone_names]
+    for each in returns:
+        heights = motion.drones.at(min(each.time, motion.duration))[:, 2:]
+        places = frame.points(np.hstack([each.targets, heights]))
+        points = np.round(np.rint(places / MILLI) * MILLI, 3) + 0.0
+        for entries, point, before, after in zip(
+            plans, points.tolist(), each.before.tolist(), each.after.tolist(), strict=True
+        ):
+            entries.append(
+                {
+                    "time": int(each.time),
+                    "action": LEVEL if each.duration > 0.0 else LAND,
+                    "target": point,
+                    "duration": int(each.duration),
+                    "preDelay": int(before),
+                    "postDelay": int(after),
+                }
+            )
+    return [{"version": 1, "landingSpeed": landing, "entries": entries} for entries in plans]
+
+
+def certify_returns(path: Path, show: Show, task: Task) -> None:
+    """Certify a show's returns, each flown from its time on, as the server stores the show.
+
+    Raises
+    ------
+    FileError: drones without returns, entries that differ in times, or that are no returns.
+    InfeasibleError: a return breaks a limit.
+    """
+    curves = [stored(show.curves[name]) for name in task.names]
+    try:
+        plans = [show.returns[name] for name in task.names]
+        (landing,) = {float(plan["landingSpeed"]) for plan in plans}
+        returns = [
+            _return(entries, task.frame)
+            for entries in zip(*(plan["entries"] for plan in plans), strict=True)
+        ]
+        times = [each.time for each in returns]
+        if times != sorted(set(times)):
+            raise ValueError("its times do not increase")
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise FileError(f"{path}: rthPlan is damaged: {error}; export anew") from error
+    for each in returns:
+        start = np.array([curve.at(min(each.time, curve.breaks[-1])) for curve in curves])
+        places = task.frame.planned(start)
+        # Drones that do not fly level go down where they are.
+        flown = each if each.duration > 0.0 else replace(each, targets=places[:, :2])
+        checks = return_checks(task.motion, flown, places, landing)
+        if broken := [check for check in checks if not check.holds]:
+            words = "a coordinated return of the show breaks a limit when it is read back"
+            when, remedy = f"in the return from t = {each.time:g} s", "plan with a wider margin"
+            raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
+
+
+def _return(entries: Sequence[Mapping[str, Any]], frame: ReferenceFrame) -> Return:
+    """Return the return that the drones' entries of one time describe, in the plan's axes."""
+    times = {entry["time"] for entry in entries}
+    durations = {entry["duration"] if entry["action"] == LEVEL else 0 for entry in entries}
+    if len(times) != 1 or len(durations) != 1 or any(float(t) % 1.0 for t in times):
+        raise ValueError("entries of one time differ")
+    if any(entry["action"] not in (LAND, LEVEL) for entry in entries):
+        raise ValueError("an action is not known")
+    targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
+    waits = np.array([[entry["preDelay"], entry["postDelay"]] for entry in entries], np.float64)
+    level, duration = frame.planned(targets)[:, :2], float(durations.pop())
+    return Return(float(times.pop()), level, duration, waits[:, 0], waits[:, 1])

@@ -7,53 +7,59 @@ straight lines between them. There is no velocity in it, so no acceleration eith
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterator, Sequence
 from math import ceil
 from pathlib import Path
 
 import numpy as np
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.formats.file_reading import opened_zip, read_members, read_numbers
-from hitchopt.exports.formats.format import Candidate, Format, Task
-from hitchopt.exports.recording import Recording, check_times, recording_of_curves
+from hitchopt.exports.formats.file_reading import opened_zip, read_columns, read_members, read_text
+from hitchopt.exports.formats.format import (
+    Candidate,
+    DroneFacts,
+    Format,
+    Loaded,
+    Task,
+    lines_at_rates,
+)
+from hitchopt.exports.recording import check_times, recording_of_curves
 from hitchopt.trajectory import PiecewisePolynomial
-
-FILE = "show.zip"
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
 
 ROW = "%d,%.6f,%.6f,%.6f,255,255,255"
-
-SMOOTH = 0
-"""Straight lines run through the positions."""
 
 
 class SkybrushCsv(Format):
     """Positions by the clock."""
 
     name = "skybrush_csv"
+    file = "show.zip"
+    endings = (".zip", ".csv")
+    several = (".csv",)  # outside of a zip
     frames = ("nwu",)
     rate = 20.0
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
-    carries_pull = False
-    receiver_integral = False
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the zip at the usual rate, then at higher ones; only at one that was asked for."""
-        yield Candidate({FILE: partial(write_zip, task=task)})
-        for rate in () if task.options.rate is not None else (40.0, 100.0):
-            more = replace(task, rate=rate)
-            note = f"at {rate:g} Hz: lines between fewer samples lose a limit"
-            yield Candidate({FILE: partial(write_zip, task=more)}, (note,))
+        return lines_at_rates(self.file, write_zip, task, (40.0, 100.0))
 
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return the lines through the positions."""
-        curves = read_zip(folder / FILE)
-        return recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
+    def recognises(self, labels: Sequence[str]) -> bool:
+        """Return whether the first column is the time in milliseconds."""
+        return labels[0].startswith("time [msec]")
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what a zip holds, or CSV files of one drone each."""
+        if files[0].suffix.lower() == ".zip":
+            curves = read_zip(files[0])
+        else:
+            curves = {path.stem: lines_of(read_text(path), str(path)) for path in files}
+        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
+        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
+        return Loaded(self.name, recording, tuple(facts))
 
 
 def write_zip(path: Path, task: Task) -> None:
@@ -107,9 +113,10 @@ def lines_of(text: str, source: str) -> PiecewisePolynomial:
     FileError: another header, rows of other lengths, times that repeat or go back.
     """
     header, *lines = text.splitlines() or [""]
-    if header.strip().split(",")[:4] != HEADER.split(",")[:4]:
+    wanted = HEADER.split(",")[:4]
+    if header.strip().split(",")[:4] != wanted:
         raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
-    table = read_numbers(lines, range(4), source, least=2)
+    table = read_columns(lines, HEADER, wanted, HEADER, source, least=2)
     t, points = table[:, 0] * 1e-3, table[None, :, 1:]
     check_times(t, source)
     try:

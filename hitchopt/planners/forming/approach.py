@@ -1,4 +1,4 @@
-"""Approaches to the pre-hitch: up from the ground, then all drones at once, cables hanging.
+"""Approaches to the pre-hitch, cables hanging, and which robot takes which edge.
 
 Two are planned, the simpler one first; the certificate judges them. *Direct*: all drones fly
 at once through the separation planner, the two of a cable tethered. *Gathered*: every robot first
@@ -9,21 +9,23 @@ tangle.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import cKDTree
 
+from hitchopt.geometry import Outline
+from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
+from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.motion.phases import CableState
-from hitchopt.planners.forming.clock import SHARE, accelerations
+from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.straight import STILL, straight
-from hitchopt.planners.forming.tying_stages import Stage
-from hitchopt.planners.forming.wheels import Wheels, turned
+from hitchopt.planners.forming.stages import Stage
+from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
 from hitchopt.planners.separation import SeparationTask, Tether, separate
+from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
 from hitchopt.requirements import Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -151,27 +153,50 @@ class DirectApproach(Approach):
 
 @dataclass(frozen=True, eq=False)
 class GatheredApproach(Approach):
-    """The planner of an approach in which every robot draws its drones together to fly as one."""
+    """The planner of an approach in which every robot draws its drones together to fly as one.
+
+    They are across a circle then, from which they do not depart until the goal.
+    """
+
+    @property
+    def radius(self) -> float:
+        """Radius [m] of the circles."""
+        return DRAWN * self.requirements.separation.radius
 
     @cached_property
-    def pairs(self) -> Wheels:
-        """The robots with their drones gathered."""
-        return Wheels.between(self.start, self.goal, DRAWN * self.requirements.separation.radius)
+    def headings(self) -> tuple[Array, Array]:
+        """(n,) [rad] each: from q to r seen from above, at the start, and turned to the goal's."""
+        offsets = (places[1::2] - places[0::2] for places in (self.start, self.goal))
+        first, last = (np.arctan2(offset[:, 1], offset[:, 0]) for offset in offsets)
+        return first, first + (last - first + math.pi) % (2.0 * math.pi) - math.pi
 
     @cached_property
     def gathered(self) -> Array:
         """(2n, 3) [m]: the drones after gathering, level, so high that cables hang free."""
-        gathered = self.pairs.drones(self.pairs.centres, np.zeros(self.team.robots))
+        gathered = self.across(_middles(self.start), self.headings[0])
         gathered[:, 2] = np.max(self.risen(gathered, self.goal)[:, 2])
         return gathered
+
+    def across(self, centres: Array, headings: Array, size: Array | float = 1.0) -> Array:
+        """Return the drones (…, 2n, 3) [m] across circles about centres (…, n, 3) [m].
+
+        Parameters
+        ----------
+        headings: (…, n) [rad]
+        size: (n,), of the circles over their radius.
+        """
+        level = np.stack([np.cos(headings), np.sin(headings), np.zeros_like(headings)], axis=-1)
+        arms = self.radius * np.asarray(size)[..., None] * level
+        pairs = np.stack([centres - arms, centres + arms], axis=-2)
+        return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
     @property
     def problem(self) -> SeparationTask:
         """The flight of the robots as discs: no one may pass over another's hanging cable."""
         own, height = self.requirements.separation, float(np.max(self.team.cable_length))
-        discs = replace(own, radius=self.pairs.radius + own.radius, height=height)
-        start = self.pairs.centres.copy()
-        goal = _spaced(self.pairs.goals, 2.0 * ROOM * discs.radius)
+        discs = replace(own, radius=self.radius + own.radius, height=height)
+        start = _middles(self.start)
+        goal = _spaced(_middles(self.goal), 2.0 * ROOM * discs.radius)
         start[:, 2] = goal[:, 2] = self.gathered[0, 2]
         places = np.stack([self.risen(self.gathered, self.goal), self.gathered])
         names = tuple(f"cable {k}" for k in range(self.team.robots))
@@ -179,19 +204,48 @@ class GatheredApproach(Approach):
 
     def solve(self) -> list[Stage]:
         """Return the stages: gathering, turning, flying and opening."""
-        task, limits = self.problem, self.requirements.limits
+        task, (_, headings) = self.problem, self.headings
         here = self.risen(self.gathered, self.goal)
-        wheels = replace(self.pairs, centres=task.start)
         opened = self.goal.copy()
         opened[:, 2] = np.maximum(opened[:, 2], task.goal[:1, 2])
+        flight = separate(task).drones
+        pairs = self.across(np.moveaxis(flight.coefficients, -1, 1), headings)
+        carried = PiecewisePolynomial(flight.breaks, np.moveaxis(pairs, 1, -1))
         return [
             *self.needed("take-off", self.start, here, CableState.GROUND),
             self.line("gather", here, self.gathered),
-            Stage("turn", turned(self.team, wheels, limits)),
-            Stage("approach", wheels.carried(separate(task).drones)),
-            self.line("open", wheels.drones(task.goal, wheels.angles), opened),
+            Stage("turn", self._turned(task.start)),
+            Stage("approach", carried),
+            self.line("open", self.across(task.goal, headings), opened),
             *self.needed("descend", opened, self.goal),
         ]
+
+    def _turned(self, centres: Array) -> PiecewisePolynomial:
+        """Return the drones (2n, 3) [m] that turn in place to their headings, all on one clock."""
+        first, last = self.headings
+        largest, start = float(np.max(np.abs(last - first))), self.across(centres, first)
+        if largest < LEAST_TURN:
+            return PiecewisePolynomial.constant([0.0, PAUSE], start)
+        share, limits, size = (last - first) / largest, self.requirements.limits, self.radius
+
+        def curve(angle: Array, order: int) -> Array:
+            headings = first + angle[:, None] * share + 0.5 * math.pi * order
+            return self.across(centres if order == 0 else 0.0 * centres, headings, share**order)
+
+        reserve = float(np.min(accelerations(self.team, limits, start[None])))
+        speed = min(limits.speed / size, math.sqrt(0.5 * reserve / size))
+        clock = fastest_clock(largest, speed, 0.8 * reserve / size, 0.7 * limits.jerk / size)
+        return flown(curve, clock, PIECE, limits, reserve)
+
+
+LEAST_TURN = 1e-6
+"""[rad] Smallest angle that is turned."""
+
+
+def _middles(drones: Array) -> Array:
+    """Return the middles (n, 3) [m] of cables' drones."""
+    middles: Array = 0.5 * (drones[0::2] + drones[1::2])
+    return middles
 
 
 def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -> float:
@@ -209,6 +263,8 @@ def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -
 def _spaced(points: Array, least: float) -> Array:
     """Return points (n, 3) [m] moved from their middle until ``least`` [m] apart from above."""
     flat = points[:, :2]
+    from scipy.spatial import cKDTree
+
     nearest = np.asarray(cKDTree(flat).query(flat, k=[2])[0])
     factor = max(1.0, least / max(float(np.min(nearest)), 1e-9))
     middle = np.mean(flat, axis=0)
@@ -221,3 +277,53 @@ def _lowest(team: Team, drones: Array) -> Array:
     """Return the height of every hanging cable's lowest point (n,) [m]."""
     q, r = drones[0::2], drones[1::2]
     return q[:, 2] + Catenary.between(q, r, team.cable_length).lowest
+
+
+def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
+    """Return the assignment of robots to edges, and of their drones to the edges' ends.
+
+    A cable that leaves less than two legs on an edge does not take it while others do. The
+    costs are squared distances to the edges' ends: straight lines of the least sum do not cross.
+    Quadratic in n in memory, cubic at worst in time (seconds for a thousand robots).
+
+    Parameters
+    ----------
+    team: as the robots are given.
+    drones: (2n, 3) [m], their places.
+    outline: its edges are assigned.
+    leg: shortest leg [m].
+    """
+    from scipy.optimize import linear_sum_assignment
+
+    layout, points = team.layout, outline.vertices
+    first, last = points[layout.starts], points[layout.ends]
+    q, r = drones[0::2, None, :2], drones[1::2, None, :2]
+    straight = np.sum((q - first) ** 2, axis=-1) + np.sum((r - last) ** 2, axis=-1)
+    crossed = np.sum((q - last) ** 2, axis=-1) + np.sum((r - first) ** 2, axis=-1)
+    cost = np.minimum(straight, crossed)
+    short = team.cable_length[:, None] - outline.edge_lengths < 2.0 * leg
+    size = float(np.max(cost))
+    k = np.arange(team.robots)
+    cost = cost + TIE * size * _preference(team.robots)
+    cost = cost + short * (1.0 + size) * len(cost)
+    robots, roles = linear_sum_assignment(cost)
+    order = robots[np.argsort(roles)]
+    shorter = straight[order, k] - crossed[order, k]
+    cables, edges = drones[1::2, :2][order] - drones[0::2, :2][order], last - first
+    turns = cables[:, 0] * edges[:, 1] - cables[:, 1] * edges[:, 0]
+    # Where both are as short, cables turn counter-clockwise.
+    flipped = np.where(np.abs(shorter) > TIE * size, shorter > 0.0, turns < -TIE * size)
+    return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))
+
+
+def _preference(robots: int) -> Array:
+    """Return the costs (robots, edges), up to 2, that decide between assignments that tie.
+
+    Robots prefer edges of their own number. Multiples of the golden ratio, modulo 1, tell apart
+    assignments that would tie again.
+    """
+    k = np.arange(robots)
+    away = np.abs(k[:, None] - k) / robots
+    apart = np.mod(GOLDEN * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
+    preference: Array = away + 0.1 * apart
+    return preference

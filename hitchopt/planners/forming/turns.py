@@ -7,23 +7,26 @@ At clasp k the drones ``q_k`` and ``r_{k-1}`` turn about the middle c of their c
 t along the chord, w normal to it. The axis of turning is the outward normal of the chord, tilted
 upward by an angle τ, so that the upper drone passes inside and the lower one outside: it would fly
 into the loop of its neighbour's hanging cable else, where edges are nearly in line.
+
+Out to the hitch drones fly on straight lines, all on one clock, or one of every cable after the
+other: where legs are long for their edge, the two drones of a cable pass each other on the line,
+and may come too close at the same pace.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from hitchopt.errors import InputError
 from hitchopt.hitch import Team
-from hitchopt.one_line import OneLine
-from hitchopt.planners.forming.clock import accelerations, flown
-from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
 from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, acute, not_negative, positive, whole
+from hitchopt.values import Array, Indices
 
 APART = 1.05
 """Separation [1] of a pair while it turns."""
@@ -148,28 +151,92 @@ def _half_turn(
     )
 
 
-@dataclass(frozen=True)
-class SwapSettings(OneLine):
-    """Settings of pairs of drones that turn about each other.
+STILL = 1e-9
+"""[m] Shortest distance that is flown."""
+
+PAUSE = 0.01
+"""[s] Duration of a flight in which no drone moves."""
+
+PROBES = 9
+"""Number of places at which the drones' reserves are computed."""
+
+CLOSEST_PROBES = 41
+"""Number of places at which distances are measured; the certificate bounds all of the flight."""
+
+CLEAR = 1.01
+"""Smallest separation [1] at these places."""
+
+
+def straight(
+    team: Team, limits: Limits, start: Array, end: Array, least: float = 0.0
+) -> PiecewisePolynomial:
+    """Return the drones (2n, 3) [m] on straight lines, from rest to rest at the same times.
 
     Parameters
     ----------
-    radius: no semi-axis of the ellipses is smaller than this [m].
-    tilt: of the axis of turning, upward from level [rad]; None: chosen.
-    seconds: no half turn is faster than this [s]; None: as fast as the limits allow.
-    sense: 1: every q goes up first; -1: down first; 0: chosen for every vertex.
+    start, end: (2n, 3) [m]
+    least: smallest distance of the farthest drone that the clock is computed for [m].
     """
+    distance = float(np.max(np.linalg.norm(end - start, axis=1)))
+    if distance < STILL:
+        return PiecewisePolynomial.constant([0.0, PAUSE], end)
+    share = np.linspace(0.0, 1.0, PROBES)[:, None, None]
+    reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))
+    clock = fastest_clock(max(distance, least), SHARE * limits.speed, reserve, SHARE * limits.jerk)
+    s = clock.coefficients[:, None, None, :] / clock.coefficients[-1, -1]
+    s = np.clip(s, 0.0, 1.0)  # rounding must not lead through the floor
+    curves = start[..., None] * (1.0 - s) + end[..., None] * s
+    return PiecewisePolynomial(clock.breaks, curves)
 
-    radius: float = 0.15
-    tilt: float | None = None
-    seconds: float | None = None
-    sense: int = 0
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive("radius", self.radius))
-        if self.seconds is not None:
-            object.__setattr__(self, "seconds", positive("seconds", self.seconds))
-        if self.tilt is not None:
-            object.__setattr__(self, "tilt", acute("tilt", not_negative("tilt", self.tilt)))
-        if whole("sense", self.sense, -1) > 1:
-            raise InputError("sense", self.sense, "1, -1 or 0", "leave it out")
+def tightened(
+    team: Team, limits: Limits, separation: Separation, start: Array, end: Array, least: float = 0.0
+) -> list[PiecewisePolynomial]:
+    """Return the flights (2n, 3) [m] out to the hitch: one if drones keep apart on it, else two.
+
+    Parameters
+    ----------
+    start, end: (2n, 3) [m]
+    least: see ``straight``.
+    """
+    return [straight(team, limits, a, b, least) for a, b in pairwise(stops(start, end, separation))]
+
+
+def stops(start: Array, end: Array, separation: Separation) -> list[Array]:
+    """Return the places (2n, 3) [m] where drones rest on their way to the hitch, ends included."""
+    closest = smallest_separation([start, end], separation)
+    if closest < CLEAR:
+        first = _first_movers(start, end, separation)
+        middle = start.copy()
+        middle[first] = end[first]
+        if smallest_separation([start, middle, end], separation) > closest:
+            return [start, middle, end]
+    return [start, end]
+
+
+def _first_movers(start: Array, end: Array, separation: Separation) -> Indices:
+    """Return for every cable the drone that goes first while the other waits, (n,)."""
+    share = np.linspace(0.0, 1.0, CLOSEST_PROBES)[:, None, None]
+    paths = (start + share * (end - start)) * separation.scale
+    waiting, there = start * separation.scale, end * separation.scale
+    apart = []
+    for mover in (0, 1):
+        going, other = paths[:, mover::2], paths[:, 1 - mover :: 2]
+        out = np.linalg.norm(going - waiting[1 - mover :: 2], axis=-1)
+        after = np.linalg.norm(other - there[mover::2], axis=-1)
+        apart.append(np.min(np.minimum(out, after), axis=0))
+    second_is_better = apart[1] > apart[0]
+    movers: Indices = 2 * np.arange(len(second_is_better)) + second_is_better
+    return movers
+
+
+def smallest_separation(places: Sequence[Array], separation: Separation) -> float:
+    """Return the smallest separation of drones at probes on the lines between places (2n, 3)."""
+    from scipy.spatial import cKDTree
+
+    smallest = np.inf
+    for start, end in pairwise(places):
+        for share in np.linspace(0.0, 1.0, CLOSEST_PROBES):
+            there = (start + share * (end - start)) * separation.scale
+            smallest = min(smallest, float(np.min(cKDTree(there).query(there, k=[2])[0])))
+    return smallest

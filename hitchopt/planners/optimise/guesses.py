@@ -8,14 +8,13 @@ turning the whole polygon while its shape changes, where the shapes are alike.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.outline import centroids
-from hitchopt.hitch.convex_qp import QuadraticProgram, solve_qp
+from hitchopt.hitch.leg_program import QuadraticProgram, solve_qp
 from hitchopt.values import Array
 
 SHORTEST_EDGE = 0.3
@@ -25,33 +24,19 @@ OTHER_TURN = 0.75 * math.pi
 """[rad] Smallest turn for which turning in the other direction is a guess as well."""
 
 
-@dataclass(frozen=True, eq=False)
-class Guess:
-    """Polygons on a path.
-
-    Attributes
-    ----------
-    name: of the homotopy.
-    polygons: (J, n, 2) [m], first and last the given ones.
-    """
-
-    name: str
-    polygons: Array
-
-
-def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> list[Guess]:
-    """Return guesses of ``count`` polygons each, the straight one first."""
+def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
+    """Return guesses (count, n, 2) [m] by their names, the straight one first."""
     s = np.linspace(0.0, 1.0, count)
-    found = [Guess("straight", _line(first.vertices, last.vertices, s))]
+    found = {"straight": _line(first.vertices, last.vertices, s)}
     turn = mean_turn(first, last)
     turns = [turn]
     if abs(turn) > OTHER_TURN:
         turns.append(turn - math.copysign(2.0 * math.pi, turn))
     for angle in turns:
-        found.append(Guess(f"turned {math.degrees(angle):.0f}°", _turned(first, last, angle, s)))
+        found[f"turned {math.degrees(angle):.0f}°"] = _turned(first, last, angle, s)
         edges = _edgewise(first, last, angle, s)
         if edges is not None:
-            found.append(Guess(f"edges turned {math.degrees(angle):.0f}°", edges))
+            found[f"edges turned {math.degrees(angle):.0f}°"] = edges
     return found
 
 

@@ -13,12 +13,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import dijkstra
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import GOLDEN, TIE, unit
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.requirements import Prism
-from hitchopt.time_limit import check_time
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 STAND_OFF = 1.25
@@ -96,14 +94,6 @@ def routes_around(task: SeparationTask) -> Routes:
         corners[i] = route
         lengths[i] = np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1))
     return Routes(tuple(corners), lengths)
-
-
-def routes_along(curves: PiecewisePolynomial) -> Routes:
-    """Return the routes that curves of shape (N, 3) [m] follow."""
-    t = np.linspace(curves.breaks[0], curves.breaks[-1], 8 * curves.pieces + 1)
-    points = np.swapaxes(curves.at(t), 0, 1)
-    lengths = np.sum(np.linalg.norm(np.diff(points, axis=1), axis=-1), axis=1)
-    return Routes(tuple(points), lengths)
 
 
 def _route(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 
+from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import tied_order
-from hitchopt.planners.separation.routes import Routes, routes_along, routes_around
+from hitchopt.planners.separation.routes import Routes, routes_around
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.requirements import Arena
-from hitchopt.time_limit import check_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -92,7 +92,7 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
     straight = np.linalg.norm(task.goal - task.start, axis=1)
     bound = np.max(fastest_ramps(straight, limits.speed, acceleration, limits.jerk).duration)
-    routes = routes_along(task.nominal) if task.nominal is not None else routes_around(task)
+    routes = routes_around(task)
     ramps = fastest_ramps(routes.lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(ramps.duration))
     alone = float(ramps.duration[slowest])
@@ -106,10 +106,7 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     breaks = np.concatenate([first[:-1], lasting, 1.0 + cruise + first[1:]])
     grid = Grid(breaks / breaks[-1])
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
-    if task.nominal is not None:
-        curves = task.nominal
-        points = np.swapaxes(curves.at(curves.breaks[0] + s * curves.duration), 0, 1)
-    elif patience > 1.0 and going:
+    if patience > 1.0 and going:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
         np.divide(ramps.rise, ramps.duration, out=rises, where=routes.lengths > 0.0)

@@ -44,8 +44,6 @@ class SeparationTask:
         prisms that drones stay out of by ``separation.radius``; the rest is not used.
     tethers: pairs of drones with a largest distance.
     duration: exact duration [s], or None for the shortest that is found.
-    nominal: of shape (N, 3) [m]: curves from start to goal that the drones stay near to, over any
-        span of time (they are flown over the whole duration); None: straight lines.
     acceleration: (N,) [m/s²]: what each drone can do, where that is less than the limit (thrust,
         tilt), or None.
     names: of the drones, for messages; none given: d0, d1, ….
@@ -61,7 +59,6 @@ class SeparationTask:
     requirements: Requirements
     tethers: tuple[Tether, ...] = ()
     duration: float | None = None
-    nominal: PiecewisePolynomial | None = None
     acceleration: ArrayLike | None = None
     names: tuple[str, ...] = ()
     prisms: tuple[str, ...] = ()
@@ -80,8 +77,6 @@ class SeparationTask:
             raise InputError("goal", len(self.goal), f"{n} points, as start", "one per drone")
         if self.duration is not None:
             object.__setattr__(self, "duration", positive("duration", self.duration))
-        if self.nominal is not None and self.nominal.shape != (n, 3):
-            raise InputError("nominal", self.nominal.shape, f"({n}, 3)", "one curve per drone")
         if self.acceleration is not None:
             array = per_robot("acceleration", self.acceleration, n)
             object.__setattr__(self, "acceleration", array)

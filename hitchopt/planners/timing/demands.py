@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.model.evaluation import drone_jets
-from hitchopt.planners.path.shape_path import Path
+from hitchopt.planners.morph.path import Path
 from hitchopt.requirements import Limits
 from hitchopt.values import Array
 
@@ -22,7 +22,7 @@ FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits that the polynomials' enclosures may use: half of the rest remains to the
 certificate, which bounds them by other means."""
 
-CHUNK = 32_000
+CHUNK = 64_000
 """Number of rays of drones that are cast at a time: temporary arrays fit in a core's cache, and are
 small enough for memory that is used again."""
 
@@ -81,32 +81,19 @@ class Demands:
         -------
         (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
         """
-        many = max(1, CHUNK // self.drones.shape[1])
-        parts = [slice(first, first + many) for first in range(0, len(u), many)]
-        return np.concatenate([self._cast(at, u[at], x[at]) for at in parts])
-
-    def _cast(self, at: slice, u: Array, x: Array) -> Array:
-        """Return ``reach`` at some points, in turn for as many rays of drones as CHUNK allows."""
-        forms, slopes, shut = self._slowness(at)
         linear, quadratic = np.stack([u, x], axis=1), np.stack([u * u, 2.0 * u * x, x * x], axis=1)
-        slowest, drones = np.zeros(u.shape), forms.shape[2]
-        size = max(1, CHUNK // u.shape[1])  # of drones, then of points with all of their drones
-        points = max(1, size // drones)
-        with np.errstate(invalid="ignore"):  # a negative discriminant: that limit ends no ray
-            for first in range(0, len(u), points):
-                span, found = slice(first, first + points), slowest[first : first + points]
-                for drone in range(0, drones, size):
-                    some = slice(drone, drone + size)
-                    squared = forms[0, span, some] @ quadratic[span]
-                    np.maximum(found, np.sqrt(np.max(squared, axis=1)), out=found)
-                    for form, slope in zip(forms[1:], slopes, strict=True):
-                        root = form[span, some] @ quadratic[span]
-                        np.sqrt(root, out=root)
-                        root += slope[span, some] @ linear[span]
-                        np.fmax(found, np.fmax.reduce(root, axis=1), out=found)
-        factor: Array = 1.0 / np.maximum(slowest, 1e-150)
-        factor[shut] = 0.0
-        return factor
+        factors, many = np.empty(u.shape), max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
+        for first in range(0, len(u), many):
+            at = slice(first, first + many)
+            forms, slopes, shut = self._slowness(at)
+            slowest = np.sqrt(np.max(forms[0] @ quadratic[at], axis=1))
+            with np.errstate(invalid="ignore"):  # a negative discriminant: that limit ends no ray
+                for form, slope in zip(forms[1:], slopes, strict=True):
+                    root = np.sqrt(form @ quadratic[at]) + slope @ linear[at]
+                    slowest = np.fmax(slowest, np.fmax.reduce(root, axis=1))
+            factors[at] = 1.0 / np.maximum(slowest, 1e-150)
+            factors[at][np.any(shut, axis=1)] = 0.0
+        return factors
 
     def _slowness(self, at: slice) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Return by what the inverse of a ray's factor is computed, limit by limit, at some points.
@@ -118,7 +105,7 @@ class Demands:
         -------
         (3, J, 2n, 3), forms of (u², 2 u x, x²): the inverse's square for the acceleration, what is
         under the root for thrust and tilt; (2, J, 2n, 2), forms of (u, x): -b / c for these two;
-        (J,), whether rest itself breaks a limit.
+        (J, 2n), whether rest itself breaks a limit.
         """
         q1, q2, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
         squares = np.stack([dot(q1, q1), dot(q1, q2), dot(q2, q2)], axis=-1)
@@ -126,47 +113,37 @@ class Demands:
         upward = np.stack([q1[..., 2], q2[..., 2]], axis=-1)
         lift, upwards = loads[..., 2, None], _products(upward)
         forms = [squares / (self.share * self.limits.acceleration) ** 2]
-        slopes, shut = [], np.zeros(len(q1), dtype=np.bool_)
-        for c, slope2 in self._rest(loads):
-            shut |= np.any(c >= 0.0, axis=1)
+        slopes, shut = [], np.zeros(loads.shape[:-1], dtype=np.bool_)
+        rest, cone = dot(loads, loads), 1.0 + math.tan(self.share * self.limits.tilt) ** 2
+        thrust = rest - (self.share * self.max_thrust) ** 2
+        for c, slope2 in ((thrust, 0.0), (rest - cone * loads[..., 2] ** 2, cone)):
+            shut |= c >= 0.0
             inverse = (self.mass / np.where(c < 0.0, -c, 1.0))[..., None]
             slopes.append(inverse * (along - slope2 * lift * upward))
             form = self.mass[:, None] * inverse * (squares - slope2 * upwards)
             forms.append(form + _products(slopes[-1]))
         return np.stack(forms), np.stack(slopes), shut
 
-    def _rest(self, loads: Array) -> tuple[tuple[Array, float], tuple[Array, float]]:
-        """Return c (J, 2n) of thrust and tilt, and what squares of heights count for in them.
+    def stretches(self) -> Array:
+        """Return how many times slower each drone (2n,) must fly to keep its limits.
 
-        Parameters
-        ----------
-        loads: (J, 2n, 3) [N]
+        The parameter is the flight's time. Below 1 where it could be faster, infinite where not
+        even the forces at rest are within the limits. Slowed by κ, velocities fall with κ,
+        accelerations with κ² and jerks with κ³.
         """
-        squares = dot(loads, loads)
-        slope2 = 1.0 + math.tan(self.share * self.limits.tilt) ** 2
-        most = self.share * self.max_thrust
-        return (squares - most * most, 0.0), (squares - slope2 * loads[..., 2] ** 2, slope2)
-
-    def stretch(self) -> float:
-        """Return how many times slower a flight must be to keep its limits, the parameter its time.
-
-        Below 1 where it could be faster, infinite where not even the forces at rest are within the
-        limits. Slowed by κ, velocities fall with κ, accelerations with κ² and jerks with κ³.
-        """
-        q2 = self.drones[..., 2]
-        squares, along, upward = dot(q2, q2), dot(q2, self.loads), q2[..., 2]
-        slowest = [np.sqrt(squares) / (self.share * self.limits.acceleration)]
-        for c, slope2 in self._rest(self.loads):
-            if np.any(c >= 0.0):
-                return math.inf
-            inverse = self.mass / -c
-            b = inverse * (along - slope2 * self.loads[..., 2] * upward)
-            root = b * b + self.mass * inverse * (squares - slope2 * upward * upward)
-            slowest.append(np.where(root >= 0.0, b + np.sqrt(np.maximum(root, 0.0)), 0.0))
-        by_forces = math.sqrt(max(0.0, *(float(np.max(each)) for each in slowest)))
-        by_speed = 1.0 / np.sqrt(np.min(self.speed_bound))
-        by_jerk = np.cbrt(np.max(length(self.drones[..., 3])) / (self.share * self.limits.jerk))
-        return float(max(by_speed, by_forces, by_jerk))
+        forms, slopes, shut = self._slowness(slice(None))
+        squares, slope = forms[..., 2], slopes[..., 1]  # along the ray of ṡ²
+        forces = np.where(squares[1:] >= 0.0, slope + np.sqrt(np.maximum(squares[1:], 0.0)), 0.0)
+        speeds, jerks = length(self.drones[..., 1]), length(self.drones[..., 3])
+        slower = np.maximum.reduce(
+            [
+                speeds / self.limits.speed / self.share,
+                np.sqrt(np.maximum(np.sqrt(squares[0]), np.max(forces, axis=0))),
+                np.cbrt(jerks / self.limits.jerk / self.share),
+            ]
+        )
+        slowest: Array = np.max(np.where(shut, math.inf, slower), axis=0)
+        return slowest
 
     def at_rest(self) -> tuple[Array, Array]:
         """Return (J, 2n) each: thrust at rest over its limit, tilt at rest over its limit."""

@@ -1,13 +1,19 @@
-"""The fastest flights along straight lines from rest to rest, limited in jerk."""
+"""The fastest motions along a line, limited in jerk, and curves that drones fly on such a clock."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import HitchoptError
+from hitchopt.errors import HitchoptError, InfeasibleError, Violation
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.forces import hanging_forces
+from hitchopt.planners.morph.jets import chained
+from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
@@ -92,3 +98,117 @@ def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomia
     x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
     breaks = np.concatenate([[0.0], np.cumsum(seconds)])
     return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
+
+
+Curve = Callable[[Array, int], Array]
+"""Function of parameters (J,) and the order of a derivative by them; gives (J, drones, 3) [m]."""
+
+SHARE = 0.999
+"""Share of every limit that plans use."""
+
+
+def flown(
+    curve: Curve, clock: PiecewisePolynomial, most: float, limits: Limits, reserve: float
+) -> PiecewisePolynomial:
+    """Return drones on a curve, on a clock that is slowed until they keep their limits.
+
+    Parameters
+    ----------
+    curve: in the clock's unit.
+    clock: cubics from rest to rest.
+    most: largest advance of the clock on one piece.
+    reserve: largest acceleration of any of them [m/s²].
+    """
+    drones = _fitted(curve, clock, most)
+    factors = []
+    for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
+        largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
+        factors.append((float(largest) / (SHARE * limit)) ** (1.0 / order))
+    return drones.stretched(max(factors))
+
+
+def _fitted(curve: Curve, clock: PiecewisePolynomial, most: float) -> PiecewisePolynomial:
+    """Return polynomials that meet position, velocity, acceleration and jerk at every break."""
+    breaks = _times(clock, most)
+    middles = 0.5 * (breaks[1:] + breaks[:-1])
+    rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
+    ends = []
+    for times in (breaks[:-1], breaks[1:]):
+        # Rates of the phase that the piece lies in: jerk jumps between phases.
+        inner = advanced(rates, times - middles)
+        outer = np.stack([curve(inner[:, 0], k) for k in range(4)], axis=-1)
+        ends.append(np.moveaxis(chained(outer, inner[:, None, None, :]), -1, 0))
+    left, right = ends
+    first, last = clock.at(clock.breaks[[0, -1]])
+    left[:3, 0] = _at_rest(curve, first)
+    right[:3, -1] = _at_rest(curve, last)
+    left[:3, 1:] = right[:3, :-1]
+    return PiecewisePolynomial.hermite(breaks, left, right)
+
+
+def _times(clock: PiecewisePolynomial, most: float) -> Array:
+    """Return the clock's breaks and times in between (…,) [s], about ``most`` apart or less."""
+    times = [clock.breaks[:1]]
+    advances = np.diff(clock.at(clock.breaks))
+    for first, last, advance in zip(clock.breaks[:-1], clock.breaks[1:], advances, strict=True):
+        count = max(1, int(np.ceil(advance / most)))
+        times.append(np.linspace(first, last, count + 1)[1:])
+    return np.concatenate(times)
+
+
+def _at_rest(curve: Curve, parameter: float) -> Array:
+    """Return the jets (3, drones, 3) of drones at rest on the curve."""
+    places = curve(np.array([parameter]), 0)[0]
+    return np.stack([places, *np.zeros((2, *places.shape))])
+
+
+def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
+    """Return how much every drone may accelerate in any direction (2n,) [m/s²].
+
+    Parameters
+    ----------
+    drones: (J, 2n, 3) [m], places along the flight.
+
+    Raises
+    ------
+    InfeasibleError: hovering alone takes more thrust or tilt than there is, or a cable with weight
+        is too short for its drones' places.
+    """
+    _check_reach(team, drones)
+    mass = team.mass
+    loads = np.zeros(drones.shape)
+    loads[..., 2] = mass * GRAVITY
+    loads -= hanging_forces(team, drones)
+    size = np.linalg.norm(loads, axis=-1)
+    tilt = np.arctan2(np.hypot(loads[..., 0], loads[..., 1]), loads[..., 2])
+    thrust_left = SHARE * team.max_thrust - size
+    tilt_left = SHARE * limits.tilt - tilt
+    for name, left, used, limit, unit in (
+        ("thrust", thrust_left, size, team.max_thrust, "N"),
+        ("tilt", tilt_left, np.degrees(tilt), np.full(len(mass), math.degrees(limits.tilt)), "deg"),
+    ):
+        j, i = np.unravel_index(int(np.argmin(left)), left.shape)
+        if left[j, i] <= 0.0:
+            where, when = (team.drone_names[i],), "hovering with a hanging cable"
+            remedy = "use lighter cables, or stronger drones that may tilt more"
+            value, most = float(used[j, i]), float(limit[i])
+            raise InfeasibleError([Violation(name, value, most, "max", unit, where, when, remedy)])
+    free = np.minimum(thrust_left, size * np.sin(tilt_left)) / mass
+    reserve: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
+    return reserve
+
+
+def _check_reach(team: Team, drones: Array) -> None:
+    """Raise InfeasibleError where a cable with weight is shorter than its drones are apart.
+
+    Its pull has no bound there, and would hide the reason.
+    """
+    if team.cable_density == 0.0:
+        return
+    spans = np.linalg.norm(drones[:, 1::2] - drones[:, 0::2], axis=-1) / team.cable_length
+    cable = int(np.argmax(np.max(spans, axis=0)))
+    worst = float(np.max(spans))
+    if worst >= 1.0:
+        where, when = (f"cable {cable}",), "between its drones' places"
+        remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
+        raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])

@@ -1,0 +1,125 @@
+"""Live flight: latency of retargets, of corrections by feedback, and of stops.
+
+Usage: python -m benchmarks live [--retargets N] [--stops N] [--robots N ...]
+
+A hitch is steered to random goals at random times while it moves: polygons, single vertices, poses.
+Every answer is timed with its certificate, and every hundredth whole plan is certified anew.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+import hitchopt as ho
+from benchmarks.measuring import PROBLEMS, Table, parser
+
+LIMITATIONS = "one machine, one pass; processor time; goals and times are seeded"
+
+CHAIN = 20
+"""Retargets of one replanner, before a new one begins."""
+
+STOPPED = ("triangle", "move_edge", "hexagon", "tie_carry_untie", "swarms/head_on")
+
+
+def hitch(n: int) -> ho.Hitch:
+    """Return the hitch that is steered."""
+    length, radius = (2.4, 0.75) if n == 3 else (2.0, 0.65 / np.sin(np.pi / n))
+    angles = -2.0 * np.pi * np.arange(n) / n
+    polygon = radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return ho.Hitch.spread(ho.Team(robots=n, cable_length=length), polygon, altitude=1.0)
+
+
+def goal(rng: np.random.Generator, first: ho.Hitch, now: ho.Hitch) -> dict[str, Any]:
+    """Return a random goal: a polygon, a vertex, or a pose."""
+    kind = rng.integers(3)
+    base = first.polygon.vertices - first.polygon.centroid
+    size = float(np.min(np.linalg.norm(base, axis=1)))
+    spread = 0.35 * size if len(base) == 3 else 0.03 * size
+    if kind == 0:
+        moved = rng.uniform(0.85, 1.1) * base + rng.uniform(-spread, spread, base.shape)
+        return {"polygon": moved + now.polygon.centroid + rng.uniform(-0.3, 0.3, 2)}
+    if kind == 1:
+        k = int(rng.integers(len(base)))
+        return {"vertex": k, "to": now.polygon.vertices[k] + rng.uniform(-spread, spread, 2)}
+    place = rng.uniform([-1.0, -1.0, 0.8], [1.0, 1.0, 1.6])
+    return {"to": place, "yaw": float(rng.uniform(-2.0, 2.0))}
+
+
+def retargets(n: int, count: int) -> tuple[object, ...]:
+    """Return the row of a team: latency [ms], answers, and plans broken when certified anew."""
+    rng, first = np.random.default_rng(n), hitch(n)
+    times: list[float] = []
+    accepted = checked = broken = 0
+    for i in range(count):
+        if i % CHAIN == 0:
+            steered, clock = ho.Replanner(first.team, first), 0.0
+        clock += float(rng.uniform(0.2, 1.2))
+        asked, began = goal(rng, first, steered.goal), time.process_time()
+        try:
+            answer = steered.retarget(**asked, at=clock)
+        except ho.HitchoptError:  # a polygon that is not convex
+            continue
+        times.append(1e3 * (time.process_time() - began))
+        accepted += answer.accepted
+        if answer.accepted:
+            clock = max(clock, answer.start)
+            if i % 100 == 0:
+                checked += 1
+                broken += not answer.plan.certificate.certified
+    middle, high = np.quantile(times, [0.5, 0.99]).tolist()
+    return n, len(times), middle, high, accepted, f"{broken} of {checked}"
+
+
+def corrections(n: int, count: int = 3000) -> tuple[object, ...]:
+    """Return the row of a team: time of a step of feedback [ms]."""
+    start = hitch(n)
+    plan = ho.morph(start, start.polygon.vertices * 1.03, duration=10.0)
+    feedback, rng = ho.Feedback(plan), np.random.default_rng(0)
+    vertices = plan.at(np.linspace(0.0, plan.duration, count)).vertices
+    vertices = vertices + rng.normal(0.0, 0.01, vertices.shape)
+    times = []
+    for i, seen in enumerate(vertices):
+        began = time.perf_counter()
+        feedback.step(i * plan.duration / count, plan.duration / count, seen)
+        times.append(1e3 * (time.perf_counter() - began))
+    return n, *np.quantile(times, [0.5, 0.99]).tolist()
+
+
+def stops(stem: str, count: int) -> tuple[object, ...]:
+    """Return the row of a plan that is stopped at random: longest stop, what is certified."""
+    plan = ho.solve(PROBLEMS / f"{stem}.yaml")
+    rng = np.random.default_rng(1)
+    times, longest = [], 0.0
+    for moment in rng.uniform(0.0, plan.duration, count).tolist():
+        player = ho.Player(plan, moment)
+        began = time.process_time()
+        longest = max(longest, player.pause())
+        times.append(1e3 * (time.process_time() - began))
+    return stem, longest, plan.certificate["stoppable"].bound, float(np.median(times))
+
+
+def main() -> None:
+    """Print and write the tables."""
+    options = parser(__doc__)
+    options.add_argument("--retargets", type=int, default=500)
+    options.add_argument("--stops", type=int, default=100)
+    options.add_argument("--robots", type=int, nargs="*", default=[3, 12])
+    given = options.parse_args()
+    table = Table(given.output / "live.md", "Live flight", LIMITATIONS)
+    columns = ("median [ms]", "p99 [ms]", "accepted", "broken when certified anew")
+    table.section("Retargets", "n", "retargets", *columns)
+    for n in given.robots:
+        table.row(*retargets(n, given.retargets))
+    table.section("Corrections", "n", "median [ms]", "p99 [ms]")
+    for n in given.robots:
+        table.row(*corrections(n))
+    table.section("Stops", "plan", "longest [s]", "stoppable [s]", "found in, median [ms]")
+    for stem in STOPPED:
+        table.row(*stops(stem, given.stops))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,138 @@
+"""What all benchmarks share: the environment, times of whole processes, tables."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import platform
+import resource
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import hitchopt as ho
+
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).parents[1]
+PROBLEMS, RESULTS = ROOT / "problems", ROOT / "benchmarks" / "results"
+
+LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp")
+
+DEFAULT_CLEARANCE = ho.Separation().cable
+"""Cable clearance of a problem that gives none [m]."""
+
+CLEARANCE = "cable [mm]"
+"""Heading of a column of cable clearances."""
+
+CLEARANCE_NOTE = (
+    f"{CLEARANCE}: the cable clearance that is kept; * below the default of "
+    f"{1e3 * DEFAULT_CLEARANCE:g} mm"
+)
+
+
+def parser(description: str | None) -> argparse.ArgumentParser:
+    """Return the parser of a benchmark, with the option that names its table's folder."""
+    found = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    found.add_argument("-o", "--output", type=Path, default=RESULTS, help="folder of the table")
+    return found
+
+
+def environment(more: Sequence[str] = ()) -> str:
+    """Return machine, versions and load in one line, with the versions of further libraries."""
+    versions = ", ".join(f"{name} {_version(name)}" for name in (*LIBRARIES, *more))
+    return (
+        f"{platform.machine()}, {os.cpu_count()} cores{_processor()}, {platform.system()}; "
+        f"Python {platform.python_version()}, {versions}; "
+        f"{os.getloadavg()[0]:.1f} processes wanted a core in the minute before"
+    )
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """Return the processor time that a call takes [s]."""
+    began = time.process_time()
+    work()
+    return time.process_time() - began
+
+
+def peak_memory() -> float:
+    """Return the largest memory that this process has had [MB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+
+
+def slope(n: Sequence[float], values: Sequence[float]) -> float:
+    """Return the log-log slope of values over n, by least squares."""
+    return float(np.polyfit(np.log(n), np.log(values), 1)[0])
+
+
+def clearance_text(clearance: float) -> str:
+    """Return a cable clearance [m] in millimetres, with an asterisk below the default."""
+    return f"{1e3 * clearance:.3g}{'*' if clearance < DEFAULT_CLEARANCE else ''}"
+
+
+@dataclass
+class Table:
+    """A table that is printed and written row by row, so that it may be interrupted.
+
+    Parameters
+    ----------
+    path: of the Markdown file; several tables of one file follow each other in ``sections``.
+    title: heading of the file.
+    limitations: what the figures do not say.
+    libraries: whose versions are listed too.
+    """
+
+    path: Path
+    title: str
+    limitations: str
+    libraries: Sequence[str] = ()
+    _lines: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._say(f"# {self.title}, {datetime.date.today()}", "")
+        self._say(f"- {environment(self.libraries)}", f"- limitations: {self.limitations}")
+
+    def section(self, title: str, *columns: str) -> None:
+        """Begin a table with a heading, or without one where the title is empty."""
+        self._say("", *([f"## {title}", ""] if title else []))
+        self._say(f"| {' | '.join(columns)} |", "|---" * len(columns) + "|")
+
+    def row(self, *cells: object) -> None:
+        """Add a row; floats are shown with three digits."""
+        shown = (f"{cell:.3g}" if isinstance(cell, float) else str(cell) for cell in cells)
+        self._say(f"| {' | '.join(shown)} |")
+
+    def note(self, *lines: str) -> None:
+        """Add lines of a list."""
+        self._say("", *(f"- {line}" for line in lines))
+
+    def _say(self, *lines: str) -> None:
+        print("\n".join(lines), flush=True)
+        self._lines += lines
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.path.write_text("\n".join([*self._lines, ""]), encoding="utf-8")
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _processor() -> str:
+    """Return the processor's name in brackets, where the system says it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return ""
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return f" ({names[0]})" if names else ""

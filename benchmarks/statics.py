@@ -1,0 +1,177 @@
+"""Statics against simulated ropes: hitches at rest as ``ho.settle`` predicts them, calibration.
+
+Usage: python -m benchmarks statics [--cases N] [--first S] [--calibrated M]
+
+Random hitches of 3 to 6 robots whose drones hold 1 to 20 N/m and whose ropes weigh 3 to 20 g/m rest
+in the accurate preset without friction, their drones shaken by noise so that ropes do not catch.
+Then teams are estimated from flights whose stiffness and cable lengths are drawn from the seed.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import hitchopt as ho
+from benchmarks.measuring import Array, Table, parser
+from hitchopt.geometry.vectors import unit
+from hitchopt.simulation.control import Disturbances
+from hitchopt.simulation.flight import CONTROL, SETTLE
+from hitchopt.simulation.judgement import Simulation, effective_lengths
+from hitchopt.simulation.ropes import bend_lengths
+from hitchopt.simulation.settings import ACCURATE
+from problems.random_morph import random_convex_polygon
+
+LIMITATIONS = (
+    "simulated ropes of 12 mm in segments of 10 mm, without friction; one flight each; noise of "
+    "1 cm, whose mean statics are told, with the ropes' thickness and effective lengths; "
+    "calibration knows the ropes' weight"
+)
+
+ROPE = ACCURATE.diameter, ACCURATE.segment
+"""Thickness of simulated ropes and length of their segments [m]."""
+
+SHAKEN = {"noise": 0.01, "lag": 0.01}
+REST = 3.0
+"""[s] Over which means are taken."""
+
+
+def random_case(seed: int) -> tuple[ho.Plan, float]:
+    """Return the first random hitch of a seed that can stand, and its drones' stiffness [N/m]."""
+    rng = np.random.default_rng(seed)
+    n = 3 + seed % 4
+    density, stiffness = rng.uniform(0.003, 0.02), float(np.exp(rng.uniform(0.0, np.log(20.0))))
+    while True:
+        polygon = random_convex_polygon(n, 1.3, rng, 0.15)
+        spare, tension = rng.uniform(0.8, 0.95, n), rng.uniform(0.4, 0.6, n)
+        lengths = polygon.edge_lengths + spare
+        team = ho.Team(n, lengths, tension=tension, cable_density=density)
+        try:
+            plan = ho.hold(ho.Hitch.spread(team, polygon, 1.8), 2.0 + REST)
+        except ho.InfeasibleError:
+            continue
+        if plan.certificate.certified:
+            return plan, stiffness
+
+
+def settled(seed: int) -> tuple[object, ...]:
+    """Return the row of a hitch at rest: errors of tensions [%] and of vertices [mm]."""
+    plan, stiffness = random_case(seed)
+    team = plan.motion.team
+    done = ho.simulate(
+        plan, preset="accurate", perturbations=dict(SHAKEN), seed=seed, friction=0.0,
+        stiffness=stiffness, body="point", pull_test=False,
+    )  # fmt: skip
+    record = done.flight.record
+    rows = (record.t > plan.duration - REST) & (record.t <= plan.duration)
+    pulls = np.mean(record.tensions[rows], axis=0)
+    seen = np.nanmean(record.vertices[rows], axis=0)
+    found = ho.settle(
+        plan,
+        plan.duration,
+        cable_length=effective_lengths(done.flight),
+        cable_density=done.flight.density,
+        load=team.load + done.flight.density * 2.0 * bend_lengths(done.flight.task, *ROPE),
+        stiffness=stiffness,
+        offsets=passing(plan) - mean_noise(done),
+    )
+    tension = float(np.max(np.abs(found.tensions / pulls - 1.0)))
+    away = np.linalg.norm(found.vertices[team.layout.clasps] - seen, axis=-1)
+    density = float(np.mean(team.cable_density))
+    errors = (100.0 * tension, 1e3 * float(np.max(away)), 1e3 * float(np.mean(away)))
+    return seed, team.robots, 1e3 * density, stiffness, *errors
+
+
+def passing(plan: ho.Plan) -> Array:
+    """Return (2n, 3) [m] where drones would be if ropes were thin, from where they are.
+
+    A thick rope that bends about another passes the vertex aside, away from its edge, by
+    ``1 - sin(h)/2`` diameters, h half of the angle between leg and edge: its leg points elsewhere.
+    """
+    states, layout = plan.at(plan.duration), plan.motion.team.layout
+    edges = unit(layout.edges(states.vertices))
+    along = np.stack([edges, -edges], axis=1).reshape(-1, 3)
+    legs = unit(states.positions - states.vertices[layout.anchors])
+    cosine = np.sum(legs * along, axis=-1, keepdims=True)
+    half = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))
+    aside: Array = ROPE[0] * (1.0 - 0.5 * np.sin(half)) * unit(along - cosine * legs)
+    return aside
+
+
+def mean_noise(done: Simulation) -> Array:
+    """Return (2n, 3) [m], the mean error of measured places while means were taken."""
+    flight, settings = done.flight, done.settings
+    end, preset = flight.task.duration, settings.preset
+    period = preset.time_step * max(1, round(CONTROL / preset.time_step))
+    spans = ((-SETTLE, SETTLE), (0.0, end))
+    t = np.concatenate([begin + period * np.arange(round(T / period)) for begin, T in spans])
+    robots = flight.task.team.robots
+    noise = Disturbances(settings.perturbations, robots, settings.seed).noise
+    errors = np.array([noise.advance(period) for _ in t])
+    return np.asarray(np.mean(errors[(t > end - REST) & (t <= end)], axis=0))
+
+
+def calibrated(seed: int) -> tuple[object, ...]:
+    """Return the row of a flight's estimates: truth, estimate and stated error."""
+    rng = np.random.default_rng(seed)
+    stiffness = float(np.exp(rng.uniform(np.log(2.0), np.log(15.0))))
+    hitch = {"polygon": ho.regular_polygon(3, 1.3).vertices.tolist(), "altitude": 1.0}
+    stop: dict[str, Any] = {"hold": {"seconds": 8.0}}
+    out, back = (
+        {"move_vertex": {"vertex": 0, "by": [0.0, by], "duration": 8.0}} for by in (0.4, -0.4)
+    )
+    plan = ho.solve(
+        ho.problem_from_dict(
+            {
+                "team": {"robots": 3, "cable_length": 2.4},
+                "start": {"hitch": {**hitch, "legs": "balanced"}},
+                "mission": [stop, out, stop, back, {"hold": {"seconds": 2.0}}],
+            }
+        )
+    )
+    flight = ho.simulate(
+        plan, preset="accurate", perturbations={"cable_error": 0.005}, seed=seed,
+        friction=0.0, stiffness=stiffness, pull_test=False,
+    ).flight  # fmt: skip
+    clean = ho.Recording.of_flight(flight)
+    noisy = replace(
+        clean,
+        drones=clean.drones + 1e-3 * rng.normal(size=clean.drones.shape),
+        vertices=clean.vertices + 1e-3 * rng.normal(size=clean.vertices.shape),
+    )
+    with tempfile.TemporaryDirectory() as place:
+        found = ho.calibrate(noisy, plan.save(Path(place) / "plan"), density=flight.density)
+    lengths = effective_lengths(flight)
+    off = np.array([one.value for one in found.lengths]) - lengths
+    worst, estimate = int(np.argmax(np.abs(off))), found.stiffness[0]
+    length = f"{1e3 * off[worst]:+.1f} ± {1e3 * found.lengths[worst].error:.1f}"
+    return seed, length, stiffness, f"{estimate.value:.2f} ± {estimate.error:.2f}"
+
+
+def main() -> None:
+    """Print and write both tables."""
+    options = parser(__doc__)
+    options.add_argument("--cases", type=int, default=8)
+    options.add_argument("--first", type=int, default=0, help="seed of the first one")
+    options.add_argument("--calibrated", type=int, default=2)
+    given = options.parse_args()
+    table = Table(given.output / "statics.md", "Statics", LIMITATIONS, ("mujoco",))
+    columns = ("tension off by [%]", "vertex off by [mm]", "mean [mm]")
+    table.section("Hitches at rest", "seed", "n", "g/m", "k [N/m]", *columns)
+    seeds = range(given.first, given.first + given.cases)
+    rows = [settled(seed) for seed in seeds]
+    for row in rows:
+        table.row(*row)
+    good = sum(row[4] <= 10.0 and row[5] <= 10.0 for row in rows)  # type: ignore[operator]
+    table.note(f"within 10 % of tension and 1 cm: {good} of {len(rows)}")
+    table.section("Calibration", "seed", "worst length off by [mm]", "k [N/m]", "estimated")
+    for seed in range(given.first, given.first + given.calibrated):
+        table.row(*calibrated(seed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,1 +1,0 @@
-"""Estimates of cable lengths, stiffness and friction from recorded flights."""

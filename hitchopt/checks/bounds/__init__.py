@@ -1,1 +1,0 @@
-"""Bounds for all of continuous time that several checks share."""

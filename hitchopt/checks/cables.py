@@ -1,0 +1,409 @@
+"""Checks of the cables: ``cable_length``, ``span``, ``tension``, and what friction makes of pulls.
+
+While clasped cables are drawn out, none may be torn before the hitch exists. From the second swap
+on neighbours hold each other, so that a cable no longer runs straight between its drones: their
+distance (``span``) says too little. Every cable then has to reach around the plan's vertices, which
+stand for where the clasps may lie: where it does for some places of the clasps, no cable is taut.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.drones import Drones
+from hitchopt.checks.gripping import arc_lengths, wrapped_arcs
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
+from hitchopt.checks.spans import ROUNDING, MotionSpans, magnitude, once, shared
+from hitchopt.checks.tables import bent_edges, leg_vectors, same_degree, without_shared_zeros
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions, tautness
+from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, largest_of
+from hitchopt.trajectory.search import worst
+from hitchopt.values import Array, Indices
+
+Mask = NDArray[np.bool_]
+
+LENGTH_LIMIT = 1e-4
+"""Relative: 0.2 mm of a cable of 2 m, well below what a knot or a strain of 0.5 N takes up."""
+
+EXPORTED = 1e-3
+"""Relative: what files that hold millimetres can keep of a plan's 1e-4."""
+
+TENSION_LIMIT = 1e-4
+"""[N] A quarter of a thousandth of a usual tension, and far below what a drone could tell."""
+
+RATIO_ORDER = 4
+"""Degree in which a weight over a tension is written: both hardly change on spans that matter."""
+
+STILL = 1e-9
+"""[m] What stays within this of one place rests."""
+
+
+@shared
+def sags(motion: Motion) -> dict[str, Array]:
+    """Return every cable's weight to the share that it is taut, and its tension [N].
+
+    Without the factor that both share where they rise from zero: it cancels in their ratio.
+    """
+    team = motion.team
+    weight = GRAVITY * team.cable_density * team.cable_length[:, None] * tautness(motion)
+    return without_shared_zeros({"weight": [weight], "tension": [motion.tensions.coefficients]})
+
+
+class Cables(MotionSpans):
+    """Spans of cables; lengths are over the cable's own."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the cables' names."""
+        return [f"cable {k}" for k in range(motion.team.robots)]
+
+    @cached_property
+    def scale(self) -> Array:
+        """(spans, 1) [1/m] One over the cable's length."""
+        return 1.0 / self.source.team.cable_length[self.item, None]
+
+    def scaled(self, table: Array, item: Indices | None = None, noise: float = 0.0) -> Enclosed:
+        """Return vectors of a table, or scalars, over the cable's length."""
+        c = self.read(table, item)
+        c = c[:, None] if c.ndim == 2 else c
+        return Enclosed(c, noise) * self.scale
+
+    @cached_property
+    def chord(self) -> Enclosed:
+        """The vector from one drone to the other."""
+        drones = self.source.drones.coefficients
+        return self.scaled(drones[:, 1::2] - drones[:, 0::2], noise=self.noise)
+
+    @cached_property
+    def parts(self) -> list[Enclosed]:
+        """The q-leg, the r-leg and the edge, or what is straight of it on both sides of an arc."""
+        legs, edges = leg_vectors(self.source), bent_edges(self.source)
+        found = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
+        straight = edges[:1] if self.source.contacts is None else edges
+        return found + [self.scaled(edge, noise=self.noise) for edge in straight]
+
+    @cached_property
+    def excess(self) -> Enclosed:
+        """How much longer legs and edge are than the cable."""
+        found = self.parts[0].norm + self.parts[1].norm
+        for part in self.parts[2:]:
+            found = found + part.norm
+        if self.source.contacts is not None:
+            arcs = self.read(wrapped_arcs(self.source))
+            found = found + arc_lengths(arcs * self.scale[..., None])
+        saved = once(self.source, saved_lengths)
+        if saved is not None:
+            found = found - self.scaled(saved)
+        return found - 1.0
+
+    @cached_property
+    def sag(self) -> Enclosed:
+        """How much longer spans are than their chords: ``(ρ g / T)² s³ cos²α / 24`` each.
+
+        Both straight parts of an edge sag as one.
+        """
+        q, r, *edges = self.parts
+        edge = edges[0] if len(edges) == 1 else edges[0] + edges[1]
+        found = q.norm * q.level.dot(q.level) + r.norm * r.level.dot(r.level)
+        for part in edges:
+            found = found + part.norm * edge.level.dot(edge.level)
+        tables = sags(self.source)
+        weight, tension = (Enclosed(self.read(tables[name])) for name in ("weight", "tension"))
+        ratio = (weight * tension.inverse_norm).reduced(RATIO_ORDER)
+        return found * (ratio * ratio) * (1.0 / 24.0)
+
+
+def quotient(a: Array, b: Array) -> Interval:
+    """Return between what the quotient of polynomials (spans, degree + 1) stays.
+
+    It lies between those of their coefficients, the divisor positive.
+    """
+    a, b = same_degree(a, b)
+    ratios = np.divide(a, b, out=np.full_like(a, np.inf), where=b > 0.0)
+    return Interval(np.min(ratios, axis=-1), np.max(ratios, axis=-1))
+
+
+def _used_up(spans: Cables) -> Bound:
+    """Return the largest relative error of a cable's length.
+
+    It is the largest of ``|leg + edge + leg - L| / L`` and of how far the plan's own ``d_k``
+    and ``e_k`` are from the distances that they stand for, over L as well. Where cables have
+    weight, legs and edges are longer than their chords by what they sag; ρ counts to the share
+    that the cable is taut. Where a rim is on the legs, their cables run level up to its edge,
+    and are shorter than straight legs by ``saved_lengths``.
+    """
+    excess = spans.excess
+    if spans.source.team.cable_density > 0.0:
+        excess = excess + spans.sag
+    stored = spans.scaled(spans.source.legs.coefficients)
+    errors = [stored[i] - spans.parts[i].norm for i in (0, 1)]
+    return largest_of([each.norm_above for each in (excess, *errors)])
+
+
+def _too_short(spans: Cables) -> Bound:
+    """Return by how much a clasped cable is too short, over its length."""
+    return largest_of([spans.excess.above], 0.0)
+
+
+def _drawn_out(spans: Cables) -> Bound:
+    """Return the distance of a cable's drones over its length."""
+    return spans.chord.norm_above
+
+
+def _longest(motion: Motion) -> float:
+    return magnitude(motion) / float(np.min(motion.team.cable_length))
+
+
+CABLE_LENGTH = CheckRule(
+    "cable_length",
+    "1",
+    "max",
+    LENGTH_LIMIT,
+    (
+        Finder(
+            Searched(Cables, _used_up, "max"),
+            HITCHED_STATE,
+            exported=True,
+            shown=(Cables.excess, Cables.sag),
+        ),
+        Finder(Searched(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
+    ),
+    free_remedy="use a longer cable, or a smaller polygon",
+    ease=Ease.LENGTH,
+    exported_limit=EXPORTED,
+)
+"""How far cables are from being used up; while drawn out, by how much they are too short."""
+
+SPAN = CheckRule(
+    "span",
+    "1",
+    "max",
+    1.0,
+    (
+        Finder(
+            Searched(Cables, _drawn_out, "max", _longest),
+            FREE_STATES,
+            exported=True,
+        ),
+    ),
+    "use a longer cable, a smaller polygon, or place the drones closer together",
+    ease=Ease.LENGTH,
+)
+"""The largest distance of a free cable's drones over its length: a longer one hangs."""
+
+
+@shared
+def _leg_and_edge(motion: Motion) -> dict[str, Array]:
+    """Return what every drone's leg pulls with, and its cable [N], without their shared factor."""
+    tension = np.repeat(motion.tensions.coefficients, 2, axis=1)
+    return without_shared_zeros({"pull": [motion.pulls.coefficients], "tension": [tension]})
+
+
+class Slides(Drones):
+    """Spans of drones whose cables slide against friction."""
+
+    @cached_property
+    def turn(self) -> Array:
+        """(spans,) [rad] What the angle by which the cable wraps its clasp does not fall below."""
+        leaving, arriving = bent_edges(self.source)
+        edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
+        edge = Enclosed(self.read(edges), self.noise).direction
+        cosine = self.along.dot(edge).below.value
+        angle: Array = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
+        return angle
+
+    @cached_property
+    def held(self) -> Array:
+        """(spans,) ``e^{μ θ}``."""
+        held: Array = np.exp(self.source.team.cable_friction * self.turn)
+        return held
+
+
+def slips(spans: Slides) -> Bound:
+    """Return by how much of the tension a leg's pull is more than friction allows.
+
+    A cable that wraps an angle θ about a clasp pulls on one side with between ``e^{-μ θ}`` and
+    ``e^{μ θ}`` times what it pulls with on the other; θ is by how much it turns there, from its leg
+    to its edge. At a chain's ends it turns about nothing.
+    """
+    tables = _leg_and_edge(spans.source)
+    pull, tension = (spans.read(tables[name])[:, 0] for name in ("pull", "tension"))
+    ratio = quotient(pull, tension)
+    high, low = ratio.high * (1.0 + ROUNDING), ratio.low * (1.0 - ROUNDING)
+    value = np.maximum(high - spans.held, 1.0 / spans.held - low)
+    return Bound(value, np.full(len(spans), 0.5))
+
+
+def beyond_friction(motion: Motion) -> Finding:
+    """Return by how much of the tension a leg's pull is more than friction allows, at most.
+
+    Not positive, but for rounding, where every pull obeys that; ``where`` names the vertex.
+    """
+    found = worst(Slides.of(motion), slips, "max")
+    point = motion.team.layout.anchors[found.item]
+    return Finding(found.worst, found.time, (f"p{point}",))
+
+
+def _find(motion: Motion, _: float) -> Finding:
+    """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
+
+    While the hitch exists every cable pulls with the team's tension, but within a range that its
+    phase states (``Phase.tension``: part of the problem, as limits are), and on a ramp from 0 to
+    the team's. No file names a ramp: it is next to a span of time without a hitch, nothing moves in
+    it, and it ends where the tension comes to the team's. Legs pull with what friction makes of it.
+
+    Jumps are those at all joints of pieces. Where there is no hitch tensions and pulls count as 0,
+    whatever the plan says of them. ``where`` names the cable, or the drone whose leg or thrust it
+    is.
+    """
+    found = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
+    if np.any(motion.formed):
+        n = motion.team.robots
+        ranges = np.moveaxis(stated_tensions(motion), -1, 0)
+        if not np.all(motion.formed):  # ramps are next to spans without a hitch
+            ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
+        found += [_outside(motion, Cables, motion.tensions.coefficients, ranges, 0)]
+        found += [_off_at_ends(motion)]
+        if motion.leg_tensions is not None:
+            twice = np.repeat(ranges, 2, axis=2)
+            found += [_outside(motion, Slides, motion.pulls.coefficients, twice, n)]
+    return max(found, key=lambda each: each.worst)
+
+
+def _named(motion: Motion, worst: float, time: float, item: int) -> Finding:
+    """Return the finding with an item of the cables, then the drones, named."""
+    if not worst > 0.0:
+        return Finding(worst, time)
+    cables = motion.team.robots
+    where = f"cable {item}" if item < cables else motion.team.drone_names[item - cables]
+    return Finding(worst, time, (where,))
+
+
+def _jump_of_pulls(motion: Motion) -> Finding:
+    """Return the largest jump of a cable's tension or of a leg's pull."""
+    each = motion.tensions.coefficients[..., [0, -1]]
+    if motion.leg_tensions is not None:  # else they jump as their cables' tensions do
+        each = np.concatenate([each, motion.pulls.coefficients[..., [0, -1]]], axis=1)
+    left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
+    jumps = np.abs(left[1:] - right[:-1])
+    jumps += ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
+    return _largest_jump(motion, jumps, 0)
+
+
+def _jump_of_thrusts(motion: Motion) -> Finding:
+    """Return the largest jump of a drone's thrust, by its norm."""
+    shape, ends = (motion.drones.pieces, motion.team.drones), []
+    for x in (0.0, 1.0):
+        batches = [spans.at(np.full(len(spans), x)).thrust for spans in Drones.of(motion)]
+        f = np.concatenate([each.c[..., 0] for each in batches]).reshape(*shape, 3)
+        slop = [np.broadcast_to(each.r, len(each.c)) for each in batches]
+        ends.append((f, np.concatenate(slop).reshape(shape)))
+    (left, before), (right, after) = ends
+    jumps = np.linalg.norm(left[1:] - right[:-1], axis=-1) + before[1:] + after[:-1]
+    return _largest_jump(motion, jumps, motion.team.robots)
+
+
+def _largest_jump(motion: Motion, jumps: Array, first: int) -> Finding:
+    """Return the largest of jumps (pieces - 1, items), whose first item has the name ``first``."""
+    if jumps.size == 0:
+        return _named(motion, 0.0, float(motion.drones.breaks[0]), 0)
+    joint, item = np.unravel_index(int(np.argmax(jumps)), jumps.shape)
+    time = float(motion.drones.breaks[joint + 1])
+    return _named(motion, float(jumps[joint, item]), time, first + int(item))
+
+
+def _outside(
+    motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array, first: int
+) -> Finding:
+    """Return how far pulls are outside of their ranges at most, or of what friction makes of these.
+
+    Parameters
+    ----------
+    pulls: (pieces, items, degree + 1) [N]
+    ranges: (2, pieces, items) [N], from which to which.
+    first: name of the first item.
+    """
+    margin = ROUNDING * np.max(np.abs(pulls))
+
+    def beyond(spans: MotionSpans) -> Bound:
+        pull = Enclosed(spans.read(pulls)[:, None], margin)
+        held = spans.held if isinstance(spans, Slides) else np.ones(len(spans))
+        least, most = ranges[:, spans.piece, spans.item]
+        high, low = pull.above, pull.below
+        over = Bound(high.value - most * held, high.x)  # rough cables hold more than any number
+        return largest_of([over, Bound(least / held - low.value, low.x)], 0.0)
+
+    spans: Iterator[MotionSpans]
+    spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
+    found = worst(spans, beyond, "max")
+    return _named(motion, found.worst, found.time, first + found.item)
+
+
+def _off_at_ends(motion: Motion) -> Finding:
+    """Return how far tensions are from the team's where phases that state a range begin or end.
+
+    Not where an object is held before and after, as if on before and after the motion: the range is
+    that of a grasp, which its steps share.
+    """
+    index = np.concatenate([[-1], ranged_phases(motion), [-1]])
+    held = [phase.hold is not None for phase in motion.phases] or [False]
+    holding = np.array(held)[motion.phase_of_piece]
+    holding = np.concatenate([holding[:1], holding, holding[-1:]])
+    c, team = motion.tensions.coefficients, motion.team.tension
+    off = np.zeros((motion.drones.pieces + 1, motion.team.robots))
+    for end, other, shift in ((0, slice(0, -2), 0), (-1, slice(2, None), 1)):
+        changes = (index[1:-1] != index[other]) & (index[1:-1] >= 0) & motion.formed
+        changes &= ~(holding[1:-1] & holding[other])
+        joints = np.flatnonzero(changes) + shift
+        off[joints] = np.maximum(off[joints], np.abs(c[changes][..., end] - team))
+    joint, cable = np.unravel_index(int(np.argmax(off)), off.shape)
+    return _named(motion, float(off[joint, cable]), float(motion.drones.breaks[joint]), int(cable))
+
+
+def _ramps(motion: Motion) -> Mask:
+    """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch."""
+    resting = motion.formed
+    for part in (motion.drones, motion.vertices):
+        resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL)
+    c = motion.tensions.coefficients
+    full = motion.team.tension[:, None] - c[..., [0, -1]] <= TENSION_LIMIT
+    free = ~motion.formed
+    up = _rising(free, resting, full)
+    return up | _rising(free[::-1], resting[::-1], full[::-1, :, ::-1])[::-1]
+
+
+def _rising(free: Mask, resting: Mask, full: Mask) -> Mask:
+    """Return (pieces, n) the pieces at rest from one without a hitch to the team's tension.
+
+    Parameters
+    ----------
+    free, resting: (pieces,) without a hitch; with one, and nothing moves.
+    full: (pieces, n, 2), whether the team's tension is reached where a piece begins and ends.
+    """
+    found = np.zeros(full.shape[:2], dtype=np.bool_)
+    for first in (np.flatnonzero(resting[1:] & free[:-1]) + 1).tolist():
+        run = slice(first, first + int(np.argmin(np.append(resting[first:], False))))
+        over = np.logical_or.accumulate(full[run, :, 0], axis=0)
+        reached = np.logical_or.accumulate(full[run, :, 1][::-1], axis=0)[::-1]
+        found[run] = ~over & reached
+    return found
+
+
+TENSION = CheckRule(
+    "tension",
+    "N",
+    "max",
+    TENSION_LIMIT,
+    (
+        Finder(
+            _find, FREE_STATES | HITCHED_STATE, shown=(_jump_of_pulls, _jump_of_thrusts, _outside)
+        ),
+    ),
+    whole=True,
+)

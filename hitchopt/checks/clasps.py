@@ -1,0 +1,396 @@
+"""Checks of the clasps: ``equilibrium`` of the cables' forces, and ``convexity`` of the outline.
+
+At clasp k meet the q-leg and the edge of cable k and the r-leg and the edge of cable k-1. Cable k
+is borne by its drones with half of its legs, by clasp k with half of its q-leg and edge, by clasp
+k+1 with half of its edge and r-leg. With all of its length used up (check ``cable_length``) ``d_k +
+l_k = L_k - e_k``, so that norms of legs alone tell the weights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+
+import numpy as np
+
+from hitchopt.checks.cables import beyond_friction, slips
+from hitchopt.checks.certificate import within
+from hitchopt.checks.gripping import lacking, unbalanced
+from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.spans import MotionSpans, derivative_margin, shared
+from hitchopt.checks.tables import (
+    bent_edges,
+    edge_vectors,
+    leg_vectors,
+    same_degree,
+    without_shared_zeros,
+)
+from hitchopt.geometry.vectors import column_lengths
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.forces import chord_pull
+from hitchopt.motion.loads import leg_tensions, lowered, object_loads, strut_shares, tautness
+from hitchopt.motion.motion import HITCHED_STATE, Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
+from hitchopt.trajectory.search import ABSOLUTE, worst
+from hitchopt.values import Array
+
+LIMIT = 5e-3
+"""Relative to the tension: the vertex then stands within millimetres of its place."""
+
+NEAR = 0.02 * LIMIT
+"""How close to an attained value the residual is bounded where time is short."""
+
+SIGNS = 1.0, 1.0, 1.0, -1.0
+"""The last of the parts at a clasp arrives there; the others leave it."""
+
+BACKWARD = -180.0
+"""[deg] The smallest angle there is; also that of an edge without direction."""
+
+
+@shared
+def clasp_forces(motion: Motion) -> dict[str, Array]:
+    """Return the sizes of forces at clasps, each (pieces, clasps, rows, degree + 1).
+
+    A factor ``x^a (1 - x)^b`` that all of them share, as where tensions rise from zero, is left
+    out: it cancels in every ratio.
+
+    - ``parts`` [N]: tensions of the leg and the edge ahead and of those behind; those of edges less
+      what a rim takes;
+    - ``halves`` [N/m], where there is weight: half of the weight per length of the same parts, to
+      the share that they are taut, that of edges less what a rim takes;
+    - ``tensions`` [N] of both edges;
+    - ``weights`` where there is weight: of the cable ahead and of that behind, its share of the
+      load with half of its cable's weight [N], and half of the weight per length [N/m], all to the
+      share that the cable is taut;
+    - ``loads`` of objects [N], where there are any.
+    """
+    team, layout = motion.team, motion.team.layout
+    ahead, behind = layout.ahead, layout.behind
+    tension, legs = edge_tensions(motion), lowered(leg_tensions(motion))
+    both = [tension[:, ahead], tension[:, behind]]
+    parts = {
+        "parts": [legs[:, 2 * ahead], both[0], legs[:, 2 * behind + 1], both[1]],
+        "tensions": both,
+    }
+    loads, half = object_loads(motion), 0.5 * GRAVITY * team.cable_density
+    taut = lowered(tautness(motion))
+    if half > 0.0:
+        edges = half * _kept(motion, taut)
+        legs = half * taut
+        parts["halves"] = [legs[:, ahead], edges[:, ahead], legs[:, behind], edges[:, behind]]
+    if team.loaded or loads is not None:
+        rows = []
+        for cable in (ahead, behind):
+            own = 0.5 * GRAVITY * team.load + half * team.cable_length[cable]
+            rows += [own[:, None] * taut[:, cable], half * taut[:, cable]]
+        parts["weights"] = rows
+    if loads is not None:
+        parts["loads"] = list(np.moveaxis(loads, 2, 0))
+    return without_shared_zeros(parts)
+
+
+def edge_tensions(motion: Motion) -> Array:
+    """Return what edges pull with (pieces, n, degree + 1) [N], less what a rim takes."""
+    return _kept(motion, lowered(motion.tensions.coefficients))
+
+
+def _kept(motion: Motion, values: Array) -> Array:
+    """Return values of edges (pieces, n, degree + 1) less the share that rims take."""
+    taken = strut_shares(motion)
+    return values if taken is None else bernstein.multiply(1.0 - taken[:, None], values)
+
+
+class Clasps(MotionSpans):
+    """Spans of clasps: the forces that meet there."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the clasps' names."""
+        return [motion.team.point_names[k] for k in motion.team.layout.clasps]
+
+    @cached_property
+    def _sizes(self) -> dict[str, Enclosed]:
+        forces = clasp_forces(self.source)
+        return {name: Enclosed(self.read(table)) for name, table in forces.items()}
+
+    @cached_property
+    def pulls(self) -> list[Enclosed]:
+        """The pulls along q̂_k, u_k, r̂_{k-1} and u_{k-1} [N]."""
+        tensions, halves = self._sizes["parts"], self._sizes.get("halves")
+        if halves is None:
+            return [tensions[i] for i in range(4)]
+        found = []
+        for i, way in enumerate(self.ways):
+            if i % 2 == 0:
+                pull = chord_pull(tensions[i], halves[i], way.level.dot(way.level), way[2])
+            else:
+                pull = chord_pull(tensions[i], halves[i], self.edge_squares[i // 2])
+            found.append(pull)
+        return found
+
+    @cached_property
+    def tensions(self) -> Enclosed:
+        """The tensions of both edges [N], a component each."""
+        return self._sizes["tensions"]
+
+    @staticmethod
+    def weighed(motion: Motion) -> bool:
+        """Return whether clasps carry anything."""
+        return "weights" in clasp_forces(motion)
+
+    @cached_property
+    def ways(self) -> tuple[Enclosed, ...]:
+        """Chords of the leg and the edge ahead and of those behind [m]; the last one arrives."""
+        motion, layout = self.source, self.source.team.layout
+        ahead, behind = layout.ahead[self.item], layout.behind[self.item]
+        legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
+        each = (legs, 2 * ahead), (leaving, ahead), (legs, 2 * behind + 1), (arriving, behind)
+        return tuple(Enclosed(self.read(*part), self.noise) for part in each)
+
+    @cached_property
+    def others(self) -> list[Enclosed]:
+        """Lengths of the other legs of the cables ahead and behind [m]."""
+        layout = self.source.team.layout
+        # A drone at a chain's end has no leg, wherever a plan has it.
+        legs = leg_vectors(self.source) * layout.has_leg.reshape(-1, 1, 1)
+        others = 2 * layout.ahead[self.item] + 1, 2 * layout.behind[self.item]
+        return [Enclosed(self.read(legs, other), self.noise).norm for other in others]
+
+    @cached_property
+    def edge_squares(self) -> list[Enclosed]:
+        """Squared lengths of the edges ahead and behind as seen from above [m²].
+
+        One that is wrapped around something counts whole: what legs leave of its cable.
+        """
+        team = self.source.team
+        if self.source.contacts is None:
+            return [edge.level.dot(edge.level) for edge in (self.ways[1], self.ways[3])]
+        found = []
+        for i, cable in enumerate((team.layout.ahead, team.layout.behind)):
+            whole = Enclosed(team.cable_length[cable[self.item]][:, None, None])
+            edge = whole - self.ways[2 * i].norm - self.others[i]
+            found.append(edge * edge)
+        return found
+
+    @cached_property
+    def along(self) -> tuple[Enclosed, ...]:
+        """Directions q̂_k, u_k, r̂_{k-1} and u_{k-1}."""
+        vectors = np.stack(same_degree(*(way.c for way in self.ways)), axis=1)
+        found = Enclosed(vectors, self.ways[0].r).direction  # of all four at a time
+        radius = np.broadcast_to(found.r, found.c.shape[:-2])
+        return tuple(Enclosed(found.c[:, i], radius[:, i]) for i in range(4))
+
+    @cached_property
+    def forces(self) -> tuple[Enclosed, ...]:
+        """Forces [N] of leg and edge ahead and of those behind; the last edge leads backward."""
+        each = zip(self.along, self.pulls, SIGNS, strict=True)
+        return tuple(along * (sign * pull) for along, pull, sign in each)
+
+    @cached_property
+    def carried(self) -> tuple[Enclosed, Enclosed]:
+        """[N] What the clasp carries of the cable ahead and of that behind."""
+        rows, sizes = self._sizes["weights"], self.others
+        return rows[0] - rows[1] * sizes[0], rows[2] - rows[3] * sizes[1]
+
+    @cached_property
+    def pressed(self) -> Enclosed | None:
+        """[N] The force of objects on the clasp; None without any."""
+        if "loads" not in self._sizes:
+            return None
+        return self._sizes["loads"].widened(_load_errors(self.source)[self.piece, self.item])
+
+    @cached_property
+    def residual(self) -> Enclosed:
+        """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and what objects add."""
+        found = self.forces[0] + self.forces[1] + self.forces[2] + self.forces[3]
+        if self.weighed(self.source):
+            found = found - (self.carried[0] + self.carried[1]).upward()
+        return found if self.pressed is None else found + self.pressed
+
+    @cached_property
+    def contact(self) -> Enclosed:
+        """``C = W^k ẑ - (P_q q̂_k + P_k u_k)``, with which cable k presses on cable k-1 [N].
+
+        ``W^k`` is the weight on itself and half of the clasp's load.
+        """
+        found = self.carried[0].upward() - (self.forces[0] + self.forces[1])
+        return found if self.pressed is None else found - 0.5 * self.pressed
+
+
+@shared
+def _load_errors(motion: Motion) -> Array:
+    """Return by how much objects' forces on clasps may be off (pieces, clasps) [N]."""
+    mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
+    error = mass * derivative_margin(motion.vertices, 2)[:, motion.team.layout.clasps]
+    loads = object_loads(motion)
+    return error if loads is None else np.where(np.any(loads != 0.0, axis=(2, 3)), error, 0.0)
+
+
+def over(force: Enclosed, tensions: Enclosed) -> Bound:
+    """Return what a force's size over the smallest of tensions does not rise above.
+
+    Infinite where a tension is not positive. ``{|S| <= θ T}`` is a convex cone in (S, T):
+    coefficients within it keep the curve within it.
+    """
+    c, pulls = same_degree(force.c, tensions.c)
+    sizes, least = c[..., 0, :] if c.shape[-2] == 1 else column_lengths(c), np.min(pulls, axis=-2)
+    sizes = sizes + np.broadcast_to(force.r, sizes.shape[:-1])[..., None]
+    ratio = np.divide(sizes, least, out=np.full_like(sizes, np.inf), where=least > 0.0)
+    return Enclosed(ratio[..., None, :]).above
+
+
+def _balance(spans: Clasps) -> Bound:
+    """Return the size of the residual over the smaller tension."""
+    return over(spans.residual, spans.tensions)
+
+
+def _lifted(spans: Clasps) -> Bound:
+    """Return the largest product that is negative where a clasp bears, over the smaller tension.
+
+    The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
+    """
+    pressed = zip(spans.along, (1.0, 1.0, -1.0, 1.0), strict=True)
+    return largest_of(
+        [over(spans.contact.dot(along) * sign, spans.tensions) for along, sign in pressed]
+    )
+
+
+def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
+    """Return the largest force residual at a clasp over the smaller of its cables' tensions.
+
+    Legs have their cable's tension at clasps, or what friction makes of it; where cables have
+    weight, legs and edges pull along their chords by ``forces.chord_pull``. What friction cannot
+    make of a tension counts as unbalanced too: by how much a leg's lies beyond ``e^{μ θ}`` times
+    the edge's, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a chain's
+    ends it wraps none. The weight that a clasp carries is its load and what the drones do not carry
+    of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the share that
+    they are taut; of objects it carries what ``hitchopt.motion.loads`` says, their inertia
+    included, and rims take a share of what edges pull with. Where there is weight cables have to
+    press on each other as well: a clasp that does not bear is infinitely far from balance.
+
+    A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
+    tensions share cancels, also where it rises from zero as a hitch is pulled tight.
+    """
+    names = Clasps.names(motion)
+    found = worst(Clasps.of(motion), _balance, "max", absolute=absolute)
+    best = Finding(found.worst, found.time, (names[found.item],))
+    if motion.leg_tensions is not None:
+        beyond = beyond_friction(motion)
+        best = beyond if beyond.worst > best.worst else best
+    if Clasps.weighed(motion):
+        lifted = worst(Clasps.of(motion), _lifted, "max", target=within(0.0, "max"))
+        if lifted.worst >= 0.0:
+            best = Finding(math.inf, lifted.time, (names[lifted.item],))
+    gripped = unbalanced(motion)
+    return gripped if gripped.worst > best.worst else best
+
+
+def spare_forces(motion: Motion) -> Array:
+    """Return which loads may be added at clasps (pieces, clasps) [N] with all forces balanced.
+
+    Half of what is added to a clasp enters the products of ``contact``.
+    """
+    spare = LIMIT - _find(motion, LIMIT).worst
+    if Clasps.weighed(motion):
+        spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
+    weakest: Array = np.min(edge_tensions(motion), axis=-1)
+    layout = motion.team.layout
+    return spare * np.minimum(weakest[:, layout.ahead], weakest[:, layout.behind])
+
+
+FORMULAS = (_balance, Clasps.residual, _lifted, Clasps.contact, slips, lacking)
+
+
+def equilibrium_rule(absolute: float = ABSOLUTE) -> CheckRule:
+    """Return the rule, its residual bounded within ``absolute`` of an attained value."""
+    finder = Finder(
+        lambda motion, limit: _find(motion, limit, absolute), HITCHED_STATE, shown=FORMULAS
+    )
+    return CheckRule("equilibrium", "1", "max", LIMIT, (finder,))
+
+
+EQUILIBRIUM = equilibrium_rule()
+QUICK_EQUILIBRIUM = equilibrium_rule(NEAR)
+
+
+@shared
+def _corners(motion: Motion) -> Array:
+    """Return the edges behind and ahead of corners, seen from above (pieces, corners, 2, 2, …).
+
+    Besides its clasps a chain has a corner from its last edge to its first one reversed.
+    """
+    edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
+    both = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
+    ends = np.stack([edges[:, -1:], -edges[:, :1]], axis=2)
+    return both if layout.closed else np.concatenate([both, ends], axis=1)
+
+
+class Corners(MotionSpans):
+    """Spans of the outline's corners."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the corners' names."""
+        return [*Clasps.names(motion), *([] if motion.team.layout.closed else ["ends"])]
+
+
+def _exterior(spans: Corners) -> Bound:
+    """Return the angles [deg] by which the outline turns right.
+
+    Of a chain's ends it is what they leave of once around. Seen from its direction at mid span,
+    a curve (dot, cross) whose coefficients all lie ahead stays within the wedge that they span.
+    Past 180° angles start again at -180°.
+    """
+    edges = spans.read(_corners(spans.source))
+    behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
+    curve = vector(behind.dot(ahead), ahead.cross(behind))
+    middle = curve.middle
+    size = np.maximum(np.linalg.norm(middle, axis=-1), 1e-300)
+    x = middle[:, :1] * curve.c[:, 0] + middle[:, 1:] * curve.c[:, 1]
+    y = middle[:, :1] * curve.c[:, 1] - middle[:, 1:] * curve.c[:, 0]
+    least, radius = np.min(x, axis=-1) / size, np.broadcast_to(curve.r, len(spans))
+    spread = np.where(least > radius, radius / np.maximum(least, 1e-300), np.inf)
+    relative, spread = np.degrees(np.arctan2(y, x)), 2.0 * np.degrees(spread)
+    start = np.degrees(np.arctan2(middle[:, 1], middle[:, 0]))
+    bound = start + np.min(relative, axis=-1) - spread
+    known = (bound > BACKWARD) & (start + np.max(relative, axis=-1) + spread < -BACKWARD)
+    clasps = len(spans.source.team.layout.clasps)
+    added = np.where(spans.item < clasps, 0.0, 180.0)
+    where = np.argmin(relative, axis=-1) / max(1, curve.degree)
+    return Bound(np.where(known, added + bound, BACKWARD), where)
+
+
+def _turns(motion: Motion, _: float) -> Finding:
+    """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
+
+    A polygon that goes w times around its inside, w not 1, has ``360 (1 - w)`` reported if that is
+    less. The number at the start is that of all times unless an angle passes -180° in between,
+    which is worse already.
+
+    A chain has 360° less all of its turning reported if that is less; ``where`` names both ends.
+    """
+    found = worst(Corners.of(motion), _exterior, "min")
+    layout, points = motion.team.layout, motion.team.point_names
+    ends = (points[0], points[-1])
+    clasped = found.item < len(layout.clasps)
+    where = (Corners.names(motion)[found.item],) if clasped else ends
+    behind, ahead = np.moveaxis(_corners(motion)[0, : len(layout.clasps), :, :, 0], 1, 0)
+    right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
+    total = float(np.sum(np.degrees(np.arctan2(right, np.sum(behind * ahead, axis=-1)))))
+    room = 360.0 * (1 - round(total / 360.0)) if layout.closed else 360.0 - total
+    lowest = max(found.worst, BACKWARD)
+    if lowest > BACKWARD and room < min(lowest, 0.0):
+        return Finding(room, float(motion.vertices.breaks[0]), () if layout.closed else ends)
+    return Finding(lowest, found.time, where)
+
+
+CONVEXITY = CheckRule(
+    "convexity",
+    "deg",
+    "min",
+    0.0,
+    (Finder(_turns, HITCHED_STATE, shown=(_exterior,)),),
+    "go by a polygon in between, in two morphs",
+)

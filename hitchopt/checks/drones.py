@@ -1,0 +1,535 @@
+"""Checks of every drone by itself, from ``speed`` to ``arena``, and ``vertex_speed``.
+
+A drone of mass m needs the thrust ``f = m (a + g ẑ) - (force of its cable)``. The cable pulls along
+its leg (at a chain's end, along its edge) and leaves it half of the weight of that. A cable that
+hangs free pulls inward by ``w s / 2σ``, and the higher end carries ``w h coth(σ) / 2`` more than
+half of it: w its weight per length, σ its steepness (see ``hitchopt.hitch.catenary``). While a
+cable is drawn taut the one fades into the other with its tautness, a polynomial.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, partial
+from typing import Self
+
+import numpy as np
+
+from hitchopt.checks.certificate import within
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
+from hitchopt.checks.spans import (
+    LAST_PLACE,
+    ROUNDING,
+    UPWARD,
+    MotionSpans,
+    Spans,
+    derivative_margin,
+    magnitude,
+    rate,
+    shared,
+)
+from hitchopt.checks.tables import leg_vectors, pull_vectors, without_shared_zeros
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.catenary import level_length, pull_terms, steepness
+from hitchopt.hitch.forces import chord_pull
+from hitchopt.motion.loads import leg_tensions, lowered, tautness
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
+from hitchopt.trajectory.search import Extremum, worst
+from hitchopt.values import Array
+
+UPSIDE_DOWN = 180.0
+"""[deg] The largest tilt there is; also that of a thrust of no direction."""
+
+EXPORTED = -1e-4
+"""[m] How far exported curves may pass a wall, as those of a drone at rest on the floor do."""
+
+ORDER = 6
+"""Degree in which factors of a turning rate are written: on spans that matter they err by 1e-9."""
+
+NEAREST = 1e-9
+"""[m] Drones of a cable that may be one above the other count as this far apart from above: what
+their cable's pull changes by has no bound there, and is all but infinite then."""
+
+
+@shared
+def taut_shares(motion: Motion) -> Array:
+    """Return how taut the cable of every drone is (pieces, 2n, degree + 1)."""
+    return np.repeat(lowered(tautness(motion)), 2, axis=1)
+
+
+@shared
+def tensions_of_legs(motion: Motion) -> Array:
+    """Return the tension of every drone's leg at its clasp (pieces, 2n, degree + 1) [N]."""
+    return lowered(leg_tensions(motion))
+
+
+@shared
+def leg_sags(motion: Motion) -> dict[str, Array]:
+    """Return half of the weight per length of legs [N/m] and their tension [N].
+
+    Without the factor that both share where they rise from zero: it cancels in their ratio.
+    """
+    half = 0.5 * GRAVITY * motion.team.cable_density * taut_shares(motion)
+    return without_shared_zeros({"half": [half], "tension": [leg_tensions(motion)]})
+
+
+@shared
+def partners(motion: Motion) -> Array:
+    """Return the other drone of each drone's cable, seen from it (pieces, 2n, 3, degree + 1)."""
+    c = motion.drones.coefficients
+    pairs = c.reshape(len(c), -1, 2, *c.shape[2:])
+    return pairs[:, :, ::-1].reshape(c.shape) - c
+
+
+class Drones(MotionSpans):
+    """Spans of drones: their motion, the force of their cable and the thrust that they need."""
+
+    moving = True
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the drones' names."""
+        return motion.team.drone_names
+
+    def moved(self, order: int) -> Enclosed:
+        """Return a derivative of the position by time."""
+        return self.derivative(self.source.drones, order)
+
+    @cached_property
+    def mass(self) -> Array:
+        """(spans, 1) [kg]."""
+        return self.source.team.mass[self.item, None]
+
+    def scalar(self, table: Callable[[Motion], Array], order: int = 0) -> Enclosed:
+        """Return a scalar of a table (pieces, 2n, degree + 1), or its derivative by time."""
+        c = self.read(rate(self.source, table) if order else table(self.source))[:, None]
+        return Enclosed(c, ROUNDING * np.max(np.abs(c), axis=(1, 2)))
+
+    @cached_property
+    def leg(self) -> Enclosed:
+        """The vector from where the cable pulls to the drone [m]."""
+        return Enclosed(self.read(pull_vectors(self.source)), self.noise)
+
+    @cached_property
+    def along(self) -> Enclosed:
+        """Direction of the leg."""
+        return self.leg.direction
+
+    @cached_property
+    def tension(self) -> Enclosed:
+        """[N] The tension of the leg at its clasp."""
+        return self.scalar(tensions_of_legs)
+
+    @cached_property
+    def sag(self) -> Enclosed:
+        """[1/m] Half of the leg's weight per length over its tension."""
+        tables = leg_sags(self.source)
+        half, tension = (Enclosed(self.read(tables[name])) for name in ("half", "tension"))
+        return (half * tension.inverse_norm).reduced(ORDER)
+
+    @cached_property
+    def level(self) -> Enclosed:
+        """[m²] The squared length of the leg as seen from above."""
+        return self.leg.level.dot(self.leg.level)
+
+    @cached_property
+    def levelled(self) -> Enclosed:
+        """What the leg pulls with over its tension if its ends were level."""
+        found: Enclosed = chord_pull(1.0, self.sag, self.level)
+        return found.reduced(ORDER)
+
+    @cached_property
+    def pull(self) -> Enclosed:
+        """[N] What the leg pulls with along its chord: ``chord_pull``, of T factored out."""
+        if not self.heavy:
+            return self.tension
+        return self.tension * self.levelled + self.taut_weight * self.leg[2]
+
+    @property
+    def heavy(self) -> bool:
+        """Whether cables have weight."""
+        return self.source.team.cable_density > 0.0
+
+    @property
+    def hangs(self) -> bool:
+        """Whether any cable hangs at any time."""
+        return self.heavy and bool(np.any(taut_shares(self.source) != 1.0))
+
+    @cached_property
+    def taut_weight(self) -> Enclosed:
+        """[N/m] Half of the weight per length of what is taut."""
+        return 0.5 * GRAVITY * self.source.team.cable_density * self.scalar(taut_shares)
+
+    @cached_property
+    def slack_weight(self) -> Enclosed:
+        """[N/m] Half of the weight per length of what hangs."""
+        return 0.5 * GRAVITY * self.source.team.cable_density - self.taut_weight
+
+    @cached_property
+    def partner(self) -> Enclosed:
+        """[m] The other end of the cable."""
+        return Enclosed(self.read(partners(self.source)), self.noise)
+
+    @cached_property
+    def length(self) -> Array:
+        """The cable's length (spans,) [m]."""
+        return self.source.team.cable_length[self.item // 2]
+
+    @cached_property
+    def steepness(self) -> Interval:
+        """σ of the cable if it hung free."""
+        return steepness_of(self.partner, self.length)
+
+    @cached_property
+    def load(self) -> Enclosed:
+        """[N] The force of the cable on the drone, its sign changed."""
+        found = self.along * self.pull
+        if self.heavy:
+            found = found + (self.leg.norm * self.taut_weight).upward()
+        if self.hangs:
+            inward, downward = self.pull_terms
+            found = found - self._pulled(self.partner, inward, downward, self.slack_weight)
+            found = found + (self.slack_weight * self.length[:, None]).upward()
+        return found
+
+    @cached_property
+    def pull_terms(self) -> tuple[Interval, Interval]:
+        """1/σ and coth σ, which fall with σ."""
+        low, high = pull_terms(self.steepness.high), pull_terms(self.steepness.low)
+        return Interval(low[0], high[0]), Interval(low[1], high[1])
+
+    @staticmethod
+    def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
+        """Return ``w (k x, k y, l z)`` of an offset."""
+        return vector(offset.level * inward.enclosed, offset[2] * downward.enclosed) * w
+
+    @cached_property
+    def thrust(self) -> Enclosed:
+        """[N] f = m (a + g ẑ) - (force of the cable)."""
+        hover = self.mass * GRAVITY * UPWARD
+        own = self.moved(2) * self.mass + hover if self.moving else Enclosed(hover[..., None])
+        return own + self.load if self.source.team.has_cables else own
+
+    @cached_property
+    def load_rate(self) -> Enclosed:
+        """[N/s] The derivative of the load by time."""
+        margin = sum(
+            float(np.max(derivative_margin(part, 1), initial=0.0))
+            for part in (self.source.drones, self.source.vertices)
+        )
+        velocity = Enclosed(self.read(rate(self.source, pull_vectors)), margin)
+        along = self.along.reduced(ORDER)
+        swept = (velocity * self.leg.inverse_norm).reduced(ORDER)
+        turning = swept - along * along.dot(swept).reduced(ORDER)  # d/dt (y/|y|)
+        pulled = self.scalar(tensions_of_legs, 1)
+        if self.heavy:
+            gained = 0.5 * GRAVITY * self.source.team.cable_density * self.scalar(taut_shares, 1)
+            # Of h z + √(T² - h² s²): h half of the weight per length, s and z of the leg.
+            falls = gained * self.level + self.taut_weight * self.leg.level.dot(velocity.level)
+            pulled = (pulled - self.sag * falls.reduced(ORDER)) * self.levelled.inverse_norm
+            pulled = pulled.reduced(ORDER) + gained * self.leg[2] + self.taut_weight * velocity[2]
+        found = along * pulled + turning * self.pull
+        if self.heavy:
+            growing = along.dot(velocity)
+            found = found + (self.leg.norm * gained + growing * self.taut_weight).upward()
+        if self.hangs:
+            found = found + self._hanging_rate(gained)
+        return found
+
+    def _hanging_rate(self, gained: Enclosed) -> Enclosed:
+        """Return the derivative of what free cables add to the load.
+
+        ``(coth σ - 1/σ) σ̇ = Λ̇/Λ - ṡ/s``, s the ends' distance as seen from above, h their height
+        difference and ``Λ² = L² - h²``; 1/σ falls by ``σ̇/σ²`` and coth σ by ``σ̇/sinh² σ``.
+        """
+        moved = Enclosed(self.read(rate(self.source, partners)), ROUNDING)
+        inward, downward = self.pull_terms
+        across, rise = self.partner.level, self.partner[2]
+        widening = across.dot(moved.level).range * _inverse_square(across.norm_range)
+        heights = rise.norm_range
+        low, high = (level_length(each, self.length) for each in (heights.high, heights.low))
+        whole = Interval(low, high)
+        lifting = (rise * moved[2]).range * _inverse_square(whole)
+        flatter = widening + lifting
+        slope = Interval(downward.high - inward.high, downward.low - inward.low)  # rises with σ
+        falling = flatter * slope.inverse  # -σ̇
+        change = (
+            falling * Interval(inward.low**2, inward.high**2),
+            falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
+        )
+        weight = self.slack_weight
+        lost = self._pulled(self.partner, inward, downward, -gained)
+        lost = lost + self._pulled(moved, inward, downward, weight)
+        lost = lost + self._pulled(self.partner, *change, weight)
+        return -lost - (gained * self.length[:, None]).upward()
+
+    @cached_property
+    def turning(self) -> Enclosed:
+        """ω = f × ḟ / |f|² [rad/s], about the axes across the thrust."""
+        own = self.moved(3) * self.mass
+        change = own + self.load_rate if self.source.team.has_cables else own
+        f, change = self.thrust.reduced(ORDER), change.reduced(ORDER)
+        found = (f.cross(change).reduced(ORDER) * f.inverse_norm).reduced(ORDER)
+        return found * f.inverse_norm
+
+
+class Hovering(Drones):
+    """Spans of drones that hover where they fly."""
+
+    moving = False
+
+
+class Points(MotionSpans):
+    """Spans of the hitch's points."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the points' names."""
+        return motion.team.point_names
+
+    def moved(self, order: int) -> Enclosed:
+        """Return a derivative of the position by time."""
+        return self.derivative(self.source.vertices, order)
+
+
+def steepness_of(offset: Enclosed, length: Array) -> Interval:
+    """Return the steepness of hanging cables of lengths (spans,) [m], given their ends' offsets."""
+    apart, heights = offset.level.norm_range, offset[2].norm_range
+    tiny = 1e-6 * length
+    return Interval(
+        steepness(level_length(heights.high, length) / np.maximum(apart.high, tiny)),
+        steepness(level_length(heights.low, length) / np.maximum(apart.low, tiny)),
+    )
+
+
+def _inverse_square(size: Interval) -> Interval:
+    least, most = np.maximum(size.low, NEAREST), np.maximum(size.high, NEAREST)
+    return Interval(1.0 / most**2, 1.0 / least**2)
+
+
+def tilt(spans: Drones) -> Bound:
+    """Return the angle of the thrust from +z [deg].
+
+    A cone about the vertical is convex below 90°: it holds the thrust if it holds a ball about
+    every coefficient. Beyond, the cone about the thrust at mid span tells by how much it turns.
+    """
+    f, radius = spans.thrust.c, np.broadcast_to(spans.thrust.r, len(spans))[:, None]
+    size = np.sqrt(np.sum(f * f, axis=1))
+    level = np.hypot(f[:, 0], f[:, 1])
+    spread = np.degrees(np.arcsin(np.clip(radius / np.maximum(size, 1e-300), 0.0, 1.0)))
+    angles = np.degrees(np.arctan2(level, f[:, 2])) + np.where(radius < size, spread, UPSIDE_DOWN)
+    x = np.argmax(angles, axis=-1) / max(1, spans.thrust.degree)
+    most = np.max(angles, axis=-1)
+    if spans.thrust.degree == 0 or np.all(most < 90.0):
+        return Bound(np.minimum(most, UPSIDE_DOWN), x)
+    middle = spans.thrust.middle
+    along = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-300)
+    cosines = np.einsum("sd,sdi->si", along, f) / np.maximum(size, 1e-300)
+    turned = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))) + spread
+    turned = np.where(radius < size, turned, UPSIDE_DOWN)
+    there = np.degrees(np.arctan2(np.hypot(along[:, 0], along[:, 1]), along[:, 2]))
+    wide = np.max(turned, axis=-1)
+    wide = np.where(wide < 90.0, there + wide, UPSIDE_DOWN)
+    return Bound(np.minimum(np.where(most < 90.0, most, wide), UPSIDE_DOWN), x)
+
+
+def _turning(spans: Drones) -> Bound:
+    """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
+    found, known = spans.turning.norm_above, np.isfinite(spans.thrust.inverse_norm.r)
+    return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
+
+
+def _norm(spans: Drones | Points, order: int) -> Bound:
+    """Return the norm of a derivative of the position by time."""
+    return spans.moved(order).norm_above
+
+
+FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
+
+
+def _rate_rule(
+    name: str, unit: str, order: int, over: type[Drones] | type[Points] = Drones
+) -> CheckRule:
+    """Return the rule that holds the norm of a derivative against ``Limits.name``.
+
+    Of acceleration and jerk, plans use the share ``Limits.reserve``.
+    """
+
+    def limit_of(motion: Motion) -> float:
+        limit: float = getattr(motion.requirements.limits.planned, name)
+        return limit
+
+    find = Searched(over, partial(_norm, order=order), "max", 0.0)
+    states = HITCHED_STATE if over is Points else frozenset(CableState)
+    finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
+    return CheckRule(
+        name, unit, "max", limit_of, (finder,), remedy, ease=Ease.TIME, derivative=order
+    )
+
+
+SPEED = _rate_rule("speed", "m/s", 1)
+ACCELERATION = _rate_rule("acceleration", "m/s²", 2)
+JERK = _rate_rule("jerk", "m/s³", 3)
+VERTEX_SPEED = _rate_rule("vertex_speed", "m/s", 1, Points)
+
+
+def _used(spans: Drones) -> Bound:
+    """Return the thrust over the drone's ``max_thrust``."""
+    thrust = spans.thrust.norm_above
+    return Bound(thrust.value / spans.source.team.max_thrust[spans.item], thrust.x)
+
+
+USED_THRUST = Searched(Drones, _used, "max", share=lambda motion: motion.team.max_thrust)
+
+THRUST = CheckRule(
+    "thrust",
+    "N",
+    "max",
+    lambda motion: float(np.max(motion.team.max_thrust)),
+    (Finder(USED_THRUST, exported=True, shown=(Drones.thrust, Drones.load)),),
+    "give the drone more thrust, or lower team.tension",
+    "give the drone more thrust, or lower team.cable_density",
+    Ease.TENSION,
+    derivative=2,
+)
+"""The largest thrust of the drone that is nearest to its own ``max_thrust``."""
+
+
+TILT = CheckRule(
+    "tilt",
+    "deg",
+    "max",
+    lambda motion: math.degrees(motion.requirements.limits.tilt),
+    (Finder(Searched(Drones, tilt, "max"), exported=True),),
+    "raise limits.tilt_deg, or lower team.tension",
+    "raise limits.tilt_deg, or lower team.cable_density",
+    Ease.TENSION,
+    derivative=2,
+)
+
+
+BODY_RATE = CheckRule(
+    "body_rate",
+    "deg/s",
+    "max",
+    lambda motion: (
+        None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
+    ),
+    (Finder(Searched(Drones, _turning, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
+    "raise limits.body_rate_deg",
+    ease=Ease.TIME,
+    derivative=3,
+)
+
+
+def _walls(spans: Drones) -> Bound:
+    """Return the smallest distance to a wall [m], negative outside."""
+    arena = spans.source.requirements.arena
+    assert arena is not None
+    x = spans.read(spans.source.drones.coefficients)
+    inside = np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=1)
+    size = magnitude(spans.source) + float(np.max(np.abs([arena.lower, arena.upper])))
+    return Enclosed(np.min(inside, axis=1, keepdims=True), ROUNDING * size).below
+
+
+def _in_arena(motion: Motion, limit: float) -> Finding:
+    """Return the smallest distance of any drone to a wall.
+
+    Who rests on the floor, to the last place in which a plan is written, is not below it.
+    """
+    found = Searched(Drones, _walls, "min", magnitude)(motion, limit)
+    arena, x = motion.requirements.arena, motion.drones.coefficients
+    if arena is not None and found.worst < 0.0:
+        outside = np.maximum(arena.lower[:, None] - x, x - arena.upper[:, None])
+        if np.max(outside) <= LAST_PLACE * np.max(np.abs([arena.lower, arena.upper])):
+            return Finding(0.0, found.time, found.where, found.size)
+    return found
+
+
+ARENA = CheckRule(
+    "arena",
+    "m",
+    "min",
+    lambda motion: None if motion.requirements.arena is None else 0.0,
+    (Finder(_in_arena, exported=True, shown=(_walls,)),),
+    "enlarge the arena, or keep the hitch farther from its walls",
+    exported_limit=EXPORTED,
+)
+
+
+class Legs(Drones):
+    """Spans of the drones that hang on a leg, called by it."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the legs' names."""
+        return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
+
+    @classmethod
+    def spread(cls, motion: Motion) -> Iterator[Self]:
+        """Yield the spans of whole pieces of every drone with a leg."""
+        on = np.tile(motion.team.layout.has_leg.ravel(), (motion.drones.pieces, 1))
+        return cls.all_of(motion, motion.drones.breaks, motion.team.drones, on)
+
+    @cached_property
+    def leg(self) -> Enclosed:
+        """The vector from its vertex to the drone [m]."""
+        return Enclosed(self.read(leg_vectors(self.source)), self.noise)
+
+
+def _length(spans: Legs) -> Bound:
+    """Return the leg's length [m]."""
+    return spans.leg.norm_below
+
+
+LEGS = CheckRule(
+    "legs",
+    "m",
+    "min",
+    lambda motion: motion.requirements.limits.leg,
+    (Finder(Searched(Legs, _length, "min", magnitude), HITCHED_STATE),),
+    "use a longer cable, a smaller polygon, or a smaller limits.leg",
+    ease=Ease.LENGTH,
+)
+"""The shortest leg ``|q_k - p_k|`` or ``|r_k - p_{k+1}|``; ``where`` is ``q-leg k``."""
+
+
+class Curves(Spans):
+    """Spans of points that are no motion's."""
+
+    source: PiecewisePolynomial
+
+
+def largest_rate(
+    part: PiecewisePolynomial,
+    order: int,
+    limit: float = math.nan,
+    size: Callable[[Enclosed], Bound] = lambda rate: rate.norm_above,
+) -> Extremum:
+    """Return the largest norm, or other size, of a derivative by time of points (items, d).
+
+    It is bounded as closely as it takes to tell whether it satisfies the limit.
+    """
+    derivative = part.differentiated(order).coefficients
+    margin = np.full(derivative.shape[:2], ROUNDING * np.max(np.abs(derivative), initial=0.0))
+    if order:
+        margin = derivative_margin(part, order)
+
+    def formula(spans: Curves) -> Bound:
+        return size(Enclosed(spans.read(derivative), margin[spans.piece, spans.item]))
+
+    spans = Curves.all_of(part, part.breaks, part.shape[0])
+    return worst(spans, formula, "max", target=within(limit, "max", 0.0, 0.5))
+
+
+def largest_static_thrust(motion: Motion) -> float:
+    """Return the largest thrust at rest over ``max_thrust``, for all t."""
+    return worst(Hovering.of(motion), _used, "max").worst
+
+
+def largest_static_tilt(motion: Motion) -> float:
+    """Return the largest tilt at rest [deg], for all t."""
+    return worst(Hovering.of(motion), tilt, "max").worst

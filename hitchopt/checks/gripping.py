@@ -1,0 +1,434 @@
+"""What is carried: spans of objects, what they see, and edges that are wrapped around them.
+
+Edge k runs straight from ``p_k`` to where it meets the object, along ``â_k``, turns there by
+``θ_k``, seen from above, and runs straight on to ``p_{k+1}``, along ``b̂_k``. It pulls with ``T_k
+(b̂_k - â_k)``, and friction bears ``μ Σ T_k θ_k``: check ``grip``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import cached_property, partial
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.checks.certificate import within
+from hitchopt.checks.rule import CheckRule, Finder, Finding
+from hitchopt.checks.spans import ROUNDING, MotionSpans, position_margin, shared
+from hitchopt.checks.tables import concatenated, leg_vectors
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.forces import chord_pull
+from hitchopt.motion.loads import centre_path, held_pieces, tautness
+from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, HoldBy, Motion
+from hitchopt.objects import Section, SolidObject
+from hitchopt.objects.placing import in_frame
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
+from hitchopt.trajectory.search import worst
+from hitchopt.values import Array
+
+Mask = NDArray[np.bool_]
+
+LIMIT = 1.5
+"""Slip load over load."""
+
+CONTACT = 2e-5
+"""[m] Edges lie on sections, and sections behind edges, this closely."""
+
+NO_ARC = 1e-9
+"""[m] Chords that are shorter by far than a circle's radius: such arcs are their chords."""
+
+
+def for_each(value: Enclosed) -> Enclosed:
+    """Return a value (…) for all items of a new last leading axis (…, 1)."""
+    return Enclosed(value.c[..., None, :, :], np.asarray(value.r)[..., None])
+
+
+def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
+    """Return points (…, 3 components) [m] in the frames of objects.
+
+    Parameters
+    ----------
+    pose: (…, 5 components), x, y, z [m], cosine and sine of yaw; the same for all items of axes of
+        the points that it does not have.
+    """
+    while pose.c.ndim < points.c.ndim:
+        pose = for_each(pose)
+    away = points - Enclosed(pose.c[..., :3, :], pose.r)
+    return vector(turned_back(away.level, Enclosed(pose.c[..., 3:, :])), away[2])
+
+
+def turned_back(level: Enclosed, heading: Enclosed) -> Enclosed:
+    """Return level vectors (…, 2 components) as seen from bodies with headings (…, 2 components).
+
+    A heading of polynomials is no unit vector: by how much it is not goes to the ball.
+    """
+    if np.all(heading.c == heading.c[..., :1]):
+        heading = Enclosed(heading.c[..., :1], heading.r)
+    seen = vector(level.dot(heading), heading.cross(level))
+    return seen.widened(heading_error(heading) * (level.size + level.r))
+
+
+def heading_error(heading: Enclosed) -> Array:
+    """Return (…) what bounds ``|h| - 1`` of headings, which is less than ``|h|² - 1``."""
+    return (heading.dot(heading) - 1.0).norm_above.value
+
+
+@shared
+def centres(motion: Motion) -> PiecewisePolynomial:
+    """Return the paths of all objects' centres of mass (objects, 3) [m]."""
+    poses, bodies = motion.object_poses, motion.requirements.objects.values()
+    paths = [centre_path(poses.coefficients[:, i], body) for i, body in enumerate(bodies)]
+    return poses.alike(np.stack(paths, axis=1))
+
+
+class Held(MotionSpans):
+    """Spans of one object."""
+
+    @classmethod
+    def of_object(cls, motion: Motion, index: int, on: Mask) -> Iterator[Self]:
+        """Yield the spans of whole pieces ``on`` (pieces,) of an object."""
+        chosen = np.arange(len(motion.requirements.objects)) == index
+        return cls.all_of(motion, motion.drones.breaks, len(chosen), on[:, None] & chosen)
+
+    @cached_property
+    def body(self) -> SolidObject:
+        """The object."""
+        bodies = tuple(self.source.requirements.objects.values())
+        return bodies[int(self.item[0])]
+
+    def of_items(self, table: Array) -> Array:
+        """Return the polynomials (spans, items, …, degree + 1) of all items of a table."""
+        every = np.arange(table.shape[1])
+        return self.read(table, np.broadcast_to(every, (len(self), len(every))))
+
+    @cached_property
+    def pose(self) -> Enclosed:
+        """x, y, z [m], cosine and sine of yaw."""
+        poses = self.source.object_poses.coefficients
+        return Enclosed(self.read(poses), position_margin(self.source))
+
+    @cached_property
+    def centre(self) -> Enclosed:
+        """The centre of mass [m]."""
+        path = centres(self.source).coefficients
+        return Enclosed(self.read(path), position_margin(self.source))
+
+    @cached_property
+    def pushed(self) -> Enclosed:
+        """Acceleration of the centre of mass [m/s²]."""
+        return self.derivative(centres(self.source), 2)
+
+    @cached_property
+    def share(self) -> Enclosed:
+        """The share of its weight that is borne."""
+        return Enclosed(self.read(self.source.object_shares.coefficients)[:, None])
+
+
+def gripping(motion: Motion) -> list[tuple[int, str, Mask]]:
+    """Return what is gripped: index and name of the object, and on which pieces (pieces,)."""
+    names = enumerate(motion.requirements.objects)
+    held = [(index, name, held_pieces(motion, name, HoldBy.GRIP)) for index, name in names]
+    return [each for each in held if np.any(each[2])]
+
+
+@shared
+def bends(motion: Motion) -> Array:
+    """Return where edges start, meet and leave what they hold, and end (pieces, n, 4, 3, …) [m]."""
+    layout, vertices = motion.team.layout, motion.vertices.coefficients
+    start, end = (vertices[:, points, None] for points in (layout.starts, layout.ends))
+    return concatenated([start, motion.edge_contacts.coefficients, end], axis=2)
+
+
+class Gripped(Held):
+    """Spans of an object that edges are wrapped around."""
+
+    @cached_property
+    def corners(self) -> list[Enclosed]:
+        """Each of ``bends`` (spans, n) [m]."""
+        return _corners(self.of_items(bends(self.source)), position_margin(self.source))
+
+    @cached_property
+    def ways(self) -> tuple[Enclosed, Enclosed]:
+        """Straight parts of edges, before and behind the object (spans, n) [m]."""
+        start, first, last, end = self.corners
+        return first - start, end - last
+
+    @cached_property
+    def tension(self) -> Enclosed:
+        """Tensions of edges (spans, n) [N]."""
+        return Enclosed(self.of_items(self.source.tensions.coefficients)[:, :, None])
+
+    @cached_property
+    def pull(self) -> Enclosed:
+        """What edges pull with along their straight parts, by their whole length (spans, n) [N]."""
+        half = 0.5 * GRAVITY * self.source.team.cable_density
+        if half == 0.0:
+            return self.tension
+        taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
+        legs = self.of_items(leg_vectors(self.source))
+        q, r = (Enclosed(legs[:, i::2], self.noise).norm for i in (0, 1))
+        edge = Enclosed(self.source.team.cable_length[:, None, None]) - q - r
+        found: Enclosed = chord_pull(self.tension, taut * half, edge * edge)
+        return found
+
+    @cached_property
+    def slip_load(self) -> Array:
+        """``μ Σ T_k θ_k`` (spans,) [N], at least.
+
+        ``T_k`` is the least pull of cable k's legs, less what friction takes where it is clasped.
+        """
+        before, behind = self.ways
+        legs = self.of_items(leg_vectors(self.source))
+        q, r = (Enclosed(legs[:, i::2], self.noise) for i in (0, 1))
+        clasped = np.maximum(_angles(-q, before).high, _angles(-r, -behind).high)
+        pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
+        pulls = np.minimum(pulls[:, 0::2], pulls[:, 1::2])
+        pulls = pulls * np.exp(-self.source.team.cable_friction * clasped)
+        turned = _angles(before.level, behind.level).low
+        slip: Array = self.body.friction * np.sum(pulls * turned, axis=-1)
+        return slip
+
+    @cached_property
+    def load(self) -> Array:
+        """What is borne of ``m (g + a_z)``, and what turns the object (spans,) [N], at most."""
+        borne = ((self.pushed[2] + GRAVITY) * self.share).above.value
+        turning = self.derivative(self.source.object_poses, 2)
+        turned = Enclosed(turning.c[:, 3:], turning.r).norm_above.value
+        load: Array = self.body.mass * (borne + turned * turning_reach(self.body))
+        return load
+
+
+def _corners(points: Array, margin: float = 0.0) -> list[Enclosed]:
+    return [Enclosed(points[:, :, i], margin) for i in range(points.shape[2])]
+
+
+def _angles(a: Enclosed, b: Enclosed) -> Interval:
+    """Return between which angles [rad] the one of two vectors stays."""
+    cosine = a.direction.dot(b.direction).range
+    low, high = (np.arccos(np.clip(x, -1.0, 1.0)) for x in (cosine.high, cosine.low))
+    return Interval(low, high)
+
+
+def turning_reach(body: SolidObject) -> float:
+    """Return the load over mass and angular acceleration of an object that is turned [m]."""
+    section = body.section
+    away = np.linalg.norm(section.core - section.centroid, axis=-1)
+    arm = section.rounding or float(np.min(away))
+    reach = float(np.max(away)) + section.rounding
+    return reach**2 / arm
+
+
+def slip_ratio(spans: Gripped) -> Bound:
+    """Return slip load over load; infinite where nothing is borne."""
+    return _ratio(spans.slip_load, spans.load * (1.0 + ROUNDING))
+
+
+def _ratio(a: Array, b: Array) -> Bound:
+    """Return a quotient (spans,); infinite where the divisor is not positive."""
+    ratio = np.divide(a, b, out=np.full_like(a, math.inf), where=b > 0.0)
+    return Bound(ratio, np.full(len(a), 0.5))
+
+
+def spare_friction(motion: Motion, index: int) -> Array:
+    """Return by how much the load of an object that is gripped all the time may grow (pieces,)."""
+    parts = Gripped.of_object(motion, index, np.ones(motion.drones.pieces, dtype=np.bool_))
+    return np.concatenate([spans.slip_load / LIMIT - spans.load for spans in parts])
+
+
+def _find(motion: Motion, limit: float) -> Finding:
+    """Return the smallest ratio of slip load to load, while the load is borne.
+
+    Level forces are not held by friction but by where edges bend (check ``equilibrium``). What
+    contradicts the phases counts as minus infinity: an edge that bends where nothing is gripped, or
+    that is not on the section of what is.
+    """
+    best = Finding(math.inf, 0.0)
+    lost = np.any(~_straight(*_corners(bends(motion))), axis=1)
+    gripped = gripping(motion)
+    for index, name, on in gripped:
+        for spans in Gripped.of_object(motion, index, on):
+            lost[spans.piece] = _misplaced(spans)
+        borne = np.any(motion.object_shares.coefficients[:, index] > 0.0, axis=-1)
+        parts = Gripped.of_object(motion, index, on & borne)
+        found = worst(parts, slip_ratio, "min", target=within(limit, "min"))
+        if found.worst < best.worst:
+            best = Finding(found.worst, found.time, (name,))
+    if np.any(lost):
+        time = float(motion.drones.breaks[int(np.argmax(lost))])
+        return Finding(-math.inf, time, tuple(name for _, name, _ in gripped))
+    return best
+
+
+def _limit(motion: Motion) -> float | None:
+    by_grip = any(phase.hold and phase.hold.by is HoldBy.GRIP for phase in motion.phases)
+    return LIMIT if by_grip or motion.contacts is not None else None
+
+
+SHOWN = (slip_ratio, Gripped.slip_load, Gripped.load)
+
+GRIP = CheckRule(
+    "grip",
+    "1",
+    "min",
+    _limit,
+    (Finder(_find, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
+    "lower the object's mass, raise the tension, or use rougher cables",
+)
+
+
+def _straight(start: Enclosed, first: Enclosed, last: Enclosed, end: Enclosed) -> Mask:
+    """Return (pieces, edges) where contacts are one point, on the line between both ends."""
+    aside = (first - start).cross(end - last).norm_above.value
+    size = (end - start).norm_above.value
+    one_point = (last - first).norm_above.value <= CONTACT
+    straight: Mask = (aside <= CONTACT * (size + CONTACT)) & one_point
+    return straight
+
+
+def _misplaced(spans: Gripped) -> Mask:
+    """Return (spans,) which contradict that edges are wrapped around an object.
+
+    Seen from the object, every edge is straight or touches its section at both of its contacts, all
+    of the section is on its right, and it turns to the right by less than half a turn. Contacts are
+    at one height, on the body.
+    """
+    body, section = spans.body, spans.body.section
+    seen = [seen_from(spans.pose, corner) for corner in spans.corners]
+    slack = CONTACT + np.max([np.asarray(each.r) for each in seen], axis=0)
+    start, first, last, end = (Enclosed(each.c) for each in seen)
+    touching = (_off(section, first) <= slack) & (_off(section, last) <= slack)
+    wrong = ~(_straight(start, first, last, end) | touching)
+    wrong |= _before(section, start, first, slack) | _before(section, last, end, slack)
+    before, behind = (first - start).level, (end - last).level
+    right, along = behind.cross(before).range, before.dot(behind).range
+    wrong |= right.low < -slack * np.maximum(along.high, -along.low)
+    wrong |= (along.low <= 0.0) & (right.low <= 0.0)
+    for height in (first[2], last[2]):
+        wrong |= (height - first.c[..., 2, :1]).norm_above.value > slack
+        wrong |= (height.below.value < body.lower) | (height.above.value > body.upper)
+    found: Mask = np.any(wrong, axis=1)
+    return found
+
+
+def _off(section: Section, point: Enclosed) -> Array:
+    """Return (spans, edges) how far a point is off a circle, or off a polygon's corners [m]."""
+    away = for_each(point.level) - section.core
+    off = away.norm_above.value
+    if section.outline is None:
+        off = (away.dot(away) - section.rounding**2).norm_above.value / section.rounding
+    nearest: Array = np.min(off, axis=-1)
+    return nearest
+
+
+def _before(section: Section, start: Enclosed, end: Enclosed, slack: Array) -> Mask:
+    """Return (spans, edges) where a part of the section is on the left of a straight part."""
+    along = (end - start).level
+    left = for_each(along).cross(for_each(-start.level) + section.core)
+    reach = (left + for_each(along.norm) * section.rounding).above.value
+    size = along.norm_range
+    # A part without length says nothing: the other part of its edge does.
+    found: Mask = (np.max(reach, axis=-1) > slack * size.low) & (size.high > CONTACT)
+    return found
+
+
+def unbalanced(motion: Motion) -> Finding:
+    """Return the largest force, or moment over its size, that an object lacks, over the tension."""
+    most = Finding(0.0, 0.0)
+    for index, name, on in gripping(motion):
+        lifted = np.all(motion.object_shares.coefficients[:, index] == 1.0, axis=-1)
+        for stands, chosen in ((True, on & ~lifted), (False, on & lifted)):
+            spans = Gripped.of_object(motion, index, chosen)
+            found = worst(spans, partial(lacking, stands=stands), "max")
+            if found.worst > most.worst:
+                most = Finding(found.worst, found.time, (name,))
+    return most
+
+
+def lacking(spans: Gripped, *, stands: bool) -> Bound:
+    """Return what an object lacks, over the least tension; infinite where none holds it.
+
+    Of an object off its support all of ``Σ P_k (b̂_k - â_k) - m (a + g ẑ)`` counts, and moments
+    about the vertical too; the moment that accelerates its turning there is left to friction (check
+    ``grip``). Of one that stands, in part at least, the share of its weight that is borne counts,
+    and level forces beyond what friction with its support takes.
+    """
+    body = spans.body
+    weight = spans.share.upward() * GRAVITY
+    before, behind = (way.direction * spans.pull for way in spans.ways)
+    force = (behind - before).sum() - (weight if stands else weight + spans.pushed) * body.mass
+    if stands:
+        friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.above.value)
+        level = np.maximum(force.level.norm_above.value - friction, 0.0)
+        found = np.maximum(level, force[2].norm_above.value)
+    else:
+        _, first, last, _ = spans.corners
+        centre = for_each(spans.centre)
+        moment = ((last - centre).cross(behind) - (first - centre).cross(before)).sum()
+        turning = moment.norm_above.value / body.section.circumradius
+        found = np.maximum(force.norm_above.value, turning)
+    return _ratio(found, np.min(spans.tension.below.value, axis=-1))
+
+
+@shared
+def wrapped_arcs(motion: Motion) -> Array:
+    """Return chords of arcs, the radius of their circle, and the length of polygons' sides.
+
+    Returns
+    -------
+    (pieces, n, 5, degree + 1) [m]: a chord's coordinates, and two constants.
+    """
+    contacts = motion.edge_contacts.coefficients
+    rows = np.zeros((*contacts.shape[:2], 5, contacts.shape[-1]))
+    rows[:, :, :3] = contacts[:, :, 1] - contacts[:, :, 0]
+    for index, name, on in gripping(motion):
+        section = motion.requirements.objects[name].section
+        rows[on, :, 3] = section.rounding
+        if section.outline is not None:
+            poses = motion.object_poses.coefficients[on, index, :, 0]
+            seen = in_frame(poses[:, None, None], contacts[on, ..., 0])
+            rows[on, :, 4] = _sides(section, seen[..., :2])[..., None]
+    return rows
+
+
+def _sides(section: Section, contacts: Array) -> Array:
+    """Return how long the outline is, clockwise, between contacts (…, 2, 2) [m]: (…) [m]."""
+    core = section.core
+    ring = np.append(0.0, np.cumsum(np.linalg.norm(np.roll(core, -1, axis=0) - core, axis=-1)))
+    away = np.linalg.norm(contacts[..., None, :] - core, axis=-1)
+    first, last = np.moveaxis(np.argmin(away, axis=-1), -1, 0)
+    sides: Array = (ring[last] - ring[first]) % ring[-1]
+    straight = np.linalg.norm(contacts[..., 1, :] - contacts[..., 0, :], axis=-1) < NO_ARC
+    return np.where(straight, 0.0, sides)
+
+
+def arc_lengths(rows: Array) -> Enclosed:
+    """Return the lengths of arcs (…) [m], given ``wrapped_arcs`` of them (…, 5, degree + 1).
+
+    On a circle of radius R the arc over a chord s is ``2 R asin(s / 2R)``: its Taylor polynomial
+    about the middle of the range of s. Between corners of a polygon arcs are sums of its sides.
+    """
+    radius, sides = rows[..., 3, 0], rows[..., 4, 0]
+    on_circle = radius > 0.0
+    size = np.where(on_circle, 2.0 * radius, 1.0)
+    chord = Enclosed(rows[..., :3, :]).norm * (1.0 / size)[..., None]
+    between = chord.range
+    middle, most = (
+        np.clip(0.5 * (between.low + between.high), 0.0, 1.0),
+        np.minimum(between.high, 1),
+    )
+    with np.errstate(all="ignore"):
+        slope = (1.0 - middle**2) ** -0.5
+        bend = 0.5 * middle * slope**3
+        third = (1.0 + 2.0 * most**2) * (1.0 - most**2) ** -2.5  # asin''' grows with its argument
+        error = size * third * (0.5 * (between.high - between.low)) ** 3 / 6.0
+    known = on_circle & np.isfinite(slope) & np.isfinite(error)
+    slope, bend, arc = (
+        np.where(known, x, 0.0)[..., None] for x in (slope, bend, np.arcsin(middle))
+    )
+    away = chord - middle[..., None]
+    found = (away * slope + away * away * bend + arc) * size[..., None] + sides[..., None]
+    return found.widened(np.where(known, error, np.where(on_circle, np.inf, 0.0)))

@@ -1,0 +1,292 @@
+"""Spans of a plan's time, and what checks read of its polynomials on them.
+
+A check is a formula over spans of drones, points, cables, clasps or pairs. What several formulas
+need is computed once: of a motion within ``shared_values``, of spans as long as they are in use.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import cached_property, wraps
+from math import perm
+from typing import Any, Self, TypeVar, cast
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.enclosed import Enclosed
+from hitchopt.trajectory.search import BATCH
+from hitchopt.values import Array, Indices
+
+ROUNDING = 2.0**-40
+"""Relative to the largest numbers that enter a quantity: what every bound is moved outward by.
+
+Coefficients and breaks are taken as exact: they are the plan. What is computed from them errs by a
+few units in the last place; this leaves a factor of a thousand, also for whoever samples the same
+polynomials."""
+
+LAST_PLACE = 2.0**-50
+"""What a difference of two numbers errs by at most, relative to it, with room to spare."""
+
+MOST_SHARED = 8 * BATCH
+"""Spans of drones up to which checks share what they compute on whole pieces."""
+
+UPWARD = np.array([0.0, 0.0, 1.0])
+
+F = TypeVar("F", bound=Callable[..., Any])
+T = TypeVar("T")
+
+_SHARED: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
+    "shared", default=None
+)
+
+
+@contextmanager
+def shared_values() -> Iterator[None]:
+    """Keep values within the outermost context: they take more memory than the motion itself."""
+    if _SHARED.get() is not None:
+        yield
+        return
+    token = _SHARED.set(WeakKeyDictionary())
+    try:
+        yield
+    finally:
+        _SHARED.reset(token)
+
+
+def once(source: Any, value: Callable[..., T], *further: Any) -> T:
+    """Return ``value(source, *further)``, which within ``shared_values`` is computed once.
+
+    Nobody may change it.
+    """
+    shared = _SHARED.get()
+    if shared is None:
+        return value(source, *further)
+    kept = shared.setdefault(source, {})
+    key = (value, *further)
+    if key not in kept:
+        kept[key] = value(source, *further)
+    found: T = kept[key]
+    return found
+
+
+def shared(value: F) -> F:
+    """Return a function that is called by ``once``: its first argument is the source."""
+
+    @wraps(value)
+    def known(source: Any, *further: Any) -> Any:
+        return once(source, value, *further)
+
+    return cast("F", known)
+
+
+@shared
+def magnitude(motion: Motion) -> float:
+    """Return the largest coordinate of the plan [m]."""
+    parts = (motion.drones, motion.vertices)
+    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
+
+
+def position_margin(motion: Motion) -> float:
+    """Return what rounding adds to positions [m]."""
+    return ROUNDING * magnitude(motion)
+
+
+@shared
+def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
+    """Return the margin (pieces, items) of the norm of a derivative by time, of order 1 or more.
+
+    The k-th differences of the coefficients amplify what the first ones err by, 2^(k-1) times,
+    and N!/(N-k)! / h^k times that is the derivative.
+    """
+    c = part.coefficients
+    if part.degree == 0:
+        return np.zeros(c.shape[:2])
+    gain = 2.0**order * perm(part.degree, order) / part.durations**order
+    size = _largest(part.differentiated(order).coefficients)
+    margin: Array = (LAST_PLACE * gain)[:, None] * _steps(part) + ROUNDING * size
+    return margin
+
+
+@shared
+def _steps(part: PiecewisePolynomial) -> Array:
+    return _largest(part.coefficients[..., 1:] - part.coefficients[..., :-1])
+
+
+def _largest(coefficients: Array) -> Array:
+    """Return the largest magnitudes (pieces, items) of coefficients (pieces, items, d, m)."""
+    sizes = np.abs(coefficients)
+    largest: Array = sizes.reshape(*sizes.shape[:2], -1).max(axis=-1)
+    return largest
+
+
+@shared
+def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
+    """Return the derivative by time of a table of a motion (pieces, …, degree + 1)."""
+    c = table(motion)
+    slope = bernstein.differentiate(c)
+    slope /= motion.drones.durations.reshape(-1, *(1,) * (c.ndim - 1))
+    return slope
+
+
+class Spans:
+    """Spans of time within pieces, each that of one item.
+
+    Parameters
+    ----------
+    source: what the polynomials are of.
+    breaks: (pieces + 1,) [s]
+    piece, item: (spans,)
+    lower, upper: (spans,), shares of the pieces; None of whole ones.
+    """
+
+    points: bool = False
+    """Whether the spans have no length."""
+
+    def __init__(
+        self,
+        source: Any,
+        breaks: Array,
+        piece: Indices,
+        item: Indices,
+        lower: Array | None = None,
+        upper: Array | None = None,
+    ) -> None:
+        self.source, self.breaks = source, breaks
+        self.piece, self.item, self.lower, self.upper = piece, item, lower, upper
+
+    def __len__(self) -> int:
+        return len(self.item)
+
+    @classmethod
+    def all_of(
+        cls, source: Any, breaks: Array, items: int, on: NDArray[np.bool_] | None = None
+    ) -> Iterator[Self]:
+        """Yield the spans of whole pieces of every item, in batches.
+
+        Parameters
+        ----------
+        on: (pieces,) or (pieces, items), which of them; None for all.
+        """
+        here = np.ones((len(breaks) - 1, items), dtype=np.bool_)
+        if on is not None:
+            here &= on.reshape(len(here), -1)
+        piece, item = np.nonzero(here)
+        for first in range(0, len(item), BATCH):
+            part = slice(first, first + BATCH)
+            yield cls(source, breaks, piece[part], item[part])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Return the spans of all parts, in a row; they have one source."""
+        ends = [np.concatenate(each) for each in zip(*(part._ends for part in parts), strict=True)]
+        piece, item = (
+            np.concatenate([getattr(part, name) for part in parts]) for name in ("piece", "item")
+        )
+        return cls(parts[0].source, parts[0].breaks, piece, item, *ends)
+
+    def _like(
+        self, index: Any, lower: Array | None, upper: Array | None, *, points: bool = False
+    ) -> Self:
+        made = type(self)(
+            self.source, self.breaks, self.piece[index], self.item[index], lower, upper
+        )
+        made.points = points
+        return made
+
+    def take(self, index: Indices | NDArray[np.bool_] | slice) -> Self:
+        """Return the chosen spans."""
+        if self.lower is None or self.upper is None:
+            return self._like(index, None, None)
+        return self._like(index, self.lower[index], self.upper[index], points=self.points)
+
+    def halves(self) -> Self:
+        """Return all first halves, then all second halves."""
+        lower, upper = self._ends
+        middle = 0.5 * (lower + upper)
+        twice = np.concatenate([np.arange(len(self))] * 2)
+        return self._like(twice, np.concatenate([lower, middle]), np.concatenate([middle, upper]))
+
+    def at(self, x: Array) -> Self:
+        """Return the points at x (spans,), from 0 to 1."""
+        lower, upper = self._ends
+        place = lower + x * (upper - lower)
+        return self._like(slice(None), place, place, points=True)
+
+    def times(self, x: Array) -> Array:
+        """Return the times at x (spans,) [s]."""
+        lower, upper = self._ends
+        begin, end = self.breaks[self.piece], self.breaks[self.piece + 1]
+        times: Array = begin + (lower + x * (upper - lower)) * (end - begin)
+        return times
+
+    @property
+    def _ends(self) -> tuple[Array, Array]:
+        if self.lower is None or self.upper is None:
+            return np.zeros(len(self)), np.ones(len(self))
+        return self.lower, self.upper
+
+    def read(self, table: Array, item: Indices | None = None) -> Array:
+        """Return polynomials (spans, …, degree + 1) on the spans.
+
+        Parameters
+        ----------
+        table: (pieces, items, …, degree + 1), coefficients on whole pieces.
+        item: (spans,) or (spans, k), whose; the spans' own by default.
+        """
+        item = self.item if item is None else item
+        piece = self.piece if item.ndim == 1 else self.piece[:, None]
+        c = table[piece, item]
+        if c.shape[-1] == 1 or self.lower is None or self.upper is None:
+            return c
+        axes = (-1, *(1,) * (c.ndim - 2))
+        if self.points:
+            weights = bernstein.basis(self.lower, c.shape[-1] - 1)
+            values: Array = np.einsum("s...i,si->s...", c, weights)
+            return values[..., None]
+        return bernstein.restrict(c, self.lower.reshape(axes), self.upper.reshape(axes))
+
+
+class MotionSpans(Spans):
+    """Spans of one kind of item of a motion."""
+
+    source: Motion
+
+    @classmethod
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the items' names."""
+        raise NotImplementedError
+
+    @classmethod
+    def of(cls, motion: Motion) -> Iterable[Self]:
+        """Return the spans of whole pieces of every item, in batches that checks share.
+
+        Of many items they are made anew every time: what they compute would fill the memory.
+        """
+        many = motion.drones.pieces * motion.team.drones > MOST_SHARED
+        return cls.spread(motion) if many else once(motion, cls._shared)
+
+    @classmethod
+    def spread(cls, motion: Motion) -> Iterator[Self]:
+        """Yield the spans of whole pieces of every item."""
+        return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
+
+    @classmethod
+    def _shared(cls, motion: Motion) -> tuple[Self, ...]:
+        return tuple(cls.spread(motion))
+
+    @cached_property
+    def noise(self) -> float:
+        """[m] What rounding adds to differences of positions."""
+        return position_margin(self.source)
+
+    def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
+        """Return the derivative by time of points of a part, rounding included."""
+        margin = derivative_margin(part, order)[self.piece, self.item]
+        derivative = once(part, PiecewisePolynomial.differentiated, order)
+        return Enclosed(self.read(derivative.coefficients), margin)

@@ -1,0 +1,173 @@
+"""Report ``tracking_radius``: how far all drones may be off their plan, every distance kept.
+
+It is the largest r such that, with every drone within r of its plan and every vertex within γ r,
+independently of each other, and taut parts of cables straight between them, all distances keep
+their limits at all times:
+
+- two drones: half the shortest shift of their offset that makes their ellipsoids touch;
+- ``cable_clearance``, ``crossing`` and ``legs``: what they leave beyond the limit over how far both
+  bodies move, a part of a cable no farther than its ends (g = max(1, γ));
+- ``arena`` and ``keep_out``: what they leave;
+- free cables: their drones come no farther apart than they are long, and a hanging cable moves by
+  its ends and by how much deeper or shallower it hangs between them.
+
+It follows from the bounds of the checks, which hold for all t. Only pairs of drones one of which is
+higher, and hanging cables, need a look of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hitchopt.checks.distances import Moving, smallest
+from hitchopt.checks.drones import Drones
+from hitchopt.checks.hanging import moved_by
+from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
+from hitchopt.checks.spans import ROUNDING, position_margin
+from hitchopt.geometry.vectors import unit
+from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.trajectory.enclosed import Bound
+from hitchopt.trajectory.search import worst
+from hitchopt.values import Array
+
+GAMMA = 1.0
+"""How many times farther than drones vertices are taken to be off, where nobody says."""
+
+HALVINGS = 40
+"""Halvings of the interval in which the radius of hanging cables lies."""
+
+NEWTON = 12
+"""Number of Newton iterations for the nearest point; a normal that is off costs tightness only."""
+
+
+def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
+    """Return the radius [m]; infinite where nothing keeps a distance."""
+    nothing = Finding(math.inf, 0.0)
+    terms = [*_distances_kept(found, gamma), *_spans(motion)]
+    least = min(terms, key=lambda term: term.worst, default=nothing)
+    for each, span in _hanging(motion, found):
+        least = _least_hanging(span, each, least)
+    for each in found["separation"]:
+        least = _least_pair(motion, each, least)
+    return Finding(least.worst * (1.0 - ROUNDING), least.time, least.where)
+
+
+def _distances_kept(found: Findings, gamma: float) -> Iterator[Finding]:
+    """Yield what distances leave whose bodies move by a known multiple of the radius."""
+    most = max(1.0, gamma)
+    hitched = {"cable_clearance": 1.0 + most, "crossing": 2.0 * most, "legs": 1.0 + gamma}
+    free = {"cable_clearance": 2.0, "crossing": 2.0}
+    for name in ("cable_clearance", "crossing", "legs", "arena", "keep_out"):
+        for each in found[name]:
+            if each.check.worst is None or (name == "cable_clearance" and _hangs(each)):
+                continue
+            moved = (hitched if each.states == HITCHED_STATE else free).get(name, 1.0)
+            left = each.check.worst - each.check.number
+            yield Finding(max(left / moved, 0.0), each.check.time, each.check.where)
+
+
+def _hangs(found: Found) -> bool:
+    return found.states.isdisjoint(HITCHED_STATE | {CableState.GROUND})
+
+
+def _spans(motion: Motion) -> Iterator[Finding]:
+    """Yield half of what cables are longer than their drones are apart."""
+    for span in motion.spans(FREE_STATES):
+        tightest = worst(Drones.of(span), _spare, "min")
+        radius = max(0.5 * tightest.worst, 0.0)
+        yield Finding(radius, tightest.time, (f"cable {tightest.item // 2}",))
+
+
+def _spare(spans: Drones) -> Bound:
+    """Return how much cables are longer than their chords [m]."""
+    found = spans.partner.norm_above
+    return Bound(spans.length - found.value, found.x)
+
+
+def _hanging(motion: Motion, found: Findings) -> Iterator[tuple[Found, Motion]]:
+    """Yield each finding on hanging cables with the span of time that it is of."""
+    each = [entry for entry in found["cable_clearance"] if _hangs(entry)]
+    if each:
+        yield from zip(each, motion.spans(each[0].states), strict=True)
+
+
+def _least_hanging(span: Motion, found: Found, least: Finding) -> Finding:
+    """Return the smaller of a term and what hanging cables leave."""
+    if found.check.worst is None:
+        return least
+    left = max(found.check.worst - found.check.number, 0.0)
+    low, high, needed = 0.0, min(least.worst, left), moved_by(span)
+    if needed(high) <= left:
+        return least if high == least.worst else Finding(high, found.check.time, found.check.where)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if needed(middle) <= left else (low, middle)
+    return Finding(low, found.check.time, found.check.where)
+
+
+def _least_pair(motion: Motion, found: Found, least: Finding) -> Finding:
+    """Return the smaller of a term and the radius at which two drones may touch.
+
+    A ratio s leaves the thinnest semi-axis times s - 1: where that is enough, no pair is looked at.
+    """
+    check, separation = found.check, motion.requirements.separation
+    if check.worst is None:
+        return least
+    lower = max(min(separation.radius, separation.height) * (check.worst - 1.0), 0.0)
+    if least.worst <= lower:
+        return least
+    drones, shape = motion.drones, Ellipsoid(1.0 / separation.scale)
+    points, margin = drones.coefficients[:, :, None], position_margin(motion)
+    moving = Moving(drones.breaks, points, margin=margin, shape=shape)
+    found_pair = smallest(moving, known=2.0 * least.worst)
+    radius = max(0.5 * found_pair.worst, lower)
+    if radius >= least.worst or found_pair.item < 0:
+        return replace(least, worst=min(radius, least.worst))
+    i, j = divmod(found_pair.item, motion.team.drones)
+    names = motion.team.drone_names
+    return Finding(radius, found_pair.time, (names[i], names[j]))
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """That on which the offset of two drones is when theirs touch: of twice the semi-axes.
+
+    Attributes
+    ----------
+    axes: (3,) [m], its semi-axes, the first two alike.
+    """
+
+    axes: Array
+
+    @property
+    def box(self) -> Array:
+        """Lower and upper corner (2, 3) [m] of a box around it."""
+        return np.stack([-self.axes, self.axes])
+
+    def support(self, directions: Array) -> Array:
+        """Return how far it reaches (…) [m] along directions (…, 3)."""
+        reach: Array = np.linalg.norm(directions * self.axes, axis=-1)
+        return reach
+
+    def towards(self, corners: Array) -> Array:
+        """Return the outward normals (…, 3) nearest to points (…, 1, 3); zero for points within.
+
+        The nearest point is ``(a² x, b² z) / (t + (a², b²))`` with t > 0 where that is on the
+        ellipsoid. Newton's method on a convex function that falls, from the left.
+        """
+        offsets, a, b = corners[..., 0, :], float(self.axes[0]), float(self.axes[2])
+        across, upward = np.hypot(offsets[..., 0], offsets[..., 1]), np.abs(offsets[..., 2])
+        outside = (across / a) ** 2 + (upward / b) ** 2 > 1.0
+        t = np.maximum(np.maximum(a * across - a * a, b * upward - b * b), 0.0)
+        for _ in range(NEWTON):
+            x, z = a * across / (t + a * a), b * upward / (t + b * b)
+            slope = 2.0 * (x * x / (t + a * a) + z * z / (t + b * b))
+            t = t + np.where(outside, (x * x + z * z - 1.0) / np.where(outside, slope, 1.0), 0.0)
+        return unit(np.where(outside[..., None], offsets / (t[..., None] + self.axes**2), 0.0))
+
+
+TRACKING_RADIUS = ReportRule("tracking_radius", "m", "min", _find)

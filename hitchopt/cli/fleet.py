@@ -1,0 +1,449 @@
+"""The commands for fleets: export, lint, abort and fly."""
+
+from __future__ import annotations
+
+import math
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hitchopt.cli.failures import unmet
+from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.output import LateProgress, certificate_table, record, say, span_text, table
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.exports.formats.known_formats import HOMES
+
+if TYPE_CHECKING:
+    from hitchopt.exports.exporting import Export
+    from hitchopt.exports.lint import Report
+    from hitchopt.hitch import Swarm, Team
+    from hitchopt.live.abort import AbortTable
+    from hitchopt.live.fly import Flight, Outlet
+    from hitchopt.live.links import Address
+    from hitchopt.motion.motion import Motion
+
+MAX_SHOWN = 5
+"""Number of findings of one rule that are shown; the rest are counted."""
+
+HOWS = "hold|back|release_and_land|land"
+"""Aborts; a flight is ended by the last two."""
+
+PORT = {"json": 14600, "mavlink": 14580}
+"""First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i."""
+
+
+def _complete_format(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+    return [name for name in HOMES if name.startswith(begun)]
+
+
+@command(
+    "directory DIR",
+    f"""
+    --format NAME (text): One of {", ".join(HOMES)}.
+    -o, --output PATH (path): The folder to write, or the file where there is but one (plan.csv); by
+        default DIR's name, a dash and NAME, next to DIR.
+    --frame FRAME (text): enu, nwu or ned; by default the format's usual.
+    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies in the file's frame: east, north,
+        up [m].
+    --yaw-deg DEG (0.0): Angle by which the plan is turned there, counter-clockwise from above.
+    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://0/80/2M/E7E7E7E701, type:
+        cf21}}, …}}, or a crazyflies.yaml with a role for each robot.
+    --rate HZ (float): Samples per second, where it samples.
+    --stretch FACTOR (1.0): Factor of all durations, from 1 on.
+    --storage mcap|sqlite3 (mcap): Storage of a ros2bag.
+    --ros-distro humble|iron|jazzy (humble): The release that a ros2bag is for; later ones read bags
+        for earlier ones.
+    --hold-tension: Move set points outward, for controllers that do not feed the cable force
+        forward.
+    --stiffness N/M (float): Of these controllers; by default the team's.
+    --damping N·S/M (float): Of these controllers; by default that of a damping ratio of 5/6.
+    """,
+    format={"required": True, "shell_complete": _complete_format},
+)
+def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
+    """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
+    from hitchopt.exports.export_options import ExportOptions
+    from hitchopt.exports.exporting import export_motion
+    from hitchopt.exports.formats.known_formats import format_of
+    from hitchopt.motion.plan_file import read_plan, read_title
+
+    chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)
+    format_of(chosen.format)  # a wrong name before a long read
+    path = plan_path(directory)
+    if output is None:
+        folder = path.parent
+        name = f"{folder.resolve().name or 'plan'}-{chosen.format}"
+        parent = folder / ".." if folder.name in {"", ".."} else folder.parent
+        output = parent / name
+    with LateProgress("certifying") as progress:
+        done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
+    record(parts=[_export_entry(part) for part in done])
+    for part in done:
+        _say_export(part)
+
+
+def _export_entry(part: Export) -> dict[str, Any]:
+    """Return what was written, as ``--json`` prints it."""
+    verdict = part.verdict
+    return {
+        "folder": str(part.folder),
+        "files": list(part.files),
+        "begins": part.begins,
+        "duration": verdict.duration,
+        "position_error": vars(verdict.position),
+        "velocity_error": vars(verdict.velocity),
+        "checks": [vars(check) for check in verdict.checks],
+        "not_carried": verdict.not_carried,
+        "notes": list(part.notes),
+    }
+
+
+def _say_export(part: Export) -> None:
+    from hitchopt.checks import Certificate
+
+    verdict = part.verdict
+    say(certificate_table(Certificate(verdict.duration, verdict.checks)))
+    position, velocity = verdict.position, verdict.velocity
+    say(
+        f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) and "
+        f"{1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
+        "from the plan, over all time"
+    )
+    say("\n".join([f"not carried: {verdict.not_carried}", *(f"note: {x}" for x in part.notes)]))
+    say(f"certified as exported; {len(part.files)} files in {part.folder}")
+
+
+@command(
+    "path PATH",
+    """
+    --speed M/S (float): Limit; by default the show's own, or 3 where it has none.
+    --acceleration M/S² (float): Limit; by default the show's own, or 10 where it has none.
+    --radius M (0.12): A drone's ellipsoid, across.
+    --height M (0.3): A drone's ellipsoid, up.
+    --relative: Every drone flies from where it stands (initial_position, home), not in one frame.
+    """,
+)
+def lint(path: Path, *, relative: bool, **limits: float | None) -> None:
+    """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
+
+    PATH is a file or a folder of any format that `export` writes. The limits that a show sets
+    itself are always held. Ends with 3 if there are errors.
+    """
+    from hitchopt.exports.lint import Rules
+    from hitchopt.exports.lint import lint as linted
+    from hitchopt.requirements import Separation
+    from hitchopt.values import positive
+
+    given = {key: positive(f"--{key}", x) for key, x in limits.items() if x is not None}
+    separation = Separation(given["radius"], given["height"])
+    rules = Rules(given.get("speed"), given.get("acceleration"), separation)
+    with LateProgress("reading and checking"):
+        reports = linted(path, rules, relative=relative)
+    record(reports=[_report_entry(report) for report in reports])
+    for report in reports:
+        _say_report(report)
+    if not all(report.sound for report in reports):
+        unmet()
+
+
+def _report_entry(report: Report) -> dict[str, Any]:
+    """Return a report as ``--json`` prints it."""
+    flight = report.flight
+    return {
+        "path": str(report.path),
+        **{name: getattr(report, name) for name in ("kind", "frame", "sound")},
+        "drones": [vars(fact) for fact in report.facts],
+        "flight": {**vars(flight), "own": [vars(check) for check in flight.own]},
+        "findings": [vars(finding) for finding in report.findings],
+    }
+
+
+def _say_report(report: Report) -> None:
+    """Write the contents of the files, then the findings, then their number."""
+    from hitchopt.exports.formats.compressed import BYTES
+    from hitchopt.exports.formats.format import ERROR, WARNING
+
+    facts, flight = report.facts, report.flight
+    frame = f", frame {report.frame}" if report.frame else ""
+    drones = "drone" if len(facts) == 1 else "drones"
+    say(f"{report.path}: {report.kind}, {len(facts)} {drones}{frame}, {flight.duration:.3f} s")
+    lines = []
+    if pieces := [fact.pieces for fact in facts if fact.pieces]:
+        lines.append(("pieces", f"{span_text(pieces, '.0f')} per drone"))
+    if sizes := [fact.size for fact in facts if fact.size]:
+        lines.append(("memory", f"{span_text(sizes, '.0f')} of {BYTES} bytes per drone"))
+    lines.append(("speed", f"{_against(flight.speed, flight.speed_limit)} m/s"))
+    if math.isfinite(flight.acceleration):
+        against = _against(flight.acceleration, flight.acceleration_limit)
+        lines.append(("acceleration", f"{against} m/s²"))
+    for own in flight.own:
+        words = f"{own.bound:.4g} of {own.limit:g} {own.unit}, the show's own"
+        lines.append((own.name, words))
+    if math.isfinite(flight.separation):
+        lines.append(("separation", f"{flight.separation:.4g}, 1 where ellipsoids touch"))
+    jumps = zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False)
+    joined = ", ".join(f"{size:.2g} {unit}" for size, unit in jumps)
+    lines.append(("jumps", f"{joined} where pieces join"))
+    lines.append(("reach", f"{flight.reach:.4g} m from the origin"))
+    for name, words in lines:
+        say(f"  {name:<13} {words}")
+    said: Counter[tuple[str, str]] = Counter()
+    for finding in report.findings:
+        said[finding.level, finding.rule] += 1
+        if said[finding.level, finding.rule] <= MAX_SHOWN:
+            say(str(finding), err=finding.level == ERROR)
+    for (level, rule), count in said.items():
+        if count > MAX_SHOWN:
+            say(f"{level}: {rule}: and {count - MAX_SHOWN} more", err=level == ERROR)
+    levels = [finding.level for finding in report.findings]
+    say(f"{levels.count(ERROR)} errors, {levels.count(WARNING)} warnings")
+
+
+def _against(value: float, limit: float) -> str:
+    return f"{value:.4g} of {limit:g}" if math.isfinite(limit) else f"{value:.4g}"
+
+
+@command(
+    "directory DIR",
+    f"""
+    --how {HOWS}: hold: stop and stay; back: fly backward until cables hang free; release_and_land:
+        untie and land; land: straight down. By default release_and_land, land without cables.
+    --every SECONDS (2.0): Distance of the entries.
+    """,
+)
+def abort(directory: Path, how: str | None, every: float) -> None:
+    """Plan and certify aborts over all of the plan in DIR.
+
+    Writes aborts.json and aborts.zip to DIR: from every time the common clock alone, running on and
+    then slowing to rest, reaches an entry, whose plan goes on from there. Ends with 3 if there are
+    times from which no abort was found.
+    """
+    from hitchopt.checks.drones import largest_static_thrust, largest_static_tilt
+    from hitchopt.live.abort import abort_table, save_aborts
+    from hitchopt.motion.plan_file import read_plan
+
+    path = plan_path(directory)
+    motion = read_plan(path)
+    chosen = how or ("release_and_land" if motion.team.has_cables else "land")
+    with LateProgress("planning aborts") as progress:
+        found = abort_table(motion, chosen, every, progress)
+    rows = []
+    for entry in found.entries:
+        phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
+        times = (entry.start, entry.start + entry.seconds, entry.certified.motion.duration)
+        rows.append((phase.name, *(f"{t:.3f} s" for t in times)))
+    heads = ["commands until", "at rest after", "ends"]
+    say(table(f"Aborts: {chosen}", ["phase"], heads, rows))
+    thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
+    say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
+    save_aborts(path.parent, found)
+    record(
+        directory=str(path.parent),
+        how=found.how,
+        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in found.entries],
+        missing=[list(span) for span in found.missing],
+        longest=found.longest if found.entries else None,
+    )
+    say(f"aborts.json and aborts.zip are in {path.parent}")
+    if found.entries:
+        say(f"at rest {found.longest:.3f} s after any command at the latest")
+    if found.missing:
+        spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in found.missing)
+        say(f"no abort was found for commands from {spans}", err=True)
+        unmet()
+
+
+@command(
+    "directory DIR",
+    """
+    --over json|mavlink|crazyflie: json: UDP datagrams; mavlink: offboard setpoints over UDP (needs
+        pymavlink); crazyflie: crazyflie_py of Crazyswarm2.
+    --to HOST:PORT: Address of all drones, or once for each; by default this machine, from port
+        14600 (json) or 14580 (mavlink) on, one port for each drone.
+    --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
+        this machine's address on the drones' network.
+    --operator HOST:PORT (text): Listen there for the commands and heartbeats of another machine,
+        and require them.
+    --fleet FILE (path): Names of the Crazyflies.
+    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies for the drones: east, north, up
+        [m].
+    --yaw-deg DEG (0.0): Angle by which the plan is turned.
+    --rate HZ (50.0): Setpoints per second and drone.
+    --how release_and_land|land: What key a does: by default what aborts.json in DIR does, else
+        release_and_land, land without cables.
+    --patience SECONDS (5.0): From a lost link to landing.
+    --measurements/--no-measurements (True): Whether drones must be measured: a silence of 0.5 s is
+        a lost link.
+    """,
+    over={"required": True},
+    to={"name": "targets", "multiple": True},
+)
+def fly(
+    directory: Path,
+    how: str | None,
+    patience: float,
+    rate: float,
+    operator: str | None,
+    *,
+    measurements: bool,
+    **options: Any,
+) -> None:
+    """Stream the setpoints of the plan in DIR to drones, steered by keys.
+
+    The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
+    a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
+    changes, and the aborts: those that hitchopt abort has written to DIR, certified anew, and
+    others are planned first. A lost operator or lost measurements end in a
+    hold, then in a landing. Ends with 3 unless the drones have landed.
+    """
+    from hitchopt.live.fly import Course, Flight, Timing
+    from hitchopt.live.links import KEYS_HELP, OperatorLink, terminal_keys
+    from hitchopt.plan import load
+
+    timing = Timing(rate=rate, patience=patience)
+    place = plan_path(directory).parent
+    with LateProgress("certifying"):
+        plan = load(place)
+    plan.certificate.raise_if_violated()
+    motion = plan.motion
+    reach = _outlet_of(motion.team, **options)
+    tables = flown_aborts(place, motion, how)
+    watched = motion.team.drone_names if measurements else ()
+    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, _listening(operator) as remote:
+        steering = OperatorLink(keys, remote)
+        course = Course(motion, tables, workers.submit)
+        outlet = reach()
+        flight = Flight(course, outlet, steering, timing, watched, workers.submit, say)
+        say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
+        with _signals(steering.add):
+            try:
+                _stream(flight, 1.0 / rate)
+            finally:
+                outlet.close(landed=flight.landed)
+    record(landed=flight.landed, late=flight.late)
+    if flight.late:
+        say(f"{flight.late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
+    say("landed" if flight.landed else "not landed", err=not flight.landed)
+    if not flight.landed:
+        unmet()
+
+
+@contextmanager
+def _listening(operator: str | None) -> Iterator[Any]:
+    """Give the socket for an operator on another machine, if there is one."""
+    from hitchopt.live.links import Datagrams, address
+
+    datagrams = None if operator is None else Datagrams(address("--operator", operator))
+    try:
+        yield datagrams
+    finally:
+        if datagrams is not None:
+            datagrams.close()
+
+
+def _outlet_of(
+    team: Team | Swarm,
+    over: str,
+    targets: tuple[str, ...],
+    listen: str,
+    fleet: Path | None,
+    origin: tuple[float, float, float],
+    yaw_deg: float,
+) -> Callable[[], Outlet]:
+    """Return what reaches the fleet that the options name; wrong options are found at once."""
+    from hitchopt.exports.fleet import placeholder_fleet, read_fleet
+    from hitchopt.exports.reference_frame import ReferenceFrame
+    from hitchopt.live.links import (
+        Datagrams,
+        JsonOutlet,
+        MavlinkOutlet,
+        address,
+        crazyflie_outlet,
+        messages,
+    )
+
+    names = team.drone_names
+    frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
+    if over == "crazyflie":
+        members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
+        robots = [member.name for member in members]
+        return partial(crazyflie_outlet, names, robots, frame)
+    places, here = _targets(targets, len(names), PORT[over]), address("--listen", listen)
+    if over == "json":
+        return lambda: JsonOutlet(names, places, frame, Datagrams(here))
+    messages()
+    return lambda: MavlinkOutlet(names, places, frame, Datagrams(here))
+
+
+def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
+    """Return an address for each drone."""
+    from hitchopt.live.links import address
+
+    if not given:
+        return [("127.0.0.1", port + i) for i in range(count)]
+    if len(given) not in (1, count):
+        raise InputError("--to", len(given), f"given once, or {count} times", "one for each drone")
+    found = [address("--to", each) for each in given]
+    return found * count if len(found) == 1 else found
+
+
+def flown_aborts(directory: Path, motion: Motion, how: str | None) -> dict[str, AbortTable]:
+    """Return the aborts for the commands ``abort`` and ``land``: those of the directory, or new."""
+    from hitchopt.live.abort import abort_table, read_aborts
+
+    with LateProgress("reading aborts") as progress:
+        saved = read_aborts(directory, motion, progress)
+    usual = "release_and_land" if motion.team.has_cables else "land"
+    if saved is not None and saved.how in ("release_and_land", "land"):
+        usual = saved.how
+    chosen = how or usual
+    found = {}
+    with LateProgress("planning aborts") as progress:
+        for each in dict.fromkeys(("land", chosen)):
+            if saved is not None and saved.how == each:
+                say(f"{each}: {len(saved.entries)} entries of aborts.zip, certified anew")
+                found[each] = saved
+            else:
+                found[each] = abort_table(motion, each, progress=progress)
+            if not found[each].entries:
+                remedy = "a lost link could not end on the ground; choose another --how"
+                raise InfeasibleError([], f"no abort {each} was found; {remedy}")
+    return {"land": found["land"], "abort": found[chosen]}
+
+
+@contextmanager
+def _signals(add: Callable[[str], None]) -> Iterator[None]:
+    """Let SIGINT and SIGTERM land within the context, the second of them end it at once.
+
+    A terminal that is closed is a lost operator, so SIGHUP is ignored.
+    """
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+
+    def end(number: int, _: Any) -> None:
+        add("end")
+        signal.signal(number, before[signal.Signals(number)])
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _stream(flight: Flight, period: float) -> None:
+    """Tick until the flight ends."""
+    due = time.monotonic()
+    while flight.tick(time.monotonic()):
+        due = max(due + period, time.monotonic() - period)
+        time.sleep(max(0.0, due - time.monotonic()))

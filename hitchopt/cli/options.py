@@ -1,0 +1,110 @@
+"""How a command is declared: a line of text for each of its options; paths are never empty."""
+
+from __future__ import annotations
+
+import ast
+import re
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hitchopt.cli import main
+from hitchopt.cli.output import OutputCommand
+from hitchopt.errors import InputError
+
+LINE = re.compile(
+    r"(?P<flags>-[^\s,:]+(?:, -[^\s,:]+)*)(?: (?P<metavar>[^(]+?))?(?: \((?P<value>.*?)\))?: "
+    r"(?P<help>.*)"
+)
+"""An option: ``--rate HZ (100.0): help``; in brackets its default, or its type without one."""
+
+
+class GivenPath(click.Path):
+    """A path that is not empty: an unset shell variable must not mean this directory.
+
+    Raises
+    ------
+    InputError: the path is empty.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the path."""
+        if value == "" and param is not None:
+            key = param.opts[0] if isinstance(param, click.Option) else param.human_readable_name
+            raise InputError(key, "", "a path that is not empty", "name one; . is this directory")
+        return super().convert(value, param, ctx)
+
+
+TYPES: dict[str, Any] = {"path": GivenPath(), "float": float, "int": int, "text": str}
+"""Types of options that have no default, as they are written in brackets."""
+
+
+def command(
+    argument: str = "", options: str = "", **more: dict[str, Any]
+) -> Callable[[Callable[..., None]], click.Command]:
+    """Return the decorator that makes a function a command of the function's name.
+
+    Parameters
+    ----------
+    argument: the parameter's name and how usage calls it, ``directory DIR``; it is a path.
+    options: one after another, each as LINE has it; a value such as ``fast|accurate`` is a choice,
+        and an option without a value is a flag.
+    more: for parameters by name, what click's options are given besides, such as ``multiple``.
+    """
+    parameters: list[click.Parameter] = []
+    if argument:
+        name, metavar = argument.split()
+        settings = {"type": GivenPath(), **more.pop(name, {})}
+        parameters.append(click.Argument([name], metavar=metavar, **settings))
+    entries = re.split(r"\n(?=-)", textwrap.dedent(options).strip())
+    parameters += [_option(" ".join(entry.split()), more) for entry in entries if entry]
+    if more:
+        raise ValueError(f"there are no parameters {', '.join(more)}")
+
+    def decorate(function: Callable[..., None]) -> click.Command:
+        return main.command(cls=OutputCommand, params=parameters)(function)
+
+    return decorate
+
+
+def _option(entry: str, more: dict[str, dict[str, Any]]) -> click.Option:
+    found = LINE.fullmatch(entry)
+    if found is None:
+        raise ValueError(f"no option: {entry}")
+    flags, metavar, value = found["flags"].split(", "), found["metavar"], found["value"]
+    settings: dict[str, Any] = {"help": found["help"]}
+    if metavar is None:
+        settings.update({"default": ast.literal_eval(value)} if value else {"is_flag": True})
+    elif "|" in metavar:
+        settings.update(type=click.Choice(metavar.split("|")), default=value)
+    else:
+        settings["metavar"] = metavar
+        if value in TYPES:
+            settings["type"] = TYPES[value]
+        elif value is not None:
+            default = settings["default"] = _literal(value)
+            settings["nargs"] = len(default) if isinstance(default, tuple) else 1
+    name = flags[-1].partition("/")[0].lstrip("-").replace("-", "_")
+    settings.update(more.pop(name, {}))
+    return click.Option([*flags, settings.pop("name", name)], **settings)
+
+
+def _literal(text: str) -> Any:
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
+
+
+def plan_path(given: Path) -> Path:
+    """Return the path of the plan in a directory; the path of a plan is returned unchanged."""
+    from hitchopt.storage.archive import PLAN
+
+    own = given.name == PLAN and not given.is_dir()
+    return given if own or given.is_file() else given / PLAN

@@ -1,0 +1,243 @@
+"""The commands report and view: a plan to look at."""
+
+from __future__ import annotations
+
+import threading
+import time
+import webbrowser
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hitchopt.cli.failures import complain, unmet
+from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.output import LateProgress, record, say
+from hitchopt.cli.planning import SUFFIXES, report_suggestions
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
+
+if TYPE_CHECKING:
+    from hitchopt.mission.loading import AnyProblem
+    from hitchopt.mission.repair import Suggestion
+    from hitchopt.plan import Plan
+    from hitchopt.view.editing import Status
+    from hitchopt.view.live import LiveView
+    from hitchopt.view.scene import Scene
+
+PROBLEM = "problem.yaml"
+"""Name under which an edited problem is saved beside its plan."""
+
+PATIENCE = 3.0
+"""Time for which the processor is left to the browser, until it has loaded the page [s]."""
+
+DRAWING = 1.5
+"""Time for which it is left to it after that, to draw the first picture [s]: graphics cards are
+not everywhere."""
+
+SEARCH = 60.0
+"""Time limit of the search for changes that make a problem feasible [s]."""
+
+
+@command("directory DIR")
+def report(directory: Path) -> None:
+    """Write DIR/report.html: the plan in one file that needs no network.
+
+    It plays the plan in three dimensions, with plots of separation, speed, thrust and tension, the
+    certificate, the phases, the problem file, versions and digests.
+    """
+    from hitchopt.plan import load
+
+    place = plan_path(directory).parent
+    with LateProgress("certifying and writing"):
+        path = load(place).report(place)
+    record(file=str(path))
+    say(f"open {path} in a browser")
+
+
+@command(
+    "path DIR|FILE",
+    """
+    --save FILE (path): Write a page, picture or film; do not serve.
+    --ghost PATH (path): Show another plan, or a simulated flight, at its side: its directory or
+        file.
+    --host TEXT ('127.0.0.1'): Address to listen on; by default this machine.
+    --port INTEGER (8080): Port to listen on, or the next free one.
+    --browser/--no-browser (True): Whether to open the browser.
+    """,
+)
+def view(
+    path: Path, save: Path | None, ghost: Path | None, host: str, port: int, *, browser: bool
+) -> None:
+    """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
+
+    Of a problem FILE (.yaml) the plan is made first; if it cannot be met, that of the smallest
+    change that makes it feasible is shown, and changes are offered. Vertices, edges and the hitch
+    can be dragged; the plan is made again in the background, and Save writes the problem file:
+    FILE, or DIR/problem.yaml.
+
+    With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the
+    summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
+
+    Of a simulated flight, DIR/simulation, the film is saved, and live it is the ghost of its plan.
+    """
+    from hitchopt.storage.archive import PLAN, RECORDING
+
+    recording = path / RECORDING if path.is_dir() and not (path / PLAN).exists() else path
+    flown = recording.name == RECORDING and recording.is_file()
+    if flown:
+        path = recording.resolve().parent.parent
+        if not (path / PLAN).is_file():
+            raise FileError(f"{recording}: its plan is not in {path}; keep the two together")
+    if save is not None:
+        if ghost is not None:
+            words = "no ghost where a plan is written to a file"
+            raise InputError("--ghost", str(ghost), words, "leave --save out: it is shown live")
+        _save(save, path, recording if flown else None)
+        return
+    from hitchopt.view.server import open_server, server_address
+
+    planned = path.suffix in SUFFIXES
+    plan, status = shown_plan(path) if planned else (None, None)
+    if plan is None:
+        _refuse_damaged(plan_path(path))
+    server = open_server(host, port)
+    address = server_address(server)
+    say(f"the plan is at {address}; Ctrl-C ends this")
+    if browser:  # it loads the page while the plan is read; some browsers return late
+        threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
+    close = server.stop
+    try:
+        close = _serve(server, path, plan, status, ghost or (recording if flown else None)).close
+        threading.Event().wait()
+    finally:
+        close()
+
+
+def _save(file: Path, path: Path, recording: Path | None) -> None:
+    """Write a plan as a page or picture, or the film of a simulated flight of it."""
+    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.plan import load
+    from hitchopt.view.film import check_film
+    from hitchopt.view.scene import ghost_scene
+
+    if recording is not None:
+        check_film(file)
+        flown = plan_path(path)
+        save_flight_film(file, ghost_scene(recording, read_plan(flown)), read_title(flown))
+        record(file=str(file))
+        return
+    planned = path.suffix in SUFFIXES
+    try:
+        with LateProgress("certifying and drawing") as progress:
+            plan = _planned(path) if planned else load(plan_path(path).parent)
+            plan.view(file, progress=progress)
+    except InfeasibleError as error:
+        if _suggested(path, error)[1]:
+            say(f"nothing is written; hitchopt view {path} shows the first change", err=True)
+        unmet()
+    record(file=str(file))
+    say(f"wrote {file}")
+
+
+def save_flight_film(path: Path, scene: Scene, title: str) -> None:
+    """Write the film of a simulated flight."""
+    from hitchopt.view.film import save_film
+
+    with LateProgress("drawing the film") as progress:
+        words = f"{title} (simulated)".strip()
+        save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))
+    say(f"the film is {path}")
+
+
+def _refuse_damaged(file: Path) -> None:
+    """Raise FileError for a file that holds no plan, before a page is opened for it."""
+    from hitchopt.storage.archive import BROKEN, read_arrays
+
+    try:
+        read_arrays(file, ("settings", "breaks", "drones"))
+    except BROKEN:
+        from hitchopt.motion.plan_file import read_plan  # slow to import, and says what is wrong
+
+        read_plan(file)
+
+
+def _serve(
+    server: Any, path: Path, plan: Plan | None, status: Status | None, ghost: Path | None
+) -> LiveView:
+    """Show a plan, or that in a directory, in the page of a server, to be edited there."""
+    from hitchopt.checks import certify
+    from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
+    from hitchopt.steps.certified_motions import Certified
+    from hitchopt.view.editing import Editing
+    from hitchopt.view.live import ASPECT, NARROW_ASPECT, LiveView
+    from hitchopt.view.panel import EditingPanel
+    from hitchopt.view.scene import ghost_scene
+
+    certificate = None
+    if plan is not None:
+        motion, certificate, title, text = plan.motion, plan.certificate, plan.title, plan.problem
+    else:
+        file = plan_path(path)
+        motion, title, text = read_plan(file), read_title(file), read_problem_text(file)
+        path = file.with_name(PROBLEM)
+    other = None if ghost is None else ghost_scene(ghost, motion)
+    aspect = NARROW_ASPECT if text and motion.team.has_cables else ASPECT
+    live = LiveView(motion, certificate, title, ghost=other, server=server, aspect=aspect)
+    if certificate is None:
+        if live.wait_for_page(PATIENCE):
+            time.sleep(DRAWING)
+        with LateProgress("certifying"):
+            certificate = certify(motion)
+        live.show_certificate(certificate)
+    try:
+        editing = Editing(text, path, Certified(live.motion, certificate), status=status)
+    except HitchoptError as error:
+        say(f"it cannot be edited here: {error}")
+    else:
+        EditingPanel(live, editing)
+    return live
+
+
+def _planned(path: Path) -> Plan:
+    """Return the plan of a problem file, with its text."""
+    from hitchopt import api
+    from hitchopt.storage.yaml_file import read_text
+
+    text, _ = read_text(path)
+    with LateProgress("planning") as progress:
+        return replace(api.solve(path, progress), problem=text)
+
+
+def shown_plan(path: Path) -> tuple[Plan, Status | None]:
+    """Return what is shown of a problem file: its plan, or one with a change, and how they relate.
+
+    Exits where there is no plan, and no change was found.
+    """
+    try:
+        return _planned(path), None
+    except InfeasibleError as error:
+        problem, found = _suggested(path, error)
+        words = str(error)
+    if not found:
+        say(f"nothing to show: change {path} as the errors say, then view it again", err=True)
+        unmet()
+    from hitchopt import api
+    from hitchopt.storage.yaml_file import read_text
+    from hitchopt.view.editing import Stage, Status
+
+    say("the page shows the plan of the first change; a click on a change makes it")
+    with LateProgress("planning the first change") as progress:
+        plan = api.solve(found[0].change.problem, progress)
+    plan = replace(plan, title=problem.title, problem=read_text(path)[0])
+    return plan, Status(Stage.SUGGESTED, words, found)
+
+
+def _suggested(path: Path, error: InfeasibleError) -> tuple[AnyProblem, tuple[Suggestion, ...]]:
+    """Report what binds, and return the problem with the changes that make it feasible."""
+    from hitchopt.mission.loading import read_problem
+    from hitchopt.mission.problem import Problem
+
+    complain(error)
+    problem = read_problem(path)
+    if not isinstance(problem, Problem):
+        return problem, ()
+    return problem, report_suggestions(problem, error, SEARCH)[1]

@@ -1,0 +1,378 @@
+"""The commands solve, check, verify and init: problem files to certified plans."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import math
+import re
+import shlex
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+import hitchopt
+from hitchopt.cli.failures import complain, exit_code, unmet
+from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.output import LateProgress, certificate_table, hint, phase_table, record, say
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
+from hitchopt.exports.export_options import checked_rate
+
+if TYPE_CHECKING:
+    from hitchopt.checks.certificate import Certificate
+    from hitchopt.live.lost import Lost
+    from hitchopt.mission.loading import AnyProblem
+    from hitchopt.mission.problem import Problem
+    from hitchopt.mission.repair import Suggestion
+    from hitchopt.motion.motion import Motion
+
+MAX_ROWS = 5e8
+"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
+
+MIN_SEARCH_TIME = 1e-3
+"""Time limit of the search for changes [s] if no time is left: its end is then reported."""
+
+SUFFIXES = {".yaml", ".yml"}
+"""Endings of the names of problem files."""
+
+PACKAGE = Path(hitchopt.__file__).parent
+
+SCHEMA = PACKAGE / "mission" / "problem.schema.json"
+"""The schema with which editors complete and check problem files."""
+
+MODELINE = "# yaml-language-server: $schema="
+"""Beginning of the line that names the schema to editors."""
+
+
+@command(
+    "file FILE",
+    """
+    -o, --output DIR (path): Directory to write the plan to; by default ./ and FILE's stem.
+    --rate HZ (100.0): Setpoints per second and drone.
+    --report: Write DIR/report.html as well.
+    --verify: Prove the plan's limits by another method as well.
+    --repair/--no-repair (True): If there is no plan, search for the smallest change that makes it
+        feasible.
+    --limit SECONDS (600.0): Time limit, searches included.
+    """,
+)
+def solve(
+    file: Path,
+    output: Path | None,
+    rate: float,
+    limit: float,
+    *,
+    report: bool,
+    verify: bool,
+    repair: bool,
+) -> None:
+    """Plan the problem in FILE, certify the plan and write it to DIR.
+
+    FILE may be - for standard input. After a refusal DIR/previous has the last certified plan.
+    """
+    checked_rate(rate)
+    if not math.isfinite(limit) or limit <= 0.0:
+        raise InputError("--limit", limit, "above 0 s", "600 s are usual")
+    end = time.monotonic() + limit
+    place = _output(output, file)
+    from hitchopt.mission.loading import parse_problem
+    from hitchopt.storage.yaml_file import read_text
+
+    problem: AnyProblem | None = None
+    try:
+        text, name = read_text(file)  # once: it may be a pipe
+        problem = parse_problem(text, name, file.parent)
+        _plan(problem, text, place, rate, limit, report=report)
+    except (InputError, FileError):
+        raise  # nothing was solved: DIR stays as it is
+    except HitchoptError as error:
+        searched = repair and not isinstance(error, TimeLimitError)
+        left = max(end - time.monotonic(), MIN_SEARCH_TIME)
+        _leave_diagnosis(place, error, problem if searched else None, left)
+    if verify:
+        _show_verified(plan_path(place))
+
+
+def _output(given: Path | None, file: Path) -> Path:
+    """Return the directory to write to; refuse the root, which is named only by mistake."""
+    place = Path("stdin" if str(file) == "-" else file.stem) if given is None else given
+    if given is not None and not given.name and given.resolve().parent == given.resolve():
+        raise InputError("-o", str(given), "a directory of its own", "name one, such as out")
+    if place.exists() and not place.is_dir():
+        raise FileError(f"{place}: is not a directory; choose another one with -o")
+    return place
+
+
+def _plan(
+    problem: AnyProblem, text: str, place: Path, rate: float, limit: float, *, report: bool
+) -> None:
+    """Plan, show and write a problem."""
+    from hitchopt import api
+    from hitchopt.exports.directory import SUMMARY, certificate_content
+    from hitchopt.storage.archive import PLAN
+
+    _check_rows(rate, _least_duration(problem), problem)
+    with LateProgress("planning", limit) as progress:
+        plan = api.solve(problem, progress=progress, limit=limit)
+    motion = plan.motion
+    show_plan(plan.title, motion, plan.certificate)
+    _check_rows(rate, motion.duration, problem)
+    with LateProgress("writing") as progress:
+        replace(plan, problem=text).save(place, rate, progress, report=report)
+    content = certificate_content(motion, plan.certificate, place / PLAN)
+    record(directory=str(place), certificate=content)
+    say(f"certified; the plan is in {place}")
+    name = shlex.quote(str(place))
+    hint(f"next: look at {place / SUMMARY}")
+    if motion.team.has_cables:
+        hint(f"      hitchopt simulate {name}")
+    # Edges that bend around an object need more digits than fitted polynomials keep.
+    chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
+    hint(f"      hitchopt export {name} --format {chosen}")
+
+
+def _least_duration(problem: AnyProblem) -> float:
+    """Return the sum of the steps' own durations [s], a lower bound of the plan's duration."""
+    from hitchopt.mission.problem import Problem
+
+    if not isinstance(problem, Problem):
+        return problem.duration or 0.0
+    return sum(step.given_duration or 0.0 for step in problem.mission)
+
+
+def _check_rows(rate: float, duration: float, problem: AnyProblem) -> None:
+    drones = len(problem.team.drone_names)
+    if (rows := rate * duration * drones) > MAX_ROWS:
+        bound = (
+            f"at most {MAX_ROWS / (duration * drones):.3g} Hz for a plan of {duration:g} s "
+            f"and {drones} drones (it would write {rows:.3g} rows)"
+        )
+        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
+
+
+def _leave_diagnosis(
+    place: Path, error: HitchoptError, problem: AnyProblem | None, left: float
+) -> NoReturn:
+    """Report and write why there is no plan, and exit with the error's code.
+
+    If a problem is given, changes that make it feasible are searched for in the time ``left`` [s].
+    """
+    from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
+    from hitchopt.mission.problem import Problem
+    from hitchopt.storage.files import PREVIOUS
+
+    complain(error)  # first, in case the diagnosis cannot be written
+    save_diagnosis(place, error)  # the search may be interrupted
+    found: tuple[Suggestion, ...] = ()
+    if isinstance(problem, Problem) and isinstance(error, InfeasibleError):
+        error, found = report_suggestions(problem, error, left)
+        save_diagnosis(place, error, found)
+    record(directory=str(place), diagnosis=diagnosis_content(error, found))
+    last = ""
+    if (kept := place / PREVIOUS).is_dir():
+        record(previous=str(kept))
+        last = f"; the last certified plan is in {kept}"
+    say(f"no plan; the diagnosis is in {place / DIAGNOSIS}{last}", err=True)
+    click.get_current_context().exit(exit_code(error))
+
+
+def report_suggestions(
+    problem: Problem, error: InfeasibleError, left: float
+) -> tuple[InfeasibleError, tuple[Suggestion, ...]]:
+    """Return the verified changes that make the problem feasible, and report them.
+
+    The error has a note if the time limit has ended the search.
+    """
+    from hitchopt.errors import time_left, time_limit
+    from hitchopt.mission.repair import NO_CHANGE, find_suggestions
+
+    found: tuple[Suggestion, ...] = ()
+    with LateProgress("searching for changes that make it feasible", left) as progress:
+        try:
+            with time_limit(left):
+                found = find_suggestions(problem, error, progress=progress)
+                ended = time_left() <= 0.0
+        except TimeLimitError:
+            ended = True
+    for line in map(str, found or (NO_CHANGE,)):
+        say(line, err=True)
+    if ended:
+        note = "the search for changes ended at the time limit (--limit)"
+        say(note, err=True)
+        error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
+    return error, found
+
+
+def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
+    """Report the phases and the certificate of a plan."""
+    names = ("name", "step", "start", "end", "remark")
+    phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
+    record(title=title, phases=phases, certificate=certificate.to_dict())
+    if title:
+        say(title)
+    say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
+
+
+@command(
+    "directory DIR",
+    """
+    --closest: Report the closest pairs of drones over time.
+    --picture PNG (path): Draw the same to a file.
+    --gamma FLOAT (1.0): How many times farther than drones vertices may be off, for
+        tracking_radius.
+    --survivable: Report for how many losses of a drone there is a certified reaction; this takes a
+        while.
+    """,
+)
+def check(
+    directory: Path, picture: Path | None, gamma: float, *, closest: bool, survivable: bool
+) -> None:
+    """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
+    from hitchopt.checks import certify
+    from hitchopt.exports.directory import certificate_content
+    from hitchopt.plan import Plan, read_asked_plan
+    from hitchopt.plan import closest as closest_pairs
+
+    path = plan_path(directory)
+    motion, _ = read_asked_plan(path)
+    with LateProgress("certifying") as progress:
+        certificate = certify(motion, progress, gamma)
+    without: Sequence[Lost] = ()
+    if survivable:
+        from hitchopt.live.lost import survivable as survived
+
+        with LateProgress("planning reactions") as progress:
+            losses = survived(motion, progress=progress)
+        certificate = replace(certificate, checks=(*certificate.checks, losses.check))
+        without = losses.without
+        record(without_reaction=[asdict(lost) for lost in without])
+    show_plan("", motion, certificate)
+    record(certificate=certificate_content(motion, certificate, path))
+    for lost in without:
+        say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
+    if closest or picture is not None:
+        with LateProgress("finding the closest neighbours"):
+            found = closest_pairs(Plan(motion, certificate), picture=picture)
+        record(closest=str(found).splitlines())
+        say(f"Closest neighbours\n{found}\n")
+        if picture is not None:
+            say(f"the closest neighbours over time are drawn in {picture}")
+    certificate.raise_if_violated()
+    say(f"certified; recomputed from {path}")
+
+
+@command("directory DIR")
+def verify(directory: Path) -> None:
+    """Prove the limits of the plan in DIR by sampling and rates, in code of its own.
+
+    Ends with 0 where all are proven, with 3 where one is violated or not proven.
+    """
+    _show_verified(plan_path(directory))
+
+
+def _show_verified(path: Path) -> None:
+    """Prove the limits of a plan.npz, report every one, and exit with 3 unless all are proven."""
+    from hitchopt.verify import UnreadableError, line, verdict, verify
+
+    rows = []
+    try:
+        with LateProgress("proving") as progress:
+            for row in verify(path):
+                rows.append(row)
+                progress(f"proven or not: {row.name}")
+    except UnreadableError as error:
+        raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
+    for row in rows:
+        say(line(row))
+    record(verified=[row._asdict() for row in rows])
+    say(verdict(rows))
+    if any(row.verdict != "proven" for row in rows):
+        unmet()
+
+
+def _complete_example(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
+    return [path.stem for path in example_files() if path.stem.startswith(begun)]
+
+
+@command(
+    "name [NAME]",
+    """
+    --example EXAMPLE (text): Write this example.
+    --list: List the examples.
+    """,
+    name={"type": str, "required": False},
+    example={"shell_complete": _complete_example},
+    list={"name": "listing"},
+)
+def init(name: str | None, example: str | None, *, listing: bool) -> None:
+    """Write a commented problem file to start from, or an example.
+
+    NAME is problem.yaml by default, or the example's name.
+    """
+    if listing:
+        found = {path.stem: _title(path) for path in example_files()}
+        record(examples=[{"name": stem, "title": title} for stem, title in found.items()])
+        width = max(map(len, found))
+        say("\n".join(f"{stem:{width}}  {found[stem]}" for stem in found))
+        return
+    files = {path.stem: path for path in example_files()}
+    if example is not None and example not in files:
+        near = difflib.get_close_matches(example, files, 1)
+        remedy = f"did you mean {near[0]}?" if near else "hitchopt init --list names them"
+        raise InputError("--example", example, "an example's name", remedy)
+    source = files[example] if example else PACKAGE / "mission" / "template.yaml"
+    path = _write_new(name if name is not None else example or "problem", problem_text(source))
+    record(file=str(path))
+    say(f"wrote {path}; try: hitchopt solve {path}")
+
+
+def example_files() -> list[Path]:
+    """Return the examples: in the package where it is installed, else in the checkout."""
+    packed = PACKAGE / "examples"
+    place = packed if packed.is_dir() else PACKAGE.parent / "problems"
+    return sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
+
+
+def _title(path: Path) -> str:
+    title = re.search(r"^title: (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return title.group(1).strip("'\"") if title else ""
+
+
+def problem_text(path: Path) -> str:
+    """Return the text of a problem file; its first line names the installed schema."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if not line.startswith(MODELINE)]
+    return "\n".join([f"{MODELINE}{SCHEMA.as_posix()}", *kept]) + "\n"
+
+
+def _write_new(name: str, text: str) -> Path:
+    """Write a problem file to ``name``, with the suffix .yaml, completely or not at all.
+
+    Raises
+    ------
+    FileError: the file exists, or its directory cannot be written to.
+    """
+    path = Path(name)
+    if not path.name.strip("."):
+        raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
+    if path.suffix not in SUFFIXES:
+        path = path.with_name(f"{path.name}.yaml")
+    try:
+        with open(path, "x", encoding="utf-8") as file:
+            try:
+                file.write(text)
+                file.flush()
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    path.unlink()
+                raise
+    except FileExistsError:
+        raise FileError(f"{path}: exists already; give another name, or remove it") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = getattr(error, "strerror", None) or str(error)
+        raise FileError(f"{str(path)!r}: cannot be written ({reason}); give another name") from None
+    return path

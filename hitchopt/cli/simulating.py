@@ -1,0 +1,448 @@
+"""The commands simulate and sweep: simulated flights, and many plans or flights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hitchopt.cli.failures import unmet
+from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.output import LateProgress, quantities, record, say, span_text, table
+from hitchopt.cli.pictures import save_flight_film
+from hitchopt.errors import FileError, InputError
+
+if TYPE_CHECKING:
+    from hitchopt.simulation.judgement import LossOutcome, Simulation, Spread
+    from hitchopt.simulation.settings import Settings
+    from hitchopt.simulation.task import Task
+    from hitchopt.sweeps.campaign import Campaign
+    from hitchopt.sweeps.sweep import Summary
+
+RESULTS = "simulation"
+"""Default directory of the results, in DIR."""
+
+LYING = 0.05
+"""[m] A lost drone that is so low lies on the ground, perhaps on its cable."""
+
+INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
+"""What stands in place of vertices' errors in flights of the fast preset."""
+
+MOST_REASONS = 8
+"""Reasons of a sweep's refusals that are listed."""
+
+
+@command(
+    "directory DIR",
+    """
+    -o, --output OUT (path): Results; else DIR/simulation.
+    --preset fast|accurate (fast): fast: whether it holds; accurate: with correct friction, five
+        times slower.
+    --drones rigid|point (rigid): Rigid bodies with an attitude, or point masses.
+    --runs N (int): Simulate N flights, with seeds S, S+1, ….
+    --seed S (0): Random seed.
+    --processes P (int): Processes; by default all processors.
+    --perturbed: Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables
+        0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place; or as
+        given. The team's cable friction always acts.
+    --noise M (float): Error of measured positions per axis [m].
+    --velocity-noise M/S (float): Of velocities, per axis [m/s].
+    --wind N (float): Force of gusts on every drone [N].
+    --steady-wind N (float): Constant level force on drones [N].
+    --lag S (float): Time constant of the thrust [s].
+    --vertex-noise M (float): Of measured vertices, per axis [m].
+    --vertex-delay S (float): Age of measured vertices [s].
+    --cable-error X (float): Relative error of cable lengths.
+    --start-error M (float): Error of starts per axis [m].
+    --downwash/--no-downwash (None): Whether drones push down those below them.
+    --object-mass X (float): Largest error of objects' masses.
+    --object-friction X (float): Of their friction, relative.
+    --object-place M (float): Of where they stand [m].
+    --stiffness N/M (float): Of position loops; by default the team's.
+    --integral/--no-integral (None): Integral action; by default the team's.
+    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added; by
+        default the team's.
+    --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
+    --friction MU (float): Cable friction; by default the team's.
+    --density KG/M (float): Cable density; by default the team's.
+    --ground M (float): Height of the ground [m]; by default 0 or lower; where there are objects,
+        the arena's.
+    --lose DRONE@SECONDS (text): Stop a drone's motors then, such as q0@12.5; the others fly their
+        certified reaction.
+    --reaction/--no-reaction (True): Whether they do; else they fly on as if nothing had happened.
+    --film FILE (path): Film of a single flight, .gif or .mp4.
+    """,
+    drones={"name": "body"},
+)
+def simulate(
+    directory: Path,
+    output: Path | None,
+    runs: int | None,
+    processes: int | None,
+    film: Path | None,
+    lose: str | None,
+    *,
+    reaction: bool,
+    **options: Any,
+) -> None:
+    """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
+
+    It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
+    and for the length that the bends of thick simulated ropes use up, which it prints.
+    Drones follow setpoints.csv and nothing else, unless --feedback corrects them: of the cables
+    they feed forward cable_x, cable_y and cable_z. Vertex errors are distances in three dimensions,
+    sag included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
+    not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
+    simulation leaves its valid range, which is reported as not simulated and says nothing about the
+    plan. With --lose it is 3 if a survivor touches anything, or if there is no reaction; no hitch
+    is judged then. The exit code of a campaign (--runs) is 0; it reports the rate of success.
+    """
+    from hitchopt.simulation.judgement import warnings
+    from hitchopt.simulation.settings import settings_of
+    from hitchopt.simulation.task import read_task
+    from hitchopt.sweeps.campaign import run_campaign, save_campaign
+    from hitchopt.view.film import check_film
+
+    directory = plan_path(directory).parent
+    if film is not None:
+        check_film(film)
+    for key, value in (("--film", film), ("--lose", lose)):
+        if value is not None and runs is not None:
+            raise InputError(key, str(value), "of a single flight", "leave out --runs")
+    settings = settings_of(**options)
+    with LateProgress("reading the plan"):
+        task = read_task(directory)
+    if lose is not None:
+        settings, task = _lost(directory, settings, task, lose, react=reaction)
+    for warning in warnings(task, settings):
+        say(f"note: {warning}")
+    place = directory / RESULTS if output is None else output
+    if runs is None:
+        _simulate_one(task, settings, place, film, directory)
+        return
+    with LateProgress("flying") as progress:
+        campaign = run_campaign(task, settings, runs, processes, progress)
+    save_campaign(place, campaign)
+    record(directory=str(place), campaign=campaign.to_dict())
+    say(_campaign_tables(campaign))
+    say(f"results are in {place}")
+
+
+def _lost(
+    directory: Path, settings: Settings, task: Task, text: str, *, react: bool
+) -> tuple[Settings, Task]:
+    """Return settings and task of a flight in which a drone is lost.
+
+    Raises
+    ------
+    InputError: no such drone, or a time after the flight.
+    InfeasibleError: there is no reaction to its loss.
+    """
+    from hitchopt.live.lost import Reactions, reacting
+    from hitchopt.motion.plan_file import read_plan
+    from hitchopt.simulation.settings import Loss
+
+    loss = Loss.parsed(text)
+    settings = replace(settings, lost=loss)
+    if not react:
+        return settings, task
+    with LateProgress("planning the reaction"):
+        found = Reactions(read_plan(plan_path(directory))).found(loss.drone, loss.time)
+    course = found.course
+    say(
+        f"reaction: tension is let go from t = {course.begins:.3f} s on, all are on the ground at "
+        f"{course.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} of a "
+        "thrust"
+    )
+    return settings, reacting(task, found)
+
+
+def _simulate_one(
+    task: Task, settings: Settings, place: Path, film: Path | None, directory: Path
+) -> None:
+    """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
+    from hitchopt.motion.plan_file import read_plan, read_title
+    from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
+    from hitchopt.simulation.judgement import simulate as simulated
+    from hitchopt.simulation.report import flight_scene, save_simulation, summary
+
+    with LateProgress("building ropes") as progress:
+        done = simulated(task, settings, progress)
+    plan, title = read_plan(plan_path(directory)), read_title(plan_path(directory))
+    with LateProgress("writing the results"):
+        save_simulation(place, done, plan, title)
+    record(directory=str(place), simulation=summary(done))
+    say(flight_tables(done))
+    say(f"{_verdict(done)}; results are in {place}")
+    if math.isfinite(done.run.vertex_error.mean):
+        error = f"{spread_text(done.run.vertex_error)} cm, mean ± σ (largest)"
+        say(f"vertex error in 3-D, sag included: {error if settings.preset.exact else INEXACT}")
+    else:
+        say("vertex error: none, the plan has no hitch or none was formed")
+    for failure in done.outcome.failures:
+        word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
+        say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
+    if film is not None:
+        scene = flight_scene(done, plan)
+        if scene is None:
+            raise FileError(f"{film}: the flight ended before there was anything to film")
+        save_flight_film(film, scene, title)
+    if not done.outcome.succeeded:
+        unmet()
+
+
+def _verdict(done: Simulation) -> str:
+    """Return the verdict on a flight's hitch in words."""
+    if done.loss is not None:
+        return "no two survivors touch" if done.loss.apart else "survivors TOUCH each other"
+    if done.flight.linking is None:
+        return "not simulated to its end: nothing is known of the hitch"
+    if done.flight.task.formed[-1]:
+        held = done.outcome.hitched
+        return "hitched: every vertex is linked and held" if held else "NOT hitched"
+    return "NOT untied" if done.flight.linking.any() else "untied: no two cables are linked"
+
+
+def flight_tables(simulation: Simulation) -> str:
+    """Return the tables of one flight's vertices, cables and drones."""
+    run = simulation.run
+    parts = [_vertex_table(simulation)] if simulation.outcome.clasps else []
+    if simulation.loss is not None:
+        parts.append(_loss_table(simulation.loss))
+    if simulation.outcome.objects:
+        parts.append(_object_table(simulation))
+    figures = {"vertices": INEXACT}
+    if simulation.settings.preset.exact:
+        figures = {
+            "vertices, sag included [cm]": spread_text(run.vertex_error),
+            "  while the plan stands still": spread_text(run.resting),
+            "  while it moves": spread_text(run.moving),
+            "vertices without sag (level part) [cm]": spread_text(run.without_sag),
+        }
+    figures |= {
+        "drones to their setpoints [cm]": spread_text(run.tracking),
+        "largest tension": f"{run.peak_tension:.3f} N",
+        "largest thrust": f"{run.peak_thrust:.3f} N",
+        "thrust saturated": f"{run.saturated:.2%} of samples",
+        "pace": f"{run.pace:.2f} times real time, on one processor",
+    }
+    return "\n\n".join([*parts, quantities("Flight", figures), _conditions(simulation)]) + "\n"
+
+
+def _vertex_table(simulation: Simulation) -> str:
+    from hitchopt.simulation.judgement import Spread
+
+    errors, exact, rows = simulation.errors, simulation.settings.preset.exact, []
+    for c, clasp in enumerate(simulation.outcome.clasps):
+        heights = [100 * x for x in errors.offsets[:, c, 2] if math.isfinite(x)]  # not where lost
+        places: tuple[object, ...] = (
+            spread_text(Spread.of(errors.errors[:, c])),
+            f"{sum(heights) / len(heights):+.1f}" if heights else "",
+            spread_text(Spread.of(errors.without_sag[:, c])),
+        )
+        bears = f"{clasp.bearing:.3f} {'≥' if clasp.bears else '<'} {clasp.least_bearing:.3f}"
+        pulled = f"{100 * clasp.moved:.1f}" if math.isfinite(clasp.moved) else ""
+        held = (pulled, clasp.holds)
+        rows.append((clasp.name, clasp.linking, bears, *(places if exact else ()), *held))
+    title = (
+        "Vertices, in cm: distances to the plan's, mean ± standard deviation (largest); mean\n"
+        "height over the plan; movement under the pull test"
+    )
+    if not exact:
+        title = "Vertices; movement under the pull test in cm"
+    heads = ["linked", "bears [N]", *(["error", "height", "without sag"] if exact else [])]
+    return table(title, ["vertex"], [*heads, "pulled", "holds"], rows)
+
+
+def _loss_table(loss: LossOutcome) -> str:
+    """Return the table of what became of the others after the loss of a drone."""
+    pairs = ", ".join(f"{touch.first} and {touch.second}" for touch in loss.among)
+    others = ", ".join(f"{touch.first} and {touch.second}" for touch in loss.others)
+    where = f"{100 * loss.hangs:.0f} cm above the ground" if loss.hangs > LYING else "on the ground"
+    return quantities(
+        f"{loss.drone} is lost at t = {loss.time:.3f} s",
+        {
+            "survivors that touch each other": pairs or "none",
+            "survivors that touch a cable or the lost drone": others or "none",
+            "largest tension from then on": f"{loss.peak_tension:.3f} N",
+            "largest thrust of a survivor": f"{loss.peak_thrust:.3f} N",
+            "survivors from their setpoints": f"{100 * loss.moved:.0f} cm at most",
+            "the lost drone ends": f"{100 * loss.dropped:.0f} cm lower, {where}",
+            "clasps that are linked at the end": ", ".join(loss.linked) or "none",
+        },
+    )
+
+
+def _object_table(simulation: Simulation) -> str:
+    """Return the table of the objects at the end, and of how they were held."""
+    rows = [
+        (
+            state.name,
+            f"{100 * state.placed:.1f}",
+            f"{state.tilted:.1f}",
+            f"{state.turned:+.1f}",
+            f"{100 * state.lifted:+.1f}" if math.isfinite(state.lifted) else "",
+            f"{100 * state.slipped:.1f}" if math.isfinite(state.slipped) else "",
+            "yes" if state.free else "no",
+            state.well_placed,
+        )
+        for state in simulation.outcome.objects
+    ]
+    title = (
+        "Objects, in cm and degrees: from the plan's place, tilt, turn from the plan's yaw; while\n"
+        "carried, mean height over the plan's and slip relative to the hitch"
+    )
+    heads = ["placed", "tilted", "turned", "height", "slipped", "free", "well placed"]
+    return table(title, ["object"], heads, rows)
+
+
+def _conditions(simulation: Simulation) -> str:
+    """Return the table of how drones are controlled, and of what the simulation corrects."""
+    from hitchopt.simulation.judgement import effective_lengths
+
+    flight, preset = simulation.flight, simulation.settings.preset
+    team, gains = flight.task.team, flight.gains
+    stated = all(map(math.isfinite, team.stiffness)) or simulation.settings.stiffness is not None
+    values = {
+        "stiffness of position loops": f"{span_text(gains.stiffness, '.3g')} N/m",
+        "  stated by": "team or option" if stated else "nobody: the simulator's own",
+        "cable forces of setpoints fed forward": _share(list(gains.feed_forward)),
+        "integral action": _share(list(gains.integral > 0.0)),
+        "ropes weigh": (
+            f"{1e3 * flight.density:g} g/m; the plan knows {1e3 * team.cable_density:g}"
+        ),
+        f"ropes of {1e3 * preset.diameter:g} mm longer for their bends": (
+            f"≤ {1e3 * flight.longer:.1f} mm"
+        ),
+    }
+    off = 1e3 * (effective_lengths(flight) - team.cable_length)
+    if all(map(math.isfinite, off)):  # there are none where no hitch is left
+        values["  their effective lengths are off by"] = f"{span_text(off, '+.1f')} mm"
+    return quantities("Control, and what is corrected", values)
+
+
+def _share(drones: Sequence[bool]) -> str:
+    """Return whether something is so for all drones, for none or for some of them."""
+    some = f"{sum(drones)} of {len(drones)}" if any(drones) else "no"
+    return "yes" if all(drones) else some
+
+
+def spread_text(spread: Spread) -> str:
+    """Return mean, deviation and largest value of some errors, in centimetres."""
+    if not math.isfinite(spread.mean):
+        return "none"
+    return f"{100 * spread.mean:.1f} ± {100 * spread.deviation:.1f} ({100 * spread.largest:.1f})"
+
+
+def _campaign_tables(campaign: Campaign) -> str:
+    """Return the tables of a campaign: its success rate, errors and failures."""
+    (low, high), runs = campaign.interval, campaign.runs
+    lost = campaign.not_simulated
+    note = f", {lost} could not be simulated and count as not succeeded" if lost else ""
+    head = (
+        f"{campaign.successes} of {len(runs)} flights succeeded{note}: "
+        f"{campaign.successes / len(runs):.1%} ({low:.1%} to {high:.1%} at 95 %), "
+        f"seeds {runs[0].seed} to {runs[-1].seed}, preset {campaign.settings.preset.name}\n"
+    )
+    errors: dict[str, Iterable[float]] = {}
+    if campaign.settings.preset.exact:
+        errors = {
+            "mean vertex error, sag included": (run.vertex_error.mean for run in runs),
+            "  while the plan stands still": (run.resting.mean for run in runs),
+            "  while it moves": (run.moving.mean for run in runs),
+            "mean vertex error without sag": (run.without_sag.mean for run in runs),
+        }
+    else:
+        head += f"vertices: {INEXACT}\n"
+    errors |= {
+        "mean tracking error": (run.tracking.mean for run in runs),
+        "objects from their places": (run.placed for run in runs),
+        "objects slipped": (run.slipped for run in runs),
+    }
+    rows = []
+    for name, values in errors.items():
+        there = [100 * value for value in values if math.isfinite(value)]
+        if there:
+            rows.append((name, f"{sum(there) / len(there):.1f} cm", f"{max(there):.1f} cm"))
+    parts = [head, table("Runs, over all flights", ["quantity"], ["mean", "largest"], rows)]
+    if campaign.failures:
+        counted = campaign.failures.most_common()
+        rows = [(kind, where, str(count)) for (kind, where), count in counted]
+        parts.append("\n" + table("First failures", ["kind", "where"], ["flights"], rows))
+    return "\n".join(parts) + "\n"
+
+
+@command(
+    "study STUDY",
+    """
+    -o, --output DIR (path): Results; else ./ and the stem.
+    --workers N (int): Processes; by default all processors.
+    --scheduler ADDRESS (text): A dask scheduler, such as tcp://host:8786.
+    --plot X Y (text): Draw column Y over column X, such as team.tension duration, of a sweep's DIR.
+    """,
+    plot={"nargs": 2},
+)
+def sweep(
+    study: Path,
+    output: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+    plot: tuple[str, str] | None,
+) -> None:
+    """Plan, simulate, settle or export every case of STUDY.yaml (needs dask.distributed).
+
+    Every result is a row of a Parquet dataset in DIR, written as it arrives. The same command goes
+    on where an earlier one has ended: only what is missing is computed. With --plot, STUDY is the
+    DIR of a sweep, and nothing is computed.
+    """
+    from hitchopt.sweeps.sweep import load_sweep, read_study, run_sweep, summary
+
+    if plot is not None:
+        _draw(study, *plot)
+        return
+    place = study if study.is_dir() else Path(study.stem) if output is None else output
+    if not study.is_dir():
+        with LateProgress("starting workers") as progress:
+            run_sweep(
+                study,
+                place,
+                workers=workers,
+                scheduler=scheduler,
+                progress=lambda count: progress(str(count)),
+            )
+    rows = load_sweep(place)
+    found = summary(rows, len(read_study(place)["cases"]))
+    record(directory=str(place), summary=asdict(found))
+    say(_sweep_tables(found))
+    say(f"rows are in {place}; draw them: hitchopt sweep {place} --plot X Y")
+
+
+def _draw(place: Path, x: str, y: str) -> None:
+    """Draw one column of a sweep over another."""
+    from hitchopt.sweeps.picture import save_sweep_picture
+    from hitchopt.sweeps.sweep import column_of, load_sweep, read_study
+
+    if not place.is_dir():
+        raise InputError("STUDY", str(place), "the directory of a sweep with --plot", "name it")
+    path = place / f"{y.rsplit('.', 1)[-1]}_over_{x.rsplit('.', 1)[-1]}.png"
+    with LateProgress("drawing"):
+        rows = load_sweep(place)
+        columns = column_of(rows, x), column_of(rows, y)
+        save_sweep_picture(path, rows, *columns, read_study(place)["title"])
+    record(file=str(path))
+    say(f"the picture is {path}")
+
+
+def _sweep_tables(found: Summary) -> str:
+    """Return what a sweep comes to."""
+    parts = []
+    if found.binding:
+        parts.append(table("What bound", ["limit"], ["rows"], found.binding[:MOST_REASONS]))
+    rows = [(name, *(f"{x:.4g}" for x in values)) for name, values in found.medians.items()]
+    parts.append(table("Figures", ["column"], ["median", "smallest", "largest"], rows))
+    last = f"{found.planned.rows} of {found.cases} rows; planned: {found.planned}"
+    if found.succeeded is not None:
+        last += f"\nsimulated flights that succeeded: {found.succeeded}"
+    return "\n\n".join([*parts, last])

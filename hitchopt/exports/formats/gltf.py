@@ -1,0 +1,268 @@
+"""Format gltf: ``plan.glb``, the plan as an animation for Blender, three.js and model viewers.
+
+A node for each drone (``q0``, ``r0``), cable (``cable 0``, its spans below it) and object, moved by
+one animation: places and attitudes of drones and objects, and of every span of a cable, a cylinder
+of unit length along y, its middle, direction and length. glTF is right-handed, y up, in metres: a
+point (x, y, z) of the plan is (x, z, -y), and Blender shows it at (x, y, z). Viewers move nodes
+along straight lines between samples, which is what is read back and certified.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from hitchopt.errors import FileError
+from hitchopt.exports.formats.file_reading import reading
+from hitchopt.exports.formats.format import (
+    Candidate,
+    DroneFacts,
+    Format,
+    Loaded,
+    Task,
+    lines_at_rates,
+)
+from hitchopt.exports.recording import recording_of_samples
+from hitchopt.geometry.vectors import unit
+from hitchopt.motion.states import sample_times
+from hitchopt.storage.files import parsed_json
+from hitchopt.values import Array
+from hitchopt.view.scene import scene_at
+from hitchopt.view.shapes import drone_faces, mesh, object_faces
+
+FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
+KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # Types of rows in accessors
+MAX_BYTES = 2_000_000_000  # Size limit of a file that is read [B]
+
+SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]
+"""Points of a drawn cable between which a span is straight: ends and middles of legs and edges, and
+both clasps."""
+
+SIDES = 8  # Corners of a span's cylinder
+COLOURS = {"drones": (0.04, 0.24, 0.36), "cables": (0.88, 0.65, 0.15), "objects": (0.9, 0.83, 0.66)}
+
+
+class Gltf(Format):
+    """One scene with one animation."""
+
+    name = "gltf"
+    file = "plan.glb"
+    endings = (".glb",)
+    frames = ("enu",)
+    rate = 30.0
+    accuracy = 2e-3
+    feed_forward = "not in this file: it is a picture that moves, which nobody flies"
+    carries_pull = True  # drones are tilted by it
+
+    def candidates(self, task: Task) -> Iterator[Candidate]:
+        """Give the scene at the usual rate, then at higher ones; only at one that was asked for."""
+        return lines_at_rates(self.file, write_scene, task, (60.0, 120.0))
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return the places of the drones that a scene names, between lines."""
+        names, t, places = read_drones(files[0])
+        recording = recording_of_samples(names, t, places, "enu", 0)
+        return Loaded(self.name, recording, tuple(map(DroneFacts, names)))
+
+
+class _Document:
+    """A glTF document and its binary chunk while they are written."""
+
+    def __init__(self) -> None:
+        self.data = bytearray()
+        kinds = ("accessors", "bufferViews", "meshes", "materials", "nodes")
+        self.lists: dict[str, list[Any]] = {kind: [] for kind in kinds}
+        self.animation: dict[str, list[Any]] = {"channels": [], "samplers": []}
+
+    def added(self, kind: str, **entry: Any) -> int:
+        """Append an entry to a list of the document; return its index."""
+        self.lists[kind].append(entry)
+        return len(self.lists[kind]) - 1
+
+    def numbers(self, values: NDArray[Any], **more: Any) -> int:
+        """Store numbers (count,) or (count, 3 or 4); return their accessor."""
+        whole = values.dtype.kind == "u"
+        stored = values.astype("<u4" if whole else "<f4").tobytes()
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(stored)}
+        self.data += stored
+        return self.added(
+            "accessors",
+            bufferView=self.added("bufferViews", **view),
+            componentType=UNSIGNED if whole else FLOAT,
+            count=len(values),
+            type=KINDS[values.size // len(values)],
+            **more,
+        )
+
+    def bounded(self, values: NDArray[Any]) -> int:
+        """Store numbers with their extent, as times and vertices need it; return their accessor."""
+        rows = values.astype("<f4").reshape(len(values), -1)
+        return self.numbers(values, min=rows.min(axis=0).tolist(), max=rows.max(axis=0).tolist())
+
+    def mesh(self, faces: Array, colour: str) -> int:
+        """Store faces (m, 4, 3) in glTF's axes; return their mesh."""
+        vertices, triangles = mesh(faces)
+        base = {"baseColorFactor": [*COLOURS[colour], 1.0], "metallicFactor": 0.0}
+        material = self.added("materials", pbrMetallicRoughness=base, doubleSided=True)
+        places, corners = {"POSITION": self.bounded(vertices)}, self.numbers(triangles.ravel())
+        part = {"attributes": places, "indices": corners, "material": material}
+        return self.added("meshes", name=colour, primitives=[part])
+
+    def moved(self, name: str, mesh: int, times: int, **paths: Array) -> int:
+        """Add a node that is moved at the times of an accessor along its paths; return it."""
+        first = {path: values[0].tolist() for path, values in paths.items()}
+        node = self.added("nodes", name=name, mesh=mesh, **first)
+        samplers, channels = self.animation["samplers"], self.animation["channels"]
+        for path, values in paths.items():
+            channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
+            output = self.numbers(values)
+            samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
+        return node
+
+    def packed(self, roots: Sequence[int], title: str, extras: dict[str, Any]) -> bytes:
+        """Return the file."""
+        head = {
+            "asset": {"version": "2.0", "generator": "hitchopt", "extras": extras},
+            "scene": 0,
+            "scenes": [{"name": title, "nodes": list(roots)}],
+            **self.lists,
+            "animations": [{"name": title, **self.animation}],
+            "buffers": [{"byteLength": len(self.data)}],
+        }
+        text = json.dumps(head, allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        size = 28 + len(text) + len(self.data)
+        start = struct.pack("<4sIII4s", b"glTF", 2, size, len(text), b"JSON")
+        return start + text + struct.pack("<I4s", len(self.data), b"BIN\0") + self.data
+
+
+def y_up(vectors: Array) -> Array:
+    """Return vectors (…, 3) of a frame with z up in glTF's axes."""
+    turned: Array = vectors[..., [0, 2, 1]] * [1.0, 1.0, -1.0]
+    return turned
+
+
+def write_scene(path: Path, task: Task) -> None:
+    """Write the plan's drones, cables and objects at the task's rate."""
+    motion, frame, document = task.motion, task.frame, _Document()
+    t = sample_times(motion.duration, task.rate)
+    drawn = scene_at(motion, t)
+    single = t.astype(np.float32)  # the last one rounded up: the scene holds all of the plan
+    if single[-1] < t[-1]:
+        single[-1] = np.nextafter(single[-1], np.float32(np.inf))
+    times = document.bounded(single.astype(np.float64))
+
+    def placed(points: Array) -> Array:
+        return y_up(frame.points(points))
+
+    def turned(quaternions: Array) -> Array:
+        """Return quaternions (S, 4) x, y, z, w in glTF's axes of ones w, x, y, z of the plan."""
+        whole = Rotation.from_euler("z", frame.yaw) * Rotation.from_quat(
+            quaternions, scalar_first=True
+        )
+        return np.column_stack([y_up(whole.as_quat()[:, :3]), whole.as_quat()[:, 3]])
+
+    shape = np.concatenate(drone_faces(motion.requirements.separation.radius))
+    drone = document.mesh(y_up(shape), "drones")
+    bodies = [
+        (name, drone, drawn.drones[:, i], drawn.quaternions[:, i])
+        for i, name in enumerate(task.names)
+    ]
+    for i, (name, body) in enumerate(motion.requirements.objects.items()):
+        solid, poses = document.mesh(y_up(object_faces(body)), "objects"), drawn.objects[:, i]
+        bodies.append((name, solid, poses[:, :3], poses[:, 3:]))
+    roots = [
+        document.moved(name, mesh, times, translation=placed(places), rotation=turned(attitudes))
+        for name, mesh, places, attitudes in bodies
+    ]
+    span = document.mesh(_cylinder(), "cables") if drawn.cables.size else -1
+    for k in range(drawn.cables.shape[1]):
+        points = placed(drawn.cables[:, k, SPANS])
+        apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
+        lengths = np.linalg.norm(apart, axis=-1)
+        scales = np.stack([0.0 * lengths + drawn.radius, lengths, 0.0 * lengths + drawn.radius], -1)
+        paths = {"translation": middles, "rotation": _along(apart), "scale": scales}
+        spans = [
+            document.moved(
+                f"cable {k} span {i}",
+                span,
+                times,
+                **{path: values[:, i] for path, values in paths.items()},
+            )
+            for i in range(len(SPANS) - 1)
+        ]
+        roots.append(document.added("nodes", name=f"cable {k}", children=spans))
+    extras = {"drones": list(task.names), **frame.to_dict()}
+    path.write_bytes(document.packed(roots, task.title or "plan", extras))
+
+
+def _along(vectors: Array) -> Array:
+    """Return quaternions (S, m, 4) x, y, z, w from y to vectors (S, m, 3), smooth in time."""
+    found = np.empty((*vectors.shape[:2], 4))
+    last = Rotation.identity(vectors.shape[1])
+    for s, now in enumerate(vectors):
+        # The least rotation from the direction before; from y down to -y it is about x.
+        before, towards = last.apply([0.0, 1.0, 0.0]), unit(now + [0.0, 1e-12, 0.0])
+        w = 1.0 + np.sum(before * towards, axis=-1, keepdims=True)
+        least = np.concatenate([np.cross(before, towards), w], axis=-1)
+        last = Rotation.from_quat(np.where(w > 1e-9, least, [1.0, 0.0, 0.0, 0.0])) * last
+        found[s] = last.as_quat()
+        if s:
+            found[s] *= np.where(np.sum(found[s] * found[s - 1], -1, keepdims=True) < 0.0, -1, 1)
+    return found
+
+
+def _cylinder() -> Array:
+    """Return the faces (m, 4, 3) of a cylinder of radius 1 about y, from -1/2 to 1/2, lidless."""
+    angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
+    ring = np.stack([np.cos(angles), np.full(SIDES, -0.5), np.sin(angles)], axis=-1)
+    after, up = np.roll(ring, -1, axis=0), np.array([0.0, 1.0, 0.0])
+    return np.stack([ring, ring + up, after + up, after], axis=1)
+
+
+def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
+    """Return names, times (S,) [s] and places (S, D, 3) [m], z up, of the drones in a scene.
+
+    Raises
+    ------
+    FileError: no scene of hitchopt's, or a damaged one.
+    """
+    with reading(path, "glTF scene of drones"):
+        if path.stat().st_size > MAX_BYTES:
+            raise FileError(f"is larger than {MAX_BYTES} bytes")
+        data = path.read_bytes()
+        magic, _, _, size, kind = struct.unpack_from("<4sIII4s", data)
+        if (magic, kind) != (b"glTF", b"JSON"):
+            raise FileError("does not begin as a .glb does")
+        content = parsed_json(data[20 : 20 + size])
+        nodes = [node["name"] for node in content["nodes"]]
+        names = tuple(map(str, content["asset"]["extras"]["drones"]))
+        (animation,) = content["animations"]
+
+        def numbers(index: float, columns: int) -> Array:
+            accessor = content["accessors"][int(index)]
+            view = content["bufferViews"][int(accessor["bufferView"])]
+            offset, count = 28 + size + int(view["byteOffset"]), int(accessor["count"])
+            found = np.frombuffer(data, "<f4", columns * count, offset)
+            return found.astype(np.float64).reshape(-1, columns)
+
+        samplers = {
+            nodes[int(each["target"]["node"])]: animation["samplers"][int(each["sampler"])]
+            for each in animation["channels"]
+            if each["target"]["path"] == "translation"
+        }
+        given = [samplers[name] for name in names]
+        if len({each["input"] for each in given}) != 1:
+            raise FileError("its drones do not share their times")
+        t = numbers(given[0]["input"], 1)[:, 0]
+        places = np.stack([numbers(each["output"], 3) for each in given], axis=1)
+        if places.shape != (len(t), len(names), 3) or not np.all(np.isfinite(places)):
+            raise FileError("its drones have not one place for each time")
+        return names, t, places[..., [0, 2, 1]] * [1.0, -1.0, 1.0]

@@ -1,0 +1,562 @@
+"""Pre-flight lint: fleet files read back, ours or anybody else's, and what would go wrong.
+
+Files are read by the formats that write them, which find what is wrong with a file; the rules for
+the drones' joint flight are here: limits, jumps, ends in mid-flight, ranges, rates, places.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from hitchopt.checks.certificate import Check
+from hitchopt.errors import FileError, InputError, UnitWarning
+from hitchopt.exports.exporting import part_folders
+from hitchopt.exports.formats.file_reading import MANIFEST, read_manifest
+from hitchopt.exports.formats.format import (
+    ERROR,
+    FARTHEST,
+    LEVELS,
+    DroneFacts,
+    Finding,
+    Format,
+    Loaded,
+    and_more,
+    error,
+    note,
+    warning,
+)
+from hitchopt.exports.formats.known_formats import HOMES, format_of
+from hitchopt.exports.recording import Recording, with_orders_told
+from hitchopt.exports.worst_values import (
+    DISTANCE,
+    DOWN,
+    OWN_LIMITS,
+    drone_check,
+    largest_along,
+    worst_of,
+)
+from hitchopt.requirements import Limits, Requirements, Separation
+from hitchopt.storage.archive import PLAN
+from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.values import Array, units
+from hitchopt.values import path as checked_path
+
+COMPANIONS = {"crazyflies.yaml", MANIFEST}  # Files that are read with others, and hitchopt's own
+BAG = "metadata.yaml"  # File that makes a folder a bag
+LATE = 1e-3  # [s] Durations may differ by this: formats round to it
+MAX_FILES = 25_000  # Largest number of files in a folder that are read
+SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
+SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
+SPEED, ACCELERATION = 3.0, 10.0  # [m/s], [m/s²] Default limits
+RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
+WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
+SLOWEST = 30.0  # [Hz] Lowest rate at which full states are usefully streamed
+AT_START = 0.1  # [m] Largest distance across from a drone's place to where its trajectory begins
+
+REMEDIES = {
+    "separation": "move them apart",
+    DISTANCE: "move them apart",
+    "maxAltitude": "fly lower",
+}
+"""Remedies by check; all others bound rates, which fall where a flight is slower."""
+
+
+@dataclass(frozen=True)
+class Flight:
+    """Figures of the drones' joint flight over all of the time.
+
+    Attributes
+    ----------
+    duration: [s]
+    speed, acceleration: the largest of any drone [m/s], [m/s²]; nan where the files have none.
+    separation: smallest ratio over pairs, 1 where ellipsoids touch; inf for one drone, nan where
+        trajectories are relative to places that are not known.
+    jumps: the largest between pieces, of position [m], velocity [m/s] and acceleration [m/s²], as
+        far as the format means them to be smooth.
+    reach: the largest coordinate, control points included [m].
+    speed_limit, acceleration_limit: limits of these two [m/s], [m/s²]; inf where only the show's
+        own limits apply.
+    own: checks of the show's own limits.
+    """
+
+    duration: float
+    speed: float
+    acceleration: float
+    separation: float
+    jumps: tuple[float, ...]
+    reach: float
+    speed_limit: float
+    acceleration_limit: float
+    own: tuple[Check, ...] = ()
+
+
+@dataclass(frozen=True)
+class Report:
+    """Findings and figures of a path.
+
+    Attributes
+    ----------
+    path: file or folder that was read.
+    kind: of format.
+    frame: enu, nwu or ned; empty where the files do not state it.
+    facts: one per drone.
+    flight: of all drones together.
+    findings: the errors first.
+    """
+
+    path: Path
+    kind: str
+    frame: str
+    facts: tuple[DroneFacts, ...]
+    flight: Flight
+    findings: tuple[Finding, ...]
+
+    @property
+    def sound(self) -> bool:
+        """Whether there is no error; warnings are for the pilot to judge."""
+        return all(finding.level != ERROR for finding in self.findings)
+
+
+@dataclass(frozen=True)
+class Rules:
+    """Limits of the drones' flight.
+
+    Attributes
+    ----------
+    speed: [m/s], of every drone; None: the show's own limits alone, or SPEED where it has none.
+    acceleration: [m/s²], of every drone; None: the show's own, or ACCELERATION.
+    separation: of any two drones.
+    jumps: between pieces, of position [m], velocity [m/s], acceleration [m/s²]: beyond the first a
+        flight is expected to fail, beyond the others to shake.
+    """
+
+    speed: float | None = None
+    acceleration: float | None = None
+    separation: Separation = field(default_factory=Separation)
+    jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
+
+    def limits(self, own: Mapping[str, float]) -> tuple[float, float]:
+        """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
+        speed, acceleration = (
+            limit if limit is not None else math.inf if alone <= set(own) else default
+            for limit, default, alone in (
+                (self.speed, SPEED, {"maxVelocityXY", "maxVelocityZ"}),
+                (self.acceleration, ACCELERATION, {"maxAccelerationXY", "maxAccelerationZ"}),
+            )
+        )
+        return speed, acceleration
+
+
+def lint(
+    path: Path | str, rules: Rules | None = None, *, relative: bool = False
+) -> tuple[Report, ...]:
+    """Return the report on a file or folder; of an export that was cut, one for every part.
+
+    Parameters
+    ----------
+    path: a file of a known format, or a folder of such files.
+    rules: limits of the flight.
+    relative: whether every drone flies its trajectory from where it stands, as its settings or
+        the show state, instead of in the one frame of all.
+
+    Raises
+    ------
+    FileError: nothing there that is known, or a damaged file.
+    UnsupportedError: a library that its format needs is not installed.
+    """
+    place = checked_path("path", path)
+    applied = Rules() if rules is None else rules
+    parts = part_folders(place) if place.is_dir() else ()
+    return tuple(_report(part, applied, relative) for part in map(place.joinpath, parts or ("",)))
+
+
+def _report(path: Path, rules: Rules, relative: bool) -> Report:
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
+            loaded = _with_orders_given(load(path))
+            if relative:
+                loaded = _flown_from_places(loaded)
+            flight, found = _flown_together(loaded, rules)
+    except (FileError, InputError) as fault:
+        text = str(fault)
+        raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
+    findings = [*loaded.findings, *found, *_durations(loaded), *_folder(path)]
+    findings.sort(key=lambda f: LEVELS.index(f.level))
+    frame = loaded.recording.frame
+    if not frame:
+        findings.append(note("frame", "", "the files do not state their axes; read as given"))
+    return Report(path, loaded.kind, frame, loaded.facts, flight, tuple(findings))
+
+
+def load(path: Path) -> Loaded:
+    """Return what a file or folder holds.
+
+    Raises
+    ------
+    FileError: nothing that is known, or a damaged file.
+    """
+    if not path.exists():
+        raise FileError(f"{path}: there is no such file or folder")
+    if path.name == PLAN or (path / PLAN).is_file():
+        raise FileError(f"{path}: is a plan; use `hitchopt check` for plans, lint for exports")
+    if (path / BAG).is_file():
+        return format_of("ros2bag").load([path / BAG])
+    known = [format_of(name) for name in HOMES]
+    endings = _endings(known)
+    files = [path]
+    if path.is_dir():
+        files = sorted(
+            p for p in path.iterdir() if p.suffix.lower() in endings and p.name != MANIFEST
+        )
+        if len(files) > MAX_FILES:
+            raise FileError(f"{path}: holds {len(files)} files; {MAX_FILES} are the most")
+        if not files:
+            others = [p for p in path.iterdir() if p.is_file()]
+            held = f"; it holds {_named(others)}" if others else ""
+            raise FileError(f"{path}: holds no file that ends in {', '.join(endings)}{held}")
+    elif path.suffix.lower() not in endings:
+        read = ", ".join(endings)
+        raise FileError(f"{path}: is {_named(files)}, no file of a known format ({read})")
+    kinds = Counter(_kind(file, known) for file in files)
+    if len(kinds) > 1:
+        counts = ", ".join(f"{count} of {kind.name}" for kind, count in kinds.items())
+        raise FileError(f"{path}: holds files of several kinds ({counts}); name one")
+    (kind,) = kinds
+    if len(files) > 1 and not all(file.suffix.lower() in kind.several for file in files):
+        raise FileError(f"{path}: holds {len(files)} files of the kind {kind.name}; name one")
+    return kind.load(files)
+
+
+def _endings(known: Iterable[Format]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(ending for kind in known for ending in kind.endings))
+
+
+def _kind(path: Path, known: Sequence[Format]) -> Format:
+    """Return the format of a file, by its ending and by the first line of a CSV file."""
+    suffix = path.suffix.lower()
+    here = [kind for kind in known if suffix in kind.endings]
+    if suffix != ".csv":
+        return here[0]
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            header = file.readline(100_000).partition("#")[0].strip()
+    except (OSError, ValueError) as fault:
+        raise FileError(f"{path}: cannot be read as text: {fault}") from fault
+    labels = [label.strip().lower() for label in header.split(",")]
+    for kind in reversed(here):  # polynomials, which may begin with numbers, come last
+        if kind.recognises(labels):
+            return kind
+    raise FileError(
+        f"{path}: its first line, {header[:60]!r}, is of no known format (polynomials begin with "
+        "duration, tables with t,drone, shows with idx,t,px or Time [msec])"
+    )
+
+
+def _with_orders_given(loaded: Loaded) -> Loaded:
+    """Return samples joined by curves of no more derivatives than their files hold."""
+    if loaded.recording.smooth == 0 or any(fact.pieces for fact in loaded.facts):
+        return loaded
+    recording = with_orders_told(loaded.recording)
+    if recording is loaded.recording:
+        return loaded
+    missing, joint = "accelerations", "joined by cubics through positions and velocities"
+    if recording.smooth == 0:
+        missing = "velocities"
+        joint = "read as positions alone, joined by straight lines; accelerations are not checked"
+    zeros = note(missing, "", f"none, or all zero although the drones move: {joint}")
+    return replace(loaded, recording=recording, findings=(*loaded.findings, zeros))
+
+
+def _places(loaded: Loaded) -> Array:
+    """Return the drones' places (D, 3) [m], nan where they are not known."""
+    places = np.full((len(loaded.recording.names), 3), np.nan)
+    for i, name in enumerate(loaded.recording.names):
+        place = loaded.places.get(name, ())
+        places[i, : len(place)] = place
+    return places
+
+
+def _flown_from_places(loaded: Loaded) -> Loaded:
+    """Return the trajectories as they are flown relative to where each drone stands.
+
+    All are taken to rise by the same height first. Where a place is missing, distances between
+    drones are unknown: they are not checked then, and a finding states it.
+    """
+    places, recording = _places(loaded), loaded.recording
+    missing = [n for n in recording.names if n not in loaded.places]
+    findings = loaded.findings
+    if missing and len(recording.names) > 1:
+        words = (
+            "no place is known to fly relative to, so how close drones come is not checked; "
+            "give initial_position in crazyflies.yaml beside the files, or homes in the show"
+        )
+        unknown = warning("separation", and_more(missing[0], len(missing)), words)
+        findings = (*findings, unknown)
+
+    def windows() -> Iterator[PiecewisePolynomial]:
+        offsets: Array | None = None
+        for window in recording.windows():
+            if offsets is None:
+                first = window.coefficients[0, ..., 0]
+                offsets = np.where(np.isnan(places), 0.0, places - first)
+            yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
+
+    moved = Recording(recording.names, recording.frame, recording.smooth, windows)
+    return replace(loaded, recording=moved, findings=findings, together=not missing)
+
+
+def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding, ...]]:
+    """Return the figures of the joint flight, and the findings on it."""
+    names, smooth = loaded.recording.names, loaded.recording.smooth
+    limits = rules.limits(loaded.own)
+    checks: dict[str, list[Check]] = {}
+    jumps = [(0.0, "", 0.0)] * (smooth + 1)  # size, drone, time
+    reach, longest = (0.0, ""), 0.0
+    first = last = None
+    for window in loaded.recording.windows():
+        farthest = _reach(window, names)
+        if first is None:
+            first, start = window.coefficients[0, ..., 0], float(window.breaks[0])
+        for check in _checks(loaded, window, limits, rules.separation, first):
+            checks.setdefault(check.name, []).append(check)
+        whole = window if last is None else joined([last, window])
+        jumps = [max(jump, _jump(whole, order, names)) for order, jump in enumerate(jumps)]
+        reach, longest = max(reach, farthest), max(longest, float(np.max(window.durations)))
+        last = window.taken(slice(window.pieces - 1, window.pieces))
+    if last is None or first is None:  # a recording has windows, or raises
+        raise ValueError("a recording without windows")
+    pressing = {name: worst_of(found) for name, found in checks.items()}
+    worst = {name: check for name, check in pressing.items() if check is not None}
+    values = {name: check.bound for name, check in worst.items()}
+    flight = Flight(
+        float(last.breaks[-1]) - start,
+        values.get("speed", math.nan),
+        values.get("acceleration", math.nan),
+        values.get("separation", math.nan) if len(names) > 1 else math.inf,
+        tuple(jump[0] for jump in jumps),
+        reach[0],
+        *limits,
+        tuple(worst[key] for key in loaded.own if key in worst),
+    )
+    found = (
+        *_broken(worst),
+        *_beginning(loaded, first, start),
+        *_jumping(jumps, rules),
+        *_stopping(last, names, rules),
+        *_placed(loaded, reach, longest),
+    )
+    return flight, found
+
+
+def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, str]:
+    """Return the largest coordinate [m] and whose it is; raise FileError of absurd numbers."""
+    each = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
+    farthest = (float(np.max(each)), names[int(np.argmax(each))])
+    if farthest[0] > FARTHEST:
+        raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
+    if np.min(window.durations) < SHORTEST:
+        at = float(window.breaks[np.argmin(window.durations)])
+        raise FileError(
+            f"a piece lasts {np.min(window.durations):.2g} s at t = {at:g} s; leave it out"
+        )
+    return farthest
+
+
+def _checks(
+    loaded: Loaded,
+    window: PiecewisePolynomial,
+    limits: tuple[float, float],
+    separation: Separation,
+    first: Array,
+) -> Iterator[Check]:
+    """Yield the checks of a window, the show's own limits among them.
+
+    Own limits are in axes of which the third is up. From the second derivative after the highest
+    that does not jump on, they mean nothing.
+    """
+    names, smooth = loaded.recording.names, loaded.recording.smooth
+    most = (units.SPEED.possible[1], units.ACCELERATION.possible[1])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnitWarning)  # a show may have no limit
+        fastest, steepest = map(min, limits, most)
+        asked = Requirements(Limits(speed=fastest, acceleration=steepest), separation)
+    found = [drone_check("speed", window, asked)]
+    if len(names) > 1 and loaded.together and not _at_one_point(first):
+        found.append(drone_check("separation", window, asked))
+        if (least := loaded.own.get(DISTANCE)) is not None:
+            apart = replace(asked, separation=Separation(0.5 * least, 0.5 * least))
+            if (check := drone_check("separation", window, apart)) is not None:
+                metres = check.bound * least
+                own = Check.of(DISTANCE, metres, least, "min", "m", check.time, check.where)
+                found.append(own)
+    if smooth > 0:
+        found.append(drone_check("acceleration", window, asked))
+    for check in found:
+        if check is not None:
+            yield replace(check, where=tuple(names[int(drone[1:])] for drone in check.where))
+    for key, limit in loaded.own.items():
+        order, unit, directions = OWN_LIMITS[key]
+        if key == DISTANCE or order > smooth + 1:
+            continue
+        if f"{key}Up" in loaded.own:
+            directions = (DOWN,)  # upwards, the other key takes precedence
+        each = (largest_along(window, order, direction) for direction in directions)
+        worst = max(each, key=lambda found: (found.value, found.drone, found.time))
+        yield Check.of(key, worst.value, limit, "max", unit, worst.time, (names[worst.drone],))
+
+
+def _at_one_point(first: Array) -> bool:
+    """Return whether several drones (D, 3) begin at one point, each having an origin of its own."""
+    return len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < SAME_START
+
+
+def _jump(
+    window: PiecewisePolynomial, order: int, names: Sequence[str]
+) -> tuple[float, str, float]:
+    """Return the largest jump of a derivative where pieces join, whose it is, and when."""
+    left, right = window.ends(order)
+    sizes = np.linalg.norm(left[1:] - right[:-1], axis=-1)
+    if sizes.size == 0:
+        return (0.0, "", 0.0)
+    joint, drone = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    return (float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)]))
+
+
+def _broken(worst: Mapping[str, Check]) -> Iterator[Finding]:
+    for name, check in worst.items():
+        if not check.holds:
+            unit = "" if check.unit == "ratio" else f" {check.unit}"
+            relation = "below" if check.sense == "min" else "above"
+            yield error(
+                name,
+                ", ".join(check.where),
+                f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
+                f"{check.limit:.4g}{unit}; {REMEDIES.get(name, 'fly it more slowly')}",
+            )
+
+
+def _beginning(loaded: Loaded, first: Array, start: float) -> Iterator[Finding]:
+    """Yield where trajectories (D, 3) [m] begin all at one point, off their places, or late."""
+    if start != 0.0:
+        yield warning("start", "", f"time begins at {start:g} s, not at 0; shift it")
+    if loaded.together and _at_one_point(first):
+        yield warning(
+            "separation",
+            "",
+            "all drones begin at one point, so these are relative trajectories: how close they "
+            "come depends on where they start; check them with --relative if places are known",
+        )
+    apart = np.linalg.norm(_places(loaded)[:, :2] - first[:, :2], axis=1)
+    for i in np.flatnonzero(apart > AT_START).tolist():
+        yield warning(
+            "start",
+            loaded.recording.names[i],
+            f"its {loaded.place_key} is {apart[i]:.3g} m away from where its trajectory begins; "
+            "place it there, see that its path there is free, or use --relative if trajectories "
+            "are flown from the drones' places",
+        )
+
+
+def _jumping(jumps: Sequence[tuple[float, str, float]], rules: Rules) -> Iterator[Finding]:
+    words = ("position", "velocity", "acceleration"), ("m", "m/s", "m/s²")
+    for what, unit, (size, drone, t), bound in zip(*words, jumps, rules.jumps, strict=False):
+        if size > bound:
+            yield (error if what == "position" else warning)(
+                "jump",
+                drone,
+                f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s "
+                f"(more than {bound:g} {unit}); make the pieces meet",
+            )
+
+
+def _stopping(last: PiecewisePolynomial, names: Sequence[str], rules: Rules) -> Iterator[Finding]:
+    """Yield who still moves at the end, as drones do whose trajectory is cut off in mid-flight."""
+    speeds = np.linalg.norm(last.ends(1)[1][-1], axis=-1)
+    drone = int(np.argmax(speeds))
+    if speeds[drone] > rules.jumps[1]:
+        yield warning(
+            "end",
+            and_more(names[drone], np.count_nonzero(speeds > rules.jumps[1])),
+            f"still moves at {speeds[drone]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
+            f"(more than {rules.jumps[1]:g} m/s); let it come to rest: is something cut off?",
+        )
+
+
+def _placed(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterator[Finding]:
+    """Yield how far drones go [m], and too long a time between two of their samples [s]."""
+    if reach[0] > RADIOED:
+        yield (error if loaded.kind == "compressed" else note)(
+            "range",
+            reach[1],
+            f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
+            f"±{RADIOED} m; move the origin",
+        )
+    if loaded.streamed and longest > WATCHDOG:
+        yield error(
+            "rate",
+            "",
+            f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s; "
+            f"sample at {SLOWEST:g} Hz or more",
+        )
+    elif loaded.kind == "ros2bag" and longest * SLOWEST > 1.01:
+        yield warning(
+            "rate",
+            "",
+            f"{1.0 / longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to 100 Hz; "
+            "sample more often",
+        )
+
+
+def _durations(loaded: Loaded) -> Iterator[Finding]:
+    """Yield whose file is shorter than the longest."""
+    longest = max(fact.duration for fact in loaded.facts)
+    short = [fact for fact in loaded.facts if fact.duration < longest - LATE]
+    if short:
+        fact = min(short, key=lambda fact: fact.duration)
+        yield warning(
+            "duration",
+            fact.name,
+            f"lasts {fact.duration:.6g} s, the longest {longest:.6g} s ({len(short)} are shorter); "
+            "let all end together",
+        )
+
+
+def _folder(path: Path) -> Iterator[Finding]:
+    """Yield which files of an export are gone or not read, and why the tension is undetermined."""
+    if not path.is_dir():
+        return
+    manifest = read_manifest(path) or {}
+    listed, reasons = (
+        [str(each) for each in given] if isinstance(given, list) else []
+        for given in (manifest.get("files"), manifest.get("undetermined_tension"))
+    )
+    there = {entry.name: entry for entry in path.iterdir()}
+    for file in listed:
+        if file not in there:
+            yield error("missing", file, "was exported and is not there")
+    endings = _endings(format_of(name) for name in HOMES)
+    others = [
+        entry
+        for name, entry in there.items()
+        if entry.is_file()
+        and entry.suffix.lower() not in endings
+        and name not in {*listed, *COMPANIONS}
+        and not name.startswith(".")
+    ]
+    if others and BAG not in there:
+        yield note("not read", "", _named(others))
+    for reason in reasons:
+        yield warning("tension", "", reason)
+
+
+def _named(files: Iterable[Path]) -> str:
+    """Return how many files there are of each ending."""
+    counts = Counter(file.suffix.lower() or "no ending" for file in files)
+    return ", ".join(f"{count} of {suffix}" for suffix, count in sorted(counts.items()))

@@ -1,1 +1,0 @@
-"""Pre-flight lint: fleet files read back, ours or anybody else's, and what would go wrong."""

@@ -1,1 +1,0 @@
-"""Curves refitted to what a format's pieces can be: fewer, of lower degree, of whole durations."""

@@ -1,1 +1,0 @@
-"""Corrections of a plan in flight by measured vertices."""

@@ -1,1 +1,0 @@
-"""Setpoints streamed to a fleet, steered by an operator, with landings prepared before."""

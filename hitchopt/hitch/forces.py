@@ -1,0 +1,469 @@
+"""Static forces: the balance at the clasps, and what cables do to drones.
+
+At ``p_k`` cables k-1 and k bend around each other without friction (eq. (2)
+of the paper, in its general form, ``w_k`` an outside load):
+``T_k q̂_k + T_k u_k + T_{k-1} r̂_{k-1} - T_{k-1} u_{k-1} + w_k = 0``. Arrays carry any leading
+axes (times, for instance); the cable index is the last axis but the coordinates. Results at clasps
+are in the order of ``Layout.clasps``: all n points of a closed hitch, the n - 1 inner ones of a
+chain.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.team import CLOSED, GRAVITY, Index, Team, layout_of
+from hitchopt.values import Array
+
+
+def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> Any:
+    """Return what a part of a cable pulls with along its chord [N], ``P``.
+
+    Half of the part's weight w is at each of its ends. It puts ``P ê - (w/2) ẑ`` on the end where
+    its tension is T, ê along its chord from there, which rises by the angle γ: so ``P = (w/2) sin γ
+    + √(T² - (w/2)² cos² γ)``. A tension that does not even carry the half weight pulls with nothing
+    more than its share of the rise. Edges have one tension at both of their ends: for them γ counts
+    in the root alone.
+
+    It is a formula over arrays, and over whatever has products and a ``root``: series of casadi's
+    expressions, and enclosures of functions of time.
+
+    Parameters
+    ----------
+    tension: at the end [N].
+    half: half of the weight per length [N/m].
+    level: squared length of the chord as seen from above [m²].
+    rise: height of the chord's other end over this one [m]; None where it counts in the root
+        alone.
+    """
+    squared = tension * tension - half * half * level
+    is_array = isinstance(squared, (float, np.ndarray))
+    pull = np.sqrt(np.maximum(squared, 0.0)) if is_array else squared.root
+    return pull if rise is None else half * rise + pull
+
+
+def tension_at(pull: Array, half: Array | float, level: Array, rise: Array) -> Array:
+    """Return the tension [N] at the end of a part that pulls so along its chord."""
+    upward = pull - half * rise
+    tension: Array = np.sqrt(upward * upward + half * half * level)
+    return tension
+
+
+Expression = TypeVar("Expression", bound=Any)
+"""Type of arrays, and of casadi's expressions."""
+
+
+@dataclass(frozen=True, eq=False)
+class ClaspLoads:
+    """What the clasps of a hitch carry, and how far their legs are rolled out of their plane.
+
+    Attributes
+    ----------
+    forces: (…, clasps, 3) [N], outside forces ``w_k``; a weight points down.
+    halves: (…, clasps, 2) [N], half of the weights of ``r_{k-1}``'s leg and of ``q_k``'s.
+    roll: (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``.
+    edges: (…, clasps, 2) [N], half of the weights of edges k-1 and k, by which they pull less along
+        their chords than their tension.
+    """
+
+    forces: Array
+    halves: Array
+    roll: Array
+    edges: Array
+
+
+def sag_factors(team: Team, tensions: ArrayLike) -> Array:
+    """Return ``(ρ g / T)² / 24`` of every cable (…, n) [1/m²]: its length over its chord, cubed."""
+    ratio = GRAVITY * team.cable_density / np.asarray(tensions, dtype=np.float64)
+    factors: Array = ratio * ratio / 24.0
+    return factors
+
+
+def cable_of(chords: Array, factors: Array) -> Array:
+    """Return the length of cable (…) [m] in spans with chords (…, 3 or 2) [m], level if planar."""
+    level = chords[..., 0] ** 2 + chords[..., 1] ** 2
+    return length(chords) * (1.0 + factors * level)
+
+
+def shortening(x: Expression) -> Expression:
+    """Return the chord of a span over the length of its cable, for ``x = c a² cos²α``.
+
+    With ``s (1 + c s² cos²α) = a`` it is a power series of x, below 1e-2 for cables in use; casadi
+    expressions may take the place of arrays.
+    """
+    ratio: Expression = 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
+    return ratio
+
+
+def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
+    """Return the chords (…, 2 or 3) [m] of legs of cable (…) [m] along unit vectors; level if 2.
+
+    Parameters
+    ----------
+    factors: (…) of ``sag_factors``.
+    """
+    level = directions[..., 0] ** 2 + directions[..., 1] ** 2
+    chords: Array = (cables * shortening(factors * cables**2 * level))[..., None] * directions
+    return chords
+
+
+def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) -> Array:
+    """Return what cables have left for their legs (…, n) [m], around edges (…, n, 2 or 3) [m].
+
+    Parameters
+    ----------
+    tensions: (…, n) [N]; the team's where they are None.
+    """
+    if team.cable_density == 0.0:
+        plain: Array = team.cable_length - np.linalg.norm(edges, axis=-1)
+        return plain
+    slack: Array = team.cable_length - cable_of(
+        edges, sag_factors(team, team.tension if tensions is None else tensions)
+    )
+    return slack
+
+
+def clasp_loads(
+    team: Team, q_legs: Array, slack: Array, roll: ArrayLike | None = None
+) -> ClaspLoads | None:
+    """Return what the clasps carry in a hitch at its full tension; None where that is nothing.
+
+    A clasp carries half of its legs and of its edges, ``W_k = ½ ρ g (d_k + l_k + e_{k-1} +
+    l_{k-1}) + g · load``, in lengths of cable: ``d_k + l_k`` is ``L_k - e_k``.
+
+    Parameters
+    ----------
+    q_legs, slack: (…, n) [m], lengths of cable.
+    roll: (…, clasps) [rad], or None for none.
+    """
+    if not team.loaded and (roll is None or not np.any(roll)):
+        return None
+    layout = team.layout
+    half = 0.5 * GRAVITY * team.cable_density
+    r_legs = np.where(layout.has_leg[:, 1], slack - q_legs, 0.0)
+    q = half * (team.cable_length - r_legs)[..., layout.ahead]
+    r = half * (team.cable_length - q_legs)[..., layout.behind]
+    forces = np.zeros((*q.shape, 3))
+    forces[..., 2] = -(q + r + GRAVITY * team.load)
+    halves = half * np.stack([r_legs[..., layout.behind], q_legs[..., layout.ahead]], axis=-1)
+    along = half * (team.cable_length - slack)
+    edges = np.stack([along[..., layout.behind], along[..., layout.ahead]], axis=-1)
+    turned = np.zeros(q.shape) if roll is None else np.broadcast_to(roll, q.shape)
+    return ClaspLoads(forces, halves, np.asarray(turned, dtype=np.float64), edges)
+
+
+STEP = 1e-5
+"""[s] Step of central differences of cable forces: at 1 m/s a leg of 0.1 m turns by 1e-4 in it, so
+that they err by 1e-9 of themselves."""
+
+PASSES = 3
+"""Times that a force triangle is closed, since pulls grow with the height that legs rise to: the
+third one leaves less than 1e-4 of the tension."""
+
+
+def leg_directions(
+    edge_directions: Array,
+    tensions: ArrayLike,
+    topology: str = CLOSED,
+    loads: ClaspLoads | None = None,
+    arriving: Array | None = None,
+    leg_pulls: Array | None = None,
+) -> tuple[Array, Array]:
+    """Return the directions of the legs that hold a hitch in balance.
+
+    The two unknown unit vectors at a vertex close a triangle with the sides ``P_q``, ``P_r``, the
+    pulls of the legs, and the known ``V = T_{k-1} u_{k-1} - T_k u_k - w_k``. Without loads
+    ``P_q = T_k``, ``P_r = T_{k-1}``, and of the two solutions in their plane this is the clasp; for
+    equal tensions it is the paper's class ``q̂_k = u_{k-1}``, ``r̂_{k-1} = -u_k`` (its eq. (3)).
+
+    With loads the triangle is turned about V by the roll, ``P_q q̂_k = a v̂ + h m``, ``P_r r̂_{k-1} =
+    (|V| - a) v̂ - h m`` with ``a = (|V|² + P_q² - P_r²) / (2 |V|)``, ``h = √(P_q² - a²)``; m has the
+    angle ψ from ``m_0``, along ``u_{k-1} + u_k``, to ``m_1 = m_0 × v̂``. Legs and edges that have
+    weight pull with ``chord_pull`` of their tension at the clasp.
+
+    Parameters
+    ----------
+    edge_directions: (…, n, 2 or 3) unit vectors ``u_k``.
+    tensions: (…, n) or scalar [N], positive.
+    loads: of the clasps, or None where they carry nothing and legs are not rolled.
+    arriving: (…, n, 2 or 3) unit vectors of edges at ``p_{k+1}``, where they bend on their way from
+        ``p_k``; None where they are straight.
+    leg_pulls: (…, n, 2) [N], what legs pull with at their clasps where friction lets them pull
+        otherwise than their edges; None where they pull alike.
+
+    Returns
+    -------
+    q: (…, n, 2 or 3) unit vectors from ``p_k`` to ``q_k``; with loads they have three coordinates.
+    r: (…, n, 2 or 3) unit vectors from ``p_{k+1}`` to ``r_k``.
+    Where a chain's end has no leg: away from its edge, the cable's direction there.
+
+    Raises
+    ------
+    InfeasibleError: a load that the tensions cannot carry.
+    """
+    edges = np.asarray(edge_directions, dtype=np.float64)
+    pulls = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])[..., None]
+    layout = layout_of(edges.shape[-2], topology)
+    if leg_pulls is not None and loads is None:
+        shape = (*leg_pulls.shape[:-2], len(layout.clasps))
+        none = np.zeros((*shape, 2))
+        loads = ClaspLoads(np.zeros((*shape, 3)), none, np.zeros(shape), none)
+    if loads is not None and edges.shape[-1] == 2:
+        edges = np.concatenate([edges, np.zeros_like(edges[..., :1])], axis=-1)
+    u, T = edges[..., layout.ahead, :], pulls[..., layout.ahead, :]
+    onward = edges if arriving is None else arriving
+    behind, T_behind = onward[..., layout.behind, :], pulls[..., layout.behind, :]
+    q, r = -edges, edges.copy()
+    if loads is None:
+        V = T_behind * behind - T * u
+        squared = np.sum(V * V, axis=-1, keepdims=True)
+        q_at_clasp = u - 2.0 * np.sum(u * V, axis=-1, keepdims=True) / squared * V
+        r_at_clasp = 2.0 * np.sum(behind * V, axis=-1, keepdims=True) / squared * V - behind
+        equal = np.equal(T, T_behind)  # exact there, and free of the cancellation in V
+        q_at_clasp = np.where(equal, behind, q_at_clasp)
+        r_at_clasp = np.where(equal, -u, r_at_clasp)
+    else:
+        V = chord_pull(T_behind, loads.edges[..., :1]) * behind
+        V = V - chord_pull(T, loads.edges[..., 1:]) * u
+        triangle = _Triangle.about(V, behind + u, loads, layout.clasps)
+        r_own, q_own = T_behind, T
+        if leg_pulls is not None:
+            r_own, q_own = leg_pulls[..., layout.behind, 1:], leg_pulls[..., layout.ahead, :1]
+        r_pull, q_pull = r_own, q_own
+        for _ in range(PASSES):
+            r_at_clasp, q_at_clasp = triangle.closed(r_pull, q_pull)
+            r_pull = _pull(r_own, loads.halves[..., :1], r_at_clasp)
+            q_pull = _pull(q_own, loads.halves[..., 1:], q_at_clasp)
+    q[..., layout.ahead, :], r[..., layout.behind, :] = q_at_clasp, r_at_clasp
+    return q, r
+
+
+def _pull(tension: Array, half: Array, along: Array) -> Array:
+    """Return what parts along unit vectors (…, 3) pull with (…, 1), half of their weights [N]."""
+    rise = along[..., 2:]
+    pull: Array = chord_pull(tension, half, 1.0 - rise * rise, rise)
+    return pull
+
+
+@dataclass(frozen=True, eq=False)
+class _Triangle:
+    """The known side of the force triangles at all clasps, and the plane that each lies in.
+
+    Attributes
+    ----------
+    edges, load: (…, clasps, 3) [N], what edges pull with, and outside forces: their difference is
+        the known side V.
+    along, across: (…, clasps, 3) unit vectors: along V, and m normal to it.
+    size: (…, clasps, 1) [N], of V.
+    points: (clasps,), the points that they are at.
+    """
+
+    edges: Array
+    load: Array
+    along: Array
+    across: Array
+    size: Array
+    points: Index
+
+    @classmethod
+    def about(cls, edges: Array, onward: Array, loads: ClaspLoads, points: Index) -> _Triangle:
+        """Return the triangles of what edges pull with and the directions that they go on in."""
+        V = edges - loads.forces
+        size = np.linalg.norm(V, axis=-1, keepdims=True)
+        along = V / size
+        level = unit(onward - np.sum(onward * along, axis=-1, keepdims=True) * along)
+        roll = loads.roll[..., None]
+        across = np.cos(roll) * level + np.sin(roll) * np.cross(level, along)
+        return cls(edges, loads.forces, along, across, size, points)
+
+    def closed(self, behind: Array, ahead: Array) -> tuple[Array, Array]:
+        """Return the directions of r- and q-legs that pull with ``behind`` and ``ahead`` [N]."""
+        a = (self.size**2 + ahead**2 - behind**2) / (2.0 * self.size)
+        squared = (ahead - a) * (ahead + a)
+        if not np.all(squared > 0.0):
+            raise self._unbalanced(behind, ahead, squared)
+        aside = np.sqrt(squared) * self.across
+        return ((self.size - a) * self.along - aside) / behind, (a * self.along + aside) / ahead
+
+    def _unbalanced(self, behind: Array, ahead: Array, squared: Array) -> InfeasibleError:
+        """Return the refusal of the clasp that is farthest from any balance.
+
+        Legs pull with at least the difference of their tensions, with at most their sum.
+
+        Parameters
+        ----------
+        behind, ahead: (…, clasps, 1) [N], what the legs pull with.
+        squared: (…, clasps, 1) [N²], negative where the triangle does not close.
+        """
+        worst = np.unravel_index(int(np.argmin(squared)), squared.shape)[:-1]
+        whole = float(self.size[worst][0])
+        apart = float(np.abs(behind[worst] - ahead[worst])[0])
+        pull = float((behind[worst] + ahead[worst])[0])
+        name, value, most = "tension", apart, whole
+        remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
+        if whole >= pull:
+            # The share of the load at which |edges - share · load| is the sum of both pulls.
+            load, edges = self.load[worst], self.edges[worst]
+            against, weight = float(edges @ load), float(np.linalg.norm(load))
+            spare = max(pull * pull - float(edges @ edges), 0.0)
+            root = math.sqrt(against * against + weight * weight * spare)
+            name, value = "load", weight
+            most = (against + root) / weight if weight > 0.0 else 0.0
+            factor = value / most if most > 0.0 else math.inf
+            lighter = "lower team.load or team.cable_density"
+            remedy = f"raise team.tension {factor:.3g} times, or {lighter}"
+        point = f"p{self.points[worst[-1]]}"
+        return InfeasibleError([Violation(name, value, most, "max", "N", (point,), "", remedy)])
+
+
+def contact_forces(
+    edge_directions: Array,
+    tensions: ArrayLike,
+    topology: str = CLOSED,
+    loads: ClaspLoads | None = None,
+) -> Array:
+    """Return the forces with which the two cables of each clasp press on each other.
+
+    ``2 T_k T_{k-1} sin φ / |V|`` without loads, φ the exterior angle; positive where the clasp
+    bears. With loads it is the size of ``C = F_k - w^k``, ``F_k = -(P_q q̂_k + P_k u_k)`` what cable
+    k presses with and ``w^k`` half of the load, negative unless ``C·q̂_k < 0``, ``C·u_k < 0``,
+    ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``: then the cables would slip off each other.
+
+    Parameters
+    ----------
+    edge_directions: (…, n, 2 or 3) unit vectors ``u_k``.
+    tensions: (…, n) or scalar [N].
+    loads: as for ``leg_directions``.
+
+    Returns
+    -------
+    (…, clasps) [N]
+    """
+    u = np.asarray(edge_directions, dtype=np.float64)
+    T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), u.shape[:-1])
+    layout = layout_of(u.shape[-2], topology)
+    q, r = leg_directions(u, T, topology, loads)
+    if loads is None:
+        bend: Array = T * length(u + q)  # what a cable bent by a clasp presses with
+        return bend[..., layout.ahead]
+    if u.shape[-1] == 2:
+        u = np.concatenate([u, np.zeros_like(u[..., :1])], axis=-1)
+    q, u_ahead = q[..., layout.ahead, :], u[..., layout.ahead, :]
+    r, u_behind = r[..., layout.behind, :], u[..., layout.behind, :]
+    own = T[..., layout.ahead, None]
+    leg, edge = (
+        _pull(own, loads.halves[..., 1:], q),
+        chord_pull(own, loads.edges[..., 1:]),
+    )
+    C = -(leg * q + edge * u_ahead) - 0.5 * loads.forces
+    signs = [dot(C, q), dot(C, u_ahead), -dot(C, r), dot(C, u_behind)]
+    bears = np.max(np.stack(signs), axis=0) < 0.0
+    forces: Array = np.where(bears, 1.0, -1.0) * length(C)
+    return forces
+
+
+def hanging_forces(team: Team, drones: Array) -> Array:
+    """Return the force of hanging cables on drones that are at (…, 2n, 3) [m], in [N] likewise.
+
+    Zero where cables weigh nothing.
+    """
+    if team.cable_density == 0.0:
+        return np.zeros(drones.shape)
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    pull = Catenary.between(q, r, team.cable_length).pull(q, r)
+    forces: Array = GRAVITY * team.cable_density * pull.reshape(drones.shape)
+    return forces
+
+
+def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut: Array) -> Array:
+    """Return the force of cables on drones (…, 2n, 3) [N], between hanging free and taut.
+
+    A leg pulls toward its vertex (at a chain's end the edge along itself) along its chord, by
+    ``chord_pull`` of its tension at the clasp, and puts half of its weight on its drone; the
+    other half, and half of every edge, is on the clasps. While a tension rises from 0 every weight
+    passes from hanging cables to taut ones by the share ``taut``: of what a clasp carries in the
+    end it carries that share, of its load likewise, and the same share of the leg's weight is on
+    the drone. Weights and tensions then keep their ratio, so that
+    legs keep their directions while cables are drawn taut and no force jumps.
+
+    Parameters
+    ----------
+    drones: (…, 2n, 3) [m]
+    vertices: (…, points, 3) [m]
+    pulls: (…, 2n) [N], tensions of the legs at their clasps; 0 while there is no hitch.
+    taut: (…, n), from 0 to 1.
+    """
+    if not team.has_cables:
+        return np.zeros(drones.shape)
+    spans = drones - vertices[..., team.layout.pulled_to, :]
+    if team.cable_density == 0.0:
+        return taut_forces(spans, pulls)
+    share = np.repeat(taut, 2, axis=-1)
+    forces = taut_forces(spans, pulls, 0.5 * GRAVITY * team.cable_density * share)
+    if np.any(share < 1.0):
+        forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
+    return forces
+
+
+def taut_forces(spans: Array, pulls: Array, half: Array | float = 0.0) -> Array:
+    """Return the forces (…, 3) [N] of taut cables on drones.
+
+    Parameters
+    ----------
+    spans: (…, 3) [m], from where each cable pulls to, to its drone.
+    pulls: (…) [N], their tensions at the clasps.
+    half: (…) [N/m], half of the weight of a metre of cable.
+    """
+    # A leg without length has no direction: no force rather than nan (certified plans have none).
+    directions = unit(spans)
+    if not np.any(half):
+        return 0.0 - pulls[..., None] * directions  # no negative zeros
+    level = spans[..., 0] ** 2 + spans[..., 1] ** 2
+    along = chord_pull(pulls, half, level, spans[..., 2])
+    forces: Array = 0.0 - along[..., None] * directions
+    forces[..., 2] -= half * length(spans)
+    return forces
+
+
+def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
+    """Return the derivative by time of ``cable_forces``, (…, 2n, 3) [N/s], by central differences.
+
+    Parameters
+    ----------
+    values: drones, vertices, pulls and tautness, as ``cable_forces`` takes them.
+    rates: their derivatives by time.
+    """
+    later, earlier = (
+        cable_forces(team, *(v + step * r for v, r in zip(values, rates, strict=True)))
+        for step in (STEP, -STEP)
+    )
+    change: Array = (later - earlier) / (2.0 * STEP)
+    return change
+
+
+INTEGRAL = (
+    "an integral in the position loop drives the position error to zero, whatever the tension: the "
+    "cables' lengths set it, and a centimetre changes it by a multiple; turn it off, or measure "
+    "tensions"
+)
+"""What is wrong with an integral."""
+
+NO_FEED_FORWARD = (
+    "without feed-forward of the cable force nothing keeps up the planned tension: drones give way "
+    "until cables hardly pull; export with --hold-tension, which moves the set points outward"
+)
+"""What is wrong without feed-forward."""
+
+
+def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:
+    """Return in words why a plan does not determine the tensions; nothing where it does."""
+    found = (INTEGRAL,) if integral else ()
+    return found if feed_forward else (*found, NO_FEED_FORWARD)

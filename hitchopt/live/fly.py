@@ -1,0 +1,364 @@
+"""A flight by commands: the plan on its clock, after an abort its landing, and lost links.
+
+Nothing here reads a clock: ``Flight.tick`` is told the time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError
+from hitchopt.hitch import GRAVITY
+from hitchopt.live.abort import Abort, AbortTable
+from hitchopt.live.player import Player, Setpoints
+from hitchopt.motion.motion import JOINT, Motion
+from hitchopt.motion.states import states_at
+from hitchopt.values import Array, positive
+
+Later = Callable[[Callable[[], Player]], Future[Player]]
+"""Start a computation, as ``Executor.submit`` does."""
+
+COMMANDS = ("pause", "resume", "back", "abort", "land")
+
+TRIES = 6
+"""Number of a table's entries that the clock is led to, the nearest first."""
+
+OPERATOR = "operator"
+"""Name of the operator's link."""
+
+AGAIN = 0.25
+"""[s] Delay before a hold that was refused is tried again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """What drones are sent at one time, in the plan's axes.
+
+    Attributes
+    ----------
+    setpoints: positions and derivatives.
+    thrusts, thrust_rates: (drones, 3) [N], [N/s], with the cables' pull at that plan time.
+    feed_forward: (drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable.
+    """
+
+    setpoints: Setpoints
+    thrusts: Array
+    thrust_rates: Array
+    feed_forward: Array
+
+
+class Course:
+    """A plan at rest at its start, to be flown by commands.
+
+    Parameters
+    ----------
+    motion: the plan.
+    tables: aborts of the plan for the commands ``abort`` and ``land``.
+    later: starts the preparation of a landing while drones are on the way to it.
+    """
+
+    def __init__(self, motion: Motion, tables: Mapping[str, AbortTable], later: Later) -> None:
+        self.motion = motion
+        self._tables = tables
+        self._later = later
+        self._player = _ready(motion, 0.0, 0.0)
+        self._landing: Future[Player] | None = None
+        self.descending = False
+        """Whether the landing itself has begun."""
+        self.begun = False
+        """Whether the plan has ever left its start."""
+
+    @property
+    def resting(self) -> bool:
+        """Whether all drones stand still and are not about to move."""
+        return self._player.resting and self._landing is None
+
+    @property
+    def landed(self) -> bool:
+        """Whether everything has been flown and the drones are on the ground."""
+        motion = self._player.motion
+        if not self._player.resting or self._player.time < motion.duration - JOINT:
+            return False
+        heights = motion.drones.coefficients[-1, :, 2, -1]
+        return self.descending or bool(np.all(heights <= motion.requirements.floor + JOINT))
+
+    def step(self, seconds: float) -> Flown:
+        """Let time [s] pass and return what drones are sent then."""
+        if self._landing is not None and self._player.resting and self._landing.done():
+            self._player, self._landing = self._landing.result(), None
+            self.descending = True
+        motion, setpoints = self._player.motion, self._player.step(seconds)
+        states = states_at(motion, [setpoints.time])
+        mass = motion.team.mass[:, None]
+        forward = setpoints.accelerations - states.cable_forces[0] / mass
+        return Flown(
+            setpoints,
+            mass * (forward + [0.0, 0.0, GRAVITY]),
+            mass * setpoints.jerks - setpoints.rate * states.cable_force_rates[0],
+            forward,
+        )
+
+    def obey(self, command: str) -> str:
+        """Carry out one of COMMANDS; return what is done, in words.
+
+        Raises
+        ------
+        InputError: another word.
+        InfeasibleError: it cannot be done now; what was done before goes on.
+        """
+        if command not in COMMANDS:
+            raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
+        if command in self._tables:
+            return self._land(self._tables[command])
+        if self.descending and command == "back":
+            raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
+        seconds = getattr(self._player, command)()
+        self.begun = self.begun or command == "resume"
+        self._landing = None
+        return f"{command}: takes {seconds:.2f} s"
+
+    def _land(self, table: AbortTable) -> str:
+        if self.descending:
+            return f"landing goes on, in {self._player.resume():.2f} s"
+        time = self._player.time
+        entries = sorted(table.entries, key=lambda each: (each.rest < time, abs(each.rest - time)))
+        refusal = InfeasibleError([], f"{table.how}: the plan has no abort of this kind")
+        for entry in entries[:TRIES]:
+            try:
+                seconds = self._player.seek(entry.rest)
+            except InfeasibleError as error:
+                refusal = error
+                continue
+            self._landing = self._later(partial(_landing, entry))
+            return f"{table.how}: begins in {seconds:.2f} s"
+        raise refusal
+
+
+def _ready(motion: Motion, time: float, rate: float) -> Player:
+    """Return a player that knows its stops: a pause must not wait for them."""
+    player = Player(motion, time, rate)
+    _ = player.stops
+    return player
+
+
+def _landing(entry: Abort) -> Player:
+    """Return the player of what follows the rest of an entry."""
+    return _ready(entry.certified.motion, entry.start + entry.seconds, 1.0)
+
+
+class Steering(Protocol):
+    """Where commands come from."""
+
+    def commands(self) -> tuple[list[str], bool]:
+        """Return the commands since the last call, and whether the operator was heard of."""
+
+
+class Outlet(Protocol):
+    """A fleet that is sent setpoints."""
+
+    def send(self, flown: Flown, now: float) -> None:
+        """Send every drone its setpoint at a time [s]; a network that fails is no error."""
+
+    def measured(self) -> dict[str, Array]:
+        """Return what has arrived since the last call: positions (3,) [m] in the plan's axes.
+
+        Keys are the drones' names in the plan.
+        """
+
+    def close(self, *, landed: bool) -> None:
+        """End the stream."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Times of a flight.
+
+    Attributes
+    ----------
+    rate: setpoints a second [Hz].
+    lead: time [s] by which setpoints are computed ahead, and after which a command takes effect.
+    silence: time [s] after which a drone that is not measured is lost.
+    operator: time [s] after which a silent operator is lost.
+    patience: time [s] from a lost link to the landing.
+    near: distance [m] within which drones must be measured before the plan goes on.
+    """
+
+    rate: float = 50.0
+    lead: float = 0.2
+    silence: float = 0.5
+    operator: float = 1.0
+    patience: float = 5.0
+    near: float = 0.3
+
+    def __post_init__(self) -> None:
+        for key, value in vars(self).items():
+            positive(key, value)
+
+
+class Flight:
+    """A course that is streamed to a fleet, one ``tick`` after the other.
+
+    Parameters
+    ----------
+    course: what is flown.
+    outlet: the fleet.
+    steering: the operator.
+    timing: rates and times.
+    watched: names of the drones that must be measured.
+    later: starts a command's computation while setpoints that are ready are sent.
+    say: called with what happens, in words.
+    """
+
+    def __init__(
+        self,
+        course: Course,
+        outlet: Outlet,
+        steering: Steering,
+        timing: Timing,
+        watched: tuple[str, ...],
+        later: Callable[[Callable[[], str]], Future[str]],
+        say: Callable[[str], None],
+    ) -> None:
+        self._course, self._outlet, self._steering = course, outlet, steering
+        self._timing, self._later, self._say = timing, later, say
+        self._timeouts = dict.fromkeys(watched, timing.silence) | {OPERATOR: timing.operator}
+        self._heard = dict.fromkeys(self._timeouts, -math.inf)
+        self._measured: dict[str, Array] = {}
+        self._ready: deque[Flown] = deque()
+        self._asked: deque[str] = deque()
+        self._job: Future[str] | None = None
+        self._last: Flown | None = None
+        self._next = self._reacted = -math.inf
+        self._lost_since: float | None = None
+        self._quit = False
+        self.landed = False
+        """Whether drones are on the ground, all of the course flown."""
+        self.late = 0
+        """Number of setpoints that had to be sent twice, as a command took longer than the lead."""
+
+    def tick(self, now: float) -> bool:
+        """Do what is due at a time [s]; return whether the flight goes on."""
+        found = self._outlet.measured()
+        self._measured |= found
+        commands, heard = self._steering.commands()
+        for name in (*found, *((OPERATOR,) if heard else ())):
+            self._heard[name] = now
+        for command in commands:
+            self._ask(command, now)
+        self._guard(now)
+        self._command()
+        self._prepare()
+        self._send(now)
+        return not (self.landed or self._quit)
+
+    def _lost(self, now: float) -> list[str]:
+        """Return the names of the links that are lost, never heard ones too."""
+        return [name for name, most in self._timeouts.items() if now - self._heard[name] > most]
+
+    def _ask(self, command: str, now: float) -> None:
+        """Queue an operator's command, unless it may not be given now."""
+        course = self._course
+        if command == "end":
+            command = "land" if course.begun else "quit"
+        if command == "quit":
+            self._quit = not course.begun and self._job is None and not self._asked
+            if not self._quit:
+                self._say("quit: drones have left their start; land first")
+            return
+        if command == "toggle":
+            command = "resume" if course.resting else "pause"
+        hindrance = self._hindrance(now) if command in ("resume", "back") else ""
+        if command not in ("pause", "resume") and not course.begun:
+            hindrance = "the plan has not begun"
+        if hindrance:
+            self._say(f"{command}: {hindrance}")
+            return
+        self._asked.append(command)
+
+    def _hindrance(self, now: float) -> str:
+        """Return why the plan may not go on from rest."""
+        lost = self._lost(now)
+        if lost:
+            return f"nothing is heard of {', '.join(lost)}"
+        if self._last is None or not self._course.resting:
+            return ""
+        names = self._course.motion.team.drone_names
+        for name, place in zip(names, self._last.setpoints.positions, strict=True):
+            if name in self._measured:
+                off = float(np.linalg.norm(self._measured[name] - place))
+                if off > self._timing.near:
+                    return f"{name} is {off:.2f} m from its setpoint, not {self._timing.near:g} m"
+        return ""
+
+    def _guard(self, now: float) -> None:
+        """Hold where a link is lost, land where it stays lost."""
+        course, lost = self._course, self._lost(now)
+        if not lost:
+            if self._lost_since is not None and course.begun:
+                self._say("all are heard of again")
+            self._lost_since = None
+            return
+        if self._lost_since is None:
+            self._lost_since, self._reacted = now, -math.inf
+            if course.begun:
+                self._say(f"lost: {', '.join(lost)}")
+        patient = now - self._lost_since < self._timing.patience
+        if not course.begun:
+            if not patient and OPERATOR in lost:
+                self._say("no operator is heard of, and the plan has not begun: the stream ends")
+                self._quit = True
+            return
+        wait = AGAIN if patient else self._timing.patience
+        if self._job is not None or now - self._reacted < wait:
+            return
+        if patient and not (course.descending or course.resting):
+            self._reacted = now
+            self._asked.append("pause")
+        elif not patient and course.resting and not course.landed:
+            self._reacted = now
+            self._asked.append("land")
+
+    def _command(self) -> None:
+        """Begin the next command, or say what has become of the present one."""
+        if self._job is not None and self._job.done():
+            try:
+                self._say(self._job.result())
+            except HitchoptError as error:
+                self._say(str(error))
+            self._job = None
+        if self._job is None and self._asked:
+            command = self._asked.popleft()
+            self._job = self._later(lambda: self._course.obey(command))
+
+    def _prepare(self) -> None:
+        """Compute setpoints ahead, unless a command is about to change them."""
+        timing = self._timing
+        while len(self._ready) < max(1, round(timing.lead * timing.rate)):
+            if self._job is not None or self._course.landed:
+                return
+            self._ready.append(self._course.step(1.0 / timing.rate))
+
+    def _send(self, now: float) -> None:
+        """Send the setpoint that is due, the last one again where none is ready."""
+        period = 1.0 / self._timing.rate
+        if now < self._next:
+            return
+        due = 1 if self._last is None else max(1, int((now - self._next) / period) + 1)
+        self._next = now + period if self._last is None else self._next + due * period
+        for _ in range(due):
+            if not self._ready:
+                self.late += 1
+                break
+            self._last = self._ready.popleft()
+        if self._last is not None:
+            self._outlet.send(self._last, now)
+        ended = self._course.landed and not self._asked and self._job is None
+        self.landed = ended and not self._ready and self._course.begun

@@ -1,1 +1,0 @@
-"""Reactions of a team to the loss of one of its drones: planned, certified, counted."""

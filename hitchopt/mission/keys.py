@@ -1,0 +1,372 @@
+"""The problem file key by key: types, counts, signs and defaults of single values.
+
+What one value alone cannot tell (a polygon's shape, one entry per robot) is checked by the records
+that ``loading`` makes of these models. Those of steps are made from the steps' own fields.
+"""
+
+from __future__ import annotations
+
+from dataclasses import MISSING
+from typing import Annotated, Any, ClassVar, Literal
+
+from pydantic import ConfigDict, Field, create_model, model_validator
+
+from hitchopt.hitch import Quadrotor
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
+from hitchopt.requirements import Limits, Separation
+from hitchopt.steps import STEPS, Step
+from hitchopt.steps.step_keys import (
+    LEGS_TEXT,
+    MIN_QUANTITY,
+    OUTLINE_TEXT,
+    TRIANGLE,
+    Keys,
+    Legs,
+    NotNegative,
+    Number,
+    ObjectName,
+    OneOrEach,
+    OutlinePoints,
+    PerClasp,
+    PerRobot,
+    Point2,
+    Point3,
+    Positive,
+    fault,
+    key,
+    keys_of,
+)
+
+MAX_STEPS = 1000
+"""Steps of one mission."""
+
+MAX_TITLE = 200
+"""Characters of a title."""
+
+
+def section(model: type[Keys]) -> Any:
+    """Return the field of a mapping that has its model's own defaults unless it is given."""
+    return key(str(model.__doc__), default_factory=model)
+
+
+def _without_null(schema: dict[str, Any]) -> None:
+    """Show in the JSON Schema that exactly one key is given, and not as null."""
+    schema["minProperties"] = schema["maxProperties"] = 1
+    for name, entry in schema["properties"].items():
+        choices = [choice for choice in entry.pop("anyOf") if choice.get("type") != "null"]
+        entry.pop("default", None)
+        schema["properties"][name] = {**choices[0], **entry}
+
+
+class OneKey(Keys):
+    """A mapping with exactly one of its keys."""
+
+    model_config = ConfigDict(json_schema_extra=_without_null)
+    example: ClassVar[str]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_one_key(cls, data: object) -> object:
+        if isinstance(data, dict):
+            if len(data) != 1:
+                raise fault(
+                    f"a mapping with exactly one of the keys {', '.join(cls.model_fields)}",
+                    f"write {cls.example}",
+                )
+            ((key, value),) = data.items()
+            if value is None and key in cls.model_fields:
+                raise fault(f"a mapping, also after {key}", f"write {key}: {{…}} with its keys")
+        return data
+
+
+class QuadrotorKeys(Keys):
+    """One kind of quadrotor."""
+
+    mass: Positive = key("Mass [kg]", Quadrotor.mass)
+    max_thrust: Positive = key("Largest collective thrust [N]", Quadrotor.max_thrust)
+    stiffness: Positive | None = key(
+        "Stiffness of the position loop [N/m], or null for a rigid one", Quadrotor.stiffness
+    )
+    integral: bool = key(
+        "Whether the controller drives the position error to zero", Quadrotor.integral
+    )
+    feed_forward: bool = key(
+        "Whether the controller adds the cable force that set points hold", Quadrotor.feed_forward
+    )
+
+
+class TeamKeys(Keys):
+    """Who flies, on which cables, pulling how hard."""
+
+    robots: int = key(
+        "Number of catenary robots, that is of cables; each has two quadrotors",
+        ge=2,
+        le=MAX_ROBOTS,
+        examples=[3],
+    )
+    topology: Literal["closed", "open"] = key(
+        "closed: a polygon; open: a chain along a convex arc", "closed"
+    )
+    cable_length: PerRobot[Positive] = key(
+        "Length of the cables [m], one for all or one per robot", examples=[2.4]
+    )
+    cable_density: NotNegative = key("Mass per length [kg/m]", 0.0)
+    load: PerClasp = key(
+        "What hangs at the clasps [kg], one for all, or one per vertex of a polygon "
+        "and inner point of a chain",
+        0.0,
+    )
+    cable_friction: NotNegative = key(
+        "Friction at the clasps, a coefficient: legs lean against it as cables slide", 0.0
+    )
+    tension: PerRobot[Positive] = key(
+        "Tension of the cables [N], one for all or one per robot", 0.4
+    )
+    quadrotor: PerRobot[QuadrotorKeys] = key(
+        "Kind of quadrotor, one for all or a list of one per robot", default_factory=QuadrotorKeys
+    )
+
+
+class MotionLimitsKeys(Keys):
+    """Limits of what drones do, with cables or without; all norms are Euclidean."""
+
+    speed: Positive = key("Of every drone [m/s]", Limits.speed)
+    acceleration: Positive = key("Of every drone [m/s²]", Limits.acceleration)
+    jerk: Positive = key("Of every drone [m/s³]", Limits.jerk)
+    tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = key(
+        "Largest angle of the thrust from vertical [°]", 45.0
+    )
+    body_rate_deg: Positive | None = key(
+        "Largest turning rate of the thrust [°/s], or null for no limit", None
+    )
+    duration: Positive | None = key("Of the whole plan [s], or null for no limit", Limits.duration)
+    reserve: Annotated[float, Field(ge=MIN_QUANTITY, le=1.0)] = key(
+        "Share of acceleration and jerk that the plan uses; below 1 stops can begin at every time",
+        Limits.reserve,
+    )
+
+
+class LimitsKeys(MotionLimitsKeys):
+    """Limits of a hitch; all norms are Euclidean."""
+
+    vertex_speed: Positive = key("How fast a vertex of the hitch may go [m/s]", Limits.vertex_speed)
+    leg: Positive = key("Shortest leg, vertex to drone, while the hitch holds [m]", Limits.leg)
+
+
+class EllipsoidKeys(Keys):
+    """The ellipsoids that must not overlap."""
+
+    radius: Positive = key(
+        "Horizontal semi-axis of a drone's ellipsoid, and its distance to prisms [m]",
+        Separation.radius,
+    )
+    height: Positive = key("Vertical semi-axis of a drone's ellipsoid [m]", Separation.height)
+
+
+class SeparationKeys(EllipsoidKeys):
+    """Distances to keep."""
+
+    cable: NotNegative = key(
+        "Drone to any cable but its own, and to its own edge [m]", Separation.cable
+    )
+    crossing: NotNegative = key(
+        "Cable to cable where they share no clasp, taut parts [m]", Separation.crossing
+    )
+    object: NotNegative = key(
+        "A cable's centre line, and a held object, to objects [m]", Separation.object
+    )
+
+
+class ArenaKeys(Keys):
+    """The box that the drones stay in."""
+
+    lower: Point3 = key("Corner with the least x, y, z [m]", examples=[[-4, -4, 0]])
+    upper: Point3 = key("Corner with the greatest x, y, z [m]", examples=[[4, 4, 3]])
+
+
+class HitchKeys(Keys):
+    """A formed hitch."""
+
+    polygon: OutlinePoints = key(OUTLINE_TEXT, examples=[TRIANGLE])
+    altitude: Number = key("Height of the hitch's plane [m]", 1.0)
+    legs: Legs = key(LEGS_TEXT, "spread")
+
+
+class DronesKeys(Keys):
+    """Where the drones are of a hitch that is to be formed."""
+
+    q: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = key(
+        "Drones q, one [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]]
+    )
+    r: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = key(
+        "Drones r, one [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]]
+    )
+
+
+class StartKeys(OneKey):
+    """Where the plan starts."""
+
+    example: ClassVar[str] = "hitch: {polygon: [[x, y], …], altitude: 1.0}"
+    hitch: HitchKeys | None = key("A formed hitch, at rest", None)
+    drones: DronesKeys | None = key("Drones of a hitch that is to be formed, at rest", None)
+
+
+MAX_OBJECTS = 100
+"""Objects of one problem."""
+
+MAX_CORNERS = 1000
+"""Corners of one outline."""
+
+SHAPES = ("outline", "circle", "file")
+"""Keys of which an object has exactly one; a rim the first or the second."""
+
+Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
+
+
+def _one_of(values: object, names: tuple[str, ...]) -> None:
+    """Raise a fault unless exactly one of the names is given."""
+    if isinstance(values, dict) and sum(values.get(name) is not None for name in names) != 1:
+        words = ", ".join(names)
+        raise fault(f"a mapping with exactly one of {words}", "write circle: 0.2, for example")
+
+
+class RimKeys(Keys):
+    """A rim or tray that may rest on cables."""
+
+    outline: Corners | None = key("Corners [x, y] [m] of a convex outline, in either sense", None)
+    circle: Positive | None = key("Radius [m] of a circle", None)
+    at: Number = key("Height above the object's base [m]", 0.2)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_shape(cls, data: object) -> object:
+        _one_of(data, SHAPES[:2])
+        return data
+
+
+class ObjectKeys(Keys):
+    """An upright object that is carried, or stands in the way."""
+
+    outline: Corners | None = key("Corners [x, y] [m] of a convex outline, in either sense", None)
+    circle: Positive | None = key("Radius [m] of a circle", None)
+    file: Annotated[str, Field(min_length=1, max_length=1000)] | None = key(
+        "Drawing of its outline, in metres, relative to this file", None
+    )
+    from_: Number = key("Height of its floor above its base [m]", 0.0, alias="from")
+    to: Number = key("Height of its ceiling above its base [m]", 0.3)
+    mass: Positive = key("Mass [kg]", 0.1)
+    friction: NotNegative = key("Coefficient of friction, with cables", 0.5)
+    at: Point3 = key("Where the origin of its base stands [m]", examples=[[1, 0, 0]])
+    yaw_deg: Number = key("By how much it is turned there, counter-clockwise [°]", 0.0)
+    rim: RimKeys | None = key(str(RimKeys.__doc__), None)
+    fixed: bool = key("Whether it never moves, as tables do", False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_shape(cls, data: object) -> object:
+        _one_of(data, SHAPES)
+        return data
+
+
+def step_model(kind: type[Step]) -> type[Keys]:
+    """Return the model of a step's keys, made from the annotations of its fields."""
+    entries: dict[str, Any] = {}
+    for name, (said, default) in keys_of(kind).items():
+        options: dict[str, Any] = {"examples": list(said.examples)} if said.examples else {}
+        if isinstance(default, type):  # a record, which has its own keys
+            options["default_factory"] = said.kind
+        entries[said.name or name] = (
+            said.kind | None if default is None else said.kind,
+            key(said.text, ... if default is MISSING else default, **options),
+        )
+    text = str(kind.__doc__).partition("\n")[0]
+    return create_model(f"{kind.__name__}Keys", __base__=Keys, __doc__=text, **entries)
+
+
+STEP_KINDS = {kind.name: kind for kind in STEPS}
+"""Kinds of steps by their keys in a problem file."""
+
+
+class _Step(OneKey):
+    """One step of the mission."""
+
+    example: ClassVar[str] = "one step per list entry, such as hold: {seconds: 1.0}"
+
+
+StepKeys = create_model(
+    "StepKeys",
+    __base__=_Step,
+    __doc__=_Step.__doc__,
+    **{kind.name: (step_model(kind) | None, key(kind.summary, None)) for kind in STEPS},
+)  # type: ignore[call-overload]
+
+
+class ProblemKeys(Keys):
+    """Problem file of hitchopt: a team of quadrotors, a cable hitch, and what to do with it."""
+
+    title: str = key("What to call the plan", "", max_length=MAX_TITLE)
+    team: TeamKeys = key(str(TeamKeys.__doc__), examples=[{"robots": 3, "cable_length": 2.4}])
+    limits: LimitsKeys = section(LimitsKeys)
+    separation: SeparationKeys = section(SeparationKeys)
+    arena: ArenaKeys | None = key(str(ArenaKeys.__doc__), None)
+    objects: Annotated[dict[ObjectName, ObjectKeys], Field(max_length=MAX_OBJECTS)] = key(
+        "Objects that are carried or stand in the way, by name", default_factory=dict
+    )
+    start: StartKeys = key(
+        str(StartKeys.__doc__), examples=[{"hitch": {"polygon": TRIANGLE, "altitude": 1.0}}]
+    )
+    mission: Annotated[list[StepKeys], Field(min_length=1, max_length=MAX_STEPS)] = key(  # type: ignore[valid-type]
+        "Steps, one after the other", examples=[[{"hold": {"seconds": 1.0}}]]
+    )
+
+
+MAX_PRISMS = 1000
+"""Prisms of one problem."""
+
+Points = Annotated[list[Point3], Field(min_length=1, max_length=MAX_DRONES)]
+
+
+class SwarmTeamKeys(Keys):
+    """Who flies: single drones, without cables."""
+
+    drones: int = key("Number of drones", ge=1, le=MAX_DRONES, examples=[2])
+    quadrotor: OneOrEach[
+        QuadrotorKeys, Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES)]
+    ] = key(
+        "Kind of quadrotor, one for all or a list of one per drone", default_factory=QuadrotorKeys
+    )
+
+
+class PrismKeys(Keys):
+    """An upright prism that the drones stay out of."""
+
+    polygon: Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)] = key(
+        "Corners [x, y] [m] of a convex outline, clockwise seen from above",
+        examples=[[[0, 0], [0, 1], [1, 1]]],
+    )
+    lower: Number = key("Altitude of its floor [m]", examples=[0.0])
+    upper: Number = key("Altitude of its ceiling [m]", examples=[3.0])
+
+
+class SwarmKeys(Keys):
+    """Problem file of hitchopt: single drones that trade places out of each other's downwash."""
+
+    title: str = key("What to call the plan", "", max_length=MAX_TITLE)
+    team: SwarmTeamKeys = key(str(SwarmTeamKeys.__doc__), examples=[{"drones": 2}])
+    limits: MotionLimitsKeys = section(MotionLimitsKeys)
+    separation: EllipsoidKeys = section(EllipsoidKeys)
+    arena: ArenaKeys | None = key(str(ArenaKeys.__doc__), None)
+    keep_out: Annotated[list[PrismKeys], Field(max_length=MAX_PRISMS)] = key(
+        "Prisms that the drones stay out of", default_factory=list
+    )
+    objects: Annotated[dict[ObjectName, ObjectKeys], Field(max_length=MAX_OBJECTS)] = key(
+        "Objects that stand in the way, by name", default_factory=dict
+    )
+    start: Points = key(
+        "Where the drones are at rest, one [x, y, z] [m] per drone",
+        examples=[[[-1, 0, 1], [1, 0, 1]]],
+    )
+    goal: Points = key(
+        "Where they come to rest, in the same order [m]", examples=[[[1, 0, 1], [-1, 0, 1]]]
+    )
+    duration: Positive | None = key("Exactly that long [s]; without it as fast as is found", None)

@@ -1,0 +1,652 @@
+"""Repair: the smallest single changes that make a problem feasible, each verified by planning it.
+
+A knob is a number of the problem that can be raised or lowered. Those that can repair all that
+binds are tried by the size of their change, and the ones that do are narrowed by bisection.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    OneLine,
+    Progress,
+    TimeIsUp,
+    Violation,
+    time_left,
+)
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Quadrotor
+from hitchopt.hitch.hitch import balanced_legs, fitting_polygon
+from hitchopt.holding.capacity import EASED
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+from hitchopt.mission.solving import solve_problem
+from hitchopt.steps import Step
+from hitchopt.steps.route_choice import split_hitch
+from hitchopt.steps.step import (
+    DECIMALS,
+    PLAN_DURATION,
+    Knob,
+    StepEdit,
+    eased,
+    outline_scaled,
+    points_scaled,
+)
+from hitchopt.steps.step_keys import RolledLegs, SlackSplit
+from hitchopt.values import Array
+
+BUDGET = 15.0
+"""Time [s] after which no further plan is begun: a user waits for it."""
+
+NO_CHANGE = "no single change was found that makes it feasible"
+"""Message where there is no suggestion."""
+
+DIGITS = 3
+"""Significant digits of a suggested value: what a person would type."""
+
+SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
+"""Relative sizes tried in turn, those of all knobs before the next size."""
+
+RESOLUTION = 0.005
+"""Resolution of the smallest size, as a share of the new value."""
+
+FAR = 4.0
+"""Times the smallest change: those that are larger still are not looked for."""
+
+ENOUGH = 3
+"""Most suggestions: more would not be read."""
+
+
+@dataclass(frozen=True)
+class Edit(OneLine):
+    """What to write into a problem file.
+
+    Attributes
+    ----------
+    key: path of the key, such as ``team.cable_length`` or ``mission[0].morph.polygon``.
+    value: number, word, list or mapping, in the file's units.
+    """
+
+    key: str
+    value: object
+
+
+@dataclass(frozen=True, eq=False)
+class Edited:
+    """A problem with another value, and how a file says so."""
+
+    problem: Problem
+    edits: tuple[Edit, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Change(OneLine):
+    """One quantity of a problem changed.
+
+    Attributes
+    ----------
+    key: path of the quantity in the problem file.
+    words: what it is, where the key does not tell.
+    old, new: its values [unit].
+    unit: such as ``m``; ``times`` for a factor, nothing for words.
+    relative: size of the change over that of the quantity, with its sign.
+    problem: with the change.
+    edits: what to write into the problem's file for it.
+    """
+
+    key: str
+    words: str
+    old: float | str
+    new: float | str
+    unit: str
+    relative: float
+    problem: Problem
+    edits: tuple[Edit, ...]
+
+    def __str__(self) -> str:
+        unit = f" {self.unit}" if self.unit else ""
+        values = [v if isinstance(v, str) else f"{v:.6g}" for v in (self.old, self.new)]
+        words = f"{self.words}, " if self.words else ""
+        percent = 100.0 * self.relative
+        share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
+        return f"{self.key} {values[0]} -> {values[1]}{unit} ({words}{share} %)"
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestion(OneLine):
+    """A change with which the problem has been planned and certified.
+
+    Attributes
+    ----------
+    change: the only one that is needed.
+    duration: of the certified plan [s].
+    """
+
+    change: Change
+    duration: float
+
+    def __str__(self) -> str:
+        return f"suggested change: {self.change}, verified: plan of {self.duration:.3g} s certified"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the suggestion as plain values, for JSON."""
+        change = {key: value for key, value in vars(self.change).items() if key != "problem"}
+        del change["words"]
+        edits = [vars(edit) for edit in self.change.edits]
+        return {**change, "duration": self.duration, "edits": edits, "message": str(self)}
+
+
+def find_suggestions(
+    problem: Problem,
+    error: InfeasibleError,
+    budget: float = BUDGET,
+    progress: Progress | None = None,
+) -> tuple[Suggestion, ...]:
+    """Return up to three single changes that make a problem feasible, smallest first.
+
+    Each has been planned and certified. They are the smallest that were found: no value between
+    the last one that failed and the one suggested is known to do. None proves nothing.
+
+    Parameters
+    ----------
+    problem: one that cannot be met.
+    error: why not.
+    budget: how long to search [s]; the last plan that was begun is waited for, up to the time
+        limit within which this is called.
+    progress: called with what is being tried now.
+    """
+    end, broken = time.monotonic() + budget, broken_constraints(error)
+    thorough, judge = (_Judge(end, progress, optimiser=each) for each in (True, False))
+    likely = [knob for knob in _likely(problem, error.violations) if broken <= knob.covers]
+    longer = [knob for knob in likely if error.note and knob.lasts]  # as long as a route takes
+    known = _suggested(thorough(change_of(knob, knob.least)) for knob in longer)
+    found = [
+        *known,
+        *_suggested(map(judge, spread_changes(problem, error))),
+        *_smallest([knob for knob in likely if not (known and knob.lasts)], judge),
+    ]
+    if not found and broken <= {"arena"}:
+        found = _smallest(list(_walls(problem, error.violations, together=True)), judge)
+    if not found and error.note:  # the optimiser was needed and may be needed still
+        found = _smallest(likely, thorough)
+    return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
+
+
+Verdict = Suggestion | frozenset[str]
+"""A suggestion if a change is planned and certified, else the constraints that bind, if known."""
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """Plans changed problems until a time on the monotonic clock [s]."""
+
+    end: float
+    progress: Progress | None
+    optimiser: bool
+
+    @property
+    def over(self) -> bool:
+        """Whether no further plan is to be begun."""
+        return time.monotonic() >= self.end or time_left() <= 0.0
+
+    def __call__(self, change: Change | None) -> Verdict | None:
+        """Return the verdict; None where there is no change, or no time for it."""
+        if change is None or self.over:
+            return None
+        if self.progress is not None:
+            self.progress(f"trying {change}")
+        try:
+            found = solve_problem(change.problem, optimiser=self.optimiser)
+        except InfeasibleError as error:
+            return broken_constraints(error)
+        except (HitchoptError, TimeIsUp):  # no timing found, or no time: larger changes may do
+            return frozenset()
+        return Suggestion(change, found.motion.duration)
+
+
+def _suggested(verdicts: Iterable[Verdict | None]) -> list[Suggestion]:
+    return [verdict for verdict in verdicts if isinstance(verdict, Suggestion)]
+
+
+def _smallest(knobs: Sequence[Knob], judge: _Judge) -> list[Suggestion]:
+    """Return the smallest changes of the knobs of which the smallest sizes do.
+
+    Sizes that are known to be needed come first: they may be enough. Then all knobs are tried with
+    one size before any with the next one.
+    """
+    found: list[Suggestion] = []
+    failed: dict[int, float] = {}
+    done: set[int | str] = set()  # knobs, and families of them
+    sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
+    tries = [(0.0 if size == knobs[i].least else size, i, size) for i, size in sizes]
+    last = 0.0
+    for turn, i, size in sorted(tries):
+        smallest = min((abs(s.change.relative) for s in found), default=math.inf)
+        if turn > last and (len(found) >= ENOUGH or last >= FAR * smallest):
+            break
+        last, knob = turn, knobs[i]
+        if i in done or knob.family in done:
+            continue
+        verdict = judge(change_of(knob, size))
+        if isinstance(verdict, Suggestion):
+            found.append(_narrowed(knob, failed.get(i, knob.least), size, verdict, judge))
+            done.add(i)
+            if knob.family:
+                done.add(knob.family)
+        # Where other things are broken beyond the least, larger changes would break them the more.
+        elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
+            done.add(i)
+        elif i not in failed and knob.relaxes:
+            largest = judge(change_of(knob, _sizes(knob)[-1]))
+            if not isinstance(largest, Suggestion):
+                done.add(i)
+        failed[i] = size
+    return found
+
+
+def _sizes(knob: Knob) -> list[float]:
+    """Return the sizes that are tried: first what is needed at the least, where that is known."""
+    larger = [size for size in SIZES if size > knob.least] or [2.0 * knob.least]
+    sizes = [knob.least, *larger] if knob.least else larger
+    return sorted({min(size, knob.most) for size in sizes})
+
+
+def _narrowed(
+    knob: Knob, failed: float, size: float, found: Suggestion, judge: _Judge
+) -> Suggestion:
+    """Return the smallest change between a size that failed and one that did, by bisection."""
+    while size - failed > RESOLUTION * (1.0 + size) and not judge.over:
+        middle = 0.5 * (failed + size)
+        change = change_of(knob, middle)
+        if change is None:
+            break
+        verdict = found if change.new == found.change.new else judge(change)  # rounded to the same
+        if isinstance(verdict, Suggestion):
+            size, found = middle, verdict
+        else:
+            failed = middle
+    return found
+
+
+def change_of(knob: Knob, size: float) -> Change | None:
+    """Return the change of a relative size, rounded away from the old value to DIGITS.
+
+    There is none where a record refuses the value, such as an outline that a wall or a step no
+    longer fits.
+    """
+    extent = knob.extent or knob.old
+    value = knob.old + knob.sign * size * extent
+    new = tidy(value, knob.sign, knob.extent or abs(value))
+    try:
+        edited = knob.put(new)
+    except InputError:
+        return None
+    said = knob.key, knob.words, knob.old, new, knob.unit, (new - knob.old) / extent
+    return Change(*said, edited.problem, edited.edits)
+
+
+def tidy(value: float, sign: int, scale: float) -> float:
+    """Return ``value`` rounded up (sign 1) or down (sign -1) to DIGITS digits of ``scale``."""
+    step = 10.0 ** (math.floor(math.log10(scale)) + 1 - DIGITS)
+    steps = value / step  # a value that is tidy already is not to be moved by its rounding error
+    rounded = math.ceil(steps - 1e-9) if sign > 0 else math.floor(steps + 1e-9)
+    return float(f"{rounded * step:.12g}")
+
+
+def broken_constraints(error: InfeasibleError) -> frozenset[str]:
+    """Return the names of all constraints that bind."""
+    return frozenset(map(_name, error.violations))
+
+
+def _name(violation: Violation) -> str:
+    """Return the name of the constraint, a step's duration and the plan's told apart."""
+    whole_plan = violation.constraint == "duration" and violation.sense == "max"
+    return PLAN_DURATION if whole_plan else violation.constraint
+
+
+def _needed(violations: Sequence[Violation], name: str) -> float:
+    """Return the size by which a limit, or a step's duration, has to be raised at the least."""
+    pairs = [(v.value, v.limit) for v in violations if _name(v) == name]
+    if name == "duration":
+        pairs = [(limit, value) for value, limit in pairs]
+    sizes = (large / small - 1.0 for large, small in pairs if small > 0.0)
+    return max(filter(math.isfinite, sizes), default=0.0)
+
+
+# What can be changed.
+
+SPACE, RATES, FORCES = eased("length"), eased("time"), eased("tension")
+
+TIMES = frozenset({"duration", PLAN_DURATION})
+"""Constraints that a faster plan, or more time, repairs."""
+
+TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
+"""Constraints that more distance repairs."""
+
+HEAVY, HELD = frozenset({"load"}), frozenset({"grip"})
+"""What tensions are too low for, and what lighter objects, and rougher ones, repair."""
+
+BALANCE = frozenset({"equilibrium", "keep_out"})
+"""What a lighter object repairs besides."""
+
+ROUGHEST, STEEPEST = 1.0, 80.0
+"""Largest coefficient of friction, and largest tilt [deg] suggested."""
+
+MOST_NAMED = 3
+"""Most single cables tried, those that the broken limits name first."""
+
+
+def _likely(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the knobs of a problem; distances that are there for safety stay as they are."""
+    yield from _starts(problem)
+    yield from _team(problem, violations)
+    yield from _objects(problem, violations)
+    yield from _limits(problem, violations)
+    for i, step in enumerate(problem.mission):
+        own = _needed([v for v in violations if f"step {i} " in v.when], "duration")
+        for knob in step.knobs():
+            key = f"mission[{i}].{step.name}.{knob.key}"
+            put = partial(_put_in_step, problem, i, knob.put)
+            yield replace(knob, key=key, put=put, least=own if "duration" in knob.covers else 0.0)
+    yield from _walls(problem, violations)
+
+
+def _put_in_step(
+    problem: Problem, i: int, put: Callable[[float], StepEdit], value: float
+) -> Edited:
+    return with_step_edit(problem, i, put(value))
+
+
+def _starts(problem: Problem) -> Iterator[Knob]:
+    """Yield drones on free cables that start farther apart, or closer together."""
+    start = problem.start
+    if isinstance(start, DronesStart):
+        middles = 0.5 * (start.q + start.r)[:, :2]
+        arms = 0.5 * (start.r - start.q)[:, :2]
+
+        def apart(factor: float) -> Edited:
+            moved = points_scaled(middles, factor, np.mean(middles, axis=0)) - middles
+            return _starting(problem, start, moved, moved)
+
+        def drawn(factor: float) -> Edited:
+            return _starting(problem, start, (1.0 - factor) * arms, (factor - 1.0) * arms)
+
+        key, words = "start.drones", "two drones of a robot"
+        yield Knob(key, 1.0, "times", apart, 1, TOO_CLOSE, "robots from their middle")
+        yield Knob(key, 1.0, "times", drawn, -1, frozenset({"span"}), words)
+
+
+def _starting(problem: Problem, start: DronesStart, q: Array, r: Array) -> Edited:
+    """Return the problem with the start's drones moved by q and r (n, 2) [m]."""
+    places = {}
+    for name, offset in (("q", q), ("r", r)):
+        places[name] = getattr(start, name).copy()
+        places[name][:, :2] = np.round(places[name][:, :2] + offset, DECIMALS)
+    edits = tuple(Edit(f"start.drones.{name}", places[name].tolist()) for name in places)
+    return Edited(replace(problem, start=DronesStart(**places)), edits)
+
+
+def _team(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield cables, of single robots that are named and of all, the outlines, and forces."""
+    team = problem.team
+    for knob in _single(problem, "cable_length", "m", "one cable", violations):
+        yield replace(knob, covers=SPACE)
+    length = replace(_every(problem, "cable_length", "m"), words="all cables")
+    yield replace(length, covers=SPACE)
+    yield replace(length, sign=-1, covers=TOO_CLOSE | {"arena"})
+    put = partial(with_outlines_scaled, problem)
+    larger = Knob("polygon", 1.0, "times", put, 1, TOO_CLOSE, "scale of all polygons")
+    yield replace(larger, sign=-1, covers=SPACE | RATES | TIMES | {"arena"})
+    yield larger
+    if np.ptp(team.tension) > 0.0:
+        for knob in _single(problem, "tension", "N", "one tension", violations):
+            # Tensions that differ turn legs, so that an odd one may be what brings drones together.
+            yield replace(knob, sign=-1, covers=FORCES | SPACE | {"crossing"})
+    tension = _every(problem, "tension", "N")
+    yield replace(tension, sign=-1, covers=FORCES)
+    yield replace(tension, covers=HEAVY, least=_needed(violations, "load"))
+    if np.any(team.load > 0.0):
+        load = _every(problem, "load", "kg")
+        yield replace(load, sign=-1, covers=HEAVY | FORCES | TOO_CLOSE)
+    thrust = replace(_every(problem, "max_thrust", "N"), covers=TIMES | {"thrust"}, relaxes=True)
+    same = thrust.unit == "N"
+    yield replace(thrust, key="team.quadrotor.max_thrust" if same else "team.quadrotor")
+
+
+def team_values(problem: Problem, name: str) -> Array:
+    """Return cable lengths [m], tensions [N], largest thrusts [N] or loads [kg], (n,) or clasps."""
+    if name == "max_thrust":
+        return np.array([kind.max_thrust for kind in problem.team.quadrotor])
+    values: Array = getattr(problem.team, name)
+    return values
+
+
+def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
+    """Return the problem with other ``team_values``."""
+    rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
+    changed: dict[str, Any] = {name: np.array(rounded)}
+    if name == "max_thrust":
+        pairs = zip(problem.team.quadrotor, rounded, strict=True)
+        kinds = tuple(replace(kind, max_thrust=value) for kind, value in pairs)
+        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, list(map(_as_written, kinds))
+    team = replace(problem.team, **changed)
+    same = all(value == rounded[0] for value in rounded)
+    edit = Edit(f"team.{name}", rounded[0] if same else rounded)
+    return Edited(replace(problem, team=team), (edit,))
+
+
+def _as_written(kind: Quadrotor) -> dict[str, float | bool | None]:
+    """Return what a file says of a kind: mass, thrust, and whatever else is not its default."""
+    return {
+        name: value
+        for name, value in vars(kind).items()
+        if name in ("mass", "max_thrust") or value != getattr(Quadrotor, name)
+    }
+
+
+def _every(problem: Problem, name: str, unit: str) -> Knob:
+    """Return the team's values as one knob: the value that all have, or a factor of them."""
+    values = team_values(problem, name)
+    same = bool(np.ptp(values) == 0.0)
+    ratios = np.ones(len(values)) if same else values
+    old, words = (float(values[0]), "") if same else (1.0, f"every {name}")
+
+    def put(new: float) -> Edited:
+        return with_team_values(problem, name, new * ratios)
+
+    return Knob(f"team.{name}", old, unit if same else "times", put, words=words)
+
+
+def _single(
+    problem: Problem, name: str, unit: str, words: str, violations: Sequence[Violation]
+) -> Iterator[Knob]:
+    """Yield the values of single robots that are named, as of q0, r-leg 2, cable 1."""
+    values = team_values(problem, name)
+    found = (
+        re.fullmatch(r"(?:q|r|q-leg |r-leg |cable |edge )(\d+)", name)
+        for violation in violations
+        for name in violation.where
+    )
+    named = dict.fromkeys(int(match[1]) for match in found if match)
+    for k in [k for k in named if k < len(values)][:MOST_NAMED]:
+
+        def put(new: float, k: int = k) -> Edited:
+            changed = np.where(np.arange(len(values)) == k, new, values)
+            return with_team_values(problem, name, changed)
+
+        yield Knob(f"team.{name}[{k}]", float(values[k]), unit, put, words=words, family=words)
+
+
+def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
+    """Return the problem with the start's outline and those of all steps scaled.
+
+    Each about its own centroid; points that vertices are moved to go with the outline they are of.
+    """
+    start = problem.start
+    centre = np.zeros(2)
+    edits: list[Edit] = []
+    if isinstance(start, HitchStart):
+        outline = fitting_polygon(problem.team, start.polygon)
+        centre = outline.centroid
+        start = replace(start, polygon=outline_scaled(outline, factor))
+        edits.append(Edit("start.hitch.polygon", start.polygon.vertices.tolist()))
+    steps: list[Step] = []
+    for i, step in enumerate(problem.mission):
+        edit, centre = step.scaled(factor, centre)
+        steps.append(step if edit is None else replace(step, **edit.changes))
+        edits += [] if edit is None else [_in_step(problem, i, edit)]
+    return Edited(replace(problem, start=start, mission=tuple(steps)), tuple(edits))
+
+
+def with_step_edit(problem: Problem, i: int, edit: StepEdit) -> Edited:
+    """Return the problem with another value in step i."""
+    mission = list(problem.mission)
+    mission[i] = replace(mission[i], **edit.changes)
+    return Edited(replace(problem, mission=tuple(mission)), (_in_step(problem, i, edit),))
+
+
+def _in_step(problem: Problem, i: int, edit: StepEdit) -> Edit:
+    return Edit(f"mission[{i}].{problem.mission[i].name}.{edit.key}", edit.value)
+
+
+def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield objects that are lighter or rougher, where a refused hold names them."""
+    shares = [v.value / v.limit for v in violations if v.constraint == "grip" and v.limit > 0.0]
+    shares += [v.limit / v.value for v in violations if v.constraint == "load" and v.value > 0.0]
+    share = EASED * min((each for each in shares if 0.0 < each < 1.0), default=1.0 / EASED)
+    for name, body in problem.objects.items():
+        told = (f"objects.{name}" in v.when or name in v.where for v in violations)
+        if body.fixed or not any(told):
+            continue
+
+        def put(key: str, value: float, name: str = name) -> Edited:
+            changes: Mapping[str, Any] = {key: value}
+            objects = {**problem.objects, name: replace(problem.objects[name], **changes)}
+            edits = (Edit(f"objects.{name}.{key}", value),)
+            return Edited(replace(problem, objects=objects), edits)
+
+        key, lighter = f"objects.{name}.mass", partial(put, "mass")
+        covers = HELD | HEAVY | FORCES | TOO_CLOSE | BALANCE
+        least = round(1.0 - share, 9)
+        yield Knob(key, body.mass, "kg", lighter, -1, covers, least=least)
+        if 0.0 < body.friction <= share * ROUGHEST:
+            key, rougher = f"objects.{name}.friction", partial(put, "friction")
+            rough = Knob(key, body.friction, "", rougher, 1, HELD, least=1.0 / share - 1.0)
+            yield replace(rough, most=ROUGHEST / body.friction - 1.0)
+
+
+LIMITS = {
+    "speed": ("m/s", "speed"),
+    "acceleration": ("m/s²", "acceleration"),
+    "jerk": ("m/s³", "jerk"),
+    "vertex_speed": ("m/s", "vertex_speed"),
+    "duration": ("s", PLAN_DURATION),
+    "tilt_deg": ("deg", "tilt"),
+    "body_rate_deg": ("deg/s", "body_rate"),
+}
+"""Limits that may be raised, with their units and checks."""
+
+
+def _limits(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield limits of motion raised, and the shortest leg lowered."""
+    for name, (unit, check) in LIMITS.items():
+        if getattr(problem.limits, name.removesuffix("_deg")) is None:
+            continue
+        covers = {check} if check == PLAN_DURATION else TIMES | {check}
+        knob = _bound(problem, f"limits.{name}", unit, covers)
+        most = STEEPEST / knob.old - 1.0 if name == "tilt_deg" else math.inf
+        if most > 0.0:
+            yield replace(knob, least=_needed(violations, check), most=most)
+    yield _bound(problem, "limits.leg", "m", {"legs"}, sign=-1)
+
+
+def _bound(problem: Problem, key: str, unit: str, covers: Iterable[str], sign: int = 1) -> Knob:
+    """Return the knob of a limit or a distance to keep, by its key in the file."""
+    section, name = key.split(".")
+    value = getattr(getattr(problem, section), name.removesuffix("_deg"))
+    old = round(math.degrees(value), 9) if name.endswith("_deg") else float(value)
+    put = partial(with_bound, problem, key)
+    return Knob(key, old, unit, put, sign, frozenset(covers), relaxes=True)
+
+
+def with_bound(problem: Problem, key: str, value: float) -> Edited:
+    """Return the problem with another limit or distance to keep; key and unit are the file's."""
+    section, name = key.split(".")
+    angle = name.removesuffix("_deg")
+    changed = {name: value} if angle == name else {angle: math.radians(value)}
+    part: Any = replace(getattr(problem, section), **changed)
+    return Edited(replace(problem, **{section: part}), (Edit(key, value),))
+
+
+def _walls(
+    problem: Problem, violations: Sequence[Violation], *, together: bool = False
+) -> Iterator[Knob]:
+    """Yield the arena's walls moved out, each alone or all together."""
+    arena = problem.arena
+    if arena is None:
+        return
+    beyond = max((-v.value for v in violations if v.constraint == "arena"), default=0.0)
+    sides = {"lower": -1, "upper": 1}
+    for axis in [range(3)] if together else range(3):
+        for side, sign in [("", 1)] if together else sides.items():
+
+            def put(new: float, side: str = side, axis: Any = axis) -> Edited:
+                corners = {name: getattr(arena, name).copy() for name in sides}
+                for name in [side] if side else sides:
+                    place = new if side else np.round(corners[name] + sides[name] * new, 9)
+                    corners[name][axis] = place
+                value = {name: corner.tolist() for name, corner in corners.items()}
+                edited = replace(problem, arena=replace(arena, **corners))
+                return Edited(edited, (Edit("arena", value),))
+
+            extent = float(np.min((arena.upper - arena.lower)[axis]))
+            old = float(getattr(arena, side)[axis]) if side else 0.0
+            key, words = f"arena.{side}[{axis}]", "one wall"
+            if together:
+                key, words = "arena", "every wall moved out"
+            knob = Knob(key, old, "m", put, sign, frozenset({"arena"}), words, extent)
+            yield replace(knob, least=beyond / extent, most=math.inf, relaxes=True)
+
+
+def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]:
+    """Yield the changes from given or balanced legs to spread ones, at the start and after steps.
+
+    Their relative size is the farthest that a drone goes, over its cable's length.
+    """
+    if not broken_constraints(error) <= SPACE | {"crossing", "arena"}:
+        return
+    outline, start, team = problem.start_outline, problem.start, problem.team
+    places: list[tuple[SlackSplit | None, Outline | None, Edited]] = []
+    if isinstance(start, HitchStart):
+        changed = replace(problem, start=replace(start, legs="spread"))
+        edited = Edited(changed, (Edit("start.hitch.legs", "spread"),))
+        places.append((start.legs, outline, edited))
+    for i, step in enumerate(problem.mission):
+        outline, legs = step.polygon_left(team, outline), getattr(step, "legs", None)
+        if legs is not None:
+            edit = StepEdit("legs", "spread", {"legs": "spread"})
+            places.append((legs, outline, with_step_edit(problem, i, edit)))
+    for legs, shape, edited in places:
+        sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+        if shape is None or sharing is None or (isinstance(sharing, str) and sharing == "spread"):
+            continue
+        try:
+            given = balanced_legs(team, shape) if isinstance(sharing, str) else sharing
+            spread = split_hitch(team, shape, 0.0, "spread", problem.requirements).q_legs
+        except InfeasibleError:  # no cable is left for any legs
+            continue
+        relative = float(np.max(np.abs(spread - given) / team.cable_length))
+        words = legs if isinstance(legs, str) else "as given"
+        said = edited.edits[0].key, "", words, "spread", "", relative
+        yield Change(*said, edited.problem, edited.edits)

@@ -1,1 +1,0 @@
-"""Changes that make an infeasible problem feasible, verified by planning it."""

@@ -1,1 +1,0 @@
-"""The paper's actions on a formed hitch: what moves, and what stays."""

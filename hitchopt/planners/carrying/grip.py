@@ -1,0 +1,494 @@
+"""A hitch whose cables are wrapped around an object, and its motions: friction holds the object.
+
+All is computed in the object's frame. Every cable pulls alike along its whole edge; edges slope
+from the clasps down to the plane of contact and so carry the weight. While the object is off its
+support all clasps are ahead of it by millimetres, so that edges pull it along: level forces come
+from where edges bend, and need no friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from hitchopt.checks.clasps import LIMIT
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry.vectors import length, unit
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.forces import clasp_loads, leg_directions, leg_vectors, sag_factors
+from hitchopt.holding.wraps import Bends, Wraps, wraps_around
+from hitchopt.motion.motion import HoldBy
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.planners.carrying.moves import Move, courses
+from hitchopt.values import Array
+
+PASSES = 20
+"""Most steps of Newton's that places and heights of clasps take."""
+
+SETTLED = 1e-12
+"""[m] Steps that are smaller end the search for clasps in balance."""
+
+TOGETHER, BEYOND = 1e-6, 3e-6
+"""Shares of the path that are nearer to each other are one event; so far from one it is over."""
+
+SCAN = 400
+"""Places on the path from around the object to the grip at which edges are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class GrippedHitch:
+    """A hitch that closes around an object and grips it, in the object's frame.
+
+    Attributes
+    ----------
+    team: who flies.
+    body: what is held.
+    around, closed: (n, 2) [m], clasps around the object, and where they grip it.
+    height: of the plane of contact above the object's base [m].
+    open_fractions: (n,), how slack is split around the object; where it grips legs are equal.
+    apart: how far neighbouring drones have to be apart while legs lean [m].
+    """
+
+    by: ClassVar[HoldBy] = HoldBy.GRIP
+    largest_acceleration: ClassVar[float] = np.inf
+    team: Team
+    body: SolidObject
+    around: Array
+    closed: Array
+    height: float
+    open_fractions: Array
+    apart: float = 0.0
+
+    @property
+    def places(self) -> Array:
+        """(n, 3) [m], the clasps where they grip, without a weight."""
+        return np.column_stack([self.closed, np.full(len(self.closed), self.height)])
+
+    @property
+    def fractions(self) -> Array:
+        """(n,), how slack is split where it grips."""
+        return np.full(len(self.closed), 0.5)
+
+    @property
+    def roll(self) -> Array:
+        """(n,) [rad]: legs are not rolled."""
+        return np.zeros(len(self.closed))
+
+    @property
+    def reach(self) -> float:
+        """Largest level distance [m] of a drone from the object's origin where it grips."""
+        still = np.zeros((1, 4))
+        pulls, bends = self.team.tension[None], self._bends(1.0)
+        drones = self._statics(np.ones(1), pulls, still[:, 0], bends)["drones"]
+        return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
+
+    @property
+    def farthest(self) -> float:
+        """Longest path [m] of a clasp from around the object to the grip."""
+        return float(np.max(length(self.closed - self.around)))
+
+    @cached_property
+    def events(self) -> Array:
+        """Shares in (0, 1) at which an edge meets the object or another corner.
+
+        There legs begin to turn: drones have to rest.
+        """
+        shares = np.linspace(0.0, 1.0, SCAN + 1)
+        bends = self._bends(shares)
+        found = []
+        for i in np.flatnonzero(bends[1:].differ(bends[:-1])):
+            place, last = shares[i], bends[i + 1]
+            while (before := self._bends(place)).differ(last):
+                low, high = place, shares[i + 1]
+                for _ in range(60):
+                    middle = 0.5 * (low + high)
+                    same = not self._bends(middle).differ(before)
+                    low, high = (middle, high) if same else (low, middle)
+                found.append(high)
+                place = high
+        events = np.array(found)
+        return events[np.append(True, np.diff(events) > TOGETHER)] if found else events
+
+    def largest_seam(self, tension: Array) -> float:
+        """Return the largest relative error of cable lengths at events, with tensions (n,) [N]."""
+        before = [(e, self._bends(e - BEYOND)) for e in self.events]
+        seams = np.array([self._seam(e, bends) for e, bends in before]).reshape(-1, len(tension))
+        errors = np.abs(seams) * sag_factors(self.team, tension) / self.team.cable_length
+        return float(np.max(errors, initial=0.0))
+
+    def largest_push(self, tension: Array) -> float:
+        """Return the largest level force [N] of edges on what stands, with tensions (n,) [N].
+
+        Edges do not come to touch it all at once.
+        """
+        wraps = wraps_around(self.body.section, self._polygon(np.linspace(0.0, 1.0, SCAN + 1)))
+        force = np.sum(tension[:, None] * (wraps.arriving - wraps.leaving), axis=-2)
+        return float(np.max(length(force)))
+
+    def _bends(self, shares: Array | float) -> Bends:
+        """Return (…, n) about what edges turn at shares (…) of the path to the grip."""
+        return wraps_around(self.body.section, self._polygon(np.asarray(shares))).bends
+
+    def _seam(self, share: float, bends: Bends) -> Array:
+        """Return half of what spans (n,) [m³] change by where edges come to bend otherwise.
+
+        Where an edge meets another corner, the straight part that sags is longer or shorter at
+        once; moves before and after it meet halfway.
+
+        Parameters
+        ----------
+        share: at which a move ends.
+        bends: (n,), about what edges turn in it.
+        """
+        polygon, core = self._polygon(np.asarray(share)), self.body.section.core
+        spans = []
+        beyond = self._bends(np.clip(share + BEYOND * np.array([-1.0, 1.0]), 0.0, None))
+        others = [each for each in (beyond[0], beyond[1]) if each.differ(bends)]
+        for each in (bends, *others[:1]):
+            contacts = contacts_of(polygon, wraps_around(self.body.section, polygon, each), core)
+            spans.append(_span(*straight_parts(polygon, contacts, np.zeros(len(polygon)))))
+        return 0.5 * (spans[-1] - spans[0])
+
+    def _polygon(self, share: Array) -> Array:
+        """Return the clasps (…, n, 2) [m] at shares of the path to the grip."""
+        polygon: Array = self.around + share[..., None, None] * (self.closed - self.around)
+        return polygon
+
+    def curves(self, move: Move, t: Array) -> dict[str, Array]:
+        """Return all curves of a move at times t (…) [s].
+
+        Raises
+        ------
+        InfeasibleError: a weight that the tensions cannot carry.
+        """
+        course = courses(move, t)
+        borne, pulled = course.borne, np.zeros((*course.borne.shape, 2))
+        weight = GRAVITY * borne
+        if move.lifted:
+            there = course.accelerations(self.body.centre_of_mass[None])[..., 0, :]
+            pulled = self.body.mass * there[..., :2]
+            weight = GRAVITY + there[..., 2]
+        share = course.between(*move.closed)
+        lean = course.between(*move.lean)
+        weight, tension = self.body.mass * weight, course.tension
+        bends = self._bends(0.5 * sum(move.closed))
+        seam = None
+        if move.closed[0] != move.closed[1]:
+            before, after = (self._seam(share, bends) for share in move.closed)
+            seam = before + course.share[..., None] * (after - before)
+        found = self._statics(share, tension, weight, bends, (pulled, borne), lean, seam)
+        if move.lean == (0.0, 0.0):
+            del found["leg_tensions"]
+        pose = course.pose[..., None, :]
+        for name in ("drones", "vertices"):
+            found[name] = in_world(pose, found[name])
+        found["contacts"] = in_world(pose[..., None, :], found["contacts"])
+        return found | {"pose": course.pose, "borne": borne}
+
+    def _statics(
+        self,
+        share: Array,
+        tension: Array,
+        weight: Array,
+        bends: Bends,
+        pulled: tuple[Array, Array] | None = None,
+        lean: Array | None = None,
+        seam: Array | None = None,
+    ) -> dict[str, Array]:
+        """Return drones, vertices, legs, tensions and contacts in the object's frame.
+
+        Legs that lean pull with the tension, and edges with ``exp(-s μ θ)`` of that: s is the share
+        of clasp friction, and θ the angle by which both of its cables turn at a clasp, the mean of
+        what edges and legs enclose.
+
+        Parameters
+        ----------
+        share: (…), how far the hitch is closed.
+        tension: (…, n) [N]
+        weight: (…) [N], what edges carry.
+        bends: (n,), about what edges turn.
+        pulled: (…, 2) [N], level force on the object, and (…) what share of it edges bear, from 0
+            of an object that stands; None for no force.
+        lean: (…), as of Move; None for none.
+        seam: (…, n) [m³], what ``_span`` is taken to be larger; None for nothing.
+        """
+        team, section, T = self.team, self.body.section, tension
+        planned = polygon = self._polygon(share)
+        wraps = wraps_around(section, polygon, bends)
+        contacts = contacts_of(polygon, wraps, section.core)
+        centre = self.body.centre_of_mass[:2]
+        z = np.zeros(polygon.shape[:-1])
+        if pulled is not None and np.any(pulled[1]):
+            force, borne = pulled
+            load = np.concatenate([force, weight[..., None]], axis=-1)
+            for _ in range(PASSES):
+                before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
+                after = balanced(before, T, contacts - centre, load, (planned - centre, borne))
+                polygon, z = centre + after[..., :2], after[..., 2]
+                wraps = wraps_around(section, polygon, bends)
+                contacts = contacts_of(polygon, wraps, section.core)
+                if np.max(np.abs(after - before)) < SETTLED:
+                    break
+            else:
+                _check_balance(straight_parts(polygon, contacts, z), T, load, borne)
+        leaving, arriving = straight_parts(polygon, contacts, z)
+        free = length(leaving) + length(arriving)
+        if lean is not None and np.any(lean):
+            legs = 0.5 * (team.cable_length - wraps.arcs - free)
+            T = tension * edge_ratios(
+                team.cable_friction * lean, wraps.clasp_angles, legs, self.apart
+            )
+        factors = sag_factors(team, T)
+        edges = wraps.arcs + free
+        if team.cable_density > 0.0:
+            edges = edges + factors * (_span(leaving, arriving) + (0.0 if seam is None else seam))
+        slack = team.cable_length - edges
+        q_legs = (self.open_fractions + share[..., None] * (0.5 - self.open_fractions)) * slack
+        loads = clasp_loads(team, q_legs, slack, None)
+        pulls = np.stack([tension, tension], axis=-1)
+        leaning = None if lean is None or not np.any(lean) else pulls
+        q, r = leg_directions(unit(leaving), T, team.topology, loads, unit(arriving), leaning)
+        d, e = leg_vectors(q_legs, q, factors), leg_vectors(slack - q_legs, r, factors)
+        both = np.stack([d, e], axis=-2)
+        places = np.concatenate([polygon, self.height + z[..., None]], axis=-1)
+        anchors = places[..., team.layout.anchors, :].reshape(both.shape)
+        level = np.full((*contacts.shape[:-1], 1), self.height)
+        return {
+            "drones": (anchors + both).reshape(*both.shape[:-3], -1, 3),
+            "vertices": places,
+            "legs": length(both),
+            "tensions": T,
+            "leg_tensions": pulls,
+            "contacts": np.concatenate([contacts, level], axis=-1),
+        }
+
+
+def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, borne: Array) -> None:
+    """Raise InfeasibleError where edges do not bear a load (…, 3) [N].
+
+    Parameters
+    ----------
+    parts: (…, n, 3) [m], straight parts of edges at ``p_k`` and at ``p_{k+1}``.
+    borne: (…), the share of the object that they bear; below 1 its support bears level forces too.
+    """
+    leaving, arriving = parts
+    lacking = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
+    lacking[..., :2] *= (borne == 1.0)[..., None]
+    worst = float(np.max(length(lacking) / np.min(T, axis=-1)))
+    if worst > LIMIT:
+        remedy = "lower the object's mass, raise the tension, or use more robots"
+        when = "where edges bear the object"
+        raise InfeasibleError([Violation("equilibrium", worst, LIMIT, "max", "", (), when, remedy)])
+
+
+def _span(leaving: Array, arriving: Array) -> Array:
+    """Return the length of edges' straight parts (…, n), times their level span squared [m³]."""
+    whole = leaving + arriving
+    free = length(leaving) + length(arriving)
+    span: Array = free * (whole[..., 0] ** 2 + whole[..., 1] ** 2)
+    return span
+
+
+SOFT = 1e-2
+"""Damping over stiffness: clasps do not turn about objects that are nearly round."""
+
+FARTHEST = 0.5
+"""Longest step of a clasp over the shorter of its straight parts, at most as far as which edges
+pull nearly as their derivatives say."""
+
+
+def contacts_of(polygon: Array, wraps: Wraps, core: Array) -> Array:
+    """Return where edges meet and leave the section (…, n, 2, 2) [m].
+
+    Of straight edges that is the point which comes to touch the section first.
+    """
+    chord = np.roll(polygon, -1, axis=-2) - polygon
+    along = unit(chord)
+    corner = core[wraps.bends.corners[..., 0]]
+    ahead = np.sum((corner - polygon) * along, axis=-1, keepdims=True)
+    nearest = polygon + np.clip(ahead, 0.0, length(chord)[..., None]) * along
+    touching = wraps.bends.touching[..., None, None]
+    return np.where(touching, wraps.contacts, nearest[..., None, :])
+
+
+def straight_parts(polygon: Array, contacts: Array, z: Array) -> tuple[Array, Array]:
+    """Return the straight parts (…, n, 3) [m] of edges at ``p_k``, and at ``p_{k+1}``."""
+    leaving = np.concatenate([contacts[..., 0, :] - polygon, -z[..., None]], axis=-1)
+    onward = np.roll(polygon, -1, axis=-2) - contacts[..., 1, :]
+    return leaving, np.concatenate([onward, np.roll(z, -1, axis=-1)[..., None]], axis=-1)
+
+
+def balanced(
+    clasps: Array, T: Array, arms: Array, load: Array, back: tuple[Array, Array] | None = None
+) -> Array:
+    """Return clasps (…, n, 3) [m], moved and turned together and raised, whose edges bear a load.
+
+    One damped step of Newton's, shortened where it is long, for places and heights together: moved
+    across itself a straight part of length t turns, and pulls with ``T / t`` more per metre. No
+    edge turns a disc. Clasp k lifts with ``f_k``, what both of its edges do. Of all ``f`` that bear
+    the weight without a moment about level axes the nearest to equal ones is taken.
+
+    Parameters
+    ----------
+    clasps: (…, n, 3) [m], from the centre of mass, and above the plane of contact.
+    arms: (…, n, 2, 2) [m], contacts, from the centre of mass.
+    load: (…, 3) [N], level force on the object there, and weight.
+    back: (…, n, 2) [m], clasps as planned, and (…) the share by which they are moved from there;
+        None for all.
+    """
+    polygon = clasps[..., :2]
+    parts = np.concatenate(straight_parts(polygon, arms, clasps[..., 2]), axis=-2)
+    ends = _of_ends(polygon)
+    arms = np.concatenate([arms[..., 0, :], arms[..., 1, :]], axis=-2)
+    size = np.mean(length(arms), axis=-1)[..., None, None]
+    along = unit(parts) * np.repeat([-1.0, 1.0], T.shape[-1])[:, None]
+    T = np.concatenate([T, T], axis=-1)
+    rates, pulls = T / length(parts), T[..., None] * along
+    stiff = rates[..., None, None] * (np.eye(3) - along[..., :, None] * along[..., None, :])
+    raised = _Raised.of(rates, stiff[..., 2, 2], arms, pulls[..., 2], load[..., 2])
+    rows, moved = _with_moments(arms / size), _with_moments(ends / size)
+    turned = np.einsum("...mai,...mij->...maj", stiff[..., :2], moved)
+    sideways = _at_clasps(np.einsum("...mij,...mi->...mj", rows, stiff[..., :2, 2]))
+    lacking = np.append(load[..., :2], np.zeros((*load.shape[:-1], 1)), axis=-1)
+    lacking = lacking - np.einsum("...mij,...mi->...j", rows, pulls[..., :2])
+    lacking = lacking - np.einsum("...nj,...n->...j", sideways, raised.first)
+    stiffness = np.einsum("...mij,...mik->...jk", rows, turned[..., :2, :])
+    lifted = raised.by(turned[..., 2, :])
+    stiffness = stiffness + np.einsum("...nj,...nk->...jk", sideways, lifted)
+    soft = (SOFT * np.linalg.norm(stiffness, axis=(-2, -1)))[..., None, None] ** 2 * np.eye(3)
+    transposed = np.swapaxes(stiffness, -2, -1)
+    right = transposed @ lacking[..., None]
+    found = np.linalg.solve(transposed @ stiffness + soft, right)[..., 0]
+    step = np.einsum("...nij,...j->...ni", _with_moments(polygon / size), found)
+    if back is not None:
+        planned, share = back
+        step = planned - polygon + share[..., None, None] * (polygon + step - planned)
+    rise = np.einsum("...mi,...mi->...m", stiff[..., 2, :2], _of_ends(step))[..., None]
+    step = np.concatenate([step, raised.first[..., None] + raised.by(rise)], axis=-1)
+    ahead, behind = np.split(length(parts), 2, axis=-1)
+    reach = FARTHEST * np.minimum(ahead, np.roll(behind, 1, axis=-1))
+    part = np.min(reach / np.maximum(length(step), reach), axis=-1)
+    stepped: Array = clasps + part[..., None, None] * step
+    return stepped
+
+
+@dataclass(frozen=True, eq=False)
+class _Raised:
+    """Rises of clasps in a step of Newton's, by how they are moved.
+
+    Attributes
+    ----------
+    first: (…, n) [m], where they are not moved.
+    stiff: (…, n, 1) [N/m], by which they lift more where they rise.
+    lifts: (…, 2n, 3), what lifts at contacts are of vertical force and level moments.
+    bent, spread: (…, n, 3), the same of clasps that rise, and clasps' lifts by these three.
+    """
+
+    first: Array
+    stiff: Array
+    lifts: Array
+    bent: Array
+    spread: Array
+
+    @classmethod
+    def of(cls, rates: Array, stiff: Array, arms: Array, pulls: Array, weight: Array) -> _Raised:
+        """Return it for parts (…, 2n).
+
+        Parameters
+        ----------
+        rates: tension over length [N/m].
+        stiff: [N/m], change of upward pulls ``pulls`` [N] where their ends rise.
+        arms: (…, 2n, 2) [m]
+        weight: (…) [N]
+        """
+        lifts = np.concatenate([np.ones_like(arms[..., :1]), arms], axis=-1)
+        n = pulls.shape[-1] // 2
+        rates, stiff = rates[..., None], stiff[..., None]
+        each, stiffness = _at_clasps(rates * lifts) / _at_clasps(rates), _at_clasps(stiff)
+        bent = _at_clasps(stiff * lifts) / stiffness
+        spread = each @ np.linalg.inv(np.swapaxes(bent, -1, -2) @ each)
+        beyond = weight[..., None] / n - _at_clasps(pulls[..., None])[..., 0]
+        lacking = weight[..., None] * [1.0, 0.0, 0.0] - np.einsum("...mj,...m->...j", lifts, pulls)
+        lacking = lacking - np.einsum("...nj,...n->...j", bent, beyond)
+        first = (beyond + np.einsum("...nj,...j->...n", spread, lacking)) / stiffness[..., 0]
+        return cls(first, stiffness, lifts, bent, spread)
+
+    def by(self, pulls: Array) -> Array:
+        """Return (…, n, k) [m], by upward pulls (…, 2n, k) [N] that moves add."""
+        more = _at_clasps(pulls)
+        whole = np.einsum("...mj,...mk->...jk", self.lifts, pulls)
+        whole = whole - np.einsum("...nj,...nk->...jk", self.bent, more)
+        up: Array = -(more + self.spread @ whole) / self.stiff
+        return up
+
+
+def _of_ends(clasps: Array) -> Array:
+    """Return what is at clasps (…, n, 2) at ends of parts (…, 2n, 2): leaving, then arriving."""
+    return np.concatenate([clasps, np.roll(clasps, -1, axis=-2)], axis=-2)
+
+
+def _at_clasps(parts: Array) -> Array:
+    """Return what parts (…, 2n, k) have at clasps (…, n, k), leaving and arriving ones summed."""
+    n = parts.shape[-2] // 2
+    at: Array = parts[..., :n, :] + np.roll(parts[..., n:, :], 1, axis=-2)
+    return at
+
+
+def _with_moments(arms: Array) -> Array:
+    """Return rows (…, n, 2, 3): level forces at arms (…, n, 2) times them are force and moment.
+
+    Times a small displacement and turn they are how far the arms' ends move.
+    """
+    rows = np.zeros((*arms.shape, 3))
+    rows[..., :2] = np.eye(2)
+    rows[..., 0, 2], rows[..., 1, 2] = -arms[..., 1], arms[..., 0]
+    return rows
+
+
+LEAN_PASSES = 6
+"""Times that the angle which cables wrap and the ratio are computed from each other."""
+
+LEAN_SOFT = 0.05
+"""Cosines of half of the angle between legs that are this far below the largest one count fully."""
+
+TINY = 1e-12
+"""Keeps quotients of friction finite where there is none."""
+
+
+def edge_ratios(friction: Array, edges: Array, legs: Array, apart: float) -> Array:
+    """Return tensions of edges over those of their legs (…, n) where legs lean.
+
+    At a clasp both enclose ``β`` with ``cos(β_legs/2) = λ cos(β_edges/2)``. Legs that would come
+    too near to each other lean less, and of both clasps of a cable the lesser friction counts.
+
+    Parameters
+    ----------
+    friction: (…), coefficient of cables on each other that counts; negative where clasps open.
+    edges: (…, n) [rad], between edges at clasps.
+    legs: (…, n) [m], lengths of cables' legs.
+    apart: how far neighbouring drones have to be apart [m].
+    """
+    rubbing, sign = np.abs(friction)[..., None], np.sign(friction)[..., None]
+    cosine = np.cos(0.5 * edges)
+    shorter = np.minimum(legs, np.roll(legs, 1, axis=-1))
+    most = np.sqrt(np.maximum(1.0 - (0.5 * apart / shorter) ** 2, 0.1))
+    ratio = np.ones_like(cosine)
+    for _ in range(LEAN_PASSES):
+        wrapped = 0.5 * edges + np.arccos(np.clip(ratio * cosine, -1.0, 1.0))
+        ratio = _below(np.exp(-sign * rubbing * wrapped) * cosine, most) / _below(cosine, most)
+    one = np.abs(np.log(ratio)) + TINY
+    other = np.roll(one, -1, axis=-1)
+    lesser = one * other / (0.5 * (one**8 + other**8)) ** 0.125
+    ratios: Array = np.exp(-sign * lesser)
+    return ratios
+
+
+def _below(values: Array, most: Array) -> Array:
+    """Return values that smoothly stay below others, as they are where they are far below."""
+    start = most - LEAN_SOFT
+    over: Array = np.maximum(values - start, 0.0)
+    return values - over + LEAN_SOFT * np.tanh(over / LEAN_SOFT)

@@ -1,1 +1,0 @@
-"""Legs that lean against friction while cables slide."""

@@ -1,0 +1,336 @@
+"""Legs that lean against friction, so that vertices stay where they are planned.
+
+A cable that slides through a clasp pulls harder on the side that it is drawn to. With legs where
+they hold without friction the vertex is dragged along until the clasp balances again. Planned for,
+the same balance is found by the legs: they pull with what friction makes of the tension, and lean
+as the force triangle at the clasp requires (``model.evaluation.slipping_drones``).
+
+How hard friction pulls is known only roughly: by ``e^{μ θ}`` if one cable slides about the other
+(θ the angle that it wraps), by less where both do, since then they slide past each other less.
+Counted on is ``ln(P/T) = μ θ v / (|v_q| + |v_r|)`` for the speeds ``v`` at which legs grow: all of
+it for one cable, half for two at the same speed. That law is no theory but what brings simulated
+ropes closest to their plans (``python -m benchmarks flights``). The law by relative velocity of
+``calibration/clasp_sliding.py`` was fitted later; at turns of 60° it makes this half 0.7.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.interpolate import BSpline
+
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.forces import chord_pull, sag_factors
+from hitchopt.hitch.team import Layout
+from hitchopt.model.evaluation import slipping_drones
+from hitchopt.model.series import JET
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.morph import jets
+from hitchopt.planners.timing.flight import needed_stretch
+from hitchopt.requirements import Limits, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.values import Array
+
+SMALLEST = math.radians(0.5)
+"""Smallest lean: legs that would lean less stay as they are."""
+
+FINER = 2
+"""Number of pieces of the drones' polynomials for one of the splines."""
+
+
+@dataclass(frozen=True, eq=False)
+class Leaning:
+    """A motion whose legs lean against friction.
+
+    Attributes
+    ----------
+    motion: with ``leg_tensions``, its phases slowed with it.
+    turned: the largest angle by which a leg leans [rad].
+    """
+
+    motion: Motion
+    turned: float
+
+
+def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Leaning | None:
+    """Return the same motion with legs that lean against friction; None where none would.
+
+    Vertices, legs' lengths and edges' tensions stay as they are, but for the pace.
+
+    Parameters
+    ----------
+    motion: from rest to rest, formed all of the time.
+    limits: that the leaning drones satisfy, by going slower.
+    share: of the friction that is counted on, in (0, 1].
+    slower: whether it may last longer; else None is returned where it would have to. So it is where
+        legs at rest pull their drones beyond a limit.
+    """
+    slip = counted_on(motion, share)
+    if slip is None:
+        return None
+    found = _leaned(motion, slip)
+    if found is None or found.turned < SMALLEST:
+        return None
+    leaned = found.motion
+    factor = needed_stretch(motion.team, limits, leaned.drones, leaned.vertices, leaned.pulls)
+    if factor <= 1.0:
+        return found
+    if not slower or not math.isfinite(factor):
+        return None
+    return replace(found, motion=leaned.slowed(factor))
+
+
+def worth_leaning(motion: Motion) -> bool:
+    """Return whether legs would lean by more than the least, if limits allowed it."""
+    slip = counted_on(motion, 1.0)
+    if slip is None:
+        return False
+    found = _leaned(motion, slip)
+    return found is None or found.turned >= SMALLEST
+
+
+def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
+    """Return the motion with pulls ``T e^slip``; None where a clasp cannot balance so."""
+    layout = motion.team.layout
+    breaks = _refined(motion.drones.breaks, motion.duration / (FINER * slip.pieces))
+    drones, vertices, legs, tensions = (
+        on_breaks(part, breaks)
+        for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
+    )
+    # From both sides of every break: jerks jump where timed points begin to be followed.
+    at = [_end_jets(part) for part in (drones, vertices, legs, tensions)]
+    d, p, lengths, T = (np.concatenate(pair) for pair in at)
+    logs = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
+    grown = jets.chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
+    pulls = np.repeat(T[:, :, None], 2, axis=2)
+    pulls[:, layout.behind, 1] = jets.product(grown[:, :, 0], T[:, layout.behind])
+    pulls[:, layout.ahead, 0] = jets.product(grown[:, :, 1], T[:, layout.ahead])
+    cables = cables_of_legs(motion.team, d - p[:, layout.anchors], lengths, T)
+    found = slipping_drones(motion.team, p, lengths, T, pulls, d, cables)
+    if not np.all(np.isfinite(found)):
+        return None
+    places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
+    clasps = p[:, layout.clasps][..., 0][:, :, None]
+    turned = _angles_between(places - clasps, found[..., 0] - clasps)
+    d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = found[:, :, 0], found[:, :, 1]
+    leaned = replace(
+        motion,
+        drones=_hermite(breaks, d),
+        vertices=vertices,
+        legs=legs,
+        tensions=tensions,
+        leg_tensions=_hermite(breaks, pulls),
+    )
+    return Leaning(leaned, float(np.max(turned)))
+
+
+def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
+    """Return jets (J, n, 2, 4) of the lengths of cable in legs [m]; None where they do not sag.
+
+    By ``hitch.forces.cable_of``, for chords (J, 2n, 3, 4) [m] that are ``lengths`` long.
+    """
+    if team.cable_density == 0.0:
+        return None
+    level = jets.product(chords[:, :, 0], chords[:, :, 0])
+    level += jets.product(chords[:, :, 1], chords[:, :, 1])
+    factors = sag_factors(team, 1.0) * jets.reciprocal(jets.product(tensions, tensions))
+    sag = jets.product(factors[:, :, None], level.reshape(lengths.shape))
+    return lengths + jets.product(sag, lengths)
+
+
+def _refined(breaks: Array, longest: float) -> Array:
+    """Return the breaks with every piece cut evenly into parts no longer than ``longest`` [s]."""
+    parts = np.maximum(1, np.ceil(np.diff(breaks) / longest - 1e-9).astype(np.intp))
+    first = np.repeat(np.cumsum(parts) - parts, parts)
+    within = (np.arange(len(first)) - first) / np.repeat(parts, parts)
+    starts = np.repeat(breaks[:-1], parts) + within * np.repeat(np.diff(breaks), parts)
+    return np.append(starts, breaks[-1])
+
+
+def _end_jets(part: PiecewisePolynomial) -> tuple[Array, Array]:
+    """Return the jets (pieces, *shape, 4) at both ends of every piece."""
+    ends = [part.ends(order) for order in range(JET)]
+    left, right = zip(*ends, strict=True)
+    return np.stack(left, axis=-1), np.stack(right, axis=-1)
+
+
+def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
+    """Return the polynomials with given jets (2 pieces, *shape, 4): first all left ends."""
+    left, right = np.split(np.moveaxis(both, -1, 0), 2, axis=1)
+    return PiecewisePolynomial.hermite(breaks, left, right)
+
+
+def _angles_between(a: Array, b: Array) -> Array:
+    """Return the angles (…) [rad] between vectors (…, 3); 0 where one has no length."""
+    sizes = length(a) * length(b)
+    cosine = np.divide(np.sum(a * b, axis=-1), sizes, out=np.ones_like(sizes), where=sizes > 0.0)
+    angles: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
+    return angles
+
+
+DEGREE = 5
+"""Degree of the splines by which friction grows and fades: smooth up to the snap."""
+
+SPACING = 0.4
+"""[s] Spacing of their knots; friction then reverses within a second."""
+
+FEWEST, MOST = 4, 200
+"""Bounds of the number of knot intervals: with more, the legs of a short motion would have to lean
+faster than drones fly, and a long one would have ten thousands of pieces."""
+
+AT_REST = 3
+"""Number of coefficients at both ends that are zero: legs begin and end
+at rest, where they hold alone."""
+
+SLOW = 0.1
+"""Share of the largest speed of a leg: legs much slower than that plan for little friction."""
+
+STILL = 1e-5
+"""[m/s] Rate of a leg below which nothing slides."""
+
+FARTHEST = math.radians(12.0)
+"""A leg leans no farther: toward what friction would ask for where it locks a sharp vertex, the
+two legs close in on each other."""
+
+ROOM = 1.02
+"""Factor on the limits of the distances of a clasp's drones from each other and their legs."""
+
+ROUGHEST = 5.0
+"""Coefficient of friction beyond which no more is counted on: legs lean as far as they may by far
+less, and the exponential of more is no number."""
+
+TOUCHING = 1e-3
+"""[m] Distance of drones from the other leg of their clasp where they have no limit."""
+
+HALVINGS = 20
+"""Number of halvings of the interval in which the largest bearable share of friction lies."""
+
+
+def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
+    """Return ln(P/T) of the legs over time, of shape (clasps, 2): r_{k-1}'s and q_k's at each.
+
+    Zero, and at rest, at both ends; None where nothing slides.
+
+    Parameters
+    ----------
+    motion: from rest to rest, formed all of the time.
+    share: of the friction that legs can bear, in (0, 1].
+    """
+    layout = motion.team.layout
+    if np.max(np.abs(motion.legs.differentiated().coefficients)) <= STILL:
+        return None
+    start, duration = float(motion.drones.breaks[0]), motion.duration
+    count = min(max(FEWEST, round(duration / SPACING)), MOST)
+    inner = np.linspace(0.0, duration, count + 1)
+    knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, duration)])
+    t = start + np.mean(sliding_window_view(knots[1:-1], DEGREE), axis=-1)
+    rates = _at_clasps(layout, motion.legs.at(t, 1))
+    fastest = float(np.max(np.abs(rates)))
+    if fastest <= STILL:
+        return None
+    both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW * fastest
+    clasps = _Clasps.of(motion, t)
+    friction = min(motion.team.cable_friction, ROUGHEST)
+    wanted = friction * clasps.wrapped * rates / both
+    wanted *= share * clasps.bearable(wanted)[..., None]
+    wanted[:AT_REST] = wanted[-AT_REST:] = 0.0
+    return PiecewisePolynomial.from_spline(BSpline(start + knots, wanted, DEGREE))
+
+
+def _at_clasps(layout: Layout, legs: Array) -> Array:
+    """Return (J, clasps, 2) of (J, n, 2): of r_{k-1} and of q_k, the two at every clasp."""
+    return np.stack([legs[..., layout.behind, 1], legs[..., layout.ahead, 0]], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clasps:
+    """The force triangles of all clasps at some times.
+
+    Attributes
+    ----------
+    pull: (J, clasps), size of V, what the edges pull with [N].
+    tensions: (J, clasps, 2) [N], of the cables behind and ahead.
+    legs: (J, clasps, 2) [m], ``e_{k-1}`` and ``d_k``.
+    separation: distances of their drones.
+    """
+
+    pull: Array
+    tensions: Array
+    legs: Array
+    separation: Separation
+
+    @classmethod
+    def of(cls, motion: Motion, t: Array) -> _Clasps:
+        layout = motion.team.layout
+        edges = layout.edges(motion.vertices.at(t))
+        u = edges / length(edges)[..., None]
+        behind, ahead = u[:, layout.behind], u[:, layout.ahead]
+        T = motion.tensions.at(t)
+        tensions = np.stack([T[:, layout.behind], T[:, layout.ahead]], axis=-1)
+        both = motion.legs.at(t)
+        legs, team = _at_clasps(layout, both), motion.team
+        half = 0.5 * GRAVITY * team.cable_density
+        level = edges[..., 0] ** 2 + edges[..., 1] ** 2
+        pull = chord_pull(T, half, level)[..., None]
+        V = pull[:, layout.behind] * behind - pull[:, layout.ahead] * ahead
+        if team.loaded:
+            rest = team.cable_length - both[..., ::-1].swapaxes(-1, -2)  # L - e, L - d
+            V[..., 2] += half * (rest[:, 0, layout.ahead] + rest[:, 1, layout.behind])
+            V[..., 2] += GRAVITY * team.load
+        return cls(length(V), tensions, legs, motion.requirements.separation)
+
+    @cached_property
+    def upright(self) -> Array:
+        """(J, clasps, 2) [rad]: angles between the legs and V, without friction."""
+        return self._angles(np.zeros_like(self.tensions))
+
+    @property
+    def wrapped(self) -> Array:
+        """(J, clasps, 2) [rad], the angles that both cables wrap: V halves them.
+
+        Nearly so where clasps carry weight. 0 where the cables run on straight: no leg can lean.
+        """
+        return np.nan_to_num(2.0 * self.upright)
+
+    def bearable(self, slip: Array) -> Array:
+        """Return (J, clasps): the largest share of ``slip`` (J, clasps, 2) that legs may lean to.
+
+        None leans FARTHEST, and no drone comes too close to the other one or to its leg.
+        """
+        before = self._gaps(self.upright)
+        lower, upper = np.zeros(slip.shape[:-1]), np.ones(slip.shape[:-1])
+        trial = upper
+        for _ in range(HALVINGS):
+            angles = self._angles(trial[..., None] * slip)
+            leans = np.abs(angles - self.upright) <= FARTHEST
+            gaps = self._gaps(angles)
+            apart = (gaps >= ROOM) | (gaps >= before)
+            borne = np.all(leans, axis=-1) & np.all(apart, axis=-1)
+            lower, upper = np.where(borne, trial, lower), np.where(borne, upper, trial)
+            trial = 0.5 * (lower + upper)
+        return lower
+
+    def _angles(self, slip: Array) -> Array:
+        """Return (J, clasps, 2) [rad] between the legs and V; nan where there is no triangle."""
+        pulls = self.tensions * np.exp(slip)
+        others, pull = pulls[..., ::-1], self.pull[..., None]
+        squares, products = pull**2 + pulls**2 - others**2, 2.0 * pull * pulls
+        none = np.full_like(squares, np.inf)
+        sides = np.divide(squares, products, out=none, where=products > 0.0)
+        return np.arccos(np.where(np.abs(sides) < 1.0, sides, np.nan))
+
+    def _gaps(self, angles: Array) -> Array:
+        """Return (J, clasps, 3): distances over their limits, of the drones and to both legs."""
+        between = np.sum(angles, axis=-1, keepdims=True)
+        e, d = self.legs[..., :1], self.legs[..., 1:]
+        drones = np.sqrt(np.maximum(e**2 + d**2 - 2.0 * e * d * np.cos(between), 0.0))
+        aside = np.where(between < 0.5 * np.pi, self.legs * np.sin(between), self.legs)
+        limits = self.separation
+        cable = max(limits.cable, TOUCHING)
+        return np.concatenate([drones / (2.0 * limits.radius), aside / cable], axis=-1)

@@ -1,0 +1,239 @@
+"""Geometric paths of a hitch: flat outputs over a parameter s from 0 to 1, not yet timed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.forces import cable_slack_of
+from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
+from hitchopt.model.series import JET
+from hitchopt.planners.morph import jets
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+
+class Path(Protocol):
+    """What can be timed and flown; paths are told apart by their identity."""
+
+    def __hash__(self) -> int: ...
+
+    @property
+    def team(self) -> Team:
+        """Whose cables."""
+
+    def flat(self, s: Array, count: int = JET) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+
+
+def drones_along(path: Path, s: Array) -> DroneJets:
+    """Return the drones' jets by s at s (J,)."""
+    return drone_jets(path.team, path.flat(s))
+
+
+def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
+    """Return the jets by s at s (J,) of drones, vertices, legs and tensions: (J, *shape, 4)."""
+    flat = path.flat(s)
+    drones = drone_jets(path.team, flat)
+    legs = drones.legs * path.team.layout.has_leg[..., None]  # exactly zero, not nearly
+    return drones.positions, flat.vertices, legs, flat.tensions
+
+
+@dataclass(frozen=True, eq=False)
+class LegLaw:
+    """Law of the q-legs by the slack of their cables: ``d = length + share · slack``.
+
+    A fixed share keeps fractions; share 0 keeps ``d``; share 1 and length ``-e`` keep ``e``.
+
+    Attributes
+    ----------
+    length: of shape (n,) over s [m].
+    share: of shape (n,) over s.
+    """
+
+    length: PiecewisePolynomial
+    share: PiecewisePolynomial
+
+    @classmethod
+    def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
+        """Return the law under which ``d_k / (d_k + e_k)`` is as given, (n,) over s."""
+        nothing = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
+        return cls(nothing, fractions)
+
+    def q_legs(self, s: Array, slack: Array) -> Array:
+        """Return the jets (J, n, m) of ``d`` for those of the slack."""
+        count = slack.shape[-1]
+        shared = jets.product(self.share.jet(s, count), slack)
+        return self.length.jet(s, count) + shared if np.any(self.length.coefficients) else shared
+
+
+@dataclass(frozen=True, eq=False)
+class ShapePath:
+    """Vertices on polynomials of s, legs by a law.
+
+    Attributes
+    ----------
+    team: whose cables.
+    vertices: of shape (points, 3) over s in [0, 1] [m].
+    legs: the law of the q-legs, wherever the ends of a chain leave a choice.
+    tensions: of shape (n,) over s [N], or None for the team's.
+    roll: of shape (clasps,) over s [rad], or None where legs are not rolled.
+    """
+
+    team: Team
+    vertices: PiecewisePolynomial
+    legs: LegLaw
+    tensions: PiecewisePolynomial | None = None
+    roll: PiecewisePolynomial | None = None
+
+    @classmethod
+    def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
+        """Return the path on which vertices go straight; fractions and roll change linearly."""
+        whole = np.array([0.0, 1.0])
+        vertices = np.stack([start.vertices, end.vertices], axis=-1)
+        fractions = np.stack([start.fractions, end.fractions], axis=-1)
+        return cls(
+            start.team,
+            PiecewisePolynomial(whole, vertices[None]),
+            LegLaw.of_fractions(PiecewisePolynomial(whole, fractions[None])),
+            roll=roll_between(start, end),
+        )
+
+    def flat(self, s: Array, count: int = JET) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+        vertices = self.vertices.jet(s, count)
+        tensions = np.zeros((len(s), self.team.robots, count))
+        tensions[..., 0] = self.team.tension
+        if self.tensions is not None:
+            tensions = self.tensions.jet(s, count)
+        roll = None if self.roll is None else self.roll.jet(s, count)
+        edges = self.team.layout.edges(vertices, axis=1)
+        slack = -_cable_along(self.team, edges, tensions)
+        slack[..., 0] += self.team.cable_length
+        wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
+        q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
+        return FlatJets(vertices, np.moveaxis(q_legs, 0, -1), tensions, roll)
+
+
+def roll_between(
+    start: Hitch, end: Hitch, grown: tuple[float, ...] = (0.0, 1.0)
+) -> PiecewisePolynomial | None:
+    """Return the roll of shape (clasps,) that goes from one hitch's to the other's, over s.
+
+    None where neither of them is rolled.
+
+    Parameters
+    ----------
+    grown: Bernstein coefficients of the share of the change that is made.
+    """
+    if not np.any(start.roll) and not np.any(end.roll):
+        return None
+    change = (end.roll - start.roll)[:, None] * np.asarray(grown)
+    return PiecewisePolynomial(np.array([0.0, 1.0]), (start.roll[:, None] + change)[None])
+
+
+def _cable_along(team: Team, edges: Array, tensions: Array) -> Array:
+    """Return the jets (J, n, m) [m] of the lengths of cable along edges (J, n, 3, m) [m]."""
+    squares = jets.product(edges, edges)
+    chords = jets.square_root(np.sum(squares, axis=2))
+    if team.cable_density == 0.0:
+        return chords
+    weight = GRAVITY * team.cable_density
+    factors = weight * weight / 24.0 * jets.reciprocal(jets.product(tensions, tensions))
+    level = np.sum(squares[:, :, :2], axis=2)
+    return chords + jets.product(factors, jets.product(chords, level))
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Shapes at J points of a path.
+
+    Attributes
+    ----------
+    polygons: (J, points, 2) [m], in plan view.
+    legs: (J, n, 2) [m], ``d`` and ``e``: lengths of cable, negative where a cable is too short,
+        zero where a chain's end has no leg.
+    roll: (J, clasps) [rad], or None where legs are not rolled.
+    """
+
+    polygons: Array
+    legs: Array
+    roll: Array | None = None
+
+    def chosen(self, which: NDArray[np.bool_]) -> Shapes:
+        """Return the shapes where ``which`` (J,) holds."""
+        roll = None if self.roll is None else self.roll[which]
+        return Shapes(self.polygons[which], self.legs[which], roll)
+
+
+def shapes_along(path: Path, s: Array) -> Shapes:
+    """Return the shapes at s (J,)."""
+    return shapes_of(path.team, path.flat(s, 1))
+
+
+def shapes_of(team: Team, flat: FlatJets) -> Shapes:
+    """Return the shapes of flat outputs."""
+    layout = team.layout
+    edges = layout.edges(flat.vertices[..., 0])
+    slack = cable_slack_of(team, edges, flat.tensions[..., 0])
+    legs = layout.legs_of(flat.q_legs[..., 0], slack)
+    roll = None if flat.roll is None else flat.roll[..., 0]
+    return Shapes(flat.vertices[:, :, :2, 0], legs, roll)
+
+
+@dataclass(frozen=True, eq=False)
+class RigidPath:
+    """Centroid on a straight line, the hitch turning about it; both linear in s.
+
+    Parameters
+    ----------
+    start: the hitch at s = 0.
+    to: (3,) [m], where its centroid is at s = 1.
+    yaw: by how much it turns until then, counter-clockwise [rad]; more than a turn is one.
+    """
+
+    start: Hitch
+    to: Array
+    yaw: float
+
+    @property
+    def team(self) -> Team:
+        """Whose cables."""
+        return self.start.team
+
+    @property
+    def centroid(self) -> Array:
+        """(3,) [m]: where the centroid is at s = 0."""
+        return np.append(self.start.polygon.centroid, self.start.altitude)
+
+    @property
+    def still(self) -> bool:
+        """Whether nothing moves."""
+        return self.yaw == 0.0 and bool(np.max(np.abs(self.to - self.centroid)) < 1e-9)
+
+    def flat(self, s: Array, count: int = JET) -> FlatJets:
+        """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
+        hitch = self.start
+        arms = hitch.vertices[:, :2] - self.centroid[:2]
+        vertices = np.zeros((len(s), len(arms), 3, count))
+        for order in range(count):  # each derivative of a rotation is a quarter turn ahead
+            angle = self.yaw * s + 0.5 * np.pi * order
+            c, sin = self.yaw**order * np.cos(angle), self.yaw**order * np.sin(angle)
+            vertices[:, :, 0, order] = c[:, None] * arms[:, 0] - sin[:, None] * arms[:, 1]
+            vertices[:, :, 1, order] = sin[:, None] * arms[:, 0] + c[:, None] * arms[:, 1]
+        offset = self.to - self.centroid
+        vertices[..., 0] += (self.centroid + s[:, None] * offset)[:, None]
+        vertices[..., 1:2] += offset[:, None]
+        q_legs = np.zeros((len(s), self.team.robots, count))
+        q_legs[..., 0] = hitch.q_legs
+        tensions = np.zeros_like(q_legs)
+        tensions[..., 0] = self.team.tension
+        roll = None
+        if np.any(hitch.roll):
+            roll = np.zeros((len(s), len(hitch.roll), count))
+            roll[..., 0] = hitch.roll
+        return FlatJets(vertices, q_legs, tensions, roll)

@@ -1,0 +1,418 @@
+"""A program as it is put together: variables, rows that keep near bodies apart, derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from hitchopt.geometry import differences, shortest_offset
+from hitchopt.hitch.parts import SEPARATION, Parts, end_combinations
+from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
+from hitchopt.requirements import Separation
+from hitchopt.values import Array, Indices
+
+BETWEEN = 0.35
+"""Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
+as well."""
+
+PENALTY_WEIGHT = 100.0
+"""[1/m] Penalty weight of bodies that stay too near: more than any path gains by leaving them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Symbols:
+    """What a program's expressions are of.
+
+    Attributes
+    ----------
+    variables: in groups, as they were added to the draft.
+    parameters: vectors of numbers that programs of one structure differ in.
+    """
+
+    variables: list[ca.MX]
+    parameters: list[ca.MX]
+
+
+Expression = Callable[[Symbols], ca.MX]
+"""Builds a column of rows, or a cost."""
+
+
+class Derivatives(Protocol):
+    """Builds the derivatives of a column of rows that casadi would take long to find."""
+
+    def slopes(self, at: Symbols) -> ca.MX:
+        """Return the Jacobian (rows, variables)."""
+
+    def bends(self, at: Symbols, multipliers: ca.MX) -> ca.MX:
+        """Return the upper triangle (variables, variables) of the Hessian of the weighted sum."""
+
+
+RowGroup = tuple[Expression, Derivatives | None]
+"""A column of rows, and what builds its derivatives; None for casadi's own."""
+
+
+class Draft:
+    """Variables, rows and costs as they are collected: numbers at once, expressions when built.
+
+    Programs of one structure have the same expressions, which are built for the first of them only.
+    """
+
+    def __init__(self) -> None:
+        self._structure: list[Hashable] = []
+        self._variables: list[tuple[Array, Array, Array]] = []
+        self._parameters: list[Array] = []
+        self._ranges: list[tuple[Array, Array]] = []
+        self._rows: list[RowGroup] = []
+        self._costs: list[Expression] = []
+
+    def structure(self, *parts: Hashable | NDArray[Any]) -> None:
+        """Note what expressions depend on besides variables and parameters."""
+        self._structure += [
+            (part.shape, part.tobytes()) if isinstance(part, np.ndarray) else part for part in parts
+        ]
+
+    def variables(self, start: Array, lower: Array, upper: Array) -> int:
+        """Add a group of variables that start at ``start``; return its index."""
+        self._variables.append((start, lower, upper))
+        return len(self._variables) - 1
+
+    def parameters(self, values: Array) -> int:
+        """Add a vector of parameters; return its index."""
+        self._parameters.append(values)
+        return len(self._parameters) - 1
+
+    def cost(self, expression: Expression) -> None:
+        """Add a cost."""
+        self._costs.append(expression)
+
+    def bound(
+        self,
+        value: Expression,
+        least: Array,
+        most: Array,
+        derivatives: Derivatives | None = None,
+    ) -> None:
+        """Add rows (a column) that keep values between their bounds (rows,)."""
+        self._rows.append((value, derivatives))
+        self._ranges.append((least, most))
+
+    def soft_bound(self, value: Expression, least: Array, now: Array, weight: float) -> None:
+        """Add rows that keep values (a column) above their bounds, softly where they are not now.
+
+        Parameters
+        ----------
+        value, least, now: (rows,), now where the variables start.
+        weight: penalty weight of a unit by which a value stays below.
+        """
+        short, most = np.flatnonzero(now < least), np.full(len(least), np.inf)
+        self.structure("soft", len(least), short, weight)
+        count = len(short)
+        if not count:
+            self.bound(value, least, most)
+            return
+        lack = (least - now)[short]
+        slack = self.variables(lack, np.zeros(count), np.full(count, np.inf))
+        ones = (short.tolist(), list(range(count)), ca.DM.ones(count))
+
+        def eased(at: Symbols) -> ca.MX:
+            return value(at) + ca.DM.triplet(*ones, len(least), count) @ at.variables[slack]
+
+        self.cost(lambda at: weight * ca.sum1(at.variables[slack]))
+        self.bound(eased, least, most)
+
+    def program(self) -> Program:
+        """Return what was collected."""
+        box, ranges = zip(*self._variables, strict=True), zip(*self._ranges, strict=True)
+        columns = [np.concatenate(column) for column in (*box, *ranges)]
+        numbers = dict(zip(("x0", "lbx", "ubx", "lbg", "ubg"), columns, strict=True))
+        numbers["p"] = np.concatenate([np.zeros(0), *self._parameters])
+        groups = [len(start) for start, *_ in self._variables]
+        vectors = [len(values) for values in self._parameters]
+        structure = (*self._structure, tuple(groups), tuple(vectors), len(columns[-1]))
+        return Program(structure, numbers, groups, vectors, self._rows, self._costs)
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """``min f(x, p)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x, p) ≤ ubg``, from x0.
+
+    Attributes
+    ----------
+    structure: programs with equal ones differ in their numbers alone.
+    numbers: ``x0``, ``lbx``, ``ubx`` (variables,), ``lbg``, ``ubg`` (rows,), ``p`` (parameters,).
+    groups, vectors: sizes of the groups of variables and of the vectors of parameters.
+    rows, costs: builders of the expressions.
+    """
+
+    structure: tuple[Hashable, ...]
+    numbers: dict[str, Array]
+    groups: list[int]
+    vectors: list[int]
+    rows: list[RowGroup]
+    costs: list[Expression]
+
+    def symbols(self) -> Symbols:
+        """Return new symbols for variables and parameters."""
+        x, p = (
+            [ca.MX.sym(f"{name}{i}", size) for i, size in enumerate(sizes)]
+            for name, sizes in (("x", self.groups), ("p", self.vectors))
+        )
+        return Symbols(x, p)
+
+    def expressions(self) -> dict[str, ca.MX]:
+        """Build casadi's expressions x, p, f, g."""
+        at = self.symbols()
+        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
+        g = ca.vertcat(*(value(at) for value, _ in self.rows))
+        return {"x": x, "p": p, "f": self._cost(at), "g": g}
+
+    def derivatives(self) -> dict[str, ca.Function]:
+        """Build casadi's functions ``jac_g`` and ``hess_lag``, one column of rows after the other.
+
+        Those of all rows at once, as casadi builds them, take three times as long to evaluate.
+        """
+        at = self.symbols()
+        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
+        rows = [(build(at), own) for build, own in self.rows]
+        slopes = [own.slopes(at) if own else ca.jacobian(value, x) for value, own in rows]
+        weight = ca.MX.sym("weight")
+        multipliers = [ca.MX.sym(f"m{i}", value.numel()) for i, (value, _) in enumerate(rows)]
+        plain, bends = weight * self._cost(at), list[ca.MX]()
+        for (value, own), each in zip(rows, multipliers, strict=True):
+            if own is None:
+                plain += ca.dot(each, value)
+            else:
+                bends.append(own.bends(at, each))
+        hessian = sum(bends, ca.triu(ca.hessian(plain, x)[0]))
+        jacobian = [ca.vertcat(*(value for value, _ in rows)), ca.vertcat(*slopes)]
+        return {
+            "jac_g": ca.Function("nlp_jac_g", [x, p], jacobian),
+            "hess_lag": ca.Function(
+                "nlp_hess_l", [x, p, weight, ca.vertcat(*multipliers)], [hessian]
+            ),
+        }
+
+    def _cost(self, at: Symbols) -> ca.MX:
+        return sum((cost(at) for cost in self.costs), ca.MX(0.0))
+
+
+def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: SolverStep) -> None:
+    """Keep all near pairs apart, at the knots and between them.
+
+    Those that are too near now, as in a first guess, are parted as far as a step can.
+    """
+    columns, inner = path.columns, path.table[1:-1]
+    now = inner.ravel()
+    margins = search.margins(path.steps, np.arange(1.0, path.steps))
+    separation = search.requirements.separation
+    pairs = near_pairs(inner[:, columns.nodes], separation, margins, step.reach)
+    drones = pairs.chosen(pairs.kind == SEPARATION)
+    if len(drones.frame):
+        _keep_drones_apart(draft, x, path, drones)
+    linear, others = list[LinearRows](), pairs.chosen(pairs.kind != SEPARATION)
+    if len(others.frame):
+        linear.append(rows_at_knots(path, others))
+    if step.parts > 1:
+        linear.append(rows_between(path, search, step.parts, BETWEEN * step.reach))
+    for rows, least in linear:
+        if len(least):
+            draft.soft_bound(linear_value(draft, x, rows), least, rows @ now, PENALTY_WEIGHT)
+
+
+def _keep_drones_apart(draft: Draft, x: int, path: KnotPath, drones: NearPairs) -> None:
+    """Keep pairs of drones apart, by squares."""
+    columns, now = path.columns, path.table[1:-1].ravel()
+    first, second = (
+        columns.size * drones.frame[:, None] + columns.nodes[node[:, 0]]
+        for node in (drones.first, drones.second)
+    )
+    squared = np.sum((now[first] - now[second]) ** 2, axis=1)
+    apart = drones.enforced
+    scale = 1.0 / (2.0 * apart)  # of squares to about metres
+    scales = draft.parameters(scale)
+    draft.structure("drones", first, second)
+
+    def value(at: Symbols) -> ca.MX:
+        moved = at.variables[x]
+        across, along = (moved[first[:, i].tolist()] - moved[second[:, i].tolist()] for i in (0, 1))
+        return (across**2 + along**2) * at.parameters[scales]
+
+    draft.soft_bound(value, scale * apart**2, scale * squared, PENALTY_WEIGHT)
+
+
+def linear_value(draft: Draft, x: int, rows: sparse.csc_matrix) -> Expression:
+    """Return rows times variables, the rows' entries being parameters."""
+    entries = draft.parameters(rows.data)
+    draft.structure("linear", rows.shape, rows.indptr, rows.indices)
+
+    def value(at: Symbols) -> ca.MX:
+        pattern = ca.Sparsity(*rows.shape, rows.indptr.tolist(), rows.indices.tolist())
+        return ca.MX(pattern, at.parameters[entries]) @ at.variables[x]
+
+    return value
+
+
+FINER = 4
+"""Factor on the instants in the first and the last step, where a hitch starts or ends that barely
+satisfies its limits."""
+
+LEG_INSET = 1e-3
+"""[m] Distance of legs from their limit, unless they are shorter at the ends."""
+
+LEG_REACH = 0.05
+"""[m] Legs longer than their limit and this get no row."""
+
+
+@dataclass(frozen=True, eq=False)
+class NearPairs:
+    """Pairs of bodies that come near one another, each at one of K instants.
+
+    Attributes
+    ----------
+    frame: (m,), the instant.
+    first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
+    kind: (m,), as in ``hitch.parts``.
+    normal: (m, 2), unit vector from the second body to the first where they are closest.
+    enforced: (m,) [m], the distance to enforce.
+    """
+
+    frame: Indices
+    first: Indices
+    second: Indices
+    kind: Indices
+    normal: Array
+    enforced: Array
+
+    def chosen(self, which: NDArray[np.bool_]) -> NearPairs:
+        """Return the pairs where ``which`` (m,) holds."""
+        return NearPairs(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    def sides(self) -> tuple[Indices, Indices, Indices]:
+        """Return (pair, node of the first, node of the second) of all their ends against all.
+
+        Bodies whose ends all lie on their sides of a normal are apart by as much.
+        """
+        return end_combinations(self.kind, self.first, self.second)
+
+
+def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: float) -> NearPairs:
+    """Return all pairs that come within ``reach`` [m] of the distance to enforce.
+
+    Parameters
+    ----------
+    nodes: (K, 3n, 2) [m]
+    separation: distances to enforce.
+    margins: (K,), how many times those.
+    reach: [m]
+    """
+    parts = Parts.of(nodes.shape[1] // 3)
+    limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
+    corners = nodes[:, parts.nodes]
+    cutoff = float(np.max(limits * np.max(margins))) + reach
+    boxes = corners.min(axis=2), corners.max(axis=2)
+    frame, i, j, kind = parts.near(*boxes, limits, cutoff)
+    ends = [nodes[frame[:, None], parts.nodes[body]] for body in (i, j)]
+    offset = shortest_offset(differences(*ends))
+    distance = np.linalg.norm(offset, axis=1)
+    middle = (ends[0] - ends[1]).mean(axis=1)
+    normal = np.where(distance[:, None] > 1e-6, offset, middle)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+    enforced = limits[kind] * margins[frame]
+    found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, enforced)
+    return found.chosen(distance < enforced + reach)
+
+
+LinearRows = tuple[sparse.csc_matrix, Array]
+"""Rows (r, variables) and their least values (r,) [m], by the inner knots' variables in a row."""
+
+
+def instants(steps: int, parts: int) -> Array:
+    """Return (K,): the instants between the knots that get rows, in steps from the start."""
+    base = FINER * parts
+    k = np.arange(steps * base)
+    at_ends = (k < base) | (k > (steps - 1) * base)
+    places: Array = k[(k % base > 0) & (at_ends | (k % FINER == 0))] / base
+    return places
+
+
+def rows_at_knots(path: KnotPath, pairs: NearPairs) -> LinearRows:
+    """Return rows that keep pairs at the inner knots on their sides of their normals."""
+    table = path.table
+    return _pairs_apart(path, table[1:-1], np.arange(1.0, path.steps), pairs)
+
+
+def rows_between(path: KnotPath, search: Search, parts: int, reach: float) -> LinearRows:
+    """Return rows that keep pairs apart and legs long between the knots, to first order.
+
+    There the path is its chord from knot to knot and a bow, of which the bow is taken to stay.
+
+    Parameters
+    ----------
+    path, search: around which the rows are, and what they enforce.
+    parts: of each step; rows are at the instants in between.
+    reach: pairs farther apart than their limit and this [m] get no row.
+    """
+    columns, limits = path.columns, search.requirements.limits
+    places = instants(path.steps, parts)
+    at_knots, there = path.table, path.at(places / path.steps).table
+    margins = search.margins(path.steps, places)
+    separation = search.requirements.separation
+    pairs = near_pairs(there[:, columns.nodes], separation, margins, reach)
+    apart = _pairs_apart(path, there, places, pairs)
+
+    legs = np.concatenate([columns.q_legs, columns.r_legs])
+    frame, leg = np.nonzero(there[:, legs] < limits.leg + LEG_REACH)
+    if not len(frame):
+        return apart
+    single = (frame, legs[leg][:, None], np.ones((len(frame), 1)))
+    rows, bow = _chords(at_knots, there, places, single)
+    ends = np.min(at_knots[[0, -1]][:, legs], axis=0)
+    shortest = np.minimum(limits.leg + LEG_INSET, ends)[leg]
+    both = sparse.csc_matrix(sparse.vstack([apart[0], rows]))
+    return both, np.concatenate([apart[1], shortest - bow])
+
+
+def _pairs_apart(path: KnotPath, there: Array, places: Array, pairs: NearPairs) -> LinearRows:
+    """Return the rows of pairs at places (K,) of a path, its table (K, size) ``there``."""
+    nodes = path.columns.nodes
+    pair, a, b = pairs.sides()
+    slopes = np.concatenate([pairs.normal[pair], -pairs.normal[pair]], axis=1)
+    sums = (pairs.frame[pair], np.concatenate([nodes[a], nodes[b]], axis=1), slopes)
+    rows, bow = _chords(path.table, there, places, sums)
+    return rows, pairs.enforced[pair] - bow
+
+
+def _chords(
+    at_knots: Array, there: Array, places: Array, sums: tuple[Indices, Indices, Array]
+) -> tuple[sparse.csc_matrix, Array]:
+    """Return sums of variables at places, by those at the knots around: ``rows @ x + bow``.
+
+    Parameters
+    ----------
+    at_knots, there: (J + 1, size) and (K, size), tables of the path.
+    places: (K,), in steps from the path's start.
+    sums: the place (r,), the variables and their weights (r, w) of each.
+    """
+    frame, variables, weights = sums
+    steps, size = len(at_knots) - 1, at_knots.shape[1]
+    shape = (len(frame), size * (steps - 1))
+    if not len(frame):
+        return sparse.csc_matrix(shape), np.zeros(0)
+    knot = places[frame].astype(np.intp)
+    share = places[frame] - knot
+    bow = np.sum(weights * there[frame[:, None], variables], axis=1)
+    entries: list[tuple[Array, Indices, Indices]] = []
+    for at, part in ((knot, 1.0 - share), (knot + 1, share)):
+        inner = np.flatnonzero((at > 0) & (at < steps) & (part > 0.0))
+        slope, own = part[inner, None] * weights[inner], variables[inner]
+        bow[inner] -= np.sum(slope * at_knots[at[inner, None], own], axis=1)
+        column = size * (at[inner, None] - 1) + own
+        entries.append((slope.ravel(), np.repeat(inner, own.shape[1]), column.ravel()))
+    values, row, column = (np.concatenate(part) for part in zip(*entries, strict=True))
+    return sparse.csc_matrix((values, (row, column)), shape=shape), bow

@@ -1,0 +1,419 @@
+"""The search for a path: guesses are optimised, one by one, until their paths are clear."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import chain
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.legs import reference_margin, reference_margins
+from hitchopt.planners.morph.legs import CLEAR, leg_task_of
+from hitchopt.planners.morph.morph import check_shapes_at, exterior_angles
+from hitchopt.planners.morph.path import ShapePath, Shapes, shapes_along
+from hitchopt.planners.optimise.guesses import guesses, widened
+from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
+from hitchopt.planners.optimise.program import farthest, iterates
+from hitchopt.planners.timing.clock import WarpError
+from hitchopt.planners.timing.flight import Flight
+from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_demands
+from hitchopt.requirements import Requirements
+from hitchopt.trajectory import bernstein
+from hitchopt.values import Array
+
+ROUNDS = ((1, 4, 1.02), (1, 8, 1.03), (2, 4, 1.02), (2, 8, 1.05))
+"""Rounds of refinement until a path is clear and the judge accepts it: how many times the first
+knots' steps, parts of every step at whose ends distances are enforced, how many times their
+limits."""
+
+FIRST_STEP = SolverStep(0.17)
+"""Step of the optimiser from a guess."""
+
+LATER_STRIDE = 0.12
+"""[m] Stride from a path that the optimiser has found."""
+
+FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
+"""Largest numbers of steps from a guess, in a round, and towards a faster path."""
+
+NEXT = 0.25
+"""Share of its stride: a faster path whose vertices are that near to a guess is next to it."""
+
+SURE = 0.999
+"""Factor on the estimate of a faster path below which that of its guess is flown in its place:
+estimates that differ by less may mistake which of two flights is the shorter one."""
+
+STILL = 0.15
+"""Share of its stride: a step that moves no vertex by more will not clear a path either."""
+
+LENGTH = 0.9
+"""[m] Length that a vertex's path from one of the first knots to the next should not exceed."""
+
+FEWEST_KNOTS, MOST_KNOTS = 8, 16
+"""Bounds of the number of steps between the first knots."""
+
+WIDER = 0.25
+"""Share by which guesses are widened half way where none has led to a path as it is."""
+
+HOPELESS = 1.3
+"""Factor on the duration of the fastest path found: slower guesses are not optimised."""
+
+WORSE = 1.1
+"""Factor on the duration of the fastest path found: slower estimates are not refined."""
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A path that the judge has accepted.
+
+    Attributes
+    ----------
+    name: of the guess that it came from.
+    path: as it was found.
+    flight: along it.
+    """
+
+    name: str
+    path: ShapePath
+    flight: Flight
+
+
+@dataclass(frozen=True, eq=False)
+class OptimisedMorph:
+    """The planner of a morph along paths that the optimiser finds; none for chains.
+
+    Attributes
+    ----------
+    start, end: hitches at one altitude that satisfy all limits.
+    requirements: limits, separation and arena.
+    judge: decides about every path; those that it rejects are refined.
+    tension: smallest and largest [N] where tensions may change on the path.
+    """
+
+    start: Hitch
+    end: Hitch
+    requirements: Requirements
+    judge: Judge
+    tension: tuple[float, float] | None = None
+
+    @cached_property
+    def guesses(self) -> dict[str, Array]:
+        """First guesses (J, n, 2) [m] by name, the straight one first."""
+        first, last = self.start.polygon, self.end.polygon
+        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
+            return {}
+        return guesses(first, last, FEWEST_KNOTS + 1)
+
+    @property
+    def problem(self) -> list[KnotPath]:
+        """Paths that the search starts from: hitches everywhere, if possible not in one heap."""
+        whole = self._paths(self.guesses)
+        return loose(whole, self.requirements) or whole
+
+    def solve(self) -> list[Candidate]:
+        """Return the paths found, the fastest first."""
+        if not self.guesses or not all(
+            level_enough(hitch, self.requirements) for hitch in (self.start, self.end)
+        ):
+            return []
+        margins = end_margins(self.start, self.end, self.requirements)
+        search = Search(self.requirements, self.judge, self.tension, margins)
+        # With wider polygons half way, legs have more room to pass one another.
+        bent = [name for name in self.guesses if name != "straight"]
+        wide = {name: widened(self.guesses[name], WIDER) for name in bent}
+        return searched(self.problem, search) or searched(self._paths(wide), search)
+
+    def _paths(self, polygons: dict[str, Array]) -> list[KnotPath]:
+        paths = (
+            KnotPath.through(name, self.start, self.end, each) for name, each in polygons.items()
+        )
+        return [path for path in paths if sound(path)]
+
+
+def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
+    """Return the paths found from the given first ones, the fastest first.
+
+    Those that take the least time as they are come first; the others have to be near them. Guesses
+    that are one would come to the same: another of them is tried only where one led nowhere.
+    """
+    found: list[Candidate] = []
+    seen: list[KnotPath] = []
+    fastest = np.inf
+    groups = _alike(paths)
+    firsts = [group[0].resampled(_steps(group[0]) + 1) for group in groups]
+    direct = _quickened(firsts[0], search) if len(firsts) == 1 else None
+    if direct is not None:
+        return [direct]
+    estimates = _estimates(firsts, search)
+    for k in np.argsort(estimates, kind="stable"):
+        if estimates[k] > HOPELESS * fastest:
+            break
+        others = (path.resampled(_steps(path) + 1) for path in groups[k][1:])
+        settling = (_settled(knots, search, seen) for knots in chain([firsts[k]], others))
+        settled = next((path for path in settling if path is not None), None)
+        if settled is None:
+            continue
+        if found and estimate(settled, search.requirements) > WORSE * fastest:
+            continue
+        refined = _refined(settled, search)
+        if refined is not None:
+            found.append(refined)
+            fastest = min(fastest, refined.flight.duration)
+    return sorted(found, key=lambda candidate: candidate.flight.duration)
+
+
+def _alike(paths: Sequence[KnotPath]) -> list[list[KnotPath]]:
+    """Return the paths in groups of one each, the last ones first: edges that turn stay convex."""
+    groups: list[list[KnotPath]] = []
+    for path in reversed(paths):
+        group = next((group for group in groups if same(path, group[0])), None)
+        if group is None:
+            groups.append([path])
+        else:
+            group.append(path)
+    return groups
+
+
+def _estimates(paths: Sequence[KnotPath], search: Search) -> list[float]:
+    """Return estimates of the paths' durations [s] to order them by; a single one needs none."""
+    if len(paths) == 1:
+        return [0.0]
+    return [estimate(path, search.requirements) for path in paths]
+
+
+def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
+    """Return the faster path next to a guess that is clear, with its flight; None if there is none.
+
+    Where one step of the optimiser leads farther away, the path of least energy comes first.
+    """
+    if not clear(guess, search):
+        return None
+    _, parts, margin = ROUNDS[0]
+    closer = replace(search, margin=margin)
+    step = SolverStep(LATER_STRIDE, parts, fastest=True, multipliers=False, near=NEXT)
+    faster = next(iterates(guess, closer, step, 1), None)
+    if faster is None or farthest(faster, guess) >= NEXT * step.stride:
+        return None
+    if not clear(faster, search):
+        return None
+    by_step, as_it_is = _estimates([faster, guess], search)
+    return _flown([guess] if as_it_is < SURE * by_step else [faster, guess], search)
+
+
+def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
+    """Return the path of least energy near a guess; None where it is one that was seen before."""
+    found: KnotPath | None = None
+    before = tuple(seen)
+    for moved in iterates(knots, search, FIRST_STEP, FIRST_STEPS):
+        if any(same(moved, other) for other in before):
+            return None
+        found = moved
+        seen.append(moved)
+    return found
+
+
+def _refined(path: KnotPath, search: Search) -> Candidate | None:
+    """Return a path of least energy refined, or a faster one near it, with its flight.
+
+    Where limits are broken between the knots, rows are added there, then more knots; a path on
+    which none is has its least energy already.
+    """
+    steps = path.steps
+    for finer, parts, margin in ROUNDS:
+        if path.steps != finer * steps:
+            path = path.resampled(finer * steps + 1)
+        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, parts)
+        as_it_is = [path] if (finer, parts, margin) == ROUNDS[0] else []
+        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
+            path = moved
+            if clear(path, search):
+                break
+        else:
+            continue
+        quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
+        faster = [moved for moved in quicker if clear(moved, search)]
+        choices = [*faster, path]
+        best = choices[int(np.argmin(_estimates(choices, search)))]
+        found = _flown(dict.fromkeys([best, path]), search)
+        if found is not None:
+            return found
+    return None
+
+
+def _flown(paths: Iterable[KnotPath], search: Search) -> Candidate | None:
+    """Return the first path that the judge accepts, with its flight."""
+    for choice in paths:
+        shape = choice.path
+        flight = judged(shape, search)
+        if flight is not None:
+            return Candidate(choice.name, shape, flight)
+    return None
+
+
+def _steps(path: KnotPath) -> int:
+    """Return how many steps between knots a path needs, its longest vertex path's being LENGTH."""
+    longest = float(np.max(np.sum(length(np.diff(path.polygons, axis=0)), axis=0)))
+    return int(np.clip(np.ceil(longest / LENGTH), FEWEST_KNOTS, MOST_KNOTS))
+
+
+CLOSEST = 0.3
+"""Share of their limits that the distances of a guess must exceed for it to be tried."""
+
+SHARPEST_LOSS = 0.1
+"""Share of its ends' smallest exterior angle and shortest edge that a guess must exceed."""
+
+WIDEST = 1.05
+"""Largest margin of any round; larger ones need not be told apart."""
+
+LEVEL_ENOUGH = 0.95
+"""Share of its limits that a rolled hitch's distances must exceed without roll: the rows nearest to
+the ends leave knots no room to be off by more."""
+
+BELOW = 1.0 - 1e-4
+"""Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
+
+SAME = 0.05
+"""[m] Paths that differ by less at every knot count as one."""
+
+HALVINGS = 3
+"""Number of halvings of pieces, to bound their tensions closely."""
+
+PROBES = 33
+"""Number of points at which a path's distances are evaluated before the judge decides, and again
+near each end; its shapes at twice as many."""
+
+NEAR_END = 0.1
+"""Share of the path that is near an end."""
+
+SPARSE, DENSE = (np.linspace(0.0, 1.0, count) for count in (PROBES, 2 * PROBES - 1))
+
+NEAR_ENDS = np.concatenate([NEAR_END * SPARSE[1:-1], 1.0 - NEAR_END * SPARSE[1:-1]])
+
+PLACES = np.unique(np.concatenate([DENSE, NEAR_ENDS]))
+"""Where a path's shapes are evaluated."""
+
+DISTANCES = np.isin(PLACES, np.concatenate([SPARSE, NEAR_ENDS]))
+"""(PLACES,): whether its distances are evaluated there too."""
+
+
+def sound(path: KnotPath) -> bool:
+    """Return whether a guess is a hitch everywhere: convex, with edges, legs and slack."""
+    lengths = length(path.edges)
+    angles = exterior_angles(path.team.layout, path.edges)
+    smallest, shortest = (np.min(values[[0, -1]]) for values in (angles, lengths))
+    return bool(
+        np.min(path.slack) > 0.0
+        and np.min(angles) > SHARPEST_LOSS * smallest
+        and np.min(lengths) > SHARPEST_LOSS * shortest
+    )
+
+
+def loose(paths: Sequence[KnotPath], requirements: Requirements) -> list[KnotPath]:
+    """Return those of guesses from one hitch to another whose bodies are not all in one heap."""
+    if not paths:
+        return []
+    polygons, q_legs = (
+        np.concatenate([getattr(path, name) for path in paths]) for name in ("polygons", "q_legs")
+    )
+    rolls = [path.roll for path in paths if path.roll is not None]
+    roll = np.concatenate(rolls) if rolls else None
+    margins = _margins(paths[0].team, requirements, polygons, q_legs, roll)
+    first = np.cumsum([0, *(len(path.polygons) for path in paths[:-1])])
+    smallest = np.minimum.reduceat(margins, first)
+    return [path for path, margin in zip(paths, smallest, strict=True) if margin >= CLOSEST]
+
+
+def end_margins(start: Hitch, end: Hitch, requirements: Requirements) -> tuple[float, float]:
+    """Return how many times their limits the distances of the hitches at both ends are."""
+    polygons, q_legs, roll = (
+        np.stack(part)
+        for part in (
+            (start.polygon.vertices, end.polygon.vertices),
+            (start.q_legs, end.q_legs),
+            (start.roll, end.roll),
+        )
+    )
+    first, last = BELOW * _margins(start.team, requirements, polygons, q_legs, roll)
+    return float(first), float(last)
+
+
+def level_enough(hitch: Hitch, requirements: Requirements) -> bool:
+    """Return whether a hitch keeps distances, or nearly so, without its roll.
+
+    The optimiser's program has legs in the plane, so that no path of it ends at one that does not.
+    """
+    if not np.any(hitch.roll):
+        return True
+    polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
+    return bool(_margins(hitch.team, requirements, polygon, q_legs, None)[0] > LEVEL_ENOUGH)
+
+
+def _margins(
+    team: Team, requirements: Requirements, polygons: Array, q_legs: Array, roll: Array | None
+) -> Array:
+    """Return how many times their limits the distances of hitches (J,) are, walls left out."""
+    bare = replace(requirements, arena=None)
+    return reference_margins(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST, roll=roll))
+
+
+def same(path: KnotPath, other: KnotPath) -> bool:
+    """Return whether two guesses have come to one and the same path."""
+    if path.steps != other.steps:
+        other = other.resampled(path.steps + 1)
+    apart = (path.polygons - other.polygons, path.q_legs - other.q_legs)
+    return max(float(np.max(np.abs(part))) for part in apart) < SAME
+
+
+def clear(knots: KnotPath, search: Search) -> bool:
+    """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
+    path, requirements = knots.path, search.requirements
+    shapes = shapes_along(path, PLACES)
+    try:
+        check_shapes_at(PLACES, shapes, path.team.layout)
+    except InfeasibleError:
+        return False
+    if not _distances_hold(path, requirements, shapes.chosen(DISTANCES)):
+        return False
+    demands = grid_demands(path, requirements.limits)
+    if max(float(np.max(ratios)) for ratios in demands.at_rest()) >= demands.share:
+        return False
+    arena, drones = requirements.arena, demands.drones[..., 0]
+    return arena is None or bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
+
+
+def judged(path: ShapePath, search: Search) -> Flight | None:
+    """Return the flight along a path if it satisfies every limit all of the time."""
+    try:
+        flight = search.judge(path)
+    except (InfeasibleError, TimingError, WarpError):
+        return None
+    return flight if flight and _tensions_within(flight, search.tension) else None
+
+
+def estimate(path: KnotPath, requirements: Requirements) -> float:
+    """Return an estimate of how long a flight along a path takes [s], clear or not."""
+    return flight_estimate(path.path, requirements.limits)
+
+
+def _distances_hold(path: ShapePath, requirements: Requirements, shapes: Shapes) -> bool:
+    """Return whether legs are long enough and distances hold at shapes of a path."""
+    if np.min(shapes.legs[1:-1]) < requirements.limits.leg:
+        return False
+    return reference_margin(leg_task_of(path, requirements, shapes, CLEAR)) >= CLEAR
+
+
+def _tensions_within(flight: Flight, tension: tuple[float, float] | None) -> bool:
+    """Return whether tensions stay within their range, by the hulls of their polynomials."""
+    if tension is None:
+        return True
+    hulls = flight.tensions.coefficients
+    for _ in range(HALVINGS):
+        hulls = np.concatenate(bernstein.halve(hulls))
+    slack = 1e-9 * tension[1]
+    return bool(np.min(hulls) >= tension[0] - slack and np.max(hulls) <= tension[1] + slack)

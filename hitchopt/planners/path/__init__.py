@@ -1,1 +1,0 @@
-"""Paths of a hitch in its own parameter, without time."""

@@ -1,0 +1,254 @@
+"""Time-optimal speed along a path under limits on vector norms, by toppra's reachability analysis.
+
+The passes are toppra's (Pham and Pham, "A new approach to time-optimal path parameterization based
+on reachability analysis", IEEE T-RO 34, 2018), and so is the solver of the small linear programs;
+its classes take three times as long to set these up as to solve them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from scipy.interpolate import PPoly
+from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
+
+from hitchopt.errors import HitchoptError
+from hitchopt.geometry.vectors import length
+from hitchopt.planners.morph.path import Path
+from hitchopt.planners.timing.demands import Demands
+from hitchopt.requirements import Limits
+from hitchopt.values import Array
+
+RAYS = 64
+"""Directions in the half plane of (s̈, ṡ² ≥ 0): chords cut off 0.03 % of a circle."""
+
+TINY = 1e-8
+"""ṡ² by which toppra stays below what it has found, so that rounding leaves programs feasible."""
+
+HUGE = 1e8
+"""Bound of s̈ and ṡ² in toppra's programs."""
+
+RATHER_SLOW = 1e-9
+"""Weight of s̈ beside that of ṡ², which chooses among corners of equal speed."""
+
+
+class TimingError(HitchoptError):
+    """The path cannot be timed: toppra found no profile from rest to rest."""
+
+
+def path_grid(steps: int) -> Array:
+    """Return (steps + 1,) from 0 to 1, closer at the ends, where the path is left from rest."""
+    return 0.5 - 0.5 * np.cos(np.pi * np.arange(steps + 1) / steps)
+
+
+@dataclass(frozen=True, eq=False)
+class SpeedProfile:
+    """The fastest motion along a path without a jerk limit.
+
+    Attributes
+    ----------
+    s: (J,), the grid from 0 to 1.
+    speed: (J,) [1/s], ṡ there; s̈ is constant in between.
+    """
+
+    s: Array
+    speed: Array
+
+    @property
+    def times(self) -> Array:
+        """(J,) [s]: when s is reached."""
+        steps = 2.0 * np.diff(self.s) / (self.speed[1:] + self.speed[:-1])
+        return np.append(0.0, np.cumsum(steps))
+
+    @property
+    def duration(self) -> float:
+        """Duration from rest to rest [s]."""
+        return float(self.times[-1])
+
+    @cached_property
+    def progress(self) -> PPoly:
+        """Function of time [s]: s, a quadratic on each step."""
+        steps = np.diff(self.times)
+        quadratics = np.stack([0.5 * np.diff(self.speed) / steps, self.speed[:-1], self.s[:-1]])
+        return PPoly(quadratics, self.times)
+
+    def acceleration(self, t: Array) -> Array:
+        """Return s̈ at t (…) [s], zero before and after [1/s²]."""
+        inside = (t >= 0.0) & (t <= self.duration)
+        return np.where(inside, self.progress(np.clip(t, 0.0, self.duration), 2), 0.0)
+
+    def mean(self, t: Array, width: float) -> Array:
+        """Return the mean of s over the ``width`` [s] before t (…); at rest before and after."""
+        integral, end = self.progress.antiderivative(), self.duration
+        until, before = (
+            integral(np.clip(x, 0.0, end)) + np.maximum(x - end, 0.0) for x in (t, t - width)
+        )
+        mean: Array = (until - before) / width
+        return mean
+
+
+def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
+    """Return the time-optimal profile from rest to rest on the grid s (J,), from 0 to 1.
+
+    Raises
+    ------
+    TimingError: none exists, as where rest itself breaks a limit on the path.
+    """
+    allowed = allowed_corners(demands)
+    # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in
+    # which both s̈ and ṡ² are of order 1, be they bound by acceleration or by speed.
+    length = float(np.clip(np.median(allowed.steepest / allowed.fastest), 1e-2, 1e9))
+    unit = float(np.median(allowed.fastest)) * length
+    squares = _fastest_squares(_step_programs(allowed, s, length, unit))
+    if not np.all(squares[1:-1] > 0.0):
+        raise TimingError("toppra found no speed profile from rest to rest on this path")
+    return SpeedProfile(s, np.sqrt(squares) * np.sqrt(unit / length))
+
+
+def _step_programs(allowed: AllowedCorners, s: Array, length: float, unit: float) -> Array:
+    """Return (J, 3, 2m + 2): rows ``a s̈ + b ṡ² + c ≤ 0`` of the steps between points s (J + 1,).
+
+    The first two keep ṡ² at the next point within bounds, the others are the half planes at both
+    ends of the step.
+
+    Parameters
+    ----------
+    allowed: at the points.
+    length, unit: of the path, and of ṡ² times length.
+    """
+    normals, bounds = allowed.half_planes
+    normals = normals * [1.0, 1.0 / length]
+    size = np.linalg.norm(normals, axis=-1)
+    normals, bounds = normals / size[..., None], bounds / unit / size
+    twice, m = 2.0 * np.diff(s * length)[:, None], normals.shape[1]
+    programs = np.zeros((len(twice), 3, 2 * m + 2))
+    programs[:, :2, 0] = np.append(twice, np.ones_like(twice), axis=1)
+    programs[:, :2, 1] = -programs[:, :2, 0]
+    here, there = programs[..., 2 : m + 2], programs[..., m + 2 :]
+    here[:, 0], here[:, 1], here[:, 2] = normals[:-1, :, 0], normals[:-1, :, 1], -bounds[:-1]
+    there[:, 0] = normals[1:, :, 0] + twice * normals[1:, :, 1]
+    there[:, 1], there[:, 2] = normals[1:, :, 1], -bounds[1:]
+    return programs
+
+
+def _fastest_squares(programs: Array) -> Array:
+    """Return (J + 1,): the largest ṡ² from rest to rest, nan where there is none.
+
+    From the last point to the first, the largest ones from which rest can be reached; then as fast
+    as these allow.
+
+    Parameters
+    ----------
+    programs: (J, 3, 2m + 2), of the steps; the next point's bounds are written into them.
+    """
+    steps = len(programs)
+    lowest, highest = np.array([-HUGE, 0.0]), np.array([HUGE, HUGE])
+    aim, active = np.array([-RATHER_SLOW, 1.0, 0.0]), np.arange(2)
+    most = [0.0] * (steps + 1)
+    for i in reversed(range(steps)):
+        a, b, c = programs[i]
+        c[0] = -most[i + 1]
+        solved, _, best, binding = solve_lp2d(aim, a, b, c, lowest, highest, active)
+        if not solved:
+            return np.full(steps + 1, np.nan)
+        most[i], active = float(best[1]), np.array(binding, dtype=active.dtype)
+    a, b, c = programs[:, 0], programs[:, 1], programs[:, 2]
+    above = np.where(a > 0.0, a, 1.0)
+    limits, slopes = np.where(a > 0.0, -c / above, np.inf), np.where(a > 0.0, b / above, 0.0)
+    twice, squares = a[:, 0].tolist(), [0.0] * (steps + 1)
+    for i, (limit, slope) in enumerate(zip(limits, slopes, strict=True)):
+        after = squares[i] + twice[i] * float((limit - slope * squares[i]).min())
+        squares[i + 1] = min(most[i + 1], max(after - TINY, 0.9999 * after, 0.0))
+    return np.array(squares)
+
+
+def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
+    """Return how long the acceleration takes from one limit to the other [s].
+
+    Where the jerk never lets it reach its limits: as long as the largest speed that is reached
+    takes, or the longest path of a drone.
+    """
+    rates = length(demands.drones[..., 1])
+    speed = float(np.max(rates * profile.speed[:, None]))
+    steps = np.diff(profile.s)[:, None]
+    longest = float(np.max(np.sum(0.5 * (rates[1:] + rates[:-1]) * steps, axis=0)))
+    limits = demands.limits
+    return min(
+        2.0 * limits.acceleration / limits.jerk,
+        2.0 * math.sqrt(speed / limits.jerk),
+        math.pow(32.0 * longest / limits.jerk, 1.0 / 3.0),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class AllowedCorners:
+    """Polygons of (s̈, ṡ²) that all drones allow together, of fixed size in n.
+
+    Attributes
+    ----------
+    points: (J, RAYS + 1, 2), corners from the largest s̈ at ṡ = 0 to the smallest.
+    steepest, fastest: (J,) [1/s²], sizes of s̈ and ṡ².
+    """
+
+    points: Array
+    steepest: Array
+    fastest: Array
+
+    @property
+    def half_planes(self) -> tuple[Array, Array]:
+        """Normals (J, m, 2) and bounds (J, m): ``normals @ (s̈, ṡ²) ≤ bounds``."""
+        along = np.diff(self.points, axis=1)
+        normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)  # rays run counter-clockwise
+        size = np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
+        return normals, np.sum(normals * self.points[:, :-1], axis=-1)
+
+
+def allowed_corners(demands: Demands) -> AllowedCorners:
+    """Return an inner approximation of what all drones' limits allow.
+
+    Vector norms are no boxes: rays from rest find the boundary of the convex set that all drones
+    allow together, and the polygon through their ends lies inside of it.
+    """
+    fastest = demands.speed_bound
+    steepest = np.min(
+        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12), axis=1
+    )
+    angles = np.pi * np.arange(RAYS + 1) / RAYS
+    u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
+    x[:, [0, -1]] = 0.0
+    ends = demands.reach(u, x)
+    moving = np.where(x > 0.0, x, 1.0)
+    ends = np.minimum(ends, np.where(x > 0.0, fastest[:, None] / moving, np.inf))
+    return AllowedCorners(np.stack([ends * u, ends * x], axis=-1), steepest, fastest)
+
+
+GRID = 80
+"""Number of steps of the grid along the path: coarser ones mistake which of two paths is faster."""
+
+RAMP_SHARE = 0.5
+"""Share of the acceleration's ramp by which a limit of jerk makes flights longer at least: that of
+a change from rest to full speed."""
+
+
+@lru_cache(maxsize=2)
+def grid_demands(path: Path, limits: Limits) -> Demands:
+    """Return the demands of a path on the grid of estimates; those of the last paths are stored."""
+    return Demands.along(path, limits, path_grid(GRID))
+
+
+@lru_cache(maxsize=16)
+def flight_estimate(path: Path, limits: Limits) -> float:
+    """Return an estimate of the duration [s] of a flight along a path; infinite if there is none.
+
+    Flights are mostly longer, by up to a tenth of the ramp.
+    """
+    demands = grid_demands(path, limits)
+    try:
+        profile = fastest_profile(path_grid(GRID), demands)
+    except TimingError:
+        return math.inf
+    return profile.duration + RAMP_SHARE * acceleration_ramp(profile, demands)

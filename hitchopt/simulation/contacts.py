@@ -1,0 +1,213 @@
+"""Contacts: at the clasps, of drones, of objects; and the loads that hang where cables touch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch import Team
+from hitchopt.hitch.forces import contact_forces
+from hitchopt.simulation.task import Cargo, Task
+from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, World
+from hitchopt.values import Array
+
+BEARING_SHARE = 0.3
+"""Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
+and by the drones' deviations, and Gauss's integral counts some of them as linked, since the lines
+that close them cross there too."""
+
+SMOOTHING = 0.05
+"""Time constant with which a load passes from nodes to others as contacts come and go [s]."""
+
+LEAST_FORCE = 1e-9
+"""Normal force below which cables do not touch [N]."""
+
+OWN = 2.0
+"""Part of its own cable that a drone cannot touch, next to the drone, over the drone's radius."""
+
+LANDED = 0.2
+"""Height above the ground [m] below which a drone may stand beside its own cable."""
+
+GROUND, DRONE, CABLE, OBJECT = range(4)
+"""Kinds of things in contact."""
+
+
+def least_bearing(task: Task) -> Array:
+    """Return (samples, clasps) [N]: the contact force from which on a clasp bears.
+
+    It is a share of the force with which a clasp presses without friction, which is
+    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike. A cable without tension bears nothing.
+    """
+    least = np.zeros((len(task.t), len(task.team.layout.clasps)))
+    pulled = np.all(task.tensions > 0.0, axis=-1)
+    directions = unit(task.team.layout.edges(task.vertices[pulled]))
+    forces = contact_forces(directions, task.tensions[pulled], task.team.topology)
+    least[pulled] = BEARING_SHARE * forces
+    return least
+
+
+class ClaspContacts:
+    """Contact forces between neighbouring cables and their centres, gathered over some steps."""
+
+    def __init__(self, world: World, team: Team) -> None:
+        self._world = world
+        layout = team.layout
+        ranks = np.arange(len(layout.clasps))
+        self._clasp = np.full((team.robots, team.robots), -1)
+        self._clasp[layout.behind, layout.ahead] = ranks
+        self._clasp[layout.ahead, layout.behind] = ranks
+        self._force, self._moment, self._count = np.zeros(len(ranks)), np.zeros((len(ranks), 3)), 0
+
+    def now(self) -> tuple[Index, Index, Array]:
+        """Return contacts (c,) of the last step, their clasps (c,) and normal forces (c,) [N]."""
+        data = self._world.data
+        flexes, rows = data.contact.flex, data.contact.efc_address
+        between = np.flatnonzero(np.all(flexes >= 0, axis=1) & (rows >= 0))
+        clasp = self._clasp[flexes[between, 0], flexes[between, 1]]
+        chosen = between[clasp >= 0]
+        force = np.maximum(data.efc_force[rows[chosen]], 0.0)  # elliptic: the normal comes first
+        return chosen, clasp[clasp >= 0], force
+
+    def gather(self) -> None:
+        """Add the contacts of the last step."""
+        self._count += 1
+        if self._world.data.ncon:
+            chosen, clasp, force = self.now()
+            np.add.at(self._force, clasp, force)
+            moments = force[:, None] * self._world.data.contact.pos[chosen]
+            np.add.at(self._moment, clasp, moments)
+
+    def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
+        """Return vertices and forces since the last call, and start again.
+
+        Parameters
+        ----------
+        least: (clasps,) [N]; cables that press less do not bear on each other.
+
+        Returns
+        -------
+        vertices: (clasps, 3) [m], centres of the contact force; nan where cables do not bear.
+        forces: (clasps,) [N], mean sums of normal forces.
+        """
+        forces = self._force / max(self._count, 1)
+        bears = (forces > 0.0) & (forces >= least)
+        vertices = np.full_like(self._moment, np.nan)
+        vertices[bears] = self._moment[bears] / self._force[bears, None]
+        self._force[:], self._moment[:], self._count = 0.0, 0.0, 0
+        return vertices, forces
+
+
+class HungLoads:
+    """Loads that hang at the clasps: mass of the nodes where both cables of a clasp touch.
+
+    A load hangs on both cables like a ring through two links of a chain. Its mass is that of the
+    nodes that press on each other there, such that its weight and its inertia act; as cables slide
+    through the clasp it passes to the nodes that follow.
+    """
+
+    def __init__(self, world: World, team: Team) -> None:
+        self._world, self._mass, self._contacts = world, team.load, ClaspContacts(world, team)
+        self._cable = np.repeat(np.arange(team.robots), np.diff(world.cable_vertices))
+        self._bodies = world.model.flex_vertbodyid
+        self._empty = world.model.body_mass[self._bodies]
+        self._on_nodes = np.zeros((len(team.load), len(self._bodies)))  # shares of a load
+
+    def apply(self, shares: Array, seconds: float) -> None:
+        """Put the loads on the nodes at their clasps for the next ``seconds``.
+
+        A clasp whose cables do not touch loses its load. ``shares`` (n,) of its half of a load are
+        those that each cable carries already.
+        """
+        data = self._world.data
+        chosen, clasp, force = self._contacts.now()
+        force = np.maximum(force, LEAST_FORCE)
+        force = force / np.bincount(clasp, force, len(self._mass))[clasp]
+        node = self._world.cable_vertices[data.contact.flex[chosen]] + data.contact.elem[chosen]
+        touching = np.zeros_like(self._on_nodes)
+        for end in (0, 1):  # of both elements that touch
+            np.add.at(touching, (clasp[:, None], node + end), 0.25 * force[:, None])
+        kept = np.exp(-seconds / SMOOTHING)
+        self._on_nodes = kept * self._on_nodes + (1.0 - kept) * touching
+        added = self._mass @ self._on_nodes * shares[self._cable]
+        self._world.model.body_mass[self._bodies] = self._empty + added
+
+
+def touching(world: World) -> list[tuple[str, str]]:
+    """Return all pairs in contact by name: ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
+
+    MuJoCo lets them pass through each other, such that a flight can be simulated to its end. Drones
+    are ellipsoids, cables the chains of their nodes. Nodes are closer to each other than half of a
+    drone's radius; a cable between two of them is at most 2 mm closer than they are.
+    """
+    scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
+    drones, names = world.drones * scale, world.drone_names
+    near: Any = cKDTree(world.nodes * scale).query_ball_point(drones, 1.0)  # a list per drone
+    drone = np.repeat(np.arange(len(drones)), [len(entry) for entry in near])
+    node = np.array([i for entry in near for i in entry], dtype=np.intp)
+    cable = np.searchsorted(world.cable_vertices, node, side="right") - 1
+    rank = node - world.cable_vertices[cable]
+    from_end = np.where(drone % 2 == 0, rank, world.ropes.segments[cable] - rank)
+    far = from_end * world.ropes.segment_lengths[cable] > OWN * BODY_RADIUS
+    far &= world.drones[drone, 2] > world.ground + LANDED
+    foreign = (drone // 2 != cable) | far  # on another cable, or far along the own one
+    pairs = np.unique(np.column_stack([drone, cable])[foreign], axis=0)
+    return [
+        *((names[i], names[j]) for i, j in sorted(cKDTree(drones).query_pairs(2.0))),  # ellipsoids
+        *((names[i], f"cable {k}") for i, k in pairs),
+    ]
+
+
+class ObjectContacts:
+    """Contacts of objects: with what may not touch them at the time, and with cables at all."""
+
+    def __init__(self, world: World, cargo: Cargo) -> None:
+        self._world, self._cargo, self._aloft = world, cargo, cargo.aloft
+        model, cables = world.model, np.arange(len(world.ropes.lengths))
+        kind_of = np.full(model.nbody, GROUND)
+        rank_of = np.zeros(model.nbody, dtype=np.intp)
+        kind_of[model.flex_vertbodyid] = CABLE
+        rank_of[model.flex_vertbodyid] = np.repeat(cables, np.diff(world.cable_vertices))
+        for kind, bodies in ((DRONE, world.drone_bodies), (OBJECT, world.object_bodies)):
+            kind_of[bodies], rank_of[bodies] = kind, np.arange(len(bodies))
+        self._kind, self._rank = kind_of[model.geom_bodyid], rank_of[model.geom_bodyid]
+        names = [f"cable {k}" for k in cables]
+        self._names = (["the ground"], world.drone_names, names, cargo.names)
+
+    def wrong(self, index: int) -> list[tuple[str, str]]:
+        """Return what touches objects and should not at a sample of the plan, by name.
+
+        Cables may touch the objects that the plan holds; objects that are aloft touch nothing else;
+        drones touch nothing.
+        """
+        kinds, ranks = self._pairs()
+        if not len(kinds):
+            return []
+        thing, other = ranks[:, 0], ranks[:, 1]
+        held, aloft = self._cargo.held[index], self._aloft[index]
+        above = aloft[thing] | ((kinds[:, 1] == OBJECT) & aloft[np.minimum(other, len(aloft) - 1)])
+        cable = kinds[:, 1] == CABLE
+        chosen = np.where(cable, ~held[thing], (kinds[:, 1] == DRONE) | above)
+        found = np.unique(np.column_stack([kinds[:, 1], other, thing])[chosen], axis=0)
+        return [(self._names[k][j], self._names[OBJECT][i]) for k, j, i in found]
+
+    @property
+    def cables(self) -> NDArray[np.bool_]:
+        """Whether cables touch an object (objects,)."""
+        touched = np.zeros(len(self._cargo.objects), dtype=np.bool_)
+        kinds, ranks = self._pairs()
+        touched[ranks[kinds[:, 1] == CABLE, 0]] = True
+        return touched
+
+    def _pairs(self) -> tuple[Index, Index]:
+        """Return kinds and ranks (contacts, 2) of the objects in contact, and what touches them."""
+        contact = self._world.data.contact
+        geoms = contact.geom[np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)]
+        kinds, ranks = self._kind[geoms], self._rank[geoms]
+        with_objects = np.any(kinds == OBJECT, axis=1)
+        kinds, ranks = kinds[with_objects], ranks[with_objects]
+        order = np.argsort(kinds != OBJECT, axis=1, kind="stable")  # the object first
+        return np.take_along_axis(kinds, order, 1), np.take_along_axis(ranks, order, 1)

@@ -1,1 +1,0 @@
-"""Certified plans to new goals from moving states."""

@@ -1,0 +1,705 @@
+"""Steps of a hitch without an object: moves, morphs, transports, and blended ones."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
+
+import numpy as np
+
+from hitchopt.errors import HitchoptError, InputError, TimeLimitError, UnitWarning
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.steps.step import (
+    PLAN_DURATION,
+    Knob,
+    Situation,
+    Stage,
+    Step,
+    StepEdit,
+    StepPlan,
+    StepTask,
+    check_within,
+    convex_outline,
+    eased,
+    lasting_knobs,
+    outline_edit,
+    points_scaled,
+)
+from hitchopt.steps.step_keys import (
+    LEGS_TEXT,
+    MAX_TURNS,
+    OUTLINE_TEXT,
+    TURNS,
+    YAW_TEXT,
+    Blend,
+    Key,
+    Keys,
+    Legs,
+    LegsAtEnd,
+    OutlinePoints,
+    Point2,
+    Point3,
+    Positive,
+    Seconds,
+    SlackSplit,
+    TimedPath,
+    TwoPoints,
+    WhichPoint,
+    key,
+    numbers,
+    of_shape,
+    point,
+    seconds,
+)
+from hitchopt.values import MAX_COORDINATE, Array, finite, flag, positive, sequence
+from hitchopt.values.units import warn_of_unit
+
+if TYPE_CHECKING:
+    from hitchopt.motion.motion import Motion
+    from hitchopt.planners.morph.actions import Action, Flying
+    from hitchopt.planners.timing.flight import Flight
+    from hitchopt.requirements import Requirements
+    from hitchopt.steps.certified_motions import Certified
+    from hitchopt.steps.route_choice import End, Route
+
+IDLE = 0.01
+"""Duration [s] of a step that moves nothing and was given none."""
+
+
+class HitchStep(Step):
+    """A step that begins and ends with a hitch."""
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan of the step, its legs leaning against friction."""
+        from hitchopt.steps.route_choice import against_friction
+
+        return against_friction(self.fly(task), timed=self.given_duration is not None)
+
+    @abstractmethod
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan as if cables had no friction."""
+
+    def check_end(self, end: Hitch, task: StepTask) -> None:
+        """Raise InfeasibleError where the hitch after the step breaks a limit at rest."""
+        from hitchopt.steps.certified_motions import check_at_rest
+
+        check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
+
+    def motion(self, task: StepTask, flight: Flight | None, end: Hitch, remark: str = "") -> Motion:
+        """Return the motion of a flight, or of a rest where nothing moves."""
+        from hitchopt.motion.motion import Phase
+        from hitchopt.steps.certified_motions import flying, resting
+
+        duration = 0.0 if flight is None else flight.duration
+        phase = Phase(self.name, task.index, 0.0, duration, remark)
+        if flight is None:
+            return resting(end, task.requirements, self.given_duration or IDLE, phase)
+        return flying(flight, end.team, task.requirements, [phase])
+
+
+class ShapeStep(HitchStep):
+    """A step that changes the shape by untimed vertices and legs."""
+
+    blendable: ClassVar[bool] = True
+    legs: SlackSplit | None
+
+    @abstractmethod
+    def end(self, task: StepTask) -> End:
+        """Return the hitch after the step."""
+
+    @abstractmethod
+    def own_route(self, task: StepTask, end: End) -> Route[Any]:
+        """Return the step's own route, straight and by its own law of the legs."""
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the step's own plan, or an optimised one where that is needed or asked for."""
+        from hitchopt.steps.certified_motions import seems_to_rest
+
+        end = self.end(task)
+        seems = seems_to_rest(end.hitch, task.requirements)
+        if not seems:
+            self.check_end(end.hitch, task)
+        try:
+            found, words = self._route(task, end)
+        except TimeLimitError:
+            raise
+        except HitchoptError:
+            if seems:
+                self.check_end(end.hitch, task)
+            raise
+        motion = found.motion
+        if words:
+            (phase,) = motion.phases
+            motion = replace(motion, phases=(replace(phase, remark=f"{phase.remark}: {words}"),))
+        return task.ended(motion, end.hitch, found.certificate)
+
+    def _route(self, task: StepTask, end: End) -> tuple[Certified, str]:
+        """Return the step's own motion or an optimised one, and why the other one is not taken."""
+        from hitchopt.motion.motion import Phase
+        from hitchopt.steps.route_choice import OptimisedRoute, routed
+
+        own = self.own_route(task, end)
+        lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
+        phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
+        ends, duration = (task.hitch, end.hitch), self.given_duration
+        other = OptimisedRoute(*ends, task.requirements, phase, duration, lead)
+        what = "other route" if duration is None else "route that is fast enough either"
+        fastest = task.optimiser and (lead or tension is not None)
+        routes: list[Route[Any] | OptimisedRoute] = [own]
+        routes += [other] if task.optimiser else []
+        return routed(routes, f"the optimiser found no {what}", fastest=fastest)
+
+
+class ActionStep(ShapeStep):
+    """A step that is an action of the paper, which names the drones that move."""
+
+    @abstractmethod
+    def action(self, task: StepTask) -> Action:
+        """Return the action."""
+
+    def end(self, task: StepTask) -> End:
+        """Return the hitch after the action."""
+        from hitchopt.steps.route_choice import end_of_action
+
+        return end_of_action(self.action(task), self.legs, task.requirements)
+
+    def own_route(self, task: StepTask, end: End) -> Route[Flying]:
+        """Return the route of the action to the hitch that it ends with."""
+        from hitchopt.planners.morph.actions import ActionFlight
+        from hitchopt.steps.route_choice import Route
+
+        action = self.action(task)
+
+        def motion_of(found: Flying) -> Motion:
+            remark = self._remark(action, end, found, task.requirements)
+            return self.motion(task, found.flight, end.hitch, remark)
+
+        asked = (action, end.hitch, task.requirements, self.given_duration)
+        return Route(ActionFlight(*asked), motion_of)
+
+    def _remark(self, action: Action, end: End, found: Flying, requirements: Requirements) -> str:
+        """Return which drones move that the paper does not name, and why."""
+        from hitchopt.steps.route_choice import broken_on_the_way
+
+        parts = []
+        if found.turning:
+            reason = "tensions differ, so legs turn with both edges at their vertex"
+            if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
+                reason = "clasps carry weight, so legs rise as it changes"
+            parts.append(f"{_all_of(found.turning, 'turn')} as well: {reason}")
+        if found.sliding:
+            reasons = ["legs are to change"] if self.legs is not None else []
+            reasons += [end.reason] if end.reason else []
+            if found.worst is not None:
+                path = action.path(end.hitch)
+                altitude = action.start.altitude
+                reasons.append(broken_on_the_way(path, found.worst, altitude, requirements))
+            parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
+        return "; ".join(parts)
+
+
+def _all_of(names: tuple[str, ...], verb: str) -> str:
+    """Return such as "r0 slides" or "q1, r0 slide"."""
+    return f"{', '.join(names)} {verb}{'s' if len(names) == 1 else ''}"
+
+
+@dataclass(frozen=True)
+class Hold(HitchStep):
+    """Nothing moves.
+
+    Parameters
+    ----------
+    seconds: how long [s].
+    """
+
+    name: ClassVar[str] = "hold"
+    summary: ClassVar[str] = "Stay"
+    needs_hitch: ClassVar[bool | None] = None
+    stages: ClassVar[tuple[Stage, Stage] | None] = None
+    seconds: Annotated[float, Key(Positive, "How long [s]", (1.0,), check=seconds)]
+
+    @property
+    def given_duration(self) -> float:
+        """How long it takes [s]."""
+        return self.seconds
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan in which a hitch, or drones on free cables, stay."""
+        from hitchopt.steps.certified_motions import hovering
+
+        if task.before.holding is not None and task.before.holding.held is not None:
+            from hitchopt.steps.held_moves import held_plan, resting_move
+
+            return held_plan(self, task, task.holding, [resting_move(task, self.seconds)])
+        if task.before.hitch is not None:
+            return super().plan(task)
+        return StepPlan(hovering(task, self.seconds), task.before)
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan in which a hitch stays."""
+        return task.ended(self.motion(task, None, task.hitch), task.hitch)
+
+    def knobs(self) -> Iterator[Knob]:
+        """Yield the seconds."""
+        yield from lasting_knobs("seconds", self.seconds)
+
+
+class TensionKeys(Keys):
+    """A range of tensions."""
+
+    min: Positive = key("Smallest [N]", examples=[0.3])
+    max: Positive = key("Largest [N]", examples=[0.6])
+
+
+def _range(key: str, value: object) -> tuple[float, float]:
+    given = sequence(key, value)
+    if len(given) != 2:
+        raise InputError(key, value, "a smallest and a largest tension [N]", "write (0.3, 0.6)")
+    least, most = positive(f"{key}.min", given[0]), positive(f"{key}.max", given[1])
+    if least > most:
+        raise InputError(f"{key}.max", most, f"at least {key}.min, {least:g} N", "exchange the two")
+    return least, most
+
+
+@dataclass(frozen=True, eq=False)
+class Morph(ShapeStep):
+    """Every vertex goes to its place in a polygon.
+
+    Parameters
+    ----------
+    polygon: the outline at the end, or its points (n, 2) [m] until a Problem knows the topology.
+    legs: at the end, ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for those nearest to the
+        current fractions.
+    duration: exactly that long [s]; None for as fast as the limits allow.
+    blend: go on into the next step without a stop.
+    optimize: look for a faster route even where the straight one satisfies all limits.
+    tension: smallest and largest [N] where tensions may change meanwhile, or None.
+    """
+
+    name: ClassVar[str] = "morph"
+    summary: ClassVar[str] = "Polygon to polygon"
+    polygon: Annotated[
+        Outline, Key(OutlinePoints, OUTLINE_TEXT, ([[0, -0.5], [-0.4, 0.5], [0.4, 0.5]],))
+    ]
+    legs: LegsAtEnd = None
+    duration: Seconds = None
+    blend: Blend = False
+    optimize: Annotated[
+        bool,
+        Key(
+            bool,
+            "Look for a faster route even where the straight one satisfies all limits",
+            check=flag,
+        ),
+    ] = False
+    tension: Annotated[
+        tuple[float, float] | None,
+        Key(TensionKeys, "Within what tensions may change meanwhile", check=_range),
+    ] = None
+
+    @classmethod
+    def from_file(cls, values: dict[str, Any]) -> Self:
+        """Return the step with the values of a problem file."""
+        tension = values["tension"]
+        return cls(**values | {"tension": tension and (tension["min"], tension["max"])})
+
+    def fitting(self, team: Team) -> Self:
+        """Return the step fitting a team, whose tensions lie within the step's own range."""
+        fitted = super().fitting(team)
+        if self.tension is None:
+            return fitted
+        least, most = self.tension
+        smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
+        if not least <= smallest <= largest <= most:
+            bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"
+            remedy = "widen it: a step begins and ends with the team's tensions"
+            raise InputError("tension", {"min": least, "max": most}, bound, remedy)
+        return fitted
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:  # noqa: ARG002
+        """Return the step's polygon."""
+        return fitting_polygon(team, self.polygon)
+
+    def end(self, task: StepTask) -> End:
+        """Return the hitch on the polygon."""
+        from hitchopt.steps.route_choice import end_of_morph
+
+        return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
+
+    def own_route(self, task: StepTask, end: End) -> Route[Flight | None]:
+        """Return the route along straight lines."""
+        from hitchopt.planners.morph.morph import StraightMorph
+        from hitchopt.steps.route_choice import Route
+
+        planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
+        return Route(planner, lambda flight: self.motion(task, flight, end.hitch))
+
+    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:  # noqa: ARG002
+        """Return the edit that scales the polygon about its centroid, which is the centre then."""
+        return outline_edit(self.polygon, factor), self.polygon.centroid
+
+
+class MoveStep(ActionStep):
+    """An action that takes something ``to`` a place or ``by`` an offset."""
+
+    to: Array | None
+    by: Array | None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.to is None) == (self.by is None):
+            value = None if self.to is None else self.to.tolist()
+            bound = "given where by is not, and only there"
+            raise InputError("to", value, bound, "give either to or by")
+
+    @abstractmethod
+    def moved_points(self, team: Team, count: int) -> list[int]:
+        """Return the indices of the points of an outline of ``count`` that go elsewhere."""
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline with what is moved at its new place."""
+        points = outline.vertices.copy()
+        moved = self.moved_points(team, len(points))
+        points[moved] = points[moved] + np.asarray(self.by) if self.to is None else self.to
+        return convex_outline(team, points, *self.moved_key)
+
+    @property
+    def moved_key(self) -> tuple[str, Array | None]:
+        """The key that tells where to, and its value."""
+        return ("by", self.by) if self.to is None else ("to", self.to)
+
+    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit | None, Array]:
+        """Return the edit that scales the place about ``centre``, or the offset."""
+        key, value = self.moved_key
+        about = np.zeros(2) if key == "by" else centre
+        points = points_scaled(np.asarray(value), factor, about)
+        return StepEdit(key, points.tolist(), {key: points}), centre
+
+
+_PLACE = of_shape((2,), "a point [x, y]")
+_TWO_PLACES = of_shape((2, 2), "two points [[x, y], [x, y]]")
+_OFFSET = of_shape((2,), "an offset [dx, dy]")
+
+By = Annotated[Array | None, Key(Point2, "By how much, [dx, dy] [m]", check=_OFFSET)]
+
+
+@dataclass(frozen=True, eq=False)
+class MoveVertex(MoveStep):
+    """One vertex goes elsewhere.
+
+    Only the four drones move that the paper names; where a limit binds, further drones slide along
+    their cables as well.
+
+    Parameters
+    ----------
+    vertex: which, from 0.
+    to, by: its new place, or by how much it goes (2,) [m]; exactly one of them.
+    legs, duration, blend: as of Morph; without legs those of the paper are left as they are.
+    """
+
+    name: ClassVar[str] = "move_vertex"
+    summary: ClassVar[str] = "Move one vertex"
+    vertex: WhichPoint
+    to: Annotated[Array | None, Key(Point2, "Where to, [x, y] [m]", check=_PLACE)] = None
+    by: By = None
+    legs: LegsAtEnd = None
+    duration: Seconds = None
+    blend: Blend = False
+
+    def moved_points(self, team: Team, count: int) -> list[int]:  # noqa: ARG002
+        """Return the vertex."""
+        check_within("vertex", self.vertex, count)
+        return [self.vertex]
+
+    def action(self, task: StepTask) -> Action:
+        """Return the action."""
+        from hitchopt.planners.morph.actions import move_vertex
+
+        start = task.hitch
+        return move_vertex(start, self.polygon_after(start.team, start.polygon), self.vertex)
+
+
+@dataclass(frozen=True, eq=False)
+class MoveEdge(MoveStep):
+    """Both ends of one edge go elsewhere.
+
+    Four drones move, or six where edges turn.
+
+    Parameters
+    ----------
+    edge: which, from 0; edge k runs from vertex k to vertex k + 1.
+    to, by: the new places of its ends (2, 2), or by how much both go (2,) [m]; exactly one of them.
+    legs, duration, blend: as of MoveVertex.
+    """
+
+    name: ClassVar[str] = "move_edge"
+    summary: ClassVar[str] = "Move one edge"
+    edge: WhichPoint
+    to: Annotated[
+        Array | None,
+        Key(
+            TwoPoints,
+            "Where its ends go, [[x, y], [x, y]] [m], its first vertex first",
+            check=_TWO_PLACES,
+        ),
+    ] = None
+    by: By = None
+    legs: LegsAtEnd = None
+    duration: Seconds = None
+    blend: Blend = False
+
+    def moved_points(self, team: Team, count: int) -> list[int]:
+        """Return the edge's ends."""
+        check_within("edge", self.edge, team.robots)
+        return [self.edge, (self.edge + 1) % count]
+
+    def action(self, task: StepTask) -> Action:
+        """Return the action."""
+        from hitchopt.planners.morph.actions import move_edge
+
+        start = task.hitch
+        return move_edge(start, self.polygon_after(start.team, start.polygon), self.edge)
+
+
+def _legs_given(key: str, value: Any) -> Any:
+    if value is None:
+        raise InputError(key, None, "balanced, spread or a list of d_k", "write balanced")
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Adjust(ActionStep):
+    """Cables slide through their clasps; the outline stays.
+
+    Parameters
+    ----------
+    legs: at the end.
+    duration, blend: as of Morph.
+    """
+
+    name: ClassVar[str] = "adjust"
+    summary: ClassVar[str] = "Change the legs"
+    legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_legs_given)] = "balanced"
+    duration: Seconds = None
+    blend: Blend = False
+
+    def action(self, task: StepTask) -> Action:
+        """Return the action."""
+        from hitchopt.planners.morph.actions import adjust
+        from hitchopt.steps.route_choice import split_hitch
+
+        start = task.hitch
+        altitude, requirements = start.altitude, task.requirements
+        wanted = split_hitch(start.team, start.polygon, altitude, self.legs, requirements)
+        return adjust(start, wanted.q_legs)
+
+
+MIN_GAP = 1e-3
+"""Shortest time between two points [s]: less is a typing error, as no drone could follow."""
+
+
+def _timed_path(key: str, value: object) -> Array:
+    path = numbers(key, value, (None, 3), "points [t, x, y]")
+    gaps = np.diff(path[:, 0], prepend=0.0)
+    if path[0, 0] == 0.0:
+        gaps = gaps[1:]
+    if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
+        increase = f"increase from 0 or later, by {MIN_GAP:g} s or more, and end after it"
+        bound, remedy = f"a path whose times {increase}", "sort its points by time"
+        raise InputError(key, path.tolist(), bound, remedy)
+    return path
+
+
+@dataclass(frozen=True, eq=False)
+class FollowVertex(ActionStep):
+    """One vertex follows timed points.
+
+    It meets them at their times, at rest before and after.
+
+    Parameters
+    ----------
+    vertex: which, from 0.
+    path: (J, 3), rows ``t, x, y`` [s, m, m], t from the step's start and increasing. Where a
+        point follows an equal one, the vertex stands still in between.
+    legs: at the end; without them as of MoveVertex.
+    """
+
+    name: ClassVar[str] = "follow_vertex"
+    summary: ClassVar[str] = "Lead one vertex along timed points"
+    blendable: ClassVar[bool] = False
+    vertex: WhichPoint
+    path: Annotated[
+        Array,
+        Key(
+            TimedPath,
+            "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
+            "equal points that follow each other the vertex stands still",
+            ([[1.0, 0.0, -0.9]],),
+            check=_timed_path,
+        ),
+    ]
+    legs: LegsAtEnd = None
+
+    @property
+    def duration(self) -> float:
+        """Time at which the last point is met [s]."""
+        return float(self.path[-1, 0])
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline with the vertex at the last point."""
+        points = outline.vertices.copy()
+        check_within("vertex", self.vertex, len(points))
+        points[self.vertex] = self.path[-1, 1:]
+        return convex_outline(team, points, "path", self.path)
+
+    def action(self, task: StepTask) -> Action:
+        """Return the action."""
+        from hitchopt.planners.morph.actions import follow_vertex
+
+        start = task.hitch
+        polygon = self.polygon_after(start.team, start.polygon)
+        return follow_vertex(start, polygon, self.vertex, self.path)
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan along the points; there is no other route."""
+        end = self.end(task)
+        self.check_end(end.hitch, task)
+        return task.ended(self.own_route(task, end).motion(), end.hitch)
+
+    def advice(self, check: str) -> str:
+        """Return that more time helps, where it does."""
+        from hitchopt.checks.registry import RULE_OF
+
+        return "give the points more time" if RULE_OF[check].derivative else ""
+
+    def knobs(self) -> Iterator[Knob]:
+        """Yield the points' times."""
+
+        def put(factor: float) -> StepEdit:
+            return self._rewritten(points_scaled(times, factor, np.zeros(1)), points)
+
+        times, points = self.path[:, 0], self.path[:, 1:]
+        longer = Knob(
+            "path", 1.0, "times", put, 1, eased("time") | eased("tension"), "times of its points"
+        )
+        yield longer
+        yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))
+
+    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:
+        """Return the edit that scales the points about the centre."""
+        points = points_scaled(self.path[:, 1:], factor, centre)
+        return self._rewritten(self.path[:, 0], points), centre
+
+    def _rewritten(self, times: Array, points: Array) -> StepEdit:
+        path = np.column_stack([times, points])
+        return StepEdit("path", path.tolist(), {"path": path})
+
+
+def _turned(key: str, value: object) -> float:
+    """Return a turn [rad], or raise InputError for too many; warn of whole numbers."""
+    yaw = finite(key, value)
+    meant = f"if degrees were meant, {math.radians(yaw):.3g}"
+    if abs(yaw) > MAX_TURNS * 2.0 * math.pi:
+        bound = f"at most {MAX_TURNS} turns either way"
+        raise InputError(key, yaw, bound, f"turn in several steps; {meant}")
+    if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rarely of radians
+        warn_of_unit(UnitWarning(key, f"{yaw:g} rad, more than a turn; {meant}"))
+    return yaw
+
+
+@dataclass(frozen=True, eq=False)
+class Transport(HitchStep):
+    """The whole hitch goes elsewhere and turns; its shape and legs stay.
+
+    Parameters
+    ----------
+    to: (3,) [m], where the centroid of the outline goes.
+    yaw: by how much it turns about that, counter-clockwise [rad]; more than a turn is one.
+    duration: as of Morph.
+    """
+
+    name: ClassVar[str] = "transport"
+    summary: ClassVar[str] = "Carry the whole hitch"
+    to: Annotated[
+        Array,
+        Key(Point3, "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],), check=point),
+    ]
+    yaw: Annotated[float, Key(TURNS, YAW_TEXT, name="yaw_deg", check=_turned)] = 0.0
+    duration: Seconds = None
+
+    def polygon_after(self, team: Team, outline: Outline) -> Outline:
+        """Return the outline turned about its centroid, which goes to its new place."""
+        if abs(self.to[2]) > MAX_COORDINATE:
+            bound = f"within ±{MAX_COORDINATE:g} m"
+            raise InputError("to", self.to.tolist(), bound, "check its coordinates")
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
+        return convex_outline(team, turned + self.to[:2], "to", self.to)
+
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan of a rigid motion."""
+        from hitchopt.planners.morph.morph import check_loads
+        from hitchopt.planners.morph.path import RigidPath
+        from hitchopt.planners.timing.flight import fly
+
+        start, limits = task.hitch, task.requirements.limits
+        path = RigidPath(start, self.to, self.yaw)
+        outline = self.polygon_after(start.team, start.polygon)
+        end = Hitch(start.team, outline, float(self.to[2]), start.q_legs, start.roll)
+        self.check_end(end, task)
+        flight = None
+        if not path.still:
+            check_loads(path, limits)
+            flight = fly(path, limits, self.duration)
+        return task.ended(self.motion(task, flight, end), end)
+
+    def scaled(self, factor: float, centre: Array) -> tuple[None, Array]:  # noqa: ARG002
+        """Return no edit, and the place that the hitch is carried to."""
+        return None, self.to[:2]
+
+
+def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
+    """Return the plan of steps without a stop in between; ``task`` is that of the first.
+
+    One path through all hitches that they would have ended with, timed as a whole; each phase ends
+    when its step's hitch is passed.
+
+    Raises
+    ------
+    InputError: a step that moves nothing.
+    InfeasibleError, HitchoptError: as ``Step.plan``.
+    """
+    from hitchopt.motion.motion import Phase
+    from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
+    from hitchopt.steps.certified_motions import flying
+    from hitchopt.steps.route_choice import against_friction
+
+    requirements, hitches = task.requirements, [task.hitch]
+    for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):
+        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
+        end = step.end(here).hitch
+        step.check_end(end, here)
+        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
+            raise InputError(
+                f"mission[{i}].{step.name}",
+                "no motion",
+                "a step that moves something where steps are blended",
+                "leave it out, or leave out blend",
+            )
+        hitches.append(end)
+    planner = BlendedMorph(hitches, requirements)
+    whole, flight = planner.problem, planner.solve()
+    passed = passing_times(whole.path, whole.s[1:-1], flight)
+    times = [0.0, *passed.tolist(), flight.duration]
+    remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
+    phases = [
+        Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
+        for j, step in enumerate(steps)
+    ]
+    plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
+    return against_friction(plan, timed=False)

@@ -1,0 +1,326 @@
+"""Keys of a problem file: their types, and how a step's fields say what they are there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from functools import cache
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
+from pydantic_core import PydanticCustomError
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Team
+from hitchopt.hitch.hitch import checked_roll
+from hitchopt.hitch.team import MAX_ROBOTS
+from hitchopt.values import (
+    Array,
+    as_array,
+    choice,
+    coordinate,
+    finite,
+    flag,
+    not_negative,
+    per_robot,
+    positive,
+)
+from hitchopt.values.units import DURATION, HEIGHT, check_unit
+
+MIN_QUANTITY = 1e-9
+"""Smallest quantity, in SI units: smaller ones are typing errors and would only underflow."""
+
+MAX_QUANTITY = 1e9
+"""Largest quantity, in SI units: larger ones are typing errors and would only overflow."""
+
+FAULT = "hitchopt"
+"""Type of the errors that carry their own ``bound`` and ``remedy``."""
+
+ONE, EACH, WORD, MAPPING = "<one>", "<each>", "<word>", "<mapping>"
+"""Tags of the forms of a value: once for all robots, one per robot, as a word, as a mapping."""
+
+
+def one_or_each(value: object) -> str:
+    """Return the tag of a value that is given once, or as a list of one per robot."""
+    return EACH if isinstance(value, list) else ONE
+
+
+def word_one_or_each(value: object) -> str:
+    """Return the tag of a value that is a word, given once, or a list."""
+    return WORD if isinstance(value, str) else one_or_each(value)
+
+
+def legs_form(value: object) -> str:
+    """Return the tag of legs that are a word, a list, or a mapping."""
+    return MAPPING if isinstance(value, dict | Keys) else one_or_each(value)
+
+
+def fault(bound: str, remedy: str) -> PydanticCustomError:
+    """Return an error that carries its own words."""
+    return PydanticCustomError(FAULT, "{bound}; {remedy}", {"bound": bound, "remedy": remedy})
+
+
+Number = Annotated[float, Field(ge=-MAX_QUANTITY, le=MAX_QUANTITY)]
+Positive = Annotated[float, Field(ge=MIN_QUANTITY, le=MAX_QUANTITY)]
+NotNegative = Annotated[float, Field(ge=0.0, le=MAX_QUANTITY)]
+Roll = Annotated[float, Field(gt=-90.0, lt=90.0)]
+Index = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
+Point2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
+TimedPoint = Annotated[list[Number], Field(min_length=3, max_length=3)]
+OutlinePoints = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
+TwoPoints = Annotated[list[Point2], Field(min_length=2, max_length=2)]
+TimedPath = Annotated[list[TimedPoint], Field(min_length=1)]
+T = TypeVar("T")
+M = TypeVar("M")
+OneOrEach = Annotated[Annotated[T, Tag(ONE)] | Annotated[M, Tag(EACH)], Discriminator(one_or_each)]
+RobotsList = Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS)]
+ClaspsList = Annotated[list[T], Field(min_length=1, max_length=MAX_ROBOTS)]
+PerRobot = OneOrEach[T, RobotsList[T]]
+PerClasp = OneOrEach[NotNegative, ClaspsList[NotNegative]]
+Sharing = OneOrEach[Literal["balanced", "spread"], RobotsList[NotNegative]]
+
+
+class Keys(BaseModel):
+    """A mapping of known keys; models are built when they are first used."""
+
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
+    )
+
+
+def key(text: str, default: Any = ..., **options: Any) -> Any:
+    """Return the field of a key that the text describes; it is required without a default."""
+    given = options if "default_factory" in options else {"default": default, **options}
+    return Field(description=text, **given)
+
+
+OUTLINE_TEXT = (
+    "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
+    "of the convex arc of an open chain"
+)
+SHARING_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
+LEGS_TEXT = f"{SHARING_TEXT}; or that as sharing, with a roll_deg"
+DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
+
+TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
+"""Points [m] of an example."""
+
+
+class RolledLegsKeys(Keys):
+    """Legs that are rolled out of their plane."""
+
+    sharing: Sharing = key(SHARING_TEXT, "spread")
+    roll_deg: Annotated[
+        Annotated[Literal["auto"], Tag(WORD)]
+        | Annotated[Roll, Tag(ONE)]
+        | Annotated[ClaspsList[Roll], Tag(EACH)],
+        Discriminator(word_one_or_each),
+    ] = key(
+        "Roll of the legs about their clasps [°], q up and r down, one for all or one "
+        "per clasp; auto: none unless legs without it break a limit",
+        "auto",
+    )
+
+
+Legs = Annotated[
+    Annotated[Literal["balanced", "spread"], Tag(ONE)]
+    | Annotated[RobotsList[NotNegative], Tag(EACH)]
+    | Annotated[RolledLegsKeys, Tag(MAPPING)],
+    Discriminator(legs_form),
+]
+
+ObjectName = Annotated[str, Field(min_length=1, max_length=50, pattern=r"^[A-Za-z0-9_ -]+$")]
+"""What an object may be called."""
+
+
+AUTO = "auto"
+"""Word for a roll that is none unless legs without it break a limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class RolledLegs:
+    """Legs that are rolled out of their plane.
+
+    Attributes
+    ----------
+    sharing: how cables share their slack, as without roll.
+    roll: (clasps,) [rad]; None for none unless legs break a limit without.
+    """
+
+    sharing: Literal["balanced", "spread"] | Array
+    roll: Array | None = None
+
+
+SlackSplit = Literal["balanced", "spread"] | Array | RolledLegs
+"""The slack split of a hitch: ``balanced``, ``spread``, or (n,) [m] the q-legs ``d_k``; or one of
+these with a roll. Spread legs without one are rolled where they break a limit otherwise."""
+
+
+def slack_split(
+    legs: str | Sequence[float] | ArrayLike | Mapping[str, Any] | RolledLegs, team: Team
+) -> SlackSplit:
+    """Return what a user wrote for ``legs``, checked.
+
+    Parameters
+    ----------
+    legs: a mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg].
+
+    Raises
+    ------
+    InputError: another word, or a list that does not have one positive length per robot, none of
+        them zero but the first of a chain.
+    """
+    if isinstance(legs, RolledLegs):
+        roll = None if legs.roll is None else checked_roll(team, legs.roll)
+        return RolledLegs(_sharing(legs.sharing, team), roll)
+    if not isinstance(legs, Mapping):
+        return _sharing(legs, team)
+    unknown = legs.keys() - {"sharing", "roll_deg"}
+    if unknown:
+        key = f"legs.{min(unknown)}"
+        raise InputError(key, legs[min(unknown)], "left out", "use sharing and roll_deg")
+    sharing = _sharing(legs.get("sharing", "spread"), team)
+    given = legs.get("roll_deg", AUTO)
+    if isinstance(given, str):
+        if given != AUTO:
+            raise InputError("legs.roll_deg", given, "auto, an angle, or a list", "write auto")
+        return RolledLegs(sharing)
+    clasps = len(team.layout.clasps)
+    degrees = per_robot("legs.roll_deg", given, clasps, finite, "clasp")
+    worst = float(np.max(np.abs(degrees)))
+    if worst >= 90.0:
+        raise InputError("legs.roll_deg", worst, "within ±90°", "give a smaller angle")
+    return RolledLegs(sharing, checked_roll(team, degrees * (math.pi / 180.0)))
+
+
+def _sharing(
+    legs: str | Sequence[float] | ArrayLike, team: Team
+) -> Literal["balanced", "spread"] | Array:
+    bound = "balanced, spread or a list of d_k"
+    if isinstance(legs, str):
+        if legs == "balanced":
+            return "balanced"
+        if legs == "spread":
+            return "spread"
+        raise InputError("legs", legs, bound, "write legs: spread")
+    if isinstance(legs, int | float):
+        raise InputError("legs", legs, bound, "give one length per robot")
+    q_legs = per_robot("legs", legs, team.robots, not_negative)
+    zero = np.flatnonzero(team.layout.has_leg[:, 0] & (q_legs == 0.0))
+    if len(zero) > 0:
+        positive(f"legs[{zero[0]}]", 0.0)
+    return q_legs
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """A step's field as a problem file has it.
+
+    Attributes
+    ----------
+    kind: its type there; a model of keys for a mapping.
+    text: what it is, with its unit.
+    examples: values that may be written.
+    name: in the file, where it is not that of the field.
+    check: gives the field's value for one that a Python user wrote, of a name; or refuses it.
+    """
+
+    kind: Any
+    text: str
+    examples: tuple[object, ...] = ()
+    name: str = ""
+    check: Callable[[str, Any], Any] | None = None
+
+
+@cache
+def keys_of(kind: type[Any]) -> dict[str, tuple[Key, object]]:
+    """Return the keys of a kind of step with their defaults, MISSING for none, by its fields."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {
+        item.name: (
+            next(each for each in hints[item.name].__metadata__ if isinstance(each, Key)),
+            item.default if item.default_factory is MISSING else item.default_factory,
+        )
+        for item in fields(kind)
+    }
+
+
+def index(key: str, value: object) -> int:
+    """Return an index, or raise InputError for what is none."""
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InputError(key, value, "a whole number from 0 on", "indices start at 0")
+    return int(value)
+
+
+def numbers(key: str, value: object, shape: tuple[int | None, ...], words: str) -> Array:
+    """Return ``value`` as a read-only array of that shape; None stands for one or more.
+
+    Raises
+    ------
+    InputError: another shape, described by ``words``, or numbers that are not finite.
+    """
+    array = as_array(value)
+    fits = array.ndim == len(shape) and all(
+        size == wanted if wanted is not None else size > 0
+        for size, wanted in zip(array.shape, shape, strict=True)
+    )
+    value = value.tolist() if isinstance(value, np.ndarray) else value
+    if not fits:
+        raise InputError(key, value, words, "give plain numbers in SI units")
+    if not np.all(np.isfinite(array)):
+        raise InputError(key, value, "finite", "nan and inf are no quantities")
+    array.setflags(write=False)
+    return array
+
+
+def seconds(key: str, value: object) -> float:
+    """Return a duration [s], or raise InputError."""
+    number = positive(key, value)
+    check_unit(key, number, DURATION)
+    return number
+
+
+def altitude(key: str, value: object) -> float:
+    """Return a height of a hitch [m], or raise InputError."""
+    number = coordinate(key, value)
+    check_unit(key, number, HEIGHT)
+    return number
+
+
+def one_of(words: Any) -> Callable[[str, Any], str]:
+    """Return the check of a value that is one of the words of a Literal."""
+
+    def checked(key: str, value: Any) -> str:
+        choice(key, value, get_args(words))
+        return str(value)
+
+    return checked
+
+
+def of_shape(shape: tuple[int | None, ...], words: str) -> Callable[[str, object], Array]:
+    """Return the check of a value that is an array of that shape; see ``numbers``."""
+    return lambda key, value: numbers(key, value, shape, words)
+
+
+point = of_shape((3,), "a point [x, y, z]")
+
+
+MAX_TURNS = 5
+"""Most turns of one step: a bounded number of polynomials would not follow more closely."""
+
+TURNS = Annotated[float, Field(ge=-360 * MAX_TURNS, le=360 * MAX_TURNS)]
+YAW_TEXT = "By how much it turns, counter-clockwise [°]"
+
+Seconds = Annotated[float | None, Key(Positive, DURATION_TEXT, check=seconds)]
+Blend = Annotated[bool, Key(bool, "Go on into the next step without a stop", check=flag)]
+LegsAtEnd = Annotated[SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end")]
+WhichPoint = Annotated[int, Key(Index, "Which, from 0", (0,), check=index)]
+ObjectOf = Annotated[str, Key(ObjectName, "Name of the object", ("box",))]
+Place = Annotated[
+    Array, Key(Point3, "Where its base goes, [x, y, z] [m]", ([1, 0, 0],), check=point)
+]
+Yaw = Annotated[float, Key(TURNS, YAW_TEXT, name="yaw_deg", check=finite)]

@@ -1,0 +1,283 @@
+"""Forming, releasing and landing: hitches tied of free cables, and untied."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+
+import numpy as np
+from pydantic import Field
+
+from hitchopt.geometry import Outline
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.planners.forming import SwapSettings
+from hitchopt.steps.step import (
+    Knob,
+    Step,
+    StepEdit,
+    StepPlan,
+    StepTask,
+    eased,
+    outline_edit,
+)
+from hitchopt.steps.step_keys import (
+    LEGS_TEXT,
+    OUTLINE_TEXT,
+    TRIANGLE,
+    Key,
+    Keys,
+    Legs,
+    Number,
+    OutlinePoints,
+    Positive,
+    RolledLegs,
+    Seconds,
+    SlackSplit,
+    altitude,
+    key,
+    one_of,
+)
+from hitchopt.values import Array, instance
+
+if TYPE_CHECKING:
+    from hitchopt.motion.motion import Motion
+    from hitchopt.planners.forming.stages import Stage
+    from hitchopt.requirements import Requirements
+
+Assign = Literal["auto", "fixed"]
+"""Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
+
+SENSES = {"up": 1, "down": -1, "auto": 0}
+"""Senses of a swap, as the file has them."""
+
+CABLE_MARGINS = (1.5, 1.25)
+"""Times ``separation.cable`` that drones of a formed hitch keep from cables if they can."""
+
+
+class SwapKeys(Keys):
+    """How pairs of drones turn about each other as they form a hitch."""
+
+    radius: Positive = key("Smallest semi-axis of the ellipses [m]", SwapSettings.radius)
+    tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] | None = key(
+        "Of the axis of turning, upward [°]; without it, chosen", None
+    )
+    seconds: Positive | None = key("Half a turn takes at least this long [s]", None)
+    sense: Literal["up", "down", "auto"] = key(
+        "up: every q goes up first; down; auto: chosen for each vertex", "auto"
+    )
+
+
+def _settings(key: str, value: object) -> object:
+    instance(key, value, SwapSettings)
+    return value
+
+
+@dataclass(frozen=True, eq=False)
+class Form(Step):
+    """Drones with hanging cables form a hitch.
+
+    All cables are pulled by the team's tension then.
+
+    Parameters
+    ----------
+    polygon: the hitch's outline, or its points (n, 2) [m] until a Problem knows the topology.
+    altitude: of its plane [m].
+    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread, with a margin to the cables
+        where drones stand close to them.
+    assign: ``auto``: which robot takes which edge, and which end is its q, is chosen.
+    swap: how the drones turn about each other.
+    duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.
+    """
+
+    name: ClassVar[str] = "form"
+    summary: ClassVar[str] = "Form the hitch"
+    needs_hitch: ClassVar[bool | None] = False
+    polygon: Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]
+    altitude: Annotated[float, Key(Number, "Height of the hitch's plane [m]", check=altitude)] = 1.0
+    legs: Annotated[
+        SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end; spread without it")
+    ] = None
+    assign: Annotated[
+        Assign,
+        Key(
+            Assign,
+            "auto: which robot takes which edge is chosen; fixed: in order",
+            check=one_of(Assign),
+        ),
+    ] = "auto"
+    swap: Annotated[SwapSettings, Key(SwapKeys, str(SwapKeys.__doc__), check=_settings)] = field(
+        default_factory=SwapSettings
+    )
+    duration: Seconds = None
+
+    @classmethod
+    def from_file(cls, values: dict[str, Any]) -> Self:
+        """Return the step with the values of a problem file."""
+        swap = dict(values["swap"])
+        tilt = swap.pop("tilt_deg")
+        sense = SENSES[swap.pop("sense")]
+        settings = SwapSettings(
+            tilt=None if tilt is None else math.radians(tilt), sense=sense, **swap
+        )
+        return cls(**values | {"swap": settings})
+
+    def polygon_after(self, team: Team, outline: None) -> Outline:  # noqa: ARG002
+        """Return the hitch's outline."""
+        return fitting_polygon(team, self.polygon)
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan from drones on free cables to a hitch."""
+        from hitchopt.motion.motion import joined_motions
+        from hitchopt.planners.forming.stages import tied
+        from hitchopt.steps import certified_motions as motions
+
+        i, requirements = task.index, task.requirements
+        wanted = self._wanted(task.before.team, requirements)
+        motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
+        high, pre = motions.tying_site(wanted, self.swap, None, requirements)
+        tying = motions.staged(
+            tied(pre, high, requirements.limits, self.swap), high, i, requirements
+        )
+        if pre.shortfall > 0.0:
+            motions.checked(tying)  # no use to go there if nothing can be tied
+        parts = [_approach(task, pre.drones, high), tying]
+        if high is not wanted:
+            parts.append(motions.lifted(high, wanted.altitude, "lower", task))
+        after = replace(
+            task.before,
+            drones=wanted.drones,
+            hitch=wanted,
+            senses=np.sign(pre.turns.rise),
+            swap=self.swap,
+        )
+        return StepPlan(self.lasting(task, joined_motions(parts)), after)
+
+    def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
+        """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
+
+        Where spreading leaves drones less than the first of CABLE_MARGINS times
+        ``separation.cable`` from a cable, they get the largest of these that satisfies every limit,
+        and are spread beyond that. Drones that stand close lose little of a distance that has
+        downwash in it; the one to cables has nothing to spare for a gust as a hitch is drawn tight.
+        """
+        from hitchopt.steps.certified_motions import certificate_at_rest
+        from hitchopt.steps.route_choice import split_hitch
+
+        legs: SlackSplit = "spread" if self.legs is None else self.legs
+        spread = split_hitch(team, self.polygon, self.altitude, legs, requirements)
+        if self.legs is not None:
+            return spread
+        cable = requirements.separation.cable
+        clearance = certificate_at_rest(spread, requirements)["cable_clearance"].bound
+        for margin in CABLE_MARGINS:
+            if clearance >= margin * cable:
+                break
+            separation = replace(requirements.separation, cable=margin * cable)
+            wider = replace(requirements, separation=separation)
+            same_roll = RolledLegs("spread", spread.roll)
+            hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)
+            if certificate_at_rest(hitch, wider).certified:
+                return hitch
+        return spread
+
+    def knobs(self) -> Iterator[Knob]:
+        """Yield the duration, and the swap's radius where it is larger than it needs to be."""
+        yield from super().knobs()
+        if self.swap.radius > SwapSettings.radius:
+            covers = eased("length") | {"interlacing", "arena", "crossing"}
+            yield Knob("swap.radius", self.swap.radius, "m", self._with_radius, -1, covers)
+
+    def _with_radius(self, radius: float) -> StepEdit:
+        return StepEdit("swap.radius", radius, {"swap": replace(self.swap, radius=radius)})
+
+    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:  # noqa: ARG002
+        """Return the edit that scales the polygon about its centroid, which is the centre then."""
+        return outline_edit(self.polygon, factor), self.polygon.centroid
+
+
+def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
+    """Return the first route to the pre-hitch that the certificate holds for.
+
+    Raises
+    ------
+    InfeasibleError: none; says what binds on the first of them.
+    """
+    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+    from hitchopt.steps.certified_motions import staged
+    from hitchopt.steps.route_choice import Route, routed
+
+    asked = task.before.team, task.before.drones, goal, task.requirements
+
+    def motion_of(stages: list[Stage]) -> Motion:
+        return staged(stages, hitch, task.index, task.requirements)
+
+    routes = [Route(planner(*asked), motion_of) for planner in (DirectApproach, GatheredApproach)]
+    return routed(routes, "no other route to the pre-hitch was found")[0].motion
+
+
+@dataclass(frozen=True)
+class Release(Step):
+    """The hitch is taken apart as it was formed, backwards, until its cables hang free.
+
+    Parameters
+    ----------
+    duration: as of Form.
+    """
+
+    name: ClassVar[str] = "release"
+    summary: ClassVar[str] = "The reverse of form"
+    duration: Seconds = None
+
+    def polygon_after(self, team: Team, outline: Any) -> None:
+        """Return None: there is no hitch."""
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan from a hitch to drones on free cables."""
+        from hitchopt.motion.motion import joined_motions
+        from hitchopt.planners.forming.stages import tied, undone
+        from hitchopt.steps.certified_motions import lifted, staged, tying_site
+
+        before, hitch, requirements = task.before, task.hitch, task.requirements
+        senses = before.senses
+        if senses is None:
+            senses = np.ones(len(before.team.layout.clasps))
+        high, pre = tying_site(hitch, before.swap, senses, requirements)
+        stages = undone(tied(pre, high, requirements.limits, before.swap))
+        parts = [staged(stages, high, task.index, requirements)]
+        if high is not hitch:
+            parts.insert(0, lifted(hitch, high.altitude, "raise", task))
+        after = replace(before, drones=pre.drones, hitch=None, senses=None)
+        return StepPlan(self.lasting(task, joined_motions(parts)), after)
+
+
+@dataclass(frozen=True)
+class Land(Step):
+    """All drones go straight down to the ground.
+
+    Parameters
+    ----------
+    duration: as of Form.
+    """
+
+    name: ClassVar[str] = "land"
+    summary: ClassVar[str] = "Land all drones"
+    needs_hitch: ClassVar[bool | None] = False
+    duration: Seconds = None
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan straight down."""
+        from hitchopt.motion.motion import CableState
+        from hitchopt.planners.forming.stages import Stage
+        from hitchopt.planners.forming.turns import straight
+        from hitchopt.steps.certified_motions import free_motion
+
+        before, requirements = task.before, task.requirements
+        down = before.drones.copy()
+        down[:, 2] = requirements.floor
+        flight = straight(before.team, requirements.limits, before.drones, down)
+        motion = free_motion(Stage("land", flight, CableState.GROUND), task)
+        after = replace(before, drones=down)
+        return StepPlan(self.lasting(task, motion), after)

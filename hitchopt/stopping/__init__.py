@@ -1,1 +1,0 @@
-"""Stops, changes of rate and aborts of a plan in flight."""

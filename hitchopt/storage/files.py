@@ -1,0 +1,255 @@
+"""A set of files in a directory, replaced whole.
+
+Files are written into a hidden directory first, so a writer that fails or is killed leaves the set
+alone. A new directory then gets its name in one step. In one that exists files are replaced one by
+one: the ``seal``, say the certificate, is removed first and comes last, and until it is there the
+set that it sealed before is whole in ``previous``. So files beside a seal are of one set.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import json
+import math
+import os
+import secrets
+import shutil
+import sys
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from hitchopt.errors import FileError
+
+if sys.platform != "win32":
+    import fcntl
+
+PREVIOUS = "previous"  # Name of the subdirectory with the set before
+
+Fate = Literal["leave", "keep", "remove"]
+"""What becomes of the set before: nothing, it stays in PREVIOUS, or only until the new one is
+whole."""
+
+STAGE, SUFFIX = ".hitchopt-", ".tmp"
+"""Beginning and end of the names of hidden directories; beside a new directory, its name first."""
+
+LONGEST = 200  # Characters of a directory's name that its hidden neighbours repeat
+
+Writer = Callable[[Path], None]  # Function that writes one file at the path that it is given
+
+
+def replace_files(
+    directory: Path | str,
+    writers: Mapping[str, Writer],
+    owned: Collection[str],
+    seal: str,
+    previous: Fate = "leave",
+) -> Path:
+    """Let ``directory`` hold the named files and of ``owned`` no others; leave the rest alone.
+
+    Parameters
+    ----------
+    directory: made if it is missing, with its parents; a symbolic link is followed.
+    writers: for each file's name, what writes it, in this order.
+    owned: the names that may be replaced and removed, those of ``writers`` among them.
+    seal: the name among ``owned`` that marks a whole set.
+    previous: whether the last sealed set goes to the subdirectory ``previous``; with "leave", it is
+        overwritten.
+
+    Returns
+    -------
+    The directory, as it was given.
+
+    Raises
+    ------
+    FileError: it is no directory or cannot be written to; nothing in it has changed, or the seal
+        is missing.
+    """
+    given = Path(directory)
+    target = _resolved(given)
+    missing: list[Path] = []
+    try:
+        for name in owned:
+            path = target / name
+            if path.is_dir() and not path.is_symlink():
+                raise FileError(f"{path}: is a directory where a file is to go; move it away")
+        kept = target / PREVIOUS
+        if previous != "leave" and os.path.lexists(kept) and (kept.is_symlink() or kept.is_file()):
+            raise FileError(f"{kept}: is where hitchopt keeps the last plan; move it away")
+        missing = [parent for parent in target.parents if not parent.exists()]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _staged(target, owned) as stage:
+            for name, write in writers.items():
+                write(stage / name)
+                sync(stage / name)
+            sync(stage)
+            with locked(target.parent):
+                _exchange(target, stage, set(writers), set(owned), seal, previous)
+    except OSError as error:
+        culprit = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
+        raise FileError(
+            f"{given}: cannot be written: {error.strerror or error}{culprit}; free space or "
+            "permissions there, or name another directory"
+        ) from error
+    finally:
+        for parent in missing:
+            with contextlib.suppress(OSError):  # not empty: it is in use now
+                parent.rmdir()
+    return given
+
+
+def _resolved(given: Path) -> Path:
+    try:
+        target = Path(os.path.realpath(given))
+        if not target.exists() or target.is_dir():
+            return target
+    except (OSError, ValueError) as error:
+        raise FileError(f"{given}: no path: {error}; name another directory") from error
+    raise FileError(f"{given}: is a file, not a directory; name another one")
+
+
+@contextlib.contextmanager
+def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
+    """Give a new hidden directory to write into; remove it, and those of writers that were killed.
+
+    A writer holds the lock of its own hidden directory, which ends with its process.
+    """
+    beside = target.with_name(f".{target.name[:LONGEST]}{STAGE}")
+    place = target / STAGE if target.exists() else beside
+    stage = place.with_name(f"{place.name}{secrets.token_hex(4)}{SUFFIX}")
+    with contextlib.ExitStack() as held:
+        with locked(target.parent):
+            for begins in {target / STAGE, beside}:
+                if os.access(begins.parent, os.R_OK):
+                    for path in begins.parent.glob(f"{glob.escape(begins.name)}*{SUFFIX}"):
+                        with contextlib.suppress(BlockingIOError), locked(path, wait=False):
+                            _remove(path, owned)
+            stage.mkdir()
+            held.enter_context(locked(stage))
+        try:
+            yield stage
+        finally:
+            _remove(stage, owned)
+
+
+def _exchange(
+    target: Path, stage: Path, written: set[str], owned: set[str], seal: str, previous: Fate
+) -> None:
+    """Put the files of a hidden directory in place of the set."""
+    if stage.parent != target and not target.exists():
+        stage.rename(target)
+        sync(target.parent)
+        return
+    if previous != "leave" and (target / seal).is_file():
+        _keep(target, owned)
+    for name in sorted(owned - written | {seal}, key=lambda name: name != seal):
+        (target / name).unlink(missing_ok=True)
+    sync(target)
+    for name in sorted(written, key=lambda name: name == seal):
+        (stage / name).replace(target / name)
+    sync(target)
+    if previous == "remove":
+        _remove(target / PREVIOUS, owned)
+
+
+def _keep(target: Path, owned: Collection[str]) -> None:
+    """Give the set's files second names in PREVIOUS, in place of the set there."""
+    kept = target / PREVIOUS
+    _remove(kept, owned)
+    kept.mkdir(exist_ok=True)  # others' files may be in it
+    for name in owned:
+        if (target / name).is_file():
+            try:
+                os.link(target / name, kept / name)
+            except OSError:  # a file system without such links
+                shutil.copy2(target / name, kept / name)
+            sync(kept / name)
+    sync(kept)
+
+
+def _remove(directory: Path, owned: Collection[str]) -> None:
+    """Remove our files from a directory, and itself unless others' are in it."""
+    with contextlib.suppress(OSError):
+        for name in owned:
+            (directory / name).unlink(missing_ok=True)
+        directory.rmdir()
+
+
+def sync(path: Path) -> None:
+    """Make what was written to a file or directory outlast a loss of power, where that works."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:  # a directory, on systems that do not open them
+        return
+    try:
+        with contextlib.suppress(OSError):
+            os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
+    """Hold the lock of a directory within the block; other processes and threads wait for it.
+
+    Where there are no such locks, as on Windows, the block is entered at once.
+
+    Raises
+    ------
+    BlockingIOError: it is held elsewhere, and this is not to wait.
+    """
+    try:
+        descriptor = os.open(directory, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
+    except OSError:  # Windows, or a directory that may not be read
+        yield
+        return
+    try:
+        if sys.platform != "win32":
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            except BlockingIOError:
+                raise
+            except OSError:
+                pass  # a file system without locks: better unlocked than not at all
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def write_strict_json(path: Path, content: dict[str, Any]) -> None:
+    """Write the content, indented, in UTF-8.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    path.write_text(strict_json(content) + "\n", encoding="utf-8", newline="\n")
+
+
+def strict_json(content: dict[str, Any]) -> str:
+    """Return the text of the content, indented; every number that is not finite is null."""
+    return json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
+
+
+def parsed_json(text: str | bytes) -> Any:
+    """Return what the text says, every number as a float: one of 400 digits is infinite.
+
+    Raises
+    ------
+    ValueError: it is no JSON, or nested too deeply.
+    """
+    try:
+        return json.loads(text, parse_int=float)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _strict(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

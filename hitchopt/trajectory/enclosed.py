@@ -1,0 +1,363 @@
+"""Arithmetic with functions of time that are known up to a ball: formulas bounded for all t.
+
+An ``Enclosed`` value is, for many spans of time at once, a polynomial in Bernstein form and the
+radius of a ball around it. Sums, products, norms and directions of such values are such values
+again, rounding included, so that a formula written once gives a bound over every span. A point is a
+span of no length: degree 0, whose ball holds rounding alone. So the same formula gives values.
+
+Norms and directions are no polynomials. A low interpolant w of 1/|y| is, and the coefficients of
+``|y|² w² - 1`` bound how wrong it is everywhere, whatever w came from; likewise for |y| itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hitchopt.geometry.vectors import column_lengths
+from hitchopt.trajectory import bernstein
+from hitchopt.values import Array, Indices
+
+EPS = 2.0**-46
+"""Rounding of an operation, relative to the sizes that enter it: 64 units in the last place."""
+
+DIRECTION_ORDER = 4
+"""Degree of w: on the spans that matter |y| varies by per cents, and w then errs by 1e-9."""
+
+NORM_ORDER = 6
+"""Degree of the interpolant of |y|, which enters few products and so may be higher."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """What a quantity does not pass on each of many spans, (spans,).
+
+    It comes closest to that at about x (spans,), in [0, 1] on its span.
+    """
+
+    value: Array
+    x: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Interval:
+    """Numbers between bounds, from below and from above (…)."""
+
+    low: Array
+    high: Array
+
+    def __mul__(self, other: Interval) -> Interval:
+        a, b = np.broadcast_arrays(self.low, self.high), np.broadcast_arrays(other.low, other.high)
+        products = np.stack([x * y for x in a for y in b])
+        return Interval(np.min(products, axis=0), np.max(products, axis=0))
+
+    def __add__(self, other: Interval) -> Interval:
+        return Interval(self.low + other.low, self.high + other.high)
+
+    @property
+    def inverse(self) -> Interval:
+        """The inverses of positive numbers."""
+        return Interval(1.0 / self.high, 1.0 / self.low)
+
+    @property
+    def enclosed(self) -> Enclosed:
+        """A constant (…, 1 component) with a ball around it."""
+        middle = 0.5 * (self.low + self.high)
+        return Enclosed(middle[..., None, None], 0.5 * (self.high - self.low))
+
+
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Vectors on [0, 1] that are known up to a ball.
+
+    Attributes
+    ----------
+    c: (…, components, degree + 1), Bernstein coefficients.
+    r: (…), what bounds the Euclidean norm of the error everywhere; infinite where nothing is known.
+    """
+
+    c: Array
+    r: Array | float = 0.0
+
+    __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class
+
+    @classmethod
+    def of(cls, value: Enclosed | ArrayLike) -> Enclosed:
+        """Return a value as it is, and numbers or vectors (…, components) as exact constants."""
+        if isinstance(value, Enclosed):
+            return value
+        numbers = np.asarray(value, dtype=np.float64)
+        return cls(np.atleast_1d(numbers)[..., None])
+
+    @property
+    def degree(self) -> int:
+        """Degree of the polynomials."""
+        return bernstein.degree(self.c)
+
+    @cached_property
+    def size(self) -> Array:
+        """(…): a bound of the polynomials' norm, the ball left out."""
+        sizes = np.abs(self.c[..., 0, :]) if self.c.shape[-2] == 1 else column_lengths(self.c)
+        # Along the first axis this takes a tenth of the time.
+        most: Array = np.max(np.ascontiguousarray(sizes.T), axis=0).T
+        return most
+
+    def __getitem__(self, component: int) -> Enclosed:
+        """Return one component."""
+        rows = slice(component, component + 1 or None)
+        return Enclosed(self.c[..., rows, :], self.r)
+
+    def taken(self, index: Indices | slice) -> Enclosed:
+        """Return chosen spans, the leading axis of the arrays."""
+        r = np.broadcast_to(self.r, self.c.shape[:-2])
+        return Enclosed(self.c[index], r[index])
+
+    def widened(self, radius: Array | float) -> Enclosed:
+        """Return the same with a larger ball."""
+        return Enclosed(self.c, self.r + radius)
+
+    def __neg__(self) -> Enclosed:
+        return Enclosed(-self.c, self.r)
+
+    def __add__(self, other: Enclosed | ArrayLike) -> Enclosed:
+        other = Enclosed.of(other)
+        order = max(self.degree, other.degree)
+        c = bernstein.elevate(self.c, order) + bernstein.elevate(other.c, order)
+        return Enclosed(c, self.r + other.r + EPS * (self.size + other.size))
+
+    def __sub__(self, other: Enclosed | ArrayLike) -> Enclosed:
+        return self + -Enclosed.of(other)
+
+    def __mul__(self, other: Enclosed | ArrayLike) -> Enclosed:
+        """Return the product with a scalar (one component), or component by component."""
+        other = Enclosed.of(other)
+        return Enclosed(bernstein.multiply(self.c, other.c), _error(self, other))
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __rsub__(self, other: ArrayLike) -> Enclosed:
+        return -self + other
+
+    def dot(self, other: Enclosed | ArrayLike) -> Enclosed:
+        """Return the scalar product."""
+        other = Enclosed.of(other)
+        a, b = np.broadcast_arrays(self.c[..., 0], other.c[..., 0])
+        if a.shape == b.shape == self.c.shape[:-1] == other.c.shape[:-1]:
+            c = bernstein.dot(self.c, other.c)[..., None, :]
+        else:
+            c = np.sum(bernstein.multiply(self.c, other.c), axis=-2, keepdims=True)
+        return Enclosed(c, _error(self, other))
+
+    def cross(self, other: Enclosed) -> Enclosed:
+        """Return the cross product of three components; of two, its upward one."""
+        a, b = self.c, other.c
+        if a.shape[-2] == 2:
+            c = bernstein.multiply(a[..., :1, :], b[..., 1:, :])
+            return Enclosed(
+                c - bernstein.multiply(a[..., 1:, :], b[..., :1, :]), _error(self, other)
+            )
+        ahead, behind = [1, 2, 0], [2, 0, 1]
+        c = bernstein.multiply(a[..., ahead, :], b[..., behind, :])
+        c = c - bernstein.multiply(a[..., behind, :], b[..., ahead, :])
+        return Enclosed(c, _error(self, other))
+
+    def sum(self, axis: int = -1) -> Enclosed:
+        """Return the sum over a leading axis, counted from the last one of these."""
+        r = np.broadcast_to(self.r, self.c.shape[:-2])
+        r = np.sum(r + EPS * self.size, axis=axis)
+        return Enclosed(np.sum(self.c, axis=axis - 2), r)
+
+    def reduced(self, order: int) -> Enclosed:
+        """Return the same in degree ``order`` at most; what that loses goes to the ball."""
+        if self.degree <= order:
+            return self
+        weights = bernstein.basis(bernstein.nodes(order), self.degree)
+        low = bernstein.interpolate(bernstein.combined(self.c, weights))
+        lost = Enclosed(bernstein.elevate(low, self.degree) - self.c)
+        return Enclosed(low, self.r + lost.size + EPS * self.size)
+
+    @property
+    def level(self) -> Enclosed:
+        """The first two components."""
+        return Enclosed(self.c[..., :2, :], self.r)
+
+    def upward(self) -> Enclosed:
+        """Return a scalar as a vector along z."""
+        zero = np.zeros_like(self.c)
+        return Enclosed(np.concatenate([zero, zero, self.c], axis=-2), self.r)
+
+    @property
+    def direction(self) -> Enclosed:
+        """Y / |y|; the zero vector and radius 1 where y may vanish."""
+        y, _ = self._scaled
+        w, error = self._inverse
+        return Enclosed(bernstein.multiply(y, w[..., None, :]), error)
+
+    @property
+    def inverse_norm(self) -> Enclosed:
+        """1 / |y|; the radius is infinite where y may vanish."""
+        _, scale = self._scaled
+        w, error = self._inverse
+        safe = np.where(scale > 0.0, scale, 1.0)
+        # | w - 1/|y| | = | |y| w - 1 | / |y|, and 1/|y| <= max w / (1 - error).
+        left = np.where(error < 1.0, 1.0 - error, 1.0)
+        largest = np.max(np.abs(w), axis=-1)
+        radius = np.where(error < 1.0, error * largest / left / safe, np.inf)
+        return Enclosed((w / safe[..., None])[..., None, :], radius)
+
+    @cached_property
+    def norm(self) -> Enclosed:
+        """|y|."""
+        y, scale = self._scaled
+        order = min(NORM_ORDER, self.degree * NORM_ORDER)
+        v = bernstein.interpolate(_lengths(y, order))
+        squared = bernstein.dot(y, y)
+        order = max(bernstein.degree(squared), 2 * order)
+        product = bernstein.elevate(bernstein.multiply(v, v), order)
+        residual = bernstein.elevate(squared, order) - product
+        # | |y| - v | = | |y|² - v² | / (|y| + v); where v may vanish, 0 <= |y| <= |coefficients|.
+        least = np.min(v, axis=-1)
+        known = least > 0.0
+        error = (np.max(np.abs(residual), axis=-1) + EPS) / np.where(known, least, 1.0)
+        largest = np.max(column_lengths(y), axis=-1) * (1.0 + EPS)
+        v = np.where(known[..., None], v, 0.5 * largest[..., None]) * scale[..., None]
+        error = np.where(known, error, 0.5 * largest) * scale
+        return Enclosed(v[..., None, :], error + self.r)
+
+    @cached_property
+    def root(self) -> Enclosed:
+        """The root of a scalar, 0 where it is negative."""
+        order = min(NORM_ORDER, self.degree)
+        weights = bernstein.basis(bernstein.nodes(order), self.degree)
+        v = bernstein.interpolate(np.sqrt(np.maximum(bernstein.combined(self.c, weights), 0.0)))
+        squared = bernstein.multiply(v, v)
+        high = max(self.degree, 2 * order)
+        residual = bernstein.elevate(self.c, high) - bernstein.elevate(squared, high)
+        # | √a - v | = | a - v² | / (√a + v); where v may vanish, 0 <= √a <= √|coefficients|.
+        least, most = np.min(v[..., 0, :], axis=-1), np.sqrt((self.size + self.r) * (1.0 + EPS))
+        known = least > 0.0
+        error = np.max(np.abs(residual[..., 0, :]), axis=-1) + EPS * self.size + self.r
+        error = np.where(known, error / np.where(known, least, 1.0), 0.5 * most)
+        v = np.where(known[..., None, None], v, 0.5 * most[..., None, None])
+        return Enclosed(v, error + EPS * most)
+
+    @property
+    def norm_above(self) -> Bound:
+        """What the norm does not rise above: a norm is convex, largest at a coefficient."""
+        norms = column_lengths(self.c)
+        index = np.argmax(norms, axis=-1)
+        most = np.take_along_axis(norms, index[..., None], axis=-1)[..., 0] * (1.0 + EPS)
+        return Bound(most + self.r, index / max(1, self.degree))
+
+    @property
+    def norm_below(self) -> Bound:
+        """What the norm does not fall below: along the direction at mid span, not negative."""
+        along = self.middle
+        size = np.sqrt(np.sum(along * along, axis=-1, keepdims=True))
+        along = np.divide(along, size, out=np.zeros_like(along), where=size > 0.0)
+        found = self.dot(along).below
+        return Bound(np.maximum(found.value, 0.0), found.x)
+
+    @property
+    def above(self) -> Bound:
+        """What a scalar does not rise above."""
+        index = np.argmax(self.c[..., 0, :], axis=-1)
+        most = np.take_along_axis(self.c[..., 0, :], index[..., None], axis=-1)[..., 0]
+        return Bound(most + self.r, index / max(1, self.degree))
+
+    @property
+    def below(self) -> Bound:
+        """What a scalar does not fall below."""
+        found = (-self).above
+        return Bound(-found.value, found.x)
+
+    @property
+    def range(self) -> Interval:
+        """The numbers between which a scalar stays."""
+        return Interval(self.below.value, self.above.value)
+
+    @property
+    def norm_range(self) -> Interval:
+        """The numbers between which the norm stays."""
+        return Interval(self.norm_below.value, self.norm_above.value)
+
+    @property
+    def middle(self) -> Array:
+        """(…, components): the polynomials at mid span."""
+        if self.degree == 0:
+            return self.c[..., 0]
+        here: Array = self.c @ bernstein.basis(np.array(0.5), self.degree)
+        return here
+
+    @cached_property
+    def _scaled(self) -> tuple[Array, Array]:
+        """The polynomials over their largest coefficients, and these (…)."""
+        scale = np.max(np.abs(self.c), axis=(-2, -1))
+        safe = np.where(scale > 0.0, scale, 1.0)
+        return self.c / safe[..., None, None], scale
+
+    @cached_property
+    def _inverse(self) -> tuple[Array, Array]:
+        """W (…, order + 1) and a bound (…) of ``| |y| w - 1 |`` for y scaled; 0 and 1 if none."""
+        y, scale = self._scaled
+        lengths = _lengths(y, DIRECTION_ORDER if self.degree else 0)
+        known = np.min(lengths, axis=-1) > 0.0
+        w = bernstein.interpolate(1.0 / np.where(known[..., None], lengths, 1.0))
+        product = bernstein.multiply(bernstein.dot(y, y), bernstein.multiply(w, w))
+        size = np.max(np.abs(w), axis=-1)
+        residual = np.max(np.abs(product - 1.0), axis=-1) + EPS * (1.0 + size * size)
+        known &= residual < 1.0
+        # | |y| w - 1 | = | |y|² w² - 1 | / (|y| w + 1), and |y| w >= sqrt(1 - residual).
+        least = np.sqrt(np.where(known, 1.0 - residual, 1.0))
+        error = residual / (1.0 + least)
+        noise = self.r / np.where(scale > 0.0, scale, 1.0)
+        # A ball of the radius turns a direction by 2 noise / |y| at most, wherever it lies.
+        error = error + 2.0 * noise * size / least
+        known &= (scale > 0.0) & (error < 1.0)
+        return np.where(known[..., None], w, 0.0), np.where(known, error, 1.0)
+
+
+def _lengths(y: Array, order: int) -> Array:
+    """Return |y| at the nodes that ``bernstein.interpolate`` takes values at, (…, order + 1)."""
+    weights = bernstein.basis(bernstein.nodes(order), bernstein.degree(y))
+    return column_lengths(bernstein.combined(y, weights))
+
+
+def _error(a: Enclosed, b: Enclosed) -> Array:
+    """Return the error of a product no longer than the factors' product, rounding included.
+
+    Nothing times a factor without a bound is nothing.
+    """
+    x, y = a.size, b.size
+    error: Array = EPS * (x * y)
+    with np.errstate(invalid="ignore"):
+        for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
+            if isinstance(radius, float) and radius == 0.0:
+                continue
+            part = size * radius
+            if math.isnan(np.sum(part)):
+                part = np.where((np.asarray(size) == 0.0) | (radius == 0.0), 0.0, part)
+            error = error + part
+    return error
+
+
+def vector(*parts: Enclosed) -> Enclosed:
+    """Return the vector of the parts' components in a row."""
+    order = max(part.degree for part in parts)
+    shape = np.broadcast_shapes(*(part.c.shape[:-2] for part in parts))
+    each = [bernstein.elevate(part.c, order) for part in parts]
+    c = [np.broadcast_to(rows, (*shape, *rows.shape[-2:])) for rows in each]
+    r: Array = np.sqrt(sum(np.square(part.r) for part in parts))
+    return Enclosed(np.concatenate(c, axis=-2), r)
+
+
+def largest_of(bounds: list[Bound], least: float = -np.inf) -> Bound:
+    """Return the largest of several bounds, span by span, and of a number."""
+    values = np.stack([bound.value for bound in bounds])
+    first = np.argmax(values, axis=0)[None]
+    x = np.take_along_axis(np.stack([bound.x for bound in bounds]), first, axis=0)[0]
+    return Bound(np.maximum(np.max(values, axis=0), least), x)

@@ -1,0 +1,238 @@
+"""The smallest or largest value of a formula over continuous time, by branch and bound.
+
+A formula gives, for many spans of time at once, what a quantity does not pass on each of them; on
+spans of no length that is its value. Spans whose bound may still change the answer are halved until
+none does. The answer holds for all t; it is not read off samples.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Generic, Protocol, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import check_time
+from hitchopt.trajectory.enclosed import Bound
+from hitchopt.values import Array, Indices
+
+RELATIVE = 1e-4
+"""Largest gap between the answer and an attained value, relative to that value."""
+
+ABSOLUTE = 2e-7
+"""The same in the quantity's own unit; the larger of the two counts."""
+
+MAX_HALVINGS = 40
+"""Maximum number of halvings: the bound of 1e-12 of a piece is taken as it is."""
+
+MAX_SPANS = 100_000
+"""Maximum number of halves (or ten per given span): beyond it bounds are taken as they are, valid
+but less tight."""
+
+BATCH = 4096
+"""Spans bounded in one go, so that what a formula allocates stays within the caches."""
+
+TIES, TIE = 9, 1e-9
+"""Digits of bounds, and share of values, within which the first one in time counts."""
+
+TRIED = 32
+"""Spans of a batch, those with the worst bounds, at a point of which the value is computed."""
+
+
+_ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
+
+
+@contextmanager
+def rough_bounds() -> Iterator[None]:
+    """Take bounds as they are within the context wherever all of them keep a target."""
+    token = _ROUGH.set(True)
+    try:
+        yield
+    finally:
+        _ROUGH.reset(token)
+
+
+class TimeSpans(Protocol):
+    """Many spans of time, each that of one ``item`` (spans,)."""
+
+    item: Indices
+
+    def __len__(self) -> int: ...
+
+    def take(self, index: Indices | NDArray[np.bool_] | slice) -> Self:
+        """Return the chosen spans."""
+
+    def halves(self) -> Self:
+        """Return all first halves, then all second halves."""
+
+    def at(self, x: Array) -> Self:
+        """Return the points at x (spans,), from 0 to 1."""
+
+    def times(self, x: Array) -> Array:
+        """Return the times at x (spans,) [s]."""
+
+
+S = TypeVar("S", bound=TimeSpans)
+
+Formula = Callable[[S], Bound]
+"""What a quantity does not pass on spans; its value where they are points."""
+
+
+@dataclass(frozen=True)
+class Extremum:
+    """The smallest or largest value of a quantity.
+
+    Attributes
+    ----------
+    worst: not passed by the quantity at any time, rounding included.
+    value: an attained value, about as far out as ``worst``; a bound that keeps the target, within
+        ``rough_bounds``.
+    item: whose value it is; -1 where there was no span at all.
+    time: [s], when it is attained.
+    """
+
+    worst: float
+    value: float
+    item: int
+    time: float
+
+
+class Search(Generic[S]):
+    """Branch and bound for the largest or smallest value; spans may be added bit by bit.
+
+    Parameters
+    ----------
+    formula: gives the bounds.
+    sense: ``max`` for the largest value, ``min`` for the smallest.
+    target: where all values keep this, spans are halved until ``worst`` does too.
+    known: only worse values matter; the item is -1 where there are none.
+    relative, absolute: how close ``worst`` has to come to an attained value.
+    """
+
+    def __init__(
+        self,
+        formula: Formula[S],
+        sense: str,
+        *,
+        target: float = math.nan,
+        known: float = math.nan,
+        relative: float = RELATIVE,
+        absolute: float = ABSOLUTE,
+    ) -> None:
+        self.formula = formula
+        self.sign = 1.0 if sense == "max" else -1.0  # the largest of sign · value is looked for
+        self.relative, self.absolute = relative, absolute
+        self.target = np.inf if math.isnan(target) else self.sign * target
+        self.value = -np.inf if math.isnan(known) else self.sign * known
+        self.rough = _ROUGH.get() and not math.isnan(target)
+        self.item, self.time = -1, 0.0
+        self.ceiling = -np.inf  # largest bound of the spans that are done with
+        self.looked_at = 0
+        self._open: list[tuple[S, Array]] = []
+
+    @property
+    def attained(self) -> float:
+        """The worst value so far."""
+        return self.sign * self.value
+
+    @property
+    def threshold(self) -> float:
+        """Spans bounded by this or less need no closer look."""
+        if not math.isfinite(self.value):
+            return self.value
+        tight = self.value + max(self.absolute, self.relative * abs(self.value))
+        return min(tight, self.target) if self.value <= self.target else tight
+
+    def add(self, spans: S) -> None:
+        """Bound the spans once; keep those that may hold the worst value."""
+        for batch in batches(spans):
+            self._keep(batch, self._bounds(batch))
+
+    def finish(self) -> Extremum:
+        """Halve what is open until nothing is, and return the answer."""
+        pending = [(spans, bounds, 0) for spans, bounds in self._open]
+        self._open = []
+        # Deepest first: few spans are alive at a time, and the worst values come early.
+        pending.sort(key=lambda entry: float(entry[1].max()))
+        enough = max(MAX_SPANS, 10 * self.looked_at) + self.looked_at
+        while pending:
+            spans, bounds, depth = pending.pop()
+            self._keep(spans, bounds)
+            if not self._open:
+                continue
+            spans, bounds = self._open.pop()
+            if depth == MAX_HALVINGS or self.looked_at > enough:
+                self.ceiling = max(self.ceiling, float(bounds.max()))
+                continue
+            inherited = np.concatenate([bounds, bounds])
+            for i, batch in enumerate(batches(spans.halves())):
+                given = inherited[i * BATCH : i * BATCH + len(batch)]
+                pending.append((batch, np.minimum(given, self._bounds(batch)), depth + 1))
+        worst = max(self.ceiling, self.value)
+        return Extremum(self.sign * worst, self.attained, self.item, self.time)
+
+    def _bounds(self, batch: S) -> Array:
+        """Return upper bounds (spans,) of sign · quantity, having noted the largest value."""
+        check_time()
+        self.looked_at += len(batch)
+        with np.errstate(all="ignore"):  # coefficients may be anything; see nan below
+            found = self.formula(batch)
+            bounds = _sure(self.sign * found.value)
+            # Of spans that tie the first ones, so that the answer is the same everywhere.
+            size = np.max(np.abs(bounds), initial=0.0, where=np.isfinite(bounds)) or 1.0
+            rough = np.round(bounds / size, TIES)
+            tried = np.sort(np.argsort(-rough, kind="stable")[:TRIED])
+            if self.item >= 0:  # values beyond their span's bound there are not
+                tried = tried[bounds[tried] >= self.value - TIE * abs(self.value)]
+            if len(tried):
+                x = found.x[tried]
+                there = batch.take(tried)
+                if self.rough and bounds.max() <= self.target:
+                    values = bounds[tried]  # enough is known
+                else:
+                    values = _sure(self.sign * self.formula(there.at(x)).value)
+                most = float(values.max())
+                tie = TIE * abs(most) if math.isfinite(most) else 0.0
+                best = int(np.argmax(values >= most - tie))
+                time = float(there.times(x)[best])
+                earlier = self.item >= 0 and values[best] >= self.value - tie and time < self.time
+                first = self.item < 0 and np.isinf(self.value)
+                if values[best] > self.value + tie or earlier or first:
+                    self.value = max(float(values[best]), self.value)
+                    self.item, self.time = int(there.item[best]), time
+        return bounds
+
+    def _keep(self, spans: S, bounds: Array) -> None:
+        """Put aside the spans whose bounds need a closer look, and settle all others."""
+        done = bounds <= self.threshold
+        self.ceiling = max(self.ceiling, float(np.max(bounds[done], initial=-np.inf)))
+        if not done.all():
+            part = (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
+            self._open.append(part)
+
+
+def _sure(values: Array) -> Array:
+    """Return values with what is no number as bad as can be: there the check fails."""
+    return np.where(np.isnan(values), np.inf, values)
+
+
+def batches(spans: S) -> Iterator[S]:
+    """Yield the spans, BATCH at a time."""
+    if 0 < len(spans) <= BATCH:
+        yield spans
+        return
+    for first in range(0, len(spans), BATCH):
+        yield spans.take(slice(first, first + BATCH))
+
+
+def worst(spans: Iterable[S], formula: Formula[S], sense: str, **options: float) -> Extremum:
+    """Return the largest (``max``) or smallest (``min``) value; ``options`` are of ``Search``."""
+    search: Search[S] = Search(formula, sense, **options)
+    for each in spans:
+        search.add(each)
+    return search.finish()

@@ -1,0 +1,276 @@
+"""Curves of the cables over time: hanging freely, or hooked into each other at the clasps.
+
+A free cable is the catenary of its length. A hooked one consists of leg, bend, edge, bend and leg;
+what its length exceeds the chords by hangs in the spans as equal tension would have it, in
+proportion to their cubed lengths. At a clasp both cables turn on half circles about the vertex, in
+planes at right angles, each open to its own side, like links of a chain. Which strand passes over
+the other follows from the drones' turning when the hitch was tied (``clasp_senses``).
+
+While neighbours turn about each other the contact of their cables is not known: there the drawn
+curve passes gradually from the one shape to the other.
+"""
+
+from __future__ import annotations
+
+from itertools import groupby, pairwise
+
+import numpy as np
+
+from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.team import Layout
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.states import States
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+LEG, BEND, EDGE = 6, 9, 9
+"""Number of points of a leg, a bend and an edge."""
+
+POINTS = 2 * LEG + 2 * BEND + EDGE
+"""Number of points of a cable, from q to r."""
+
+CLASPS = (LEG + BEND // 2, LEG + BEND + EDGE + BEND // 2)
+"""The two points of a cable in the middles of its bends, nearest to the vertices."""
+
+REACH = 3.0
+"""Distance from a vertex, in bends' radii, from which on a cable is straight."""
+
+THICKNESS, THINNEST, THICKEST = 0.0035, 0.004, 0.03
+"""Radius of a drawn cable as a share of the scene's extent, and its bounds [m]."""
+
+BEND_RADIUS = 2.2
+"""Radius of a bend in radii of the drawn cable: neighbours then clear each other."""
+
+LEG_SHARE = 0.2
+"""Largest radius of a bend as a share of the shortest leg or edge."""
+
+NO_SLACK = 1e-4
+"""Share of its length by which a weightless cable may exceed its parts and still be straight."""
+
+SHORTEST = 1e-9
+"""Least length of a span [m]: a chain's ends have legs of none."""
+
+NO_TURN = 1e-6
+"""[rad] Edges around an object that turn by less are straight."""
+
+HOOKED = frozenset({CableState.TIGHTENING, CableState.HITCHED})
+
+
+def cable_curves(
+    motion: Motion, states: States, thickness: float = THICKNESS
+) -> tuple[Array, float]:
+    """Return the cables of a plan (times, n, POINTS, 3) [m], from q to r, and their drawn radius.
+
+    Parameters
+    ----------
+    motion, states: the plan, and its states (times,).
+    thickness: radius of a drawn cable as a share of the scene's extent: it is chosen to be visible.
+    """
+    n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
+    radius = float(np.clip(thickness * extent, THINNEST, THICKEST))
+    if n == 0:
+        return np.zeros((len(states.t), 0, POINTS, 3)), radius
+    times, hooked = _hooked_times(motion, states.t)
+    points = _hanging(motion, states.positions, np.linspace(0.0, 1.0, POINTS))
+    some = np.flatnonzero(hooked > 0.0)
+    if len(some):
+        drones, vertices = states.positions[some], _at(motion.vertices, times[some])
+        contacts = None if motion.contacts is None else _at(motion.contacts, times[some])
+        radius = min(radius, _largest_radius(motion.team.layout, drones, vertices))
+        bent = _bent(motion, drones, vertices, BEND_RADIUS * radius, contacts)
+        along = np.cumsum(np.linalg.norm(np.diff(bent, axis=-2), axis=-1), axis=-1)
+        along = np.concatenate([np.zeros_like(along[..., :1]), along], axis=-1)
+        free = _hanging(motion, drones, along / along[..., -1:])
+        share = hooked[some, None, None, None]
+        points[some] = share * bent + (1.0 - share) * free
+    floor = motion.requirements.floor + radius
+    points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(states.positions[..., 2])))
+    return points, radius
+
+
+def clasp_senses(motion: Motion) -> Array:
+    """Return (clasps,) 1 where q went up over r when the clasp was tied, else -1.
+
+    A hitch that is there at first is taken to have been tied with every q going up first, as the
+    check ``interlacing`` takes it.
+    """
+    layout = motion.team.layout
+    runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
+    for before, after in pairwise(runs):
+        if before[0].state is CableState.CLASPING and after[0].state in HOOKED:
+            start, end = before[0].start, before[-1].end
+            heights = motion.drones.at([start, start + 0.25 * (end - start)])[..., 2]
+            apart = heights[:, 2 * layout.ahead] - heights[:, 2 * layout.behind + 1]
+            return np.where(apart[1] >= apart[0], 1.0, -1.0)
+    return np.ones(len(layout.clasps))
+
+
+def wrapped_edges(first: Array, last: Array, contacts: Array, shares: Array) -> tuple[Array, Array]:
+    """Return lengths (…) [m] of edges around an object, and points on them (…, points, 3) [m].
+
+    An edge is a tangent, an arc and a tangent.
+
+    Parameters
+    ----------
+    first, last: (…, 3) [m], ends of the edges.
+    contacts: (…, 2, 3) [m], where they meet and leave what they are wrapped around.
+    shares: of their lengths, at which the points are (…, points).
+    """
+    start, end = contacts[..., 0, :], contacts[..., 1, :]
+    ahead, chord = unit(start - first), end - start
+    angle = np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))[..., None]
+    turns = angle > NO_TURN
+    # Along a circle the chord from its start has 2 R sin(φ/2), turned by φ/2 from the tangent.
+    bow = np.where(turns, 0.5 * angle / np.where(turns, np.sin(0.5 * angle), 1.0), 1.0)
+    whole = length(chord)[..., None]
+    parts = np.concatenate(
+        [length(start - first)[..., None], bow * whole, length(last - end)[..., None]], axis=-1
+    )
+    total = np.sum(parts, axis=-1, keepdims=True)
+    before = np.cumsum(parts, axis=-1) - parts
+    done = shares[..., None] * total[..., None] - before[..., None, :]
+    done = np.clip(done / np.maximum(parts, 1e-12)[..., None, :], 0.0, 1.0)
+    half = 0.5 * done[..., 1] * angle
+    size = np.where(turns, np.sin(half) / np.where(turns, np.sin(0.5 * angle), 1.0), done[..., 1])
+    side = unit(chord - dot(chord, ahead)[..., None] * ahead)[..., None, :]
+    towards = np.cos(half)[..., None] * ahead[..., None, :] + np.sin(half)[..., None] * side
+    points = first[..., None, :] + done[..., :1] * (start - first)[..., None, :]
+    points = points + (size * whole)[..., None] * towards
+    return total[..., 0], points + done[..., 2:] * (last - end)[..., None, :]
+
+
+def _at(curves: PiecewisePolynomial, t: Array) -> Array:
+    """Return curves at times since their start [s]."""
+    return curves.at(curves.breaks[0] + t)
+
+
+def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
+    """Return at which times vertices are to be taken, and how far cables are hooked (times,).
+
+    That is from 0, hanging free, to 1. It rises in the second half of the clasping that leads to a
+    hitch, and falls in the first half of the one that undoes it.
+    """
+    times, hooked = t.copy(), np.zeros(len(t))
+    runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
+    for i, run in enumerate(runs):
+        start, end, state = run[0].start, run[-1].end, run[0].state
+        here = (t >= start) & (t <= end)
+        if state in HOOKED:
+            hooked[here], times[here] = 1.0, t[here]
+        if state is not CableState.CLASPING:
+            continue
+        along = (t - start) / (end - start)
+        here &= hooked < 1.0
+        for j, share, vertices in (
+            (i + 1, 2.0 * along - 1.0, end),
+            (i - 1, 1.0 - 2.0 * along, start),
+        ):
+            if 0 <= j < len(runs) and runs[j][0].state in HOOKED:
+                x = np.clip(share[here], 0.0, 1.0)
+                hooked[here], times[here] = x * x * (3.0 - 2.0 * x), vertices
+    return times, hooked
+
+
+def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
+    """Return free cables (times, n, POINTS, 3) between drones (times, 2n, 3) [m].
+
+    Their points are at shares of each cable, from 0 to 1, (POINTS,) or (times, n, POINTS).
+    """
+    q, r = drones[:, 0::2], drones[:, 1::2]
+    hung = _spread(Catenary.between(q, r, motion.team.cable_length))
+    return _sagging(q, r, hung, hung.place(share))
+
+
+def _spread(hung: Catenary) -> Catenary:
+    """Return cables (…) as (…, 1), for several places on each."""
+    return Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
+
+
+def _sagging(first: Array, second: Array, hung: Catenary, mu: Array) -> Array:
+    """Return the points (…, points, 3) at places μ (…, points) of cables between their ends."""
+    along = 0.5 * (1.0 + mu)[..., None]
+    points = (1.0 - along) * first[..., None, :] + along * second[..., None, :]
+    points[..., 2] -= hung.depth(mu)
+    return np.asarray(points)
+
+
+def _bent(
+    motion: Motion, drones: Array, vertices: Array, radius: float, contacts: Array | None
+) -> Array:
+    """Return hooked cables (times, n, POINTS, 3); bends have a radius [m].
+
+    Contacts (times, n, 2, 3) [m] are where edges are wrapped around something.
+    """
+    team, layout = motion.team, motion.team.layout
+    a, b = vertices[:, layout.starts], vertices[:, layout.ends]
+    corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
+    chords = length(np.diff(corners, axis=2))
+    if contacts is not None:
+        chords[..., 1] = wrapped_edges(a, b, contacts, np.zeros((*a.shape[:2], 1)))[0]
+    extra = team.cable_length - np.sum(chords, axis=-1)
+    straight = NO_SLACK * team.cable_length if team.cable_density == 0.0 else 0.0
+    extra = np.where(extra <= straight, 0.0, extra)
+    cubes = chords**3
+    lengths = chords + extra[..., None] * cubes / np.sum(cubes, axis=-1, keepdims=True)
+    trim, zero = REACH * radius / np.maximum(chords, SHORTEST), np.zeros(a.shape[:2])
+    before, after = np.moveaxis(np.where(layout.has_leg, trim[..., 1:2], 0.0), -1, 0)
+    cuts = ((zero, trim[..., 0]), (before, after), (trim[..., 2], zero))
+    parts = [
+        _cut_span(corners[:, :, i], corners[:, :, i + 1], lengths[..., i], cuts[i], count)
+        for i, count in enumerate((LEG, EDGE, LEG))
+    ]
+    if contacts is not None:
+        shares = before[..., None] + (1.0 - before - after)[..., None] * np.linspace(0, 1, EDGE)
+        around = wrapped_edges(a, b, contacts, shares)[1]
+        wrapped = np.any(contacts[..., 0, :] != 0.5 * (a + b), axis=-1)
+        parts[1] = np.where(wrapped[..., None, None], around, parts[1])
+    q_side, r_side = _bends(motion, drones, vertices, radius)
+    return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
+
+
+def _cut_span(
+    first: Array, second: Array, size: Array, cuts: tuple[Array, Array], count: int
+) -> Array:
+    """Return ``count`` points of hanging spans without shares of them, ``cuts``, at both ends."""
+    before, after = cuts
+    grid = np.linspace(0.0, 1.0, count)
+    share = before[..., None] + (1.0 - before - after)[..., None] * grid
+    hung = _spread(Catenary.between(first, second, np.maximum(size, SHORTEST)))
+    return _sagging(first, second, hung, np.clip(2.0 * share - 1.0, -1.0, 1.0))
+
+
+def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tuple[Array, Array]:
+    """Return the bends of every cable at its edge's start and end, (times, n, BEND, 3) each.
+
+    At a chain's ends there is none, and all of its points are the vertex.
+    """
+    layout = motion.team.layout
+    edges = unit(layout.edges(vertices))
+    p, k, j = vertices[:, layout.clasps], layout.ahead, layout.behind
+    q_leg = unit(drones[:, 2 * k] - p)
+    r_leg = unit(drones[:, 2 * j + 1] - p)
+    sense = clasp_senses(motion)[:, None]
+    turn = np.linspace(0.5 * np.pi, -0.5 * np.pi, BEND)
+    q_side = np.repeat(vertices[:, layout.starts, None], BEND, axis=2)
+    r_side = np.repeat(vertices[:, layout.ends, None], BEND, axis=2)
+    # Seen from above, the cable that goes up first is over at its edge and under at its leg.
+    for legs, along, under, where, bends, order in (
+        (q_leg, edges[:, k], -sense, k, q_side, turn),
+        (r_leg, -edges[:, j], sense, j, r_side, turn[::-1]),
+    ):
+        opening, aside = unit(legs + along), unit(legs - along)
+        across = unit(np.cross(opening, aside))
+        across = across * np.where(across[..., 2:] < 0.0, -1.0, 1.0)
+        leg_side = unit(aside + under * across)
+        arc = np.sin(order)[:, None] * leg_side[..., None, :]
+        arc = arc - np.cos(order)[:, None] * opening[..., None, :]
+        bends[:, where] = p[..., None, :] + radius * arc
+    return q_side, r_side
+
+
+def _largest_radius(layout: Layout, drones: Array, vertices: Array) -> float:
+    """Return the largest radius [m] of a drawn cable whose bends fit the shortest leg or edge."""
+    legs = length(drones - vertices[:, layout.anchors])[:, layout.has_leg.ravel()]
+    shortest = min(np.min(legs, initial=np.inf), np.min(length(layout.edges(vertices))))
+    return LEG_SHARE * float(shortest) / BEND_RADIUS

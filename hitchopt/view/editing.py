@@ -1,0 +1,448 @@
+"""A problem file being edited: its text, what can be dragged, and the plan of the newest text.
+
+The text is the only state. Every change makes another text, which is planned in the background
+while the last plan stays; a plan of a text that is no longer the newest is discarded.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import chain, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
+from hitchopt.geometry import Outline
+from hitchopt.mission.keys import STEP_KINDS, step_model
+from hitchopt.mission.loading import parse_problem
+from hitchopt.mission.problem import Problem
+from hitchopt.mission.repair import NO_CHANGE, Edit, Suggestion, find_suggestions
+from hitchopt.mission.solving import solve_problem
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
+from hitchopt.steps.certified_motions import Certified
+from hitchopt.steps.step_keys import TRIANGLE
+from hitchopt.storage.yaml_edits import (
+    split_key,
+    value_at,
+    with_entry,
+    with_entry_moved,
+    with_value,
+    without_entry,
+)
+from hitchopt.storage.yaml_file import Plain, parse_yaml, read_text
+from hitchopt.values import Array
+
+MISSION = ("mission",)
+
+START = -1
+"""Index of the start, before the first step."""
+
+HEIGHT = 1.0
+"""Height of handles where no plan tells that of the hitch, and of a file without one [m]."""
+
+Number = tuple[tuple[str | int, ...], int]
+"""Where a number is in a file, and whether it is an x, y or z: 0, 1 or 2."""
+
+
+@dataclass(frozen=True, eq=False)
+class Handle:
+    """A vertex, an edge, the whole hitch, an object or a drone that can be dragged.
+
+    Attributes
+    ----------
+    name: such as ``vertex 0``.
+    place: (3,) [m].
+    numbers: of the file, that go with it.
+    """
+
+    name: str
+    place: Array
+    numbers: tuple[Number, ...]
+
+    @property
+    def vertical(self) -> bool:
+        """Whether its height can be changed."""
+        return any(axis == 2 for _, axis in self.numbers)
+
+    def dragged(self, text: str, place: Array) -> str:
+        """Return the text of a problem file with the handle at another place (3,) [m]."""
+        by = (np.asarray(place, dtype=np.float64) - self.place).tolist()
+        data: Any = parse_yaml(text)
+        changed, added = deepcopy(data), []
+        for path, axis in self.numbers:
+            old = value_at(data, path)
+            if by[axis] and old is None:
+                added.append((path, HEIGHT + by[axis]))
+            elif by[axis]:
+                value_at(changed, path[:-1])[path[-1]] = float(old + by[axis])
+        text = with_value(text, (), changed)
+        for path, value in added:
+            text = with_value(text, path, value)
+        return text
+
+
+def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterator[Handle]:
+    """Yield what can be dragged of the step of an index, or of the start.
+
+    Parameters
+    ----------
+    problem, data: what a file describes, and what it holds.
+    index: of the step; START for the start.
+    height: of the hitch at the step's end [m], where the file does not tell.
+    """
+    key = step_key(data, index)
+    step = split_key(key)
+    keys = value_at(data, step)
+
+    def point(*path: str | int, axes: int = 2, first: int = 0) -> tuple[Number, ...]:
+        return tuple(((*step, *path, first + axis), axis) for axis in range(axes))
+
+    if key == "start.drones":
+        for k, name in product(range(len(keys["q"])), ("q", "r")):
+            yield Handle(f"{name}[{k}]", np.array(keys[name][k], float), point(name, k, axes=3))
+    elif "polygon" in keys:
+        ends = key == "start.hitch" or key.endswith(".form")
+        height = float(keys.get("altitude", HEIGHT)) if ends else height
+        n = len(keys["polygon"])
+        places = np.column_stack([np.array(keys["polygon"], float), np.full(n, height)])
+        corners = [point("polygon", k) for k in range(n)]
+        for k in range(n):
+            yield Handle(f"vertex {k}", places[k], corners[k])
+        for k in range(n if problem.team.topology == "closed" else n - 1):
+            j = (k + 1) % n
+            yield Handle(f"edge {k}", 0.5 * (places[k] + places[j]), corners[k] + corners[j])
+        altitude: tuple[Number, ...] = (((*step, "altitude"), 2),) if ends else ()
+        yield Handle("hitch", np.mean(places, axis=0), (*chain(*corners), *altitude))
+    elif "path" in keys:
+        for j, (_, x, y) in enumerate(keys["path"]):
+            yield Handle(f"point {j}", np.array([x, y, height]), point("path", j, first=1))
+    elif "vertex" in keys or "edge" in keys:
+        after = outlines(problem)[index + 1]
+        name = "vertex" if "vertex" in keys else "edge"
+        if after is not None:
+            k, n = keys[name], len(after.vertices)
+            moved = after.vertices[[k] if name == "vertex" else [k, (k + 1) % n]]
+            numbers = point("by" if "by" in keys else "to")
+            if name == "edge" and "to" in keys:
+                numbers = point("to", 0) + point("to", 1)
+            yield Handle(f"{name} {k}", np.append(np.mean(moved, axis=0), height), numbers)
+    elif len(np.ravel(keys.get("to", 0.0))) == 3:
+        yield Handle(keys.get("object", "hitch"), np.array(keys["to"], float), point("to", axes=3))
+
+
+def step_key(data: Plain, index: int) -> str:
+    """Return the key of a step, or of the start, in a file."""
+    path: tuple[str | int, ...] = ("start",) if index == START else ("mission", index)
+    (name,) = value_at(data, path)
+    return f"start.{name}" if index == START else f"mission[{index}].{name}"
+
+
+def outlines(problem: Problem) -> list[Outline | None]:
+    """Return the outline at the start, and after each step; None where there is no hitch."""
+    found = [problem.start_outline]
+    for step in problem.mission:
+        found.append(step.polygon_left(problem.team, found[-1]))
+    return found
+
+
+def height_after(motion: Motion, index: int) -> float:
+    """Return how high the hitch is when a step ends [m], or at the start."""
+    ends = [phase.end for phase in motion.phases if phase.step == index]
+    state = states_at(motion, 0.0 if index == START else max(ends, default=motion.duration))
+    return float(np.mean(state.vertices[:, 2])) if bool(state.formed) else HEIGHT
+
+
+def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str, Plain]:
+    """Return a step to add after another one, as a file has it; it moves nothing where it may.
+
+    Parameters
+    ----------
+    problem: to which it is added.
+    index: of the step before; START for the first one.
+    kind: what the file calls it.
+    height: of the hitch there [m].
+    """
+    outline = outlines(problem)[index + 1]
+    vertices: Any = TRIANGLE if outline is None else np.round(outline.vertices, 6).tolist()
+    centre = np.mean(vertices, axis=0) if outline is None else outline.centroid
+    fields = step_model(STEP_KINDS[kind]).model_fields
+    usual: dict[str, Any] = {
+        "polygon": vertices,
+        "to": [*np.round(centre, 6).tolist(), round(height, 6)],
+        "path": [[1.0, *vertices[0]]],
+        "object": next(iter(problem.objects), ""),
+    }
+    values: dict[str, Any] = {
+        name: usual[name] if name in usual else deepcopy((field.examples or [None])[0])
+        for name, field in fields.items()
+        if field.is_required()
+    }
+    if "vertex" in fields and "to" in fields:
+        values["to"] = vertices[0]
+    elif "edge" in fields:
+        values["to"] = vertices[:2]
+    return {kind: values}
+
+
+class Stage(StrEnum):
+    """How the plan that is there relates to the text."""
+
+    CURRENT = "the plan of this problem"
+    PLANNING = "an OLD plan: the changed problem is being planned"
+    REFUSED = "an OLD plan: the changed problem cannot be met"
+    SUGGESTED = "the plan of a suggested change: the problem as it is cannot be met"
+
+
+@dataclass(frozen=True, eq=False)
+class Status:
+    """What is known of the newest text.
+
+    Attributes
+    ----------
+    stage: how the plan that is there relates to it.
+    words: what is being done, or what binds.
+    suggestions: changes that make it feasible, verified.
+    """
+
+    stage: Stage
+    words: str = ""
+    suggestions: tuple[Suggestion, ...] = ()
+
+
+class _StaleError(BaseException):
+    """Ends the planning of a text that is no longer the newest.
+
+    It is no Exception, so that planners which try another guess after a refusal do not go on.
+    """
+
+
+Planner = Callable[[Problem, Progress], Certified]
+Repairer = Callable[[Problem, InfeasibleError, Progress], Sequence[Suggestion]]
+
+
+class Editing:
+    """A problem that is edited by hand.
+
+    Parameters
+    ----------
+    text: what the problem file holds.
+    path: where it is saved; outlines of objects are beside it.
+    planned: the plan of this text, or of a change that makes it feasible.
+    plan, repair: what plans a problem, and what finds changes that make it feasible.
+    status: how they relate; by default it is the plan of this text.
+
+    Raises
+    ------
+    InputError, FileError: the text is no problem of a hitch.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        path: Path,
+        planned: Certified,
+        plan: Planner = solve_problem,
+        repair: Repairer = lambda problem, error, progress: find_suggestions(
+            problem, error, progress=progress
+        ),
+        status: Status | None = None,
+    ) -> None:
+        self.path, self.planned = path, planned
+        self.listener: Callable[[], None] = lambda: None
+        self._plan, self._repair = plan, repair
+        self._texts, self._place, self._version = [text], 0, 0
+        self._on_disk = text if path.exists() else None
+        self._changed = threading.Condition(threading.RLock())
+        self._open, self._idle = True, True
+        self.problem = self._read(text)
+        self.status = status or Status(Stage.CURRENT)
+        self._worker = threading.Thread(target=self._work, daemon=True)
+        self._worker.start()
+
+    @property
+    def text(self) -> str:
+        """The problem file as it would be saved."""
+        return self._texts[self._place]
+
+    @property
+    def saved(self) -> bool:
+        """Whether the file on the disk holds this text."""
+        return self.text == self._on_disk
+
+    def now(self) -> tuple[str, Status, Certified]:
+        """Return the text, what is known of it, and the plan that is there, of one moment."""
+        with self._changed:
+            return self.text, self.status, self.planned
+
+    def handles(self, index: int) -> dict[str, Handle]:
+        """Return what can be dragged of a step, or of the start, by name."""
+        height = height_after(self.planned.motion, index)
+        found = handles(self.problem, parse_yaml(self.text), index, height)
+        return {handle.name: handle for handle in found}
+
+    def change(self, text: str) -> None:
+        """Go on with another text.
+
+        Raises
+        ------
+        InputError, FileError: it is no problem of a hitch; nothing has changed.
+        """
+        with self._changed:
+            problem = self._read(text)
+            if text == self.text:
+                return
+            self._texts[self._place + 1 :] = [text]
+            self._place += 1
+            self._begin(problem)
+        self.listener()
+
+    def undo(self, steps: int = 1) -> bool:
+        """Take changes back, or with a negative number make them again; return whether it can."""
+        with self._changed:
+            place = self._place - steps
+            if not 0 <= place < len(self._texts):
+                return False
+            self._place = place
+            self._begin(self._read(self.text))
+        self.listener()
+        return True
+
+    def put(self, *edits: Edit) -> None:
+        """Write values into the file; errors as of ``change``."""
+        text = self.text
+        for edit in edits:
+            text = with_value(text, split_key(edit.key), edit.value)  # type: ignore[arg-type]
+        self.change(text)
+
+    def drag(self, index: int, name: str, place: Array) -> None:
+        """Put a handle of a step to a place (3,) [m]; errors as of ``change``."""
+        found = self.handles(index)
+        if name not in found:
+            raise InputError("handle", name, f"one of {', '.join(found)}", "choose another step")
+        self.change(found[name].dragged(self.text, place))
+
+    def add(self, index: int, kind: str) -> None:
+        """Add a step of a kind after another one (START: before all); errors as of ``change``."""
+        step = new_step(self.problem, index, kind, height_after(self.planned.motion, index))
+        self.change(with_entry(self.text, MISSION, index + 1, step))
+
+    def remove(self, index: int) -> None:
+        """Remove a step; errors as of ``change``."""
+        self.change(without_entry(self.text, MISSION, index))
+
+    def move(self, index: int, to: int) -> None:
+        """Put a step to another place in the mission; errors as of ``change``."""
+        if not 0 <= to < len(self.problem.mission):
+            raise InputError("mission", to, "the index of a step", "there is no place beyond it")
+        self.change(with_entry_moved(self.text, MISSION, index, to))
+
+    def apply(self, suggestion: Suggestion) -> None:
+        """Make a suggested change; errors as of ``change``."""
+        self.put(*suggestion.change.edits)
+
+    def save(self) -> Path:
+        """Write the problem file at once or not at all, and return where.
+
+        Raises
+        ------
+        FileError: it cannot be written, or someone else has changed it meanwhile.
+        """
+        with self._changed:
+            there = read_text(self.path)[0] if self.path.exists() else None
+            if there not in (self._on_disk, self.text):
+                raise FileError(
+                    f"{self.path}: has been changed by someone else; move it away, then save again"
+                )
+            path = self.path.resolve()
+            part = path.with_name(f".{path.name}.part")
+            try:
+                part.write_bytes(self.text.encode())
+                os.replace(part, path)
+            except OSError as error:
+                words = f"{path}: cannot be written ({error.strerror}); check the path"
+                raise FileError(words) from None
+            self._on_disk = self.text
+        self.listener()
+        return self.path
+
+    def wait(self, seconds: float = 60.0) -> bool:
+        """Wait until nothing is being computed; return whether that is so."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._idle, seconds)
+
+    def close(self) -> None:
+        """Stop planning."""
+        with self._changed:
+            self._open = False
+            self._version += 1
+            self._changed.notify_all()
+        self._worker.join()
+
+    def _read(self, text: str) -> Problem:
+        problem = parse_problem(text, self.path.name, self.path.parent)
+        if not isinstance(problem, Problem):
+            raise InputError("team", "drones", "a team of catenary robots", "edit the file")
+        return problem
+
+    def _begin(self, problem: Problem) -> None:
+        self.problem, self.status = problem, Status(Stage.PLANNING)
+        self._version += 1
+        self._idle = False
+        self._changed.notify_all()
+
+    def _work(self) -> None:
+        """Plan the newest text, again and again."""
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: not self._open or not self._idle)
+                if not self._open:
+                    return
+                version, problem = self._version, self.problem
+            try:
+                self._answer(version, problem)
+            except _StaleError:
+                continue
+            with self._changed:
+                if version == self._version:
+                    self._idle = True
+                    self._changed.notify_all()
+
+    def _answer(self, version: int, problem: Problem) -> None:
+        def tell(words: str) -> None:
+            self._publish(version, replace(self.status, words=words))
+
+        def go_on(_: str) -> None:
+            if version != self._version:
+                raise _StaleError
+
+        try:
+            planned = self._plan(problem, tell)
+        except InfeasibleError as error:
+            refused = Status(Stage.REFUSED, f"{error}\nlooking for changes that make it feasible …")
+            self._publish(version, refused)
+            found = tuple(self._repair(problem, error, go_on))
+            words = str(error) if found else f"{error}\n{NO_CHANGE}"
+            self._publish(version, Status(Stage.REFUSED, words, found))
+        except HitchoptError as error:
+            self._publish(version, Status(Stage.REFUSED, str(error)))
+        except Exception as error:  # a fault of ours must not end the editing
+            self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
+        else:
+            self._publish(version, Status(Stage.CURRENT), planned)
+
+    def _publish(self, version: int, status: Status, planned: Certified | None = None) -> None:
+        with self._changed:
+            if version != self._version:
+                raise _StaleError
+            self.status = status
+            if planned is not None:
+                self.planned = planned
+        self.listener()

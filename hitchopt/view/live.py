@@ -1,0 +1,329 @@
+"""The live view: a plan in the browser, with playback, phases and certificate."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time as clock
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.view.live_scene import SWITCHES, LiveScene
+from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
+from hitchopt.view.server import FIELD, HOST, PORT, open_server, server_address
+from hitchopt.view.style import facts, verdict
+
+FRAME = 1.0 / 30.0
+"""Time between two frames [s]."""
+
+STEP, DECIMALS = 0.001, 3
+"""Step of the time's slider [s], and its decimals."""
+
+SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
+
+QUIET = "gray"
+"""Colour of buttons, but for that of the phase shown and those of checks that do not hold."""
+
+FROM = np.array([-0.35, -0.8, 0.5])
+"""Direction from which the scene is seen at first."""
+
+FILLED = 0.85
+"""Part of the picture that the paths fill."""
+
+ASPECT, NARROW_ASPECT = 1.1, 0.62
+"""Width over height of what the panel leaves of a small window, and of what that for editing leaves
+as well."""
+
+NEAREST = 1.5
+"""Shortest distance from which the scene is seen at first [m]."""
+
+
+class LiveView:
+    """A plan in the browser, served until it is closed.
+
+    Parameters
+    ----------
+    motion, title: the plan.
+    certificate: its certificate; None while it is being computed.
+    ghost: another scene that is shown beside it, pale.
+    host, port: where the server listens; if the port is taken the next free one.
+    server: of ``open_server``, which browsers may have opened already, in place of another one.
+    aspect: width over height of the part of the page in which the scene is seen; NARROW_ASPECT
+        where it is edited.
+
+    Raises
+    ------
+    UnsupportedError: viser is not installed.
+    """
+
+    def __init__(
+        self,
+        motion: Motion,
+        certificate: Certificate | None,
+        title: str = "",
+        *,
+        ghost: Scene | None = None,
+        host: str = HOST,
+        port: int = PORT,
+        server: Any = None,
+        aspect: float = ASPECT,
+    ) -> None:
+        self.server = open_server(host, port) if server is None else server
+        self.time, self.playing, self.speed, self.phase = 0.0, False, 1.0, -1
+        self.motion, self.certificate = motion, certificate
+        self._note, self._title, self._aspect = "", title, aspect
+        self._lock, self._open = threading.RLock(), True
+        self._ghost = None
+        with self.server.atomic():  # pages that are open show all of it at once
+            self.server.gui.set_panel_label(title or "hitchopt")
+            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self._look()
+            self._add_panel()
+            self._fill_panel()
+            if ghost is not None:
+                self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
+        self._player = threading.Thread(target=self._play, daemon=True)
+        self._player.start()
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return server_address(self.server)
+
+    def wait_for_page(self, seconds: float) -> bool:
+        """Wait until a browser has loaded the page; return whether one has in that time [s]."""
+        loaded = threading.Event()
+        self.server.on_client_connect(lambda _: loaded.set())
+        return loaded.wait(seconds)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._open = False
+        self._player.join()
+        self.server.stop()
+
+    def show_plan(self, motion: Motion, certificate: Certificate | None, title: str = "") -> None:
+        """Show a plan in place of the one that is shown."""
+        with self._lock, self.server.atomic():
+            shown = self.live.shown
+            self.live.remove()
+            self.motion, self.certificate, self._title = motion, certificate, title
+            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self.live.shown = shown
+            self._look()
+            self._fill_panel()
+
+    def show_certificate(self, certificate: Certificate) -> None:
+        """Show the certificate of the plan that is shown, which was being computed."""
+        with self._lock, self.server.atomic():
+            self.certificate = certificate
+            self._show_head()
+            self._show_checks()
+
+    def note(self, words: str) -> None:
+        """Say above the certificate what the plan shown is, which is drawn pale then.
+
+        Nothing is said where it is the plan of the problem.
+        """
+        with self._lock:
+            self._note = words
+            self.live.fade(on=bool(words))
+            self._show_head()
+
+    def seek(self, time: float) -> None:
+        """Show a time [s]."""
+        with self._lock:
+            self.time = float(np.clip(time, 0.0, self.motion.duration))
+            with self.server.atomic():
+                self.live.show(self.time)
+                if self._ghost is not None:
+                    self._ghost.show(self.time)
+            self._show_phase()
+            if abs(self.scrub.value - self.time) > 0.5 * FRAME:
+                self.scrub.value = round(self.time, DECIMALS)
+
+    def show_check(self, check: Check) -> None:
+        """Show the worst moment of a check, and highlight what it concerns."""
+        with self._lock:
+            self.play(on=False)
+            self.live.mark(concerned(self.motion, check.where))
+            where = f": {', '.join(check.where)}" if check.where else ""
+            self.found.content = f"{check.name}{where} at {check.time:.2f} s"
+            self.found.visible = True
+            self.seek(check.time)
+
+    def play(self, *, on: bool) -> None:
+        """Start or stop the playback."""
+        with self._lock:
+            if on and self.time >= self.motion.duration:
+                self.seek(0.0)
+            self.playing = on
+            self.player.label = "Pause" if on else "Play"
+
+    def _play(self) -> None:
+        """Advance the time while the plan is played."""
+        before = clock.monotonic()
+        while self._open:
+            clock.sleep(FRAME)
+            now = clock.monotonic()
+            if self.playing:
+                with self._lock:
+                    self.seek(self.time + self.speed * (now - before))
+                    if self.time >= self.motion.duration:
+                        self.play(on=False)
+            before = now
+
+    def _look(self) -> None:
+        """Place the camera so that it sees all paths, in pages that are opened from now on."""
+        drones = self.live.scene.drones.reshape(-1, 3)
+        centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
+        back = FROM / np.linalg.norm(FROM)
+        right = np.cross([0.0, 0.0, 1.0], back)
+        right /= np.linalg.norm(right)
+        seen = (drones - centre) @ np.stack([right, np.cross(back, right), back], axis=1)
+        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([self._aspect, 1.0])
+        away = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / sizes, axis=1)))
+        self.server.initial_camera.position = tuple(centre + max(away, NEAREST) * back)
+        self.server.initial_camera.look_at = tuple(centre)
+
+    def _add_panel(self) -> None:
+        """Add the panel, the same for all plans."""
+        gui = self.server.gui
+        self.head, self.now = gui.add_markdown(""), gui.add_markdown("")
+        self.scrub = gui.add_slider("time [s]", 0.0, 1.0, STEP, 0.0)
+        self.player = gui.add_button("Play")
+        speed = gui.add_dropdown("speed", SPEEDS, initial_value=f"{self.speed:g}")
+        self.found = gui.add_markdown("", visible=False)
+
+        def scrubbed(event: Any) -> None:
+            if event.client is not None:  # moved by hand, not by the playback
+                self.seek(event.target.value)
+
+        self.scrub.on_update(scrubbed)
+        self.player.on_click(lambda _: self.play(on=not self.playing))
+        speed.on_update(lambda event: setattr(self, "speed", float(event.target.value)))
+        with gui.add_folder("Show", expand_by_default=True):
+            for name in SWITCHES:
+                box = gui.add_checkbox(name, self.live.shown[name])
+                box.on_update(lambda event, name=name: self._switch(name, on=event.target.value))
+        tabs = gui.add_tab_group()
+        self.phases = Buttons(gui, tabs.add_tab("Phases"), self._show_phase_at)
+        checks = tabs.add_tab("Certificate")
+        with checks:
+            gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
+            gui.add_button("no highlight", color=QUIET).on_click(lambda _: self._unmark())
+        self.checks = Buttons(gui, checks, self._show_check_at)
+
+    def _fill_panel(self) -> None:
+        """Say in the panel what the plan is, and show its time."""
+        self._show_head()
+        self.found.visible = False
+        phases, self.phase = self.motion.phases, -1
+        labels = [f"{phase.name}: {phase.start:.2f} – {phase.end:.2f} s" for phase in phases]
+        self.phases.show(labels, [QUIET] * len(phases))
+        self._show_checks()
+        self.seek(self.time)
+        longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
+        self.scrub.max = round(longest, DECIMALS)
+
+    def _show_head(self) -> None:
+        said = "being certified …" if self.certificate is None else verdict(self.certificate)
+        said = f"**{said}**" if not self._note else f"what is shown: {said}"
+        note = f"**{plain_words(self._note)}**  \n" if self._note else ""
+        title = plain_words(self._title or "Plan")
+        self.head.content = f"### {title}\n{facts(self.motion)}  \n{note}{said}"
+
+    def _show_phase(self) -> None:
+        phases, duration = self.motion.phases, self.motion.duration
+        i = next((i for i, phase in enumerate(phases) if self.time < phase.end), len(phases) - 1)
+        if i != self.phase:
+            if self.phase >= 0:
+                self.phases.paint(self.phase, QUIET)
+            self.phases.paint(i, None)
+            self.phase = i
+        words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}**"
+        if phases[i].state is not CableState.NONE:
+            words += f" ({phases[i].state})"
+        remark = plain_words(phases[i].remark)
+        self.now.content = f"{words}  \n{remark}" if remark else words
+
+    def _show_checks(self) -> None:
+        checks = self.certificate.checks if self.certificate else ()
+        colours = [QUIET if check.holds else "red" for check in checks]
+        self.checks.show([_words(check) for check in checks], colours)
+
+    def _show_phase_at(self, index: int) -> None:
+        with self._lock:
+            for phase in self.motion.phases[index : index + 1]:  # none if the plan has changed
+                self.seek(phase.start)
+
+    def _show_check_at(self, index: int) -> None:
+        with self._lock:
+            checks = self.certificate.checks if self.certificate else ()
+            for check in checks[index : index + 1]:
+                self.show_check(check)
+
+    def _switch(self, name: str, *, on: bool) -> None:
+        with self._lock:
+            self.live.switch(name, on=on)
+
+    def _unmark(self) -> None:
+        with self._lock:
+            self.live.mark(Concerned())
+            self.found.visible = False
+
+
+class Buttons:
+    """Buttons below one another, whose labels change with the plan; none is ever removed.
+
+    Pages that draw slowly receive what is added and removed at once, and report updates of what
+    is not there as errors.
+
+    Parameters
+    ----------
+    gui: a viser server's panel.
+    place: its tab that they are added to.
+    clicked: called with the index of a button that is clicked.
+    """
+
+    def __init__(self, gui: Any, place: Any, clicked: Callable[[int], None]) -> None:
+        self._gui, self._place, self._clicked = gui, place, clicked
+        self._all: list[Any] = []
+
+    def show(self, labels: Sequence[str], colours: Sequence[str | None]) -> None:
+        """Show one button a label, in these colours; None is the theme's own."""
+        for i, (label, colour) in enumerate(zip(labels, colours, strict=True)):
+            if i == len(self._all):
+                with self._place:
+                    self._all.append(self._gui.add_button(label, color=colour))
+                self._all[i].on_click(lambda _, i=i: self._clicked(i))
+            button = self._all[i]
+            button.label, button.color, button.visible = label, colour, True
+        for button in self._all[len(labels) :]:
+            button.visible = False
+
+    def paint(self, index: int, colour: str | None) -> None:
+        """Draw a button in a colour; None is the theme's own."""
+        self._all[index].color = colour
+
+    @property
+    def labels(self) -> list[str]:
+        """Labels of the buttons that are shown."""
+        return [button.label for button in self._all if button.visible]
+
+
+def _words(check: Check) -> str:
+    unit = "" if check.unit == "1" else f" {check.unit}"
+    worst = "–" if check.worst is None else f"{check.worst:.4g}{unit}"
+    relation = "≥" if check.sense == "min" else "≤"
+    limit = "" if check.limit is None else f" {relation} {check.limit:.4g}"
+    return f"{'✓' if check.holds else 'NO'} {check.name}: {worst}{limit}"
+
+
+def plain_words(text: str) -> str:
+    """Return a text without what Markdown or HTML would take for marks."""
+    return "".join(f"&#{ord(char)};" if char in "<>&*_`#[]()!\\|~$" else char for char in text)

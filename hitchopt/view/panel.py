@@ -1,0 +1,245 @@
+"""The live view's panel for editing by hand, and the handles in its scene."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hitchopt.errors import HitchoptError, InputError
+from hitchopt.mission.keys import STEP_KINDS
+from hitchopt.mission.repair import Edit
+from hitchopt.storage.yaml_edits import flow, split_key, value_at
+from hitchopt.storage.yaml_file import Plain, parse_yaml
+from hitchopt.view.editing import START, Editing, Handle, Stage, Status, step_key
+from hitchopt.view.live import LiveView, plain_words
+from hitchopt.view.style import MARK_COLOUR
+
+WIDTH = 330
+"""Width of the panel [pixels]."""
+
+SIZE = 0.04
+"""Radius of a handle [m]."""
+
+REACH = 0.35
+"""Length of the arrows of the handle that is chosen [m]."""
+
+IDLE_COLOUR = (90, 96, 102)
+"""Colour of handles that are not chosen."""
+
+MOST = 80
+"""Number of handles of a step up to which all are drawn; a list has all of them."""
+
+DECIMALS = 4
+"""Decimals of what a handle is dragged by [m]; nobody drags more finely."""
+
+
+class EditingPanel:
+    """Edits a problem in the live view.
+
+    Parameters
+    ----------
+    live: the view, showing the plan of the problem.
+    editing: the problem.
+    """
+
+    def __init__(self, live: LiveView, editing: Editing) -> None:
+        self.live, self.editing = live, editing
+        self.step, self.handle = START, ""
+        self._lock = threading.RLock()
+        self._shown, self._built = editing.planned, ""
+        self._parts: list[Any] = []
+        self._buttons: list[Any] = []
+        self._offered: tuple[Any, ...] = ()
+        gui = live.server.gui
+        window = gui.add_panel()
+        window.dock_left()
+        window.set_width(WIDTH)
+        self._tab = window.add_tab("Edit")
+        with self._tab:
+            self.status = gui.add_markdown("")
+            self.said = gui.add_markdown("", visible=False)
+            group = gui.add_button_group("file", ("Undo", "Redo", "Save"))
+            group.on_click(lambda event: self._do(self._filed, event.target.value))
+        self._build()
+        self._tell(editing.status)
+        editing.listener = self.refresh
+
+    def refresh(self) -> None:
+        """Show what the editing holds now."""
+        with self._lock:
+            text, status, planned = self.editing.now()
+            if planned is not self._shown:
+                self._shown = planned
+                title = self.editing.problem.title
+                self.live.show_plan(planned.motion, planned.certificate, title)
+            if text != self._built:
+                self._build()
+            self._tell(status)
+
+    def choose(self, step: int, handle: str = "") -> None:
+        """Show a step, or the start, at its end, and one of its handles."""
+        with self._lock:
+            if step != self.step:
+                ends = [p.end for p in self._shown.motion.phases if p.step == step]
+                self.live.seek(max(ends, default=0.0))
+            self.step, self.handle = step, handle
+            self._build()
+
+    def _tell(self, status: Status) -> None:
+        """Show how the plan relates to the problem, and what is suggested."""
+        current = status.stage is Stage.CURRENT
+        self.live.note("" if current else str(status.stage))
+        disk = "saved" if self.editing.saved else "not saved"
+        words = f"**{plain_words(str(status.stage))}** ({disk})"
+        if status.suggestions:
+            words += "  \nA click below makes a suggested change."
+        if status.words:
+            words += "  \n" + "  \n".join(map(plain_words, status.words.splitlines()))
+        self.status.content = words
+        if status.suggestions != self._offered:
+            self._offered = status.suggestions
+            for button in self._buttons:
+                button.remove()
+            with self._tab:
+                self._buttons = [
+                    self._button(str(each.change), self.editing.apply, each, hint=str(each))
+                    for each in status.suggestions
+                ]
+
+    def _build(self) -> None:
+        """Build what depends on the text and the step."""
+        for part in self._parts:
+            part.remove()
+        self._built = self.editing.text
+        data, count = parse_yaml(self._built), len(self.editing.problem.mission)
+        self.step = min(self.step, count - 1)
+        by_name = self.editing.handles(self.step)
+        if self.handle not in by_name:
+            self.handle = next(iter(by_name), "")
+        with self._tab:
+            folder = self.live.server.gui.add_folder("Step")
+            with folder:
+                self._add_steps(data, count)
+                self._add_values(data, by_name)
+        few = by_name.values() if len(by_name) <= MOST else ()
+        self._parts = [folder, *map(self._ball, few)]
+        if self.handle:
+            self._parts.append(self._gizmo(by_name[self.handle]))
+
+    def _add_steps(self, data: Plain, count: int) -> None:
+        gui = self.live.server.gui
+        names = [step_key(data, i) for i in range(START, count)]
+        steps = gui.add_dropdown("step", names, initial_value=names[self.step - START])
+        steps.on_update(
+            lambda event: self._do(self.choose, names.index(event.target.value) + START)
+        )
+        kinds = gui.add_dropdown("new step", tuple(STEP_KINDS), initial_value="hold")
+        self._button("Add after this step", lambda: self._added(kinds.value))
+        if self.step != START:
+            group = gui.add_button_group("this step", ("Earlier", "Later", "Remove"))
+            group.on_click(lambda event: self._do(self._rearranged, event.target.value))
+
+    def _add_values(self, data: Plain, by_name: dict[str, Handle]) -> None:
+        gui, key = self.live.server.gui, step_key(data, self.step)
+        place = None
+        if by_name:
+            chosen = gui.add_dropdown("handle", tuple(by_name), initial_value=self.handle)
+            chosen.on_update(lambda event: self._do(self.choose, self.step, event.target.value))
+            here = tuple(map(float, by_name[self.handle].place))
+            place = gui.add_vector3("x, y, z [m]", here, step=0.05)
+        fields = {
+            name: gui.add_text(name, flow(value))
+            for name, value in value_at(data, split_key(key)).items()
+        }
+        typed = {name: field.value for name, field in fields.items()}
+        further = gui.add_text("further key: value", "")
+
+        def plan() -> None:
+            edits = [
+                Edit(f"{key}.{name}", parse_yaml(field.value or "null", name))
+                for name, field in fields.items()
+                if field.value != typed[name]
+            ]
+            more = parse_yaml(further.value, "further key") if further.value.strip() else {}
+            if not isinstance(more, dict):
+                raise InputError("further key", further.value, "key: value", "write blend: true")
+            edits += [Edit(f"{key}.{name}", value) for name, value in more.items()]
+            if edits:
+                self.editing.put(*edits)
+            elif place is not None:
+                self._dropped(by_name[self.handle], place.value)
+
+        self._button("Plan with these values", plan)
+
+    def _added(self, kind: str) -> None:
+        self.editing.add(self.step, kind)
+        self.choose(self.step + 1)
+
+    def _rearranged(self, how: str) -> None:
+        if how == "Remove":
+            self.editing.remove(self.step)
+            return
+        to = self.step + (1 if how == "Later" else -1)
+        self.editing.move(self.step, to)
+        self.choose(to)
+
+    def _filed(self, how: str) -> None:
+        if how == "Save":
+            self._say(f"wrote {self.editing.save()}")
+        elif not self.editing.undo(1 if how == "Undo" else -1):
+            self._say("nothing to undo" if how == "Undo" else "nothing to do again")
+
+    def _dropped(self, handle: Handle, place: Any) -> None:
+        """Take over where a handle has been put, or show again where it was."""
+        by = np.round(np.asarray(place) - handle.place, DECIMALS)
+        if not np.any(by):
+            return
+        try:
+            self.editing.drag(self.step, handle.name, handle.place + by)
+        except HitchoptError:
+            self._build()
+            raise
+
+    def _ball(self, handle: Handle) -> Any:
+        colour = MARK_COLOUR if handle.name == self.handle else IDLE_COLOUR
+        ball = self.live.server.scene.add_icosphere(
+            f"/edit/{handle.name}", SIZE, colour, position=tuple(handle.place), cast_shadow=False
+        )
+        ball.on_click(lambda _: self._do(self.choose, self.step, handle.name))
+        return ball
+
+    def _gizmo(self, handle: Handle) -> Any:
+        gizmo = self.live.server.scene.add_transform_controls(
+            "/edit/gizmo", REACH, active_axes=(True, True, handle.vertical), disable_rotations=True,
+            depth_test=False, position=tuple(handle.place),
+        )  # fmt: skip
+
+        def moved(event: Any) -> None:
+            if event.phase == "end":
+                self._do(self._dropped, handle, np.array(event.target.position))
+
+        gizmo.on_update(moved)
+        return gizmo
+
+    def _button(
+        self, label: str, work: Callable[..., None], *args: Any, hint: str | None = None
+    ) -> Any:
+        button = self.live.server.gui.add_button(label, hint=hint)
+        button.on_click(lambda _: self._do(work, *args))
+        return button
+
+    def _do(self, work: Callable[..., None], *args: Any) -> None:
+        """Do what was asked for, or say why not."""
+        with self._lock:
+            self._say("")
+            try:
+                work(*args)
+            except HitchoptError as error:
+                self._say(str(error))
+
+    def _say(self, words: str) -> None:
+        self.said.content = plain_words(words)
+        self.said.visible = bool(words)

@@ -1,0 +1,295 @@
+"""report.html: a plan in one file that needs no network, and a plan written as any kind of file."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+import math
+import platform
+import zlib
+from collections.abc import Mapping
+from importlib import metadata
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import FileError, InputError, Progress
+from hitchopt.motion.loads import stated_tensions
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.states import States
+from hitchopt.values import Array
+from hitchopt.view.cables import CLASPS, HOOKED, POINTS
+from hitchopt.view.pictures import Panel, draw_summary, panels, sampled_states
+from hitchopt.view.scene import Scene, concerned, scene_of
+from hitchopt.view.shapes import mesh, object_faces
+from hitchopt.view.style import drone_colours, facts, object_colours, save_figure, verdict
+
+PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
+"""Endings of files that a plan can be written to."""
+
+PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
+"""Packages whose versions a report states, besides hitchopt's."""
+
+DIGESTED = ("plan.npz", "setpoints.csv")
+"""Files of a plan whose digests a report states."""
+
+SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
+"""Parts of the page's script."""
+
+HEADROOM = 1.2
+"""Height of a plot over its largest value."""
+
+LEVELS = 65535
+"""Largest 16-bit number."""
+
+
+def save_view(
+    path: Path,
+    motion: Motion,
+    certificate: Certificate,
+    title: str = "",
+    problem: str = "",
+    progress: Progress | None = None,
+) -> None:
+    """Write a plan as a page, a picture or a film, by the ending of the file's name.
+
+    Parameters
+    ----------
+    path: file, replaced if there is one.
+    motion, certificate, title: the plan.
+    problem: the text of its problem file, if it is known.
+    progress: called with what is done of a film.
+
+    Raises
+    ------
+    InputError: another ending than those of PAGE, PICTURES and FILMS.
+    UnsupportedError: a film needs a package that is not installed.
+    FileError: the file cannot be written.
+    """
+    kind = path.suffix.lower()
+    if kind in FILMS:
+        from hitchopt.view.film import save_film
+
+        def share(done: float) -> None:
+            if progress is not None:
+                progress(f"drawing, {done:.0%}")
+
+        save_film(path, scene_of(motion), title, share)
+        return
+    if kind not in (*PICTURES, PAGE):
+        bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
+        raise InputError("--save", str(path), bound, "such as plan.html")
+    draft = path.with_name(f".{path.stem}.part{kind}")
+    try:
+        if kind == PAGE:
+            write_report(draft, motion, certificate, title, problem, path.parent)
+        else:
+            save_figure(draw_summary(motion, certificate, title), draft)
+        draft.replace(path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise FileError(f"{path}: cannot be written: {reason}; name another place") from error
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def write_report(
+    path: Path, motion: Motion, certificate: Certificate, title: str = "", problem: str = "",
+    directory: Path | None = None,
+) -> None:  # fmt: skip
+    """Write the page of a plan: playback, plots and certificate.
+
+    Parameters
+    ----------
+    path: file, replaced if there is one.
+    motion, certificate, title: the plan.
+    problem: the text of its problem file, if it is known.
+    directory: that of the plan's files, whose digests the report states; by default that of
+        ``path``.
+
+    Raises
+    ------
+    OSError: the file cannot be written.
+    """
+    scene, name = scene_of(motion), title or "Plan"
+    entries, samples = packed(
+        {
+            "drones": scene.drones,
+            "attitudes": scene.quaternions[..., 1:],
+            "thrusts": scene.thrusts[..., None],
+            "forces": scene.cable_forces,
+            "cables": scene.cables,
+            "places": scene.objects[..., :3],
+            "turns": scene.objects[..., 3:],
+        }
+    )
+    data = {
+        "title": name,
+        "facts": facts(motion),
+        "verdict": verdict(certificate),
+        "certified": certificate.certified,
+        "arrays": entries,
+        "plots": _plots(motion, certificate),
+        "checks": [_check(motion, check) for check in certificate.checks],
+        "problem": problem,
+        "origin": _origin(problem, directory or path.parent),
+        **_described(scene),
+    }
+    # No text, whatever it has, can end the script that holds it.
+    text = json.dumps(data, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    page = files("hitchopt.view") / "page"
+    parts = {
+        "TITLE": html.escape(name),
+        "STYLE": (page / "report.css").read_text("utf-8"),
+        "DATA": text.replace("<", "\\u003c"),
+        "SAMPLES": samples,
+        "LIBRARY": (page / "three.bundle.js").read_text("utf-8"),
+        "SCRIPT": "\n".join((page / script).read_text("utf-8") for script in SCRIPTS),
+    }
+    pieces = (page / "report.html").read_text("utf-8").split("%")
+    pieces[1::2] = [parts[piece] for piece in pieces[1::2]]
+    path.write_text("".join(pieces), encoding="utf-8")
+
+
+def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
+    """Return a description of arrays, ready for JSON, and their samples as text.
+
+    The text is deflated second differences of 16 bits in base64, which ``page/samples.js`` decodes:
+    those of smooth motion are small, and pack to about a third. Every sample is off by at most half
+    of its axis's range over ``LEVELS``.
+
+    Parameters
+    ----------
+    arrays: by name, (times, …, axes); all values of an axis share one range.
+    """
+    entries, planes = [], []
+    for name, array in arrays.items():
+        flat = np.reshape(array, (-1, array.shape[-1]))
+        some = flat if len(flat) else np.zeros((1, array.shape[-1]))
+        lower, extent = np.min(some, axis=0), np.ptp(some, axis=0)
+        step = np.where(extent > 0.0, extent / LEVELS, 1.0)
+        columns = np.rint((array - lower) / step).astype(np.int64).reshape(len(array), -1)
+        twice = np.diff(columns, n=2, axis=0, prepend=np.zeros((2, columns.shape[1]), np.int64))
+        words = twice.T.astype(np.uint16)  # wraps around, as the page's sums do
+        planes += [part.astype(np.uint8).tobytes() for part in (words & 255, words >> 8)]
+        ranges = {"lower": lower.tolist(), "step": step.tolist()}
+        entries.append({"name": name, "columns": columns.shape[1], **ranges})
+    return entries, base64.b64encode(zlib.compress(b"".join(planes), 9)).decode("ascii")
+
+
+def _described(scene: Scene) -> dict[str, Any]:
+    """Return what does not change over time, and the phases."""
+    motion, team = scene.motion, scene.motion.team
+    requirements, layout = motion.requirements, scene.motion.team.layout
+    arena, separation = requirements.arena, requirements.separation
+    bodies = [mesh(object_faces(body)) for body in requirements.objects.values()]
+    solids = zip(object_colours(motion), bodies, strict=True)
+    clasps = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
+    return {
+        "t": np.round(scene.t, 6).tolist(),
+        "duration": motion.duration,
+        "phases": [
+            {
+                **{name: getattr(phase, name) for name in ("name", "start", "end", "remark")},
+                "state": "" if phase.state is CableState.NONE else str(phase.state),
+                "hooked": phase.state in HOOKED,
+            }
+            for phase in motion.phases
+        ],
+        "names": list(team.drone_names),
+        "colours": list(drone_colours(team)),
+        "cables": team.robots,
+        "points": POINTS,
+        "radius": scene.radius,
+        "clasps": [
+            {"name": team.point_names[p], "vertex": p, "point": k * POINTS + CLASPS[0]}
+            for p, k in clasps
+        ],
+        "objects": [
+            {"colour": colour, "corners": np.round(np.float64(vertices[faces]).ravel(), 6).tolist()}
+            for colour, (vertices, faces) in solids
+        ],
+        "floor": requirements.floor,
+        "ellipsoid": [separation.radius, separation.radius, separation.height],
+        "arena": arena and {"lower": arena.lower.tolist(), "upper": arena.upper.tolist()},
+        "keep_out": [
+            {"polygon": prism.polygon.vertices.tolist(), "lower": prism.lower, "upper": prism.upper}
+            for prism in requirements.keep_out
+        ],
+    }
+
+
+def _check(motion: Motion, check: Check) -> dict[str, Any]:
+    names = ("name", "holds", "worst", "limit", "sense", "unit", "time")
+    found: dict[str, Any] = {name: getattr(check, name) for name in names}
+    return {**found, "where": [*check.where], "concerned": vars(concerned(motion, check.where))}
+
+
+def _plots(motion: Motion, certificate: Certificate) -> list[dict[str, Any]]:
+    states = sampled_states(motion)
+    plots = [_plot(motion, states.t, panel, certificate) for panel in panels(motion, states)]
+    if motion.team.has_cables and np.any(states.formed):
+        plots.append(_tension_plot(motion, states))
+    return plots
+
+
+def _plot(motion: Motion, t: Array, panel: Panel, certificate: Certificate) -> dict[str, Any]:
+    worst, limit = panel.worst_of(certificate), panel.limit
+    bound = {"t": [0.0, motion.duration], "values": 2 * [limit], "words": f"limit {limit:.4g}"}
+    return {
+        "label": panel.label,
+        "t": _rounded(t),
+        "curves": [_rounded(panel.values)],
+        "limits": [bound],
+        "worst": worst and {"time": worst[0], "value": worst[1]},
+        "sense": RULE_OF[panel.name].sense,
+        "top": HEADROOM * max(limit, float(np.max(panel.values)), worst[1] if worst else 0.0),
+    }
+
+
+def _tension_plot(motion: Motion, states: States) -> dict[str, Any]:
+    """Return the largest and the smallest tension while there is a hitch, and what is stated."""
+    tensions = np.where(states.formed[:, None], states.tensions, np.nan)
+    stated = stated_tensions(motion)
+    steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
+    limits = []
+    for bound in (np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)):
+        values = np.repeat(np.where(motion.formed, bound, np.nan), 2)
+        limits.append({"t": _rounded(steps), "values": _rounded(values), "words": ""})
+    return {
+        "label": "tension [N],\nas stated",
+        "t": _rounded(states.t),
+        "curves": [_rounded(np.min(tensions, axis=1)), _rounded(np.max(tensions, axis=1))],
+        "limits": limits,
+        "worst": None,
+        "sense": "max",
+        "top": HEADROOM * float(np.nanmax(np.concatenate([stated.ravel(), tensions.ravel()]))),
+    }
+
+
+def _rounded(values: Array) -> list[float | None]:
+    """Return numbers in five significant digits; nothing where there is none."""
+    return [float(f"{x:.5g}") if math.isfinite(x) else None for x in values.tolist()]
+
+
+def _origin(problem: str, directory: Path) -> list[tuple[str, str]]:
+    """Return versions and digests, as rows of a table."""
+    rows = [("Python", platform.python_version())]
+    for package in ("hitchopt", *PACKAGES):
+        try:
+            rows.append((package, metadata.version(package)))
+        except metadata.PackageNotFoundError:
+            rows.append((package, "(not installed)"))
+    if problem:
+        rows.append(("problem file, SHA-256", hashlib.sha256(problem.encode()).hexdigest()))
+    for name in DIGESTED:
+        if (directory / name).is_file():
+            with (directory / name).open("rb") as file:
+                rows.append((f"{name}, SHA-256", hashlib.file_digest(file, "sha256").hexdigest()))
+    return rows

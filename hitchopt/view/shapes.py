@@ -1,0 +1,123 @@
+"""Surfaces of drones, objects and spheres.
+
+Faces are arrays (m, 4, 3) [m] of corners, counter-clockwise seen from outside; a triangle has its
+last corner twice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hitchopt.geometry.vectors import unit
+from hitchopt.objects import Section, Slab, SolidObject
+from hitchopt.values import Array
+
+SPAN = 0.8
+"""Reach of a drone's rotors as a share of its ellipsoid's radius."""
+
+SEGMENTS = 16
+"""Corners of a rotor; an even number."""
+
+ROUND = 32
+"""Corners of a drawn circle."""
+
+PLATE = 0.012
+"""Thickness of a drawn rim [m], below its height."""
+
+
+def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, Array]:
+    """Return frame, rotors and rims of a drone whose ellipsoid has that radius [m].
+
+    They are about its centre, the thrust along z, with ``segments`` corners a rotor.
+    """
+    size = SPAN * radius
+    arm, rotor, above = 0.62 * size, 0.38 * size, 0.08 * size
+    quarter = np.radians([45.0, 135.0, 225.0, 315.0])
+    centres = np.column_stack([arm * np.cos(quarter), arm * np.sin(quarter), np.full(4, above)])
+    sides = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    boxes = [
+        _prism(sides * [arm, 0.05 * size] @ [[c, s], [-s, c]], -0.04 * size, 0.04 * size)
+        for c, s in zip(np.cos(quarter[:2]), np.sin(quarter[:2]), strict=True)
+    ]
+    boxes.append(_prism(sides * (0.22 * size), -0.12 * size, 0.12 * size))
+    ring = np.column_stack([rotor * _circle(segments), np.zeros(segments)])
+    k = np.arange(segments)
+    hub, after = np.zeros((segments // 2, 3)), (k + 1) % segments
+    disc = np.stack([hub, ring[0::2], ring[1::2], ring[after[1::2]]], axis=1)
+    rim = np.stack([ring, ring[after], 1.18 * ring[after], 1.18 * ring], axis=1)
+    rotors, rims = (np.concatenate([part + at for at in centres]) for part in (disc, rim))
+    return np.concatenate(boxes), rotors, rims
+
+
+def object_faces(body: SolidObject) -> Array:
+    """Return the faces of an object about its base: its body, and the rim as a plate."""
+    return np.concatenate(
+        [slab_faces(Slab(s.section, min(s.lower, s.upper - PLATE), s.upper)) for s in body.slabs]
+    )
+
+
+def slab_faces(slab: Slab) -> Array:
+    """Return the faces of a section between two heights."""
+    return _prism(outline(slab.section), slab.lower, slab.upper)
+
+
+def outline(section: Section) -> Array:
+    """Return the corners of a section (m, 2) [m], counter-clockwise."""
+    if section.outline is None:
+        return section.rounding * _circle(ROUND)
+    return np.asarray(section.outline[::-1])
+
+
+def sphere_faces(size: ArrayLike) -> Array:
+    """Return the faces of an ellipsoid about the origin with semi-axes (3,) or a radius [m]."""
+    polar, around = np.meshgrid(
+        np.linspace(0, np.pi, 9), np.linspace(0, 2 * np.pi, 17), indexing="ij"
+    )
+    level = np.sin(polar)
+    grid = np.stack([level * np.cos(around), level * np.sin(around), np.cos(polar)], axis=-1) * size
+    corners = [grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]]
+    return np.stack(corners, axis=2).reshape(-1, 4, 3)
+
+
+def split(faces: Array, times: int) -> Array:
+    """Return faces cut at the middles of their sides, 4**times of each."""
+    for _ in range(times):
+        middles = 0.5 * (faces + np.roll(faces, -1, axis=1))
+        centre = np.mean(middles[:, ::2], axis=1)
+        parts = [
+            np.stack([faces[:, i], middles[:, i], centre, middles[:, i - 1]], axis=1)
+            for i in range(4)
+        ]
+        faces = np.concatenate(parts)
+    return faces
+
+
+def normals(faces: Array) -> Array:
+    """Return the unit normals (…, 3) of faces (…, 4, 3), from their diagonals."""
+    first, second = faces[..., 2, :] - faces[..., 0, :], faces[..., 3, :] - faces[..., 1, :]
+    return unit(np.cross(first, second))
+
+
+def mesh(faces: Array) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Return vertices (v, 3) [m] and triangles (f, 3) of faces."""
+    corners = np.round(faces.reshape(-1, 3), 9)
+    vertices, index = np.unique(corners, axis=0, return_inverse=True)
+    found = index.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    whole = np.all(found != np.roll(found, 1, axis=1), axis=1)
+    return vertices.astype(np.float32), found[whole].astype(np.uint32)
+
+
+def _circle(corners: int) -> Array:
+    angle = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def _prism(corners: Array, lower: float, upper: float) -> Array:
+    """Return the faces of a prism: sides, ceiling and floor as fans."""
+    floor, ceiling = (np.column_stack([corners, np.full(len(corners), z)]) for z in (lower, upper))
+    sides = np.stack([floor, np.roll(floor, -1, 0), np.roll(ceiling, -1, 0), ceiling], axis=1)
+    k = np.arange(2, len(corners), 2)  # two triangles a face
+    last = np.minimum(k + 1, len(corners) - 1)
+    fan = np.column_stack([0 * k, k - 1, k, last])
+    return np.concatenate([sides, ceiling[fan], floor[fan[:, ::-1]]])

@@ -1,0 +1,108 @@
+"""Objects that are carried in tests: a tray by rest; a drum, a box and a stone by grip."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+import hitchopt as ho
+from hitchopt.motion.motion import Motion
+from hitchopt.values import Array
+
+MASS, TO = 0.2, [-0.3, 0.9, 0.1]
+"""Mass [kg] of the tray, and where it goes."""
+
+DRUM, RADIUS, FRICTION, CLASPS = 0.1, 0.2, 0.5, 0.1
+"""Mass [kg], radius [m] and friction of the drum, and friction of the clasps that grip it."""
+
+SIDES = [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]]
+
+
+def tray(**changes: Any) -> dict[str, Any]:
+    """A tray off the origin, to be set down on a low table, turned."""
+    held = {"circle": 0.1, "to": 0.3, "mass": MASS, "at": [1.1, 0.2, 0.0], "yaw_deg": 20.0}
+    held["rim"] = {"circle": 0.3, "at": 0.25}
+    table = {"circle": 0.3, "to": 0.1, "at": [*TO[:2], 0.0], "fixed": True}
+    given: dict[str, Any] = {
+        "team": {"robots": 3, "cable_length": 2.2, "tension": 0.8, "cable_density": 0.004},
+        "limits": {"tilt_deg": 60},
+        "objects": {"tray": {**held, **changes}, "table": table},
+        "start": {
+            "hitch": {"polygon": [[1.5, 0.2], [0.9, -0.1], [0.9, 0.5]], "altitude": 0.9},
+        },
+    }
+    step = {"object": "tray", "to": TO, "tension": 1.0, "yaw_deg": 40.0, "lift": 0.1}
+    given["mission"] = [{"transport_object": step}]
+    return given
+
+
+def drum(turn: float = 0.0, by: tuple[float, float] = (0.0, 0.0), **changes: Any) -> dict[str, Any]:
+    """A drum to be gripped, turned while it is carried; all of it turned and moved in the plane."""
+    c, s = math.cos(turn), math.sin(turn)
+
+    def placed(point: Any) -> list[float]:
+        x, y = np.asarray(point)[:2]
+        return [float(c * x - s * y + by[0]), float(s * x + c * y + by[1])]
+
+    held = {
+        "circle": RADIUS,
+        "to": 0.3,
+        "mass": DRUM,
+        "friction": FRICTION,
+        "at": [*placed([1.3, 0.2]), 0],
+    }
+    polygon = [placed(p) for p in ([1.8, 0.2], [1.0, -0.25], [1.0, 0.65])]
+    step = {
+        "object": "drum",
+        "to": [*placed([1.0, 1.0]), 0.0],
+        "tension": 1.3,
+        "lift": 0.1,
+        "yaw_deg": 30,
+    }
+    return {
+        "team": {
+            **{"robots": 3, "cable_length": 1.6, "tension": 1.0, "cable_density": 0.004},
+            "cable_friction": CLASPS,
+        },
+        "limits": {"tilt_deg": 60},
+        "objects": {"drum": {**held, **changes}},
+        "start": {"hitch": {"polygon": polygon, "altitude": 0.8}},
+        "mission": [{"transport_object": step}],
+    }
+
+
+def box() -> dict[str, Any]:
+    """A box to be gripped by four cables that do not rub."""
+    body = {"outline": SIDES, "mass": 0.06, "friction": 0.8, "at": [1.5, 0.0, 0.0]}
+    square = [[0.9, 0.0], [0.5, -0.4], [0.1, 0.0], [0.5, 0.4]]
+    return drum() | {
+        "team": {"robots": 4, "cable_length": 1.3, "tension": 1.0, "cable_density": 0.01},
+        "objects": {"box": body},
+        "start": {"hitch": {"polygon": square, "altitude": 0.9}},
+        "mission": [{"transport_object": {"object": "box", "to": [1.5, 0.5, 0], "tension": 1.3}}],
+    }
+
+
+def stone() -> dict[str, Any]:
+    """A flat stone of nine corners, lopsided: edges bend round several of them."""
+    angles = 0.1 - np.array([0.0, 0.6, 1.3, 2.1, 2.7, 3.5, 4.2, 4.8, 5.6])
+    outline = np.column_stack([0.21 * np.cos(angles), 0.19 * np.sin(angles)])
+    return drum(circle=None, outline=outline.tolist(), mass=0.05, friction=0.8)
+
+
+@cache
+def plan(name: str) -> ho.Plan:
+    """Return the certified plan of one of them, which all tests share."""
+    problem = {"tray": tray, "drum": drum, "box": box, "stone": stone}[name]()
+    found = ho.solve(ho.problem_from_dict(problem))
+    assert found.certificate.certified
+    return found
+
+
+def lifted(motion: Motion) -> Array:
+    """Times at which the object is off its support."""
+    lift, down = (next(p for p in motion.phases if p.name == n) for n in ("lift", "set_down"))
+    return np.linspace(lift.start + 1.6, down.end - 1.6, 301)

@@ -1,0 +1,324 @@
+"""Shows: what Skybrush's server stores, coordinated returns, what mavsdk_drone_show plays."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from exported_plans import Array, exported, flown_checks, hitch_plan, swarm_of, swarm_plan, task_of
+from format_readers import as_stored
+
+from hitchopt.checks import Certificate
+from hitchopt.errors import FileError, InfeasibleError, InputError
+from hitchopt.exports.export_options import ExportOptions
+from hitchopt.exports.exporting import export_plan
+from hitchopt.exports.formats import mavsdk
+from hitchopt.exports.formats.known_formats import format_of
+from hitchopt.exports.formats.mavsdk import LATE, Receiver, read_table
+from hitchopt.exports.formats.skybrush import (
+    read_show,
+    storage_scale,
+    stored,
+    write_show,
+)
+from hitchopt.hitch import Swarm
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.states import states_at
+from hitchopt.requirements import Limits, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+
+MOTIONS = pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
+
+
+@pytest.mark.parametrize("away", [(0.0, 0.0, 0.0), (40.0, -3.0, 0.0)], ids=["near", "far"])
+def test_what_the_server_stores_is_what_was_certified(
+    away: tuple[float, float, float], tmp_path: Path
+) -> None:
+    """Rounded once more by the server nothing changes, and velocity jumps as declared."""
+    motion = hitch_plan()
+    (part,) = exported(motion, "skybrush", tmp_path, origin=away)
+    (declared,) = re.findall(r"jumps by up to ([0-9.e+]+) mm/s", part.notes[1])
+    assert part.verdict.velocity.worst <= 0.04  # segments are long enough for millimetres
+    frame = task_of(motion, "skybrush", origin=away).frame
+    t = np.linspace(0.0, motion.duration, 200)
+    states, jumps = states_at(motion, t), []
+    with zipfile.ZipFile(tmp_path / "show.skyc") as archive:
+        for i, name in enumerate(motion.team.drone_names):
+            points = json.loads(archive.read(f"drones/{name}/trajectory.json"))["points"]
+            lasting, pieces = as_stored(points)
+            times = 1e-3 * np.concatenate([[0], np.cumsum(lasting)])
+            np.testing.assert_allclose(times, [point[0] for point in points], atol=1e-8)
+            ends = [p[1] for p in points[1:]]
+            np.testing.assert_allclose(pieces[:, 3], ends, rtol=0.0, atol=2e-6)
+            curve = PiecewisePolynomial(times, np.swapaxes(pieces, 1, 2))
+            for order, wanted, worst in (
+                (0, frame.points(states.positions[:, i]), part.verdict.position),
+                (1, frame.vectors(states.velocities[:, i]), part.verdict.velocity),
+            ):
+                apart = np.linalg.norm(curve.at(t, order) - wanted, axis=-1)
+                assert np.max(apart) <= worst.worst + 1e-9
+            slopes = 3.0 * np.diff(pieces, axis=1) / (1e-3 * lasting[:, None, None])
+            jumps.append(np.max(np.linalg.norm(slopes[1:, 0] - slopes[:-1, 2], axis=-1)))
+    assert 1e3 * max(jumps) == pytest.approx(float(declared), rel=6e-3)
+
+
+def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -> None:
+    """1.001 m times 1000 is 1000.99… in binary."""
+    numbers = np.array([1001, -1003, 2002, 0, 1, 32766, -1023, 1005, 4011, -2006, 999, 1007])
+    assert any(int(k / 1000 * 1000) != k for k in numbers.tolist())
+    points = 1e-3 * np.broadcast_to(numbers.reshape(1, 1, 3, 4), (1, 3, 3, 4))
+    path, shown = tmp_path / "show.skyc", PiecewisePolynomial(np.array([0.0, 0.7]), points)
+    write_show(path, task_of(swarm_plan(), "skybrush"), shown, [None] * 3)
+    with zipfile.ZipFile(path) as archive:
+        _, pieces = as_stored(json.loads(archive.read("drones/d0/trajectory.json"))["points"])
+    assert np.array_equal(np.rint(1e3 * pieces[0]).T, numbers.reshape(3, 4))
+    curve = stored(read_show(path).curves["d0"])
+    assert (storage_scale(curve), storage_scale(curve, 2e-3)) == (1, 2)
+    np.testing.assert_allclose(curve.coefficients[0], points[0, 0], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
+def test_csv_is_sampled_more_often_where_lines_lose_a_limit(tmp_path: Path) -> None:
+    """Two drones on one circle, always opposite, at just their distance: lines cut corners."""
+    angles = np.linspace(0.0, 4.0 * np.pi, 200)
+    around = 0.1201 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=-1)
+    slopes = np.gradient(around, angles, axis=0)
+    t = 4.0 * angles / angles[-1]
+    ends = np.stack([np.stack([s, -s], axis=1) for s in (around, slopes * np.pi)])
+    ends[0] += [0.0, 0.0, 1.0]
+    limits = Limits(speed=5.0, acceleration=1e3, jerk=1e6)
+    pair = Motion.single(
+        Swarm(2),
+        replace(swarm_plan().requirements, limits=limits, separation=Separation()),
+        PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
+        (Phase("circle", 0, 0.0, 4.0),),
+    )
+    certificate = Certificate(4.0, tuple(flown_checks(pair).values()))
+    kind = format_of("skybrush_csv")
+    (part,) = export_plan(kind, task_of(pair, "skybrush_csv"), certificate, tmp_path)
+    assert [note.split(":")[0] for note in part.notes] in (["at 40 Hz"], ["at 100 Hz"])
+    asked = replace(task_of(pair, "skybrush_csv"), options=ExportOptions("skybrush_csv", rate=20.0))
+    with pytest.raises(InfeasibleError, match=r"separation: 0\.9"):
+        export_plan(kind, asked, certificate, tmp_path / "out")
+
+
+def crossing() -> Motion:
+    """Two drones that fly one over the other at half time, and a third one beside them."""
+    there = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 2.0], [2.0, 1.0, 1.5]])
+    back = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 2.0], [2.5, 1.0, 1.5]])
+    return swarm_of(np.stack([there, back]), np.array([0.0, 8.0]))
+
+
+def shown(folder: Path) -> list[dict[str, Any]]:
+    with zipfile.ZipFile(folder / "show.skyc") as archive:
+        drones = json.loads(archive.read("show.json"))["swarm"]["drones"]
+    return [drone["settings"] for drone in drones]
+
+
+def place(entry: dict[str, Any], landing: float, start: Array, t: float) -> Array:
+    """Where a drone is t after the entry's time, as the receiver's lines have it; nwu."""
+    goal = np.array(entry["target"]) if entry["action"] == "goToKeepAlt" else start
+    goal = np.array([*goal[:2], start[2]])
+    lasts = entry["duration"] if entry["action"] == "goToKeepAlt" else 0
+    share = np.clip((t - entry["preDelay"]) / max(lasts, 1e-9), 0.0, 1.0)
+    here = start + share * (goal - start)
+    here[2] -= landing * max(0.0, t - entry["preDelay"] - lasts - entry["postDelay"])
+    return np.asarray(np.maximum(here, [-np.inf, -np.inf, 0.0]))
+
+
+@pytest.mark.parametrize("motion", [swarm_plan(), crossing()], ids=["swarm", "crossing"])
+def test_returns_keep_drones_apart(motion: Motion, tmp_path: Path) -> None:
+    exported(motion, "skybrush", tmp_path)
+    plans = [drone["rthPlan"] for drone in shown(tmp_path)]
+    times = [[entry["time"] for entry in plan["entries"]] for plan in plans]
+    assert all(each == times[0] for each in times)
+    assert times[0] == sorted(set(times[0]))
+    assert times[0][-1] >= motion.duration
+    scale, landing = motion.requirements.separation.scale, plans[0]["landingSpeed"]
+    for entries in zip(*(plan["entries"] for plan in plans), strict=True):
+        east = motion.drones.at(min(entries[0]["time"], motion.duration))
+        starts = np.stack([east[:, 1], -east[:, 0], east[:, 2]], axis=-1)
+        flown = np.array(
+            [
+                [place(e, landing, s, t) for e, s in zip(entries, starts, strict=True)]
+                for t in np.linspace(0.0, 60.0, 3001)
+            ]
+        )
+        i, j = np.triu_indices(len(entries), 1)
+        assert np.min(np.linalg.norm((flown[:, i] - flown[:, j]) * scale, axis=-1)) >= 1.0
+        assert np.all(flown[-1, :, 2] == 0.0)
+        steps = np.linalg.norm(np.diff(flown, axis=0), axis=-1) / 0.02
+        assert np.max(steps) <= motion.requirements.limits.speed
+
+
+def changed(folder: Path, change: Any) -> None:
+    path = folder / "show.skyc"
+    with zipfile.ZipFile(path) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    show = json.loads(files["show.json"])
+    change([drone["settings"] for drone in show["swarm"]["drones"]])
+    files["show.json"] = json.dumps(show).encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+
+
+def test_returns_that_are_read_back_are_what_is_certified(tmp_path: Path) -> None:
+    """Another target in the file than was planned is found."""
+    motion = swarm_plan()
+    exported(motion, "skybrush", tmp_path)
+    kind, task = format_of("skybrush"), task_of(motion, "skybrush")
+    kind.certify(tmp_path, task)
+
+    def together(drones: list[dict[str, Any]]) -> None:
+        for drone in drones:
+            entry = drone["rthPlan"]["entries"][1]
+            entry |= {"action": "goToKeepAlt", "target": [0.0, 0.0, 1.0], "duration": 9}
+
+    changed(tmp_path, together)
+    with pytest.raises(InfeasibleError, match="in the return from t = 1 s"):
+        kind.certify(tmp_path, task)
+    for damage in (
+        lambda drones: drones[0]["rthPlan"]["entries"].pop(),
+        lambda drones: drones[0].pop("rthPlan"),
+    ):
+        changed(tmp_path, damage)
+        with pytest.raises(FileError, match="rthPlan is damaged"):
+            kind.certify(tmp_path, task)
+
+
+DEFAULTS: dict[str, Any] = {
+    "INITIAL_CLIMB_ALTITUDE_THRESHOLD": 5.0,
+    "INITIAL_CLIMB_TIME_THRESHOLD": 5.0,
+    "GROUND_ALTITUDE_THRESHOLD": 1.0,
+    "AUTO_GLOBAL_ORIGIN_MODE": True,
+    "USE_GLOBAL_SETPOINTS": True,
+    "FEEDFORWARD_VELOCITY_ENABLED": False,
+    "FEEDFORWARD_ACCELERATION_ENABLED": False,
+}
+
+
+def played(t: Array, places: Array, settings: Mapping[str, Any], late: float) -> dict[int, Array]:
+    """A stand-in for one drone's player, row by row: the places (3,) that it sends, by row."""
+    origin = np.zeros(3) if settings["AUTO_GLOBAL_ORIGIN_MODE"] else places[0]
+    climbed: float | None = None
+    sent = {}
+    ends_high = -(places[-1] - origin)[2] > settings["GROUND_ALTITUDE_THRESHOLD"]
+    for row, (at, place) in enumerate(zip(t, places - origin, strict=True)):
+        if at < late:
+            continue  # not armed yet, and the clock runs
+        if climbed is None:
+            under_alt = -place[2] < settings["INITIAL_CLIMB_ALTITUDE_THRESHOLD"]
+            under_time = at - late < settings["INITIAL_CLIMB_TIME_THRESHOLD"]
+            if under_alt or under_time:
+                continue  # straight up at 1 m/s
+            climbed = at
+        shared = settings["AUTO_GLOBAL_ORIGIN_MODE"] and settings["USE_GLOBAL_SETPOINTS"]
+        if not ends_high and (row + 1) / len(t) >= 0.5 and (t[-1] - at <= 1.0 or -place[2] < 2.0):
+            break  # lands from here
+        if not (shared and at < climbed + 3.0):  # else on its line to the row
+            sent[row] = place
+    return sent
+
+
+@pytest.mark.parametrize("late", [0.0, 4.0])
+@pytest.mark.parametrize("origin", [True, False])
+@pytest.mark.parametrize("world", [True, False])
+@pytest.mark.parametrize(("climb", "ground"), [(5.0, 1.0), (-1.0, -1.0), (8.0, 4.0)])
+def test_the_rules_are_the_player_s(
+    late: float, origin: bool, world: bool, climb: float, ground: float
+) -> None:
+    settings = DEFAULTS | {
+        "AUTO_GLOBAL_ORIGIN_MODE": origin,
+        "USE_GLOBAL_SETPOINTS": world,
+        "INITIAL_CLIMB_ALTITUDE_THRESHOLD": climb,
+        "GROUND_ALTITUDE_THRESHOLD": ground,
+    }
+    t = np.arange(0.0, 60.0, 0.25)
+    up = np.clip(t, 0.0, 12.0) - np.clip(t - 40.0, 0.0, 12.0)
+    across = 0.3 * np.clip(t - 15.0, 0.0, 20.0)
+    high = np.stack([across, -across, -up], axis=-1)
+    never_down = np.where(t[:, None] < 20.0, high, high[80])
+    shows = [high, never_down, high * [1.0, 1.0, 0.3], high - [0.0, 0.0, 6.0]]
+    places = np.stack(shows, axis=1)
+    receiver = Receiver.of(settings)
+    assert receiver.settings() == settings
+    followed = receiver.followed(t, places, late)
+    for i, show in enumerate(shows):
+        sent = played(t, show, settings, late)
+        assert np.flatnonzero(followed[:, i]).tolist() == list(sent), i
+        lower = 0.0 if origin else float(-show[0, 2])
+        assert receiver.lowered(places)[i] == pytest.approx(lower)
+
+
+def ned(v: Array) -> Array:
+    return np.stack([v[..., 1], v[..., 0], -v[..., 2]], axis=-1)
+
+
+@MOTIONS
+def test_drones_rise_from_the_ground_and_all_of_the_plan_is_flown(
+    motion: Motion, tmp_path: Path
+) -> None:
+    """With the settings that are stated; by its own the player sends no row of these plans."""
+    (part,) = exported(motion, "mavsdk_drone_show", tmp_path)
+    stated = json.loads((tmp_path / "export.json").read_text())["receiver"]
+    begin, settings = stated["plan_begins_s"], stated["settings"]
+    assert f"the plan begins {begin:g} s after the show" in part.notes[0]
+    assert set(settings) == set(DEFAULTS)
+    assert settings["FEEDFORWARD_VELOCITY_ENABLED"] is True
+    assert settings["FEEDFORWARD_ACCELERATION_ENABLED"] is True
+    first, apart = ned(motion.drones.at(0.0)), []
+    for i in range(len(motion.team.drone_names)):
+        table = read_table(tmp_path / f"Drone {i + 1}.csv")
+        t, places = table[:, 0], table[:, 1:4]
+        rows = np.flatnonzero(t >= begin - 1e-9)
+        # Launched on the ground below the first place, each counts from there.
+        wanted = ned(motion.drones.at(np.minimum(t[rows] - begin, motion.duration))[:, i])
+        for late in (0.0, LATE):
+            assert played(t, places, DEFAULTS, late) == {}
+            sent = played(t, places, settings, late)
+            assert set(rows) <= set(sent)
+            found = [*places[0, :2], 0.0] + np.array([sent[row] for row in rows.tolist()])
+            np.testing.assert_allclose(found, wanted, atol=1e-7)
+        before = table[: rows[0]]
+        np.testing.assert_allclose(before[:, 1:3], np.broadcast_to(first[i, :2], (len(before), 2)))
+        assert before[0, 3] == 0.0
+        waiting = before[before[:, 0] <= LATE + 3.0]
+        assert np.all(waiting[:, 3:] == 0.0)  # no pull either: nobody leans on the ground
+        np.testing.assert_allclose(before[-1, 3], first[i, 2], atol=1e-9)
+        assert np.all(np.diff(before[:, 3]) <= 1e-12)
+        assert np.max(np.abs(before[:, 6])) <= 0.5 + 1e-9
+        np.testing.assert_allclose(np.gradient(before[:, 3], before[:, 0]), before[:, 6], atol=5e-3)
+        # What is fed forward goes over into the plan's without a jump.
+        np.testing.assert_allclose(before[-1, 7:], table[rows[0], 7:], atol=1e-6)
+        apart.append(before[:, 1:4])
+    scaled = np.stack(apart, axis=1) * motion.requirements.separation.scale
+    pairs = np.linalg.norm(scaled[:, :, None] - scaled[:, None], axis=-1)
+    closest = np.min(pairs[:, *np.triu_indices(pairs.shape[1], 1)])
+    assert closest - 1e-3 < stated["separation_before"] <= closest + 1e-9
+
+
+def test_drones_above_one_another_cannot_take_off(tmp_path: Path) -> None:
+    places = np.array([[[0.0, 0.0, 1.0], [0.1, 0.0, 2.0]], [[0.0, 0.0, 1.5], [0.1, 0.0, 2.5]]])
+    stacked = swarm_of(places, np.array([0.0, 3.0]))
+    with pytest.raises(InfeasibleError, match=r"separation: 0\.41.*while the drones rise straight"):
+        exported(stacked, "mavsdk_drone_show", tmp_path / "out")
+    with pytest.raises(InputError, match="--frame = 'enu': must be one of ned"):
+        exported(swarm_plan(), "mavsdk_drone_show", tmp_path / "out", frame="enu")
+    assert not (tmp_path / "out").exists()
+
+
+def test_rows_that_the_receiver_does_not_fly_are_not_written(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(mavsdk, "receiver_for", lambda _: Receiver())
+    with pytest.raises(FileError, match=r"Drone 1\.csv: mavsdk_drone_show does not fly its row"):
+        exported(swarm_plan(), "mavsdk_drone_show", tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []

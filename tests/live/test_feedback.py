@@ -1,0 +1,222 @@
+"""Feedback in a loop with a hitch that answers linearly, and its reaction to what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.live.feedback import vertex_response
+from hitchopt.values import Array
+
+STEP = 0.01
+DELAYED = 5
+
+
+@cache
+def plan_of() -> ho.Plan:
+    """An acute triangle off the origin whose vertex moves for 8 s, at rest before and after."""
+    start = ho.Hitch.spread(ho.Team(3, 2.4), [[1.0, 1.0], [0.6, 2.5], [1.4, 2.5]], 1.0)
+    steps = ho.Hold(1.0), ho.MoveVertex(0, by=np.array([0.0, 0.3]), duration=8.0), ho.Hold(6.0)
+    return ho.solve(ho.Problem(start.team, start, steps))
+
+
+class Linear:
+    """Vertices that follow setpoints as in statics, with a lag, and are off by a constant."""
+
+    def __init__(self, plan: ho.Plan, off: Array) -> None:
+        self.plan, self.off = plan, off
+        self.moved = np.zeros_like(off)
+        self.seen: list[Array] = []
+
+    def step(self, time: float, offsets: Array) -> tuple[Array, Array]:
+        """Return errors now, and vertices as they were 50 ms ago."""
+        states = self.plan.at(time)
+        team = self.plan.motion.team
+        forward, _ = vertex_response(
+            team, states.positions, states.vertices, states.tensions, 36.0 * team.mass
+        )
+        goal = (forward @ offsets.ravel()).reshape(-1, 3)
+        self.moved += STEP / 0.4 * (goal - self.moved)
+        error = self.off + self.moved
+        self.seen.append(states.vertices + error)
+        return error, self.seen[max(len(self.seen) - 1 - DELAYED, 0)]
+
+
+def test_a_constant_error_is_taken_away_while_vertices_move() -> None:
+    plan = plan_of()
+    off = np.array([[0.01, -0.06, -0.1], [0.01, 0.0, -0.12], [-0.01, 0.0, -0.09]])
+    hitch, feedback = Linear(plan, off), ho.Feedback(plan)
+    rng = np.random.default_rng(1)
+    sizes = []
+    for i in range(int(plan.duration / STEP)):
+        error, seen = hitch.step(i * STEP, feedback.offsets)
+        before = feedback.offsets
+        feedback.step(i * STEP, STEP, seen + rng.normal(0.0, 0.01, seen.shape))
+        assert np.max(np.linalg.norm(feedback.offsets - before, axis=-1)) <= 0.1 * STEP + 1e-9
+        sizes.append(np.linalg.norm(error, axis=-1).mean())
+    assert sizes[0] > 0.1
+    assert np.mean(sizes[-200:]) < 0.012
+
+
+def test_vertices_that_rest_in_their_places_change_nothing() -> None:
+    plan = plan_of()
+    for first, last in ((0.0, 1.0), (10.0, plan.duration)):
+        feedback = ho.Feedback(plan, delay=0.0)
+        for time in np.linspace(first, last, 40):
+            states = plan.at(time)
+            here = feedback.step(float(time), STEP, states.vertices, states.positions)
+            np.testing.assert_allclose(here.positions, states.positions, atol=1e-8)
+            np.testing.assert_allclose(here.velocities, states.velocities, atol=1e-6)
+            np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-6)
+
+
+def test_missing_or_false_measurements_let_corrections_fade() -> None:
+    plan = plan_of()
+    feedback = ho.Feedback(plan, delay=0.0)
+    feedback.step(0.2, STEP, plan.at(0.0).vertices + [5.0, 0.0, 0.0])
+    assert np.all(feedback.offsets == 0.0)
+    sizes = []
+    for seen, steps in ((-0.05, 300), (np.nan, 100), (None, 1200)):
+        vertices = None if seen is None else plan.at(0.0).vertices + [0.0, 0.0, seen]
+        for _ in range(steps):
+            feedback.step(0.5, STEP, vertices)
+        sizes.append(float(np.max(np.abs(feedback.offsets))))
+    grown, some, last = sizes
+    assert grown > 0.03
+    assert last < 0.05 * grown < some < grown
+    feedback.reset()
+    assert np.all(feedback.offsets == 0.0)
+
+
+@pytest.mark.parametrize("missing", [[], [1]])
+def test_corrections_do_not_grow_while_a_drone_is_far_from_its_place(missing: list[int]) -> None:
+    plan = plan_of()
+    states = plan.at(0.5)
+    vertices, drones = states.vertices - [0.0, 0.0, 0.05], states.positions.copy()
+    drones[3, 0] += 0.4
+    drones[missing] = np.nan
+    free, kept = ho.Feedback(plan, delay=0.0), ho.Feedback(plan, delay=0.0)
+    for _ in range(200):
+        free.step(0.5, STEP, vertices)
+        kept.step(0.5, STEP, vertices, drones)
+    assert np.max(np.abs(kept.offsets)) < 0.5 * np.max(np.abs(free.offsets))
+
+
+def test_corrections_are_over_before_the_hitch_is_untied() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), 0.9 * np.array([[0, -1], [-0.8, 0.5], [0.8, 0.5]]))
+    plan = ho.release(start)
+    last = max(phase.end for phase in plan.phases if phase.formed)
+    feedback = ho.Feedback(plan, delay=0.0)
+    time = 0.0
+    while time < last:
+        vertices = plan.at(time).vertices - [0.0, 0.0, 0.05]
+        feedback.step(time, STEP, vertices)
+        time += STEP
+    assert np.max(np.abs(feedback.offsets)) < 0.005
+    for _ in range(20):
+        feedback.step(last + 0.1, STEP, vertices)
+    assert np.all(np.abs(feedback.offsets) < 1e-12)
+
+
+def test_what_is_wrong_is_named() -> None:
+    plan = plan_of()
+    for key, value in (("rate", 0.0), ("reserve", -0.1), ("delay", np.nan), ("stiffness", -4.0)):
+        with pytest.raises(InputError, match=key):
+            ho.Feedback(plan, **{key: value})
+    feedback, motion = ho.Feedback(plan), plan.motion
+    with pytest.raises(InputError, match="vertices"):
+        feedback.step(0.0, STEP, np.zeros((2, 3)))
+    with pytest.raises(InputError, match="drones"):
+        feedback.step(0.0, STEP, None, np.zeros((2, 3)))
+    with pytest.raises(InputError, match="plan"):
+        ho.Feedback("out")
+    wall = ho.Prism([[5, 5], [5, 6], [6, 6], [6, 5]], 0.0, 1.0)
+    need = replace(motion.requirements, keep_out=(wall,))
+    with pytest.raises(UnsupportedError, match="keep-outs"):
+        ho.Feedback(replace(motion, requirements=need))
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_vertices_answer_setpoints_as_in_the_statics(topology: str) -> None:
+    """And the damped inverse moves them by less than is asked, never the other way."""
+    outline = [[1.0, 1.0], [0.4, 2.3], [1.7, 2.4]]
+    if topology == "open":
+        outline = [[-1.5, 0.0], [-0.8, 0.9], [0.4, 1.0], [1.3, 0.1]]
+    team = ho.Team(3, [2.4, 2.5, 2.3], topology=topology, tension=0.4)
+    plan, push, stiffness = ho.hold(ho.Hitch.spread(team, outline, 1.2), 1.0), 1e-4, 4.75
+    states = plan.at(0.5)
+    forward, inverse = vertex_response(
+        team, states.positions, states.vertices, states.tensions, np.full(6, stiffness)
+    )
+    pushes = push * np.eye(18).reshape(-1, 6, 3)
+    sides = [
+        ho.settle(
+            plan, 0.5, offsets=sign * pushes, stiffness=stiffness, axial_stiffness=1e7
+        ).vertices[:, team.layout.clasps]
+        for sign in (1.0, -1.0)
+    ]
+    expected = (sides[0] - sides[1]).reshape(len(pushes), -1).T / (2.0 * push)
+    np.testing.assert_allclose(forward, expected, atol=2e-3)
+    both = forward @ inverse
+    np.testing.assert_allclose(both, both.T, atol=1e-9)
+    values = np.linalg.eigvalsh(both)
+    assert 0.0 < values[0] <= values[-1] < 1.0
+
+
+def distances(drones: Array, vertices: Array) -> tuple[float, float, float]:
+    """Separation, distance to cables and shortest leg of a triangle's hitch, cables straight."""
+    along = np.linspace(0.0, 1.0, 41)[:, None]
+    apart = drones[:, None] - drones
+    level = np.sum(apart[..., :2] ** 2, axis=-1) / 0.24**2
+    ratio = np.sqrt(level + apart[..., 2] ** 2 / 0.6**2) + 9.0 * np.eye(6)
+    anchors = vertices[[p for k in range(3) for p in (k, (k + 1) % 3)]]
+    near = []
+    for k in range(3):
+        before, after = vertices[k], vertices[(k + 1) % 3]
+        parts = [(before, drones[2 * k]), (before, after), (after, drones[2 * k + 1])]
+        near += [
+            np.min(np.linalg.norm(a + along * (b - a) - drones[i], axis=-1))
+            for kind, (a, b) in enumerate(parts)
+            for i in range(6)
+            if i // 2 != k or kind == 1
+        ]
+    legs = np.linalg.norm(drones - anchors, axis=-1)
+    return float(np.min(ratio)), float(min(near)), float(np.min(legs))
+
+
+def test_corrections_keep_every_distance_at_every_time_whatever_is_measured() -> None:
+    """Drones and vertices may be off by the reserve besides; a common shift moves both."""
+    plan, reserve, rng = plan_of(), 0.005, np.random.default_rng(3)
+    need = plan.motion.requirements
+    farthest = 0.0
+    for _ in range(6):
+        feedback = ho.Feedback(plan, rate=5.0, reserve=reserve, delay=0.0)
+        off = rng.normal(0.0, 0.2, (3, 3))
+        for time in np.arange(0.0, plan.duration, 0.05):
+            states = plan.at(time)
+            feedback.step(float(time), 0.05, states.vertices + off)
+            offsets = feedback.offsets
+            away = rng.normal(0.0, 1.0, (9, 3))
+            away *= reserve / np.linalg.norm(away, axis=-1, keepdims=True)
+            common = offsets.mean(axis=0)
+            ratio, cable, leg = distances(
+                states.positions + offsets + away[:6], states.vertices + common + away[6:]
+            )
+            assert ratio >= 1.0 - 1e-9
+            assert cable >= need.separation.cable - 1e-9
+            assert leg >= need.limits.leg - 1e-9
+            farthest = max(farthest, float(np.max(np.abs(offsets - common))))
+    assert farthest > 0.05
+
+
+def test_the_arena_limits_a_common_correction() -> None:
+    plan = ho.hold(plan_of().end, 3.0, arena=ho.Arena([-4, -4, 0], [4, 4, 1.3]))
+    feedback = ho.Feedback(plan, delay=0.0)
+    for time in np.arange(0.0, 3.0, STEP):
+        here = feedback.step(float(time), STEP, plan.at(time).vertices - [0.0, 0.0, 0.3])
+        assert np.max(here.positions[:, 2]) <= 1.3 - 0.01

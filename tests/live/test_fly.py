@@ -1,0 +1,173 @@
+"""Flights by commands and by lost links: nothing jumps, limits hold, and they end on the ground."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future
+
+import numpy as np
+import pytest
+from streamed_flights import Rig, plan_of
+
+import hitchopt as ho
+from hitchopt.live.fly import COMMANDS, Timing
+
+LONG = 60.0
+
+
+def test_a_plan_is_flown_to_its_end_and_landed() -> None:
+    rig, plan = Rig(), plan_of()
+    rig.run(1.0)
+    assert rig.course.resting
+    rig.run(LONG / 4, "resume")
+    np.testing.assert_allclose(
+        rig.sent[-1].setpoints.positions, plan.at(plan.duration).positions, atol=1e-9
+    )
+    rig.run(LONG, "land")
+    assert rig.flight.landed
+    assert rig.lowest == pytest.approx(0.0, abs=1e-9)
+    assert rig.flight.late == 0
+    rig.check()
+
+
+def test_drones_without_cables_end_where_the_plan_lands() -> None:
+    rig = Rig(swarm=True)
+    rig.begin(LONG)
+    assert rig.flight.landed
+    assert not rig.course.descending
+    np.testing.assert_allclose(
+        rig.sent[-1].setpoints.positions, [[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]], atol=1e-8
+    )
+    rig.check()
+    rig = Rig(swarm=True)
+    rig.begin(0.8)
+    rig.run(LONG, "abort")
+    assert rig.flight.landed
+    assert rig.course.descending
+    rig.check()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
+    rig, rng = Rig(), np.random.default_rng(seed)
+    rig.begin(0.5)
+    for command in rng.choice([*COMMANDS[:-1], "toggle", "toggle"], 6):
+        rig.run(float(rng.uniform(0.1, 0.9)), str(command))
+    rig.run(LONG, "end")
+    rig.run(LONG, "resume")
+    assert rig.flight.landed
+    rig.check()
+
+
+def test_what_is_sent_belongs_to_the_cables() -> None:
+    rig, plan = Rig(timing=Timing(rate=1000.0)), plan_of()
+    rig.begin(0.7)
+    flown, team = rig.sent[-1], plan.motion.team
+    states = plan.at(flown.setpoints.time)
+    expected = team.mass[:, None] * (flown.setpoints.accelerations + [0, 0, 9.81])
+    np.testing.assert_allclose(flown.thrusts, expected - states.cable_forces, atol=1e-3)
+    thrusts, rates = (
+        np.array([getattr(each, name) for each in rig.sent[-400:]])
+        for name in ("thrusts", "thrust_rates")
+    )
+    slopes = 0.5 * rig.timing.rate * (thrusts[2:] - thrusts[:-2])
+    off = np.max(np.abs(rates[1:-1] - slopes), axis=(1, 2))
+    assert np.quantile(off, 0.9) < 1e-3  # the jerk itself jumps here and there
+    assert np.max(np.abs(rates)) > 0.02
+
+
+@pytest.mark.parametrize("who", ["operator", "r1"])
+def test_a_lost_link_ends_in_a_hold_and_then_on_the_ground(who: str) -> None:
+    rig = Rig()
+    rig.begin(0.6)
+    begun = rig.sent[-1].setpoints.positions
+    assert rig.speed > 0.0
+    rig.operator, rig.silent = who != "operator", {who}
+    rig.run(rig.timing.patience)
+    assert rig.going
+    assert rig.course.resting
+    assert rig.speed == 0.0
+    assert np.max(np.abs(rig.sent[-1].setpoints.positions - begun)) < 0.6
+    assert any(line == f"lost: {who}" for line in rig.said)
+    rig.run(LONG)
+    assert rig.flight.landed
+    assert rig.lowest == pytest.approx(0.0, abs=1e-9)
+    rig.check()
+
+
+def test_a_link_that_comes_back_in_time_leaves_a_hold() -> None:
+    rig = Rig()
+    rig.begin(0.5)
+    rig.silent = {"q2"}
+    rig.run(1.5)
+    assert rig.course.resting
+    rig.run(0.1, "resume")
+    assert rig.said[-1] == "resume: nothing is heard of q2"
+    rig.silent = set()
+    rig.run(4.0)
+    assert rig.speed == 0.0
+    assert not rig.course.descending
+    rig.run(LONG / 4, "resume")
+    assert rig.sent[-1].setpoints.time == pytest.approx(plan_of().duration)
+    rig.check()
+
+
+def test_nothing_begins_without_measurements_near_the_start() -> None:
+    rig = Rig()
+    rig.silent = set(rig.names)
+    rig.run(0.5)
+    rig.run(0.5, "resume")
+    assert "nothing is heard of q0, r0" in rig.said[-1]
+    rig.silent, rig.off = set(), np.array([0.0, 0.5, 0.0])
+    rig.run(0.5, "toggle")
+    assert "q0 is 0.50 m from its setpoint" in rig.said[-1]
+    rig.run(0.5, "abort")
+    assert "not begun" in rig.said[-1]
+    assert {flown.setpoints.time for flown in rig.sent} == {0.0}
+    rig.run(1.0, "quit")
+    assert not rig.going
+    assert not rig.flight.landed
+
+
+def test_without_an_operator_nothing_begins() -> None:
+    rig = Rig()
+    rig.operator = False
+    rig.run(LONG)
+    assert not rig.going
+    assert rig.now < 104.0
+    assert "no operator" in rig.said[-1]
+
+
+@pytest.mark.parametrize(("ticks", "late"), [(6, False), (30, True)])
+def test_setpoints_go_on_while_a_command_is_computed(*, ticks: int, late: bool) -> None:
+    waiting: list[tuple[int, Callable[[], str], Future[str]]] = []
+
+    def slow(compute: Callable[[], str]) -> Future[str]:
+        waiting.append((len(rig.sent) + ticks, compute, Future()))
+        return waiting[-1][2]
+
+    rig = Rig(slow)
+    for command in ("resume", "pause", "abort"):
+        rig.pressed.append(command)
+        for _ in range(60):
+            rig.run(1.0 / rig.timing.rate)
+            if waiting and len(rig.sent) >= waiting[0][0]:
+                _, compute, future = waiting.pop(0)
+                future.set_result(compute())
+    assert (rig.flight.late > 0) == late
+    series = [each for each, after in zip(rig.sent, rig.sent[1:], strict=False) if each != after]
+    rig.sent = series  # what is sent twice is no jump, but late
+    rig.check()
+
+
+def test_refusals_leave_the_flight_as_it_is() -> None:
+    rig = Rig()
+    with pytest.raises(ho.InputError, match="command = 'dance'"):
+        rig.course.obey("dance")
+    rig.begin(0.4)
+    rig.run(LONG / 6, "land")
+    assert rig.course.descending
+    with pytest.raises(ho.InfeasibleError, match="the landing has begun"):
+        rig.course.obey("back")
+    with pytest.raises(ho.InputError, match="patience"):
+        Timing(patience=0.0)

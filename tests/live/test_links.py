@@ -1,0 +1,227 @@
+"""What arrives at receivers with the real message definitions, and what is read back from them."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock, call
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from pymavlink.dialects.v20 import common as mavlink
+from streamed_flights import Rig, plan_of
+
+import hitchopt as ho
+from hitchopt.cli import main
+from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.live.fly import Flown
+from hitchopt.live.links import (
+    Address,
+    CrazyflieOutlet,
+    Datagrams,
+    JsonOutlet,
+    MavlinkOutlet,
+    OperatorLink,
+    address,
+    crazyflie_outlet,
+    terminal_keys,
+)
+
+HOME = "127.0.0.1"
+ORIGIN, YAW = (3.0, -2.0, 0.5), 0.7
+
+
+@contextmanager
+def receivers(count: int) -> Iterator[list[socket.socket]]:
+    found = []
+    for _ in range(count):
+        each = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        each.bind((HOME, 0))
+        each.settimeout(5.0)
+        found.append(each)
+    try:
+        yield found
+    finally:
+        for each in found:
+            each.close()
+
+
+def addresses(found: list[socket.socket]) -> list[Address]:
+    return [each.getsockname() for each in found]
+
+
+def moving() -> Flown:
+    rig = Rig()
+    rig.begin(0.7)
+    assert rig.speed > 0.05
+    return rig.sent[-1]
+
+
+def names() -> tuple[str, ...]:
+    return plan_of().motion.team.drone_names
+
+
+def test_json_arrives_and_answers_are_read() -> None:
+    flown, frame = moving(), ReferenceFrame("enu", ORIGIN, YAW)
+    with receivers(6) as found:
+        outlet = JsonOutlet(names(), addresses(found), frame, Datagrams((HOME, 0)))
+        outlet.send(flown, 12.5)
+        for i, (name, each) in enumerate(zip(names(), found, strict=True)):
+            data, sender = each.recvfrom(65536)
+            got = json.loads(data)
+            assert (got["drone"], got["number"], got["time"]) == (name, 0, 12.5)
+            place = frame.points(flown.setpoints.positions)[i]
+            np.testing.assert_allclose(got["position"], place, atol=1e-12)
+            thrust = np.array(got["feed_forward"]) + [0.0, 0.0, 9.80665]
+            w, x, y, z = got["quaternion"]
+            up = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+            np.testing.assert_allclose(up, thrust / np.linalg.norm(thrust), atol=1e-3)
+            for answer in (b"{", b"[]", b'{"drone": "q9", "position": [1, 2, 3]}'):
+                each.sendto(answer, sender)
+            own = {"drone": name, "position": [*got["position"][:2], None] if i else place.tolist()}
+            each.sendto(json.dumps(own).encode(), sender)
+        measured = outlet.measured()
+        assert set(measured) == {"q0"}
+        np.testing.assert_allclose(measured["q0"], flown.setpoints.positions[0], atol=1e-12)
+        outlet.close(landed=True)
+
+
+def test_mavlink_is_understood_by_its_own_parser() -> None:
+    flown, frame = moving(), ReferenceFrame("ned", ORIGIN, YAW)
+    with receivers(1) as found:
+        router = addresses(found) * 6
+        outlet = MavlinkOutlet(names(), router, frame, Datagrams((HOME, 0)))
+        outlet.send(flown, 50.0)
+        outlet.send(flown, 50.25)
+        parser, got = mavlink.MAVLink(None), []
+        for _ in range(13):
+            data, sender = found[0].recvfrom(65536)
+            got += parser.parse_buffer(data)
+        beat, *targets = got
+        assert beat.get_type() == "HEARTBEAT"
+        assert beat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        assert [each.target_system for each in targets] == [*range(1, 7)] * 2
+        assert {each.time_boot_ms for each in targets[6:]} == {250}
+        east, north, up = (ReferenceFrame("enu", ORIGIN, YAW).points(flown.setpoints.positions)).T
+        for i, each in enumerate(targets[:6]):
+            assert each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
+            assert each.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED
+            assert each.type_mask == mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
+            np.testing.assert_allclose([each.x, each.y, each.z], [north[i], east[i], -up[i]], 1e-6)
+            forward = frame.vectors(flown.feed_forward)[i]
+            np.testing.assert_allclose([each.afx, each.afy, each.afz], forward, atol=1e-6)
+            assert each.yaw == pytest.approx(np.pi / 2 - YAW, abs=1e-6)
+        vehicle = mavlink.MAVLink(None, srcSystem=3)
+        place = (targets[2].x, targets[2].y, targets[2].z, 0.0, 0.0, 0.0)
+        answer = vehicle.local_position_ned_encode(7, *place).pack(vehicle)
+        for data in (b"\xfd\x00nonsense", answer[:9], b"junk" + answer):
+            found[0].sendto(data, sender)
+        other = mavlink.MAVLink(None, srcSystem=77)
+        found[0].sendto(other.local_position_ned_encode(7, *place).pack(other), sender)
+        measured = outlet.measured()
+        assert set(measured) == {"q1"}
+        np.testing.assert_allclose(measured["q1"], flown.setpoints.positions[2], atol=1e-6)
+        outlet.close(landed=False)
+
+
+def test_crazyflies_get_full_states_and_are_given_back() -> None:
+    """By a stand-in for crazyflie_py's ``Crazyswarm``."""
+    flown, frame = moving(), ReferenceFrame("enu", ORIGIN, YAW)
+    robots = [f"cf{i}" for i in range(6)]
+    node = Mock(crazyfliesByName={name: Mock() for name in robots})
+
+    def spin() -> None:
+        x, y, z = frame.points(flown.setpoints.positions)[1].tolist()
+        place = SimpleNamespace(x=x, y=y, z=z)
+        heard = node.create_subscription.call_args_list[1].args[2]
+        heard(SimpleNamespace(pose=SimpleNamespace(position=place)))
+
+    swarm = SimpleNamespace(allcfs=node)
+    outlet = CrazyflieOutlet(names(), robots, frame, swarm, spin, SimpleNamespace)
+    outlet.send(flown, 1.0)
+    for i, robot in enumerate(node.crazyfliesByName.values()):
+        pos, vel, acc, yaw, omega = robot.cmdFullState.call_args.args
+        np.testing.assert_allclose(pos, frame.points(flown.setpoints.positions)[i])
+        np.testing.assert_allclose(vel, frame.vectors(flown.setpoints.velocities)[i])
+        np.testing.assert_allclose(acc, frame.vectors(flown.feed_forward)[i])
+        assert yaw == pytest.approx(YAW)
+        assert len(omega) == 3
+        assert all(type(x) is float for x in (*pos, *vel, *acc, *omega))
+    measured = outlet.measured()
+    np.testing.assert_allclose(measured["r0"], flown.setpoints.positions[1], atol=1e-12)
+    assert set(measured) == {"r0"}
+    outlet.close(landed=True)
+    assert node.crazyfliesByName["cf3"].mock_calls[1:] == [
+        call.notifySetpointsStop(500),
+        call.land(0.04, 1.0),
+    ]
+    with pytest.raises(ho.InputError, match="fleet = 'cf9'"):
+        CrazyflieOutlet(names(), ["cf9"] * 6, frame, swarm, spin, SimpleNamespace)
+
+
+def test_an_operator_far_away_is_heard_by_datagrams() -> None:
+    pressed: list[str | None] = ["", " L?", None]
+    link = OperatorLink(lambda: pressed.pop(0), Datagrams((HOME, 0)))
+    near = OperatorLink(lambda: None)
+    assert near.commands() == ([], False)
+    datagrams = link._datagrams
+    assert datagrams is not None
+    assert link.commands() == ([], False)
+    with receivers(1) as found:
+        for data in (b"{}", b'{"command": "pause"}', b'{"command": "end"}', b"x"):
+            found[0].sendto(data, (HOME, datagrams.port))
+        assert link.commands() == (["toggle", "land", "pause"], True)
+    link.add("end")
+    assert link.commands() == (["end"], False)
+    datagrams.close()
+
+
+def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    far, near = pty.openpty()
+    with os.fdopen(near) as terminal, monkeypatch.context() as patched:
+        patched.setattr(sys, "stdin", terminal)
+        with terminal_keys() as pressed:
+            assert pressed() == ""
+            os.write(far, b"b ")
+            assert pressed() == "b "
+            os.close(far)
+            assert pressed() is None
+            assert pressed() is None
+
+
+@pytest.mark.parametrize("text", ["here", "127.0.0.1:x", ":5", "127.0.0.1:70000"])
+def test_addresses_are_checked(text: str) -> None:
+    with pytest.raises(ho.InputError, match="--to"):
+        address("--to", text)
+
+
+def test_what_is_not_here_is_refused() -> None:
+    with pytest.raises(ho.UnsupportedError, match="ROS 2 workspace"):
+        crazyflie_outlet(names(), names(), ReferenceFrame())
+    with pytest.raises(ho.UnsupportedError, match="cannot be listened on"):
+        Datagrams(("192.0.2.1", 0))
+
+
+def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Path) -> None:
+    plan_of().save(tmp_path / "plan")
+    runner = CliRunner()
+    with receivers(1) as found:
+        host, port = addresses(found)[0]
+        options = ["--over", "json", "--to", f"{host}:{port}", "--patience", "0.1"]
+        done = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options])
+        assert done.exit_code == 3, done.output
+        assert "at rest at the plan's start" in done.output
+        assert "no operator is heard of" in done.output
+        got = json.loads(found[0].recv(65536))
+        np.testing.assert_allclose(got["position"], plan_of().at(0.0).positions[0], atol=1e-9)
+    wrong = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options, "--to", f"{host}:9"])
+    assert wrong.exit_code == 2
+    assert "--to = 2: must be given once, or 6 times" in wrong.output

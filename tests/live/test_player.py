@@ -1,0 +1,150 @@
+"""The player: any sequence of commands keeps all limits, and ends where it was asked to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hitchopt as ho
+from hitchopt.live.player import Player
+from hitchopt.trajectory import PiecewisePolynomial
+
+TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
+STEP = 0.01
+
+
+@cache
+def plan_of() -> ho.Plan:
+    """A triangle off the origin that moves a vertex and is carried."""
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    steps = ho.MoveVertex(0, by=np.array([0.0, 0.4])), ho.Transport(np.array([1.4, 2.2, 1.3]), 0.5)
+    return ho.solve(ho.Problem(start.team, start, steps))
+
+
+def ran(player: Player, seconds: float) -> list[ho.Setpoints]:
+    """Setpoints over some time; each keeps the limits and follows from the one before."""
+    limits = player.motion.requirements.limits
+    found = [player.step(0.0)]
+    for _ in range(int(seconds / STEP) + 1):
+        here, last = player.step(STEP), found[-1]
+        for values, most in (
+            (here.velocities, limits.speed),
+            (here.accelerations, limits.acceleration),
+            (here.jerks, limits.jerk),
+        ):
+            assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
+        mean = 0.5 * (here.velocities + last.velocities)
+        np.testing.assert_allclose(
+            here.positions - last.positions, STEP * mean, atol=limits.jerk * STEP**3
+        )
+        found.append(here)
+    return found
+
+
+def test_at_full_rate_it_is_the_plan() -> None:
+    plan = plan_of()
+    player = Player(plan)
+    for _ in range(30):
+        here = player.step(0.07)
+        states = plan.at(here.time)
+        np.testing.assert_allclose(here.positions, states.positions, atol=1e-12)
+        np.testing.assert_allclose(here.velocities, states.velocities, atol=1e-10)
+        np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-8)
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    begin=st.floats(0.0, 1.0),
+    commands=st.lists(
+        st.tuples(st.sampled_from(["pause", "resume", "back", "half", "seek"]), st.floats(0, 1)),
+        min_size=1,
+        max_size=2,
+    ),
+)
+def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
+    begin: float, commands: list[tuple[str, float]]
+) -> None:
+    plan = plan_of()
+    player = Player(plan, begin * plan.duration)
+    for name, share in commands:
+        target = share * plan.duration
+        call: dict[str, Callable[[], float]] = {
+            "pause": player.pause,
+            "resume": player.resume,
+            "back": player.back,
+            "half": partial(player.rate, 0.5),
+            "seek": partial(player.seek, target),
+        }
+        ran(player, share * call[name]())
+    seconds = player.pause()
+    assert seconds <= max(np.max(Player(plan).stops.longest[0]) * 3.0, 3.0)
+    last = ran(player, seconds)[-1]
+    assert player.resting
+    assert np.max(np.abs(last.velocities)) <= 1e-9
+    np.testing.assert_allclose(last.positions, plan.at(last.time).positions, atol=1e-12)
+
+
+def test_a_pause_takes_no_longer_than_the_certificate_reports() -> None:
+    plan = plan_of()
+    most = plan.certificate["stoppable"].bound
+    for time in np.random.default_rng(3).uniform(0.0, plan.duration, 12):
+        player = Player(plan, float(time))
+        assert player.pause() <= most + 1e-9
+
+
+def test_seeking_ends_at_the_plan_time() -> None:
+    plan = plan_of()
+    player = Player(plan, 0.3 * plan.duration)
+    for target in (0.8 * plan.duration, 0.1 * plan.duration, 0.0, plan.duration):
+        ran(player, player.seek(target))
+        assert player.resting
+        assert player.time == pytest.approx(target, abs=1e-9)
+
+
+def test_going_back_ends_at_the_start() -> None:
+    plan = plan_of()
+    player = Player(plan, 0.6 * plan.duration)
+    player.back()
+    last = ran(player, plan.duration + 2.0)[-1]
+    assert (last.time, last.rate) == (0.0, 0.0)
+    np.testing.assert_allclose(last.positions, plan.at(0.0).positions, atol=1e-12)
+
+
+def test_where_legs_lean_there_is_no_way_back() -> None:
+    motion = plan_of().motion
+    pulls = np.repeat(motion.tensions.coefficients[:, :, None], 2, axis=2)
+    first = int(np.searchsorted(motion.drones.breaks, 0.4))
+    last = int(np.searchsorted(motion.drones.breaks, 0.7))
+    pulls[first:last, :, 0] *= 1.05
+    leaning = replace(motion, leg_tensions=PiecewisePolynomial(motion.drones.breaks, pulls))
+    begin, end = (float(motion.drones.breaks[i]) for i in (first, last))
+    player = Player(leaning, 0.5 * (begin + end))
+    with pytest.raises(ho.InfeasibleError, match="lean against friction"):
+        player.back()
+    assert player.clock_rate == 1.0
+    player = Player(leaning, 1.5)
+    ran(player, player.back())
+    assert player.time == pytest.approx(end)
+    with pytest.raises(ho.InfeasibleError, match="no change of the clock"):
+        player.seek(0.2)
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        (lambda: Player(3), "plan"),
+        (lambda: Player(plan_of(), -0.1), "time"),
+        (lambda: Player(plan_of()).rate(1.2), "rate"),
+        (lambda: Player(plan_of()).seek(1e3), "time"),
+    ],
+)
+def test_wrong_arguments_are_named(call, key) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(ho.InputError) as found:
+        call()
+    assert found.value.key == key

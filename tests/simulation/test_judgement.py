@@ -1,0 +1,282 @@
+"""Flights made by hand: which of them are failures, how far off they are, and how they look."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from numpy.typing import NDArray
+from scripted import flight_of, formed_where, regular_hitch, standing, unformed
+
+import hitchopt as ho
+from hitchopt.cli.simulating import INEXACT, flight_tables
+from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import Hitch, Team
+from hitchopt.simulation.flight import Touch
+from hitchopt.simulation.judgement import (
+    FAILED,
+    NOT_SIMULATED,
+    SUCCEEDED,
+    Failure,
+    Outcome,
+    Simulation,
+    judge,
+    tracking_errors,
+    vertex_errors,
+    warnings,
+)
+from hitchopt.simulation.report import drawn_flight, flight_scene
+from hitchopt.simulation.settings import ACCURATE, FAST, Settings
+from hitchopt.simulation.world import InvalidRunError
+from hitchopt.view.style import save_figure
+
+HITCH = regular_hitch(4)
+NEIGHBOURS = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]])
+STRAIN = InvalidRunError("strain", 0.05, 0.02, "m/m", 1.25, "cable 3")
+TOUCHED = Touch(0.5, "q0", "cable 2")
+
+
+def judged(
+    linking: NDArray[np.int64] | None = NEIGHBOURS,
+    moved: float = 0.02,
+    lost: int | None = None,
+    *,
+    formed: bool = True,
+    pulled: float = 5.0,
+    swing: float = 0.0,
+    touches: tuple[Touch, ...] = (),
+    error: InvalidRunError | None = None,
+) -> Outcome:
+    """Return the outcome of a flight of which the second vertex moves under the pull test.
+
+    It swings about its place besides, by ``swing`` to either side.
+    """
+    t = np.arange(0.0, 5.005, 0.01)
+    vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
+    vertices[t > 3.005, 1] += [moved, 0.0, 0.0]
+    vertices[:, 1, 1] += swing * np.sin(1.5 * np.pi * t)  # farthest at 3 and at 5 s
+    bearing = np.ones((len(t), 4))
+    if lost is not None:
+        vertices[:, lost], bearing[:, lost] = np.nan, 0.2
+    task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
+    known = {"vertices": vertices, "bearing": bearing, "linking": linking, "rested": 3.0}
+    flight = flight_of(task, HITCH, t, pulled=pulled, touches=touches, error=error, **known)
+    return judge(flight)
+
+
+def test_linked_bearing_and_held_is_hitched() -> None:
+    outcome = judged()
+    assert outcome.succeeded
+    assert outcome.hitched
+    assert [round(clasp.moved, 9) for clasp in outcome.clasps] == [0.0, 0.02, 0.0, 0.0]
+    assert judged(-NEIGHBOURS).hitched  # either sense
+    assert judged(pulled=float("nan")).hitched  # no pull test was asked for
+
+
+@pytest.mark.parametrize(
+    ("pair", "number", "kind", "where"),
+    [
+        ((0, 1), 0, "unlinked", ("p1",)),
+        ((3, 0), 0, "unlinked", ("p0",)),
+        ((1, 2), 2, "unlinked", ("p2",)),
+        ((0, 2), 1, "tangled", ("cable 0", "cable 2")),
+        ((1, 3), -1, "tangled", ("cable 1", "cable 3")),
+    ],
+)
+def test_wrong_links_are_named(
+    pair: tuple[int, int], number: int, kind: str, where: tuple[str, ...]
+) -> None:
+    linking = NEIGHBOURS.copy()
+    linking[pair] = linking[pair[::-1]] = number
+    outcome = judged(linking)
+    (failure,) = outcome.failures
+    assert (failure.kind, failure.where, failure.time) == (kind, where, 3.0)
+    assert outcome.hitched == (kind == "tangled")
+
+
+def test_a_vertex_that_gives_way_has_slipped() -> None:
+    (failure,) = judged(moved=0.13).failures
+    assert (failure.kind, failure.where, failure.time) == ("slipped", ("p1",), 5.0)
+    assert "0.130 m" in failure.words
+
+
+def test_rest_is_judged_over_a_second() -> None:
+    """A vertex that swings by 7 cm to either side would be 14 cm off between two instants."""
+    outcome = judged(moved=0.0, swing=0.07)
+    assert outcome.hitched
+    assert outcome.clasps[1].moved < 0.04
+
+
+def test_cables_that_do_not_bear_have_lost_their_vertex() -> None:
+    outcome = judged(lost=2)
+    (failure,) = outcome.failures
+    assert (failure.kind, failure.where) == ("lost", ("p2",))
+    assert "press with 0.200 N, less than the 0.300 N from which on a clasp bears" in failure.words
+    untested = judged(lost=2, pulled=float("nan"))
+    for clasps in (outcome.clasps, untested.clasps):
+        assert [clasp.holds for clasp in clasps] == [True, True, False, True]
+    assert all(np.isnan(clasp.moved) for clasp in untested.clasps)
+
+
+def test_a_plan_that_ends_without_a_hitch_has_to_end_untangled() -> None:
+    assert judged(np.zeros((4, 4), dtype=np.int64), formed=False).succeeded
+    outcome = judged(formed=False)
+    assert [failure.kind for failure in outcome.failures] == ["tangled"] * 4
+    assert not outcome.hitched
+
+
+def test_a_run_that_left_its_range_is_not_a_failed_plan() -> None:
+    settling = judged(None, error=STRAIN, pulled=float("nan"))
+    assert (settling.verdict, settling.succeeded, settling.clasps) == (NOT_SIMULATED, False, ())
+    touched = judged(None, touches=(TOUCHED,), error=STRAIN, pulled=float("nan"))
+    assert touched.verdict == FAILED
+    assert [(f.kind, f.where, f.time) for f in touched.failures] == [
+        ("touch", ("q0", "cable 2"), 0.5),
+        ("invalid", ("cable 3",), 1.25),
+    ]
+    assert (judged().verdict, judged(lost=2).verdict) == (SUCCEEDED, FAILED)
+    pulling = judged(error=STRAIN, pulled=float("nan"))  # linked and bearing until then
+    assert pulling.verdict == NOT_SIMULATED
+    assert [(clasp.bears, clasp.holds) for clasp in pulling.clasps] == [(True, False)] * 4
+
+
+def test_errors_are_distances_where_there_is_a_hitch() -> None:
+    hitch = regular_hitch(3)
+    task = standing(hitch, 0.2)
+    late = formed_where(task, hitch, np.arange(len(task.t)) >= 10)
+    t = np.append(np.minimum(task.t + 0.003, 0.2), 0.9)  # the last one is after the flight
+    found = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
+    found[-2, 1] = np.nan
+    errors = vertex_errors(flight_of(late, hitch, t, vertices=found))
+    np.testing.assert_allclose(errors.t, t[10:-1])
+    np.testing.assert_allclose(errors.errors[:-1], 0.05)
+    np.testing.assert_array_equal(np.isnan(errors.errors[-1]), [False, True, False])
+    assert errors.lost == pytest.approx(1 / 33)
+    np.testing.assert_allclose(errors.without_sag[0], 0.03)
+    np.testing.assert_allclose(errors.offsets[0, :, 2], -0.04)
+    assert not errors.moving.any()
+    shift = np.concatenate([np.zeros(10), np.linspace(0, 0.1, 11)])
+    moving = replace(late, vertices=late.vertices + shift[:, None, None])
+    drawn = replace(late, tensions=late.tensions * (1.0 + shift[:, None]))
+    for changed in (moving, drawn):
+        again = vertex_errors(flight_of(changed, hitch, t, vertices=found))
+        np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
+
+
+def test_the_time_of_rest_counts_as_standing_still_and_the_pull_test_does_not() -> None:
+    hitch = regular_hitch(3)
+    task = standing(hitch, 0.2)
+    shift = np.linspace(0.0, 0.1, len(task.t))[:, None, None]
+    moved = replace(task, vertices=task.vertices + shift)
+    t = np.append(task.t, [0.4, 0.7, 0.9])
+    found = np.repeat(moved.vertices[-1:], len(t), axis=0) + [0.0, 0.0, -0.05]
+    errors = vertex_errors(flight_of(moved, hitch, t, vertices=found, rested=0.7))
+    np.testing.assert_allclose(errors.t, t[1:-1])
+    np.testing.assert_array_equal(errors.moving, [True] * (len(t) - 4) + [False] * 2)
+    np.testing.assert_allclose(errors.errors[-2:], 0.05)
+
+
+def test_a_flight_without_a_hitch_has_no_errors() -> None:
+    hitch = regular_hitch(3)
+    task = unformed(standing(hitch, 0.1))
+    flight = flight_of(task, hitch, task.t, drones=task.setpoints.positions + [0.03, 0.0, 0.04])
+    errors = vertex_errors(flight)
+    assert errors.errors.shape == (0, 3)
+    assert errors.lost == 0.0
+    np.testing.assert_allclose(tracking_errors(flight), 0.05)
+
+
+SECONDS, END, NODES = 0.5, 1.5, 12
+"""Time of the plan, and of the flight with rest and pull test [s]; points of a recorded rope."""
+
+LINKED = np.ones((3, 3), dtype=np.int64) - np.eye(3, dtype=np.int64)
+
+TRIANGLE = Hitch.balanced(
+    Team(3, [2.3, 2.4, 2.5], tension=0.5), regular_polygon(3, 1.2).vertices + [1.5, -0.5], 2.0
+)
+MOTION = ho.hold(TRIANGLE, SECONDS).motion
+
+
+def flown(
+    linking: NDArray[np.int64] | None, *, formed: bool = True, end: float = END
+) -> Simulation:
+    """Return a flight in which everything stays where it is planned, 1 cm too low."""
+    task = standing(TRIANGLE, SECONDS)
+    t, lower = np.arange(0.0, end + 1e-9, 0.01), np.array([0.0, 0.0, -0.01])
+    share = np.linspace(0.0, 1.0, NODES)[:, None]
+    ends = zip(TRIANGLE.drones[0::2], TRIANGLE.drones[1::2], strict=True)
+    ropes = np.concatenate([(1 - share) * a + share * b for a, b in ends])
+    flight = flight_of(
+        task if formed else unformed(task),
+        TRIANGLE,
+        t,
+        vertices=np.repeat(TRIANGLE.vertices[None] + lower, len(t), axis=0),
+        nodes=np.repeat(ropes[None], len(t), axis=0),
+        cables=NODES * np.arange(4),
+        linking=linking,
+        rested=1.0 if end > SECONDS else np.nan,
+        pulled=end if end > SECONDS else np.nan,
+    )
+    return Simulation(Settings(), flight, judge(flight), vertex_errors(flight), 1.0)
+
+
+def test_the_storyboard_ends_after_the_pull_test(tmp_path: Path) -> None:
+    figure = drawn_flight(flown(LINKED), MOTION, "Three ropes")
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles[:2] == ["start, 0.0 s", f"after the pull test, {END:.1f} s"]
+    words = "Three ropes\n3 robots, 6 drones, 0.5 s, simulated: every vertex holds"
+    assert figure.get_suptitle() == words
+    path = tmp_path / "flight.png"
+    save_figure(figure, path)
+    assert imread(path).shape[:2] == (864, 1560)
+
+
+@pytest.mark.parametrize(
+    ("linking", "formed", "words"),
+    [
+        (np.zeros((3, 3), dtype=np.int64), True, "not hitched"),
+        (None, True, "not simulated to its end"),
+        (np.zeros((3, 3), dtype=np.int64), False, "untied, as planned"),
+        (LINKED, False, "not untied"),
+    ],
+)
+def test_a_flight_is_called_what_it_was(
+    linking: NDArray[np.int64] | None, *, formed: bool, words: str
+) -> None:
+    figure = drawn_flight(flown(linking, formed=formed), MOTION)
+    assert figure.get_suptitle().endswith(words)
+
+
+def test_a_flight_without_frames_has_no_scene_and_still_a_picture() -> None:
+    simulation = flown(None, end=0.005)
+    assert flight_scene(simulation, MOTION) is None
+    assert len(drawn_flight(simulation, MOTION).axes) == 4
+
+
+def test_a_flight_that_dropped_something_does_not_look_well() -> None:
+    simulation = flown(LINKED)
+    failure = Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
+    wrong = replace(simulation, outcome=replace(simulation.outcome, failures=(failure,)))
+    title = drawn_flight(wrong, MOTION).get_suptitle()
+    assert title.endswith("every vertex holds, but tray is dropped: far below")
+
+
+def test_centimetres_are_those_of_the_accurate_preset() -> None:
+    exact = flight_tables(replace(flown(LINKED), settings=Settings(preset=ACCURATE)))
+    assert "1.0 ± 0.0 (1.0)" in exact
+    assert "without sag" in exact
+    assert INEXACT not in exact
+    text = flight_tables(replace(flown(LINKED), settings=Settings(preset=FAST)))
+    assert "1.0 ± 0.0 (1.0)" not in text
+    assert text.count(INEXACT) == 1
+    assert "without sag" not in text
+
+
+def test_friction_that_is_left_at_0_is_warned_of() -> None:
+    task = standing(TRIANGLE, 0.1)
+    assert "friction is left at 0" in warnings(task, Settings())[0]
+    assert warnings(task, Settings(friction=0.0)) == ()
+    assert warnings(standing(regular_hitch(3), 0.1), Settings()) == ()

@@ -1,0 +1,171 @@
+"""Estimates from recordings that the laws alone compute: exact without noise, honest with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from synthetic_flight import recorded, shaken
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
+from hitchopt.statics.calibrate import estimate_team
+from hitchopt.statics.recordings import compare
+
+POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
+DENSITY, MU = 0.012, 0.17
+SOFT, HARD = Quadrotor(mass=0.14), Quadrotor(mass=0.2)
+
+
+def team_of(topology: str = "closed") -> Team:
+    return Team(
+        3,
+        [2.6, 2.5, 2.7],
+        topology=topology,
+        tension=[0.5, 0.6, 0.55],
+        quadrotor=[SOFT, HARD, SOFT],
+    )
+
+
+def hitches(topology: str = "closed") -> tuple[Hitch, Hitch]:
+    """The same polygon, cables slid: one drone of a cable comes nearer as the other goes."""
+    arc = np.array([[1.0, 0.0], [1.6, 1.0], [2.9, 1.1], [3.6, 0.0]])
+    points = POLYGON if topology == "closed" else arc
+    team = team_of(topology)
+    middle = Hitch.balanced(team, points, 1.3)
+    slid = np.array([0.12, -0.1, 0.15]) * team.layout.has_leg.all(axis=1)
+    before, after = (Hitch(team, points, 1.3, middle.q_legs + s * slid) for s in (-1.0, 1.0))
+    return before, after
+
+
+K = np.repeat([4.0, 9.0, 4.0], 2)
+
+
+def moved() -> tuple[Hitch, Hitch]:
+    """A vertex moved outward: both cables of its clasp slide alike."""
+    team = team_of()
+    return (
+        Hitch.balanced(team, POLYGON, 1.3),
+        Hitch.balanced(team, POLYGON + [[0.0, -0.25], [0.0, 0.0], [0.0, 0.0]], 1.3),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pair", "friction", "within"),
+    [(hitches(), MU, 0.005), (moved(), MU, 0.02), (hitches("open"), 0.0, 0.005)],
+)
+def test_without_noise_stiffness_and_friction_are_exact(
+    pair: tuple[Hitch, Hitch], friction: float, within: float
+) -> None:
+    task, recording = recorded(*pair, K, DENSITY, friction)
+    found = estimate_team(recording, task, DENSITY)
+    assert all(one.known for one in found.stiffness)
+    np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.01)
+    assert found.friction.known
+    assert found.friction.value == pytest.approx(friction, abs=within)
+    assert abs(found.friction.value - friction) < max(found.friction.error, 1e-3)
+
+
+def test_a_steady_wind_is_no_stiffness() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY, wind=(0.05, -0.08))
+    found = estimate_team(recording, task, DENSITY)
+    np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.02)
+
+
+def test_cable_lengths_are_legs_edges_and_arcs() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY)
+    at_rest = replace(recording, t=recording.t[:30])
+    at_rest = replace(at_rest, drones=recording.drones[:30], vertices=recording.vertices[:30])
+    found = estimate_team(at_rest, task, DENSITY)
+    layout, drones, points = task.team.layout, recording.drones[0], recording.vertices[0]
+    for k in range(3):
+        a, b = points[layout.starts[k]], points[layout.ends[k]]
+        expected = 0.0
+        for x, y in ((drones[2 * k], a), (a, b), (b, drones[2 * k + 1])):
+            level, rise = float(np.hypot(*(y - x)[:2])), float((y - x)[2])
+            chord = float(np.linalg.norm(y - x))
+            # The catenary's own length, its horizontal pull such that the mean tension is right.
+            pull = task.team.tension[k] * level / chord / (GRAVITY * DENSITY)
+            expected += np.sqrt(rise**2 + (2.0 * pull * np.sinh(level / (2.0 * pull))) ** 2)
+        assert found.lengths[k].value == pytest.approx(expected, abs=1e-4)
+
+
+def test_moving_turning_and_renaming_the_flight_changes_no_estimate() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
+    noisy = shaken(recording, 1e-3, 4)
+    first = estimate_team(noisy, task, DENSITY)
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    shift = np.array([5.0, -7.0, 0.4])
+    s = task.setpoints
+    turned = replace(
+        task,
+        setpoints=replace(
+            s, positions=s.positions @ turn.T + shift, cable_forces=s.cable_forces @ turn.T
+        ),
+        vertices=task.vertices @ turn.T + shift,
+    )
+    moved = replace(
+        noisy, drones=noisy.drones @ turn.T + shift, vertices=noisy.vertices @ turn.T + shift
+    )
+    second = estimate_team(moved, turned, DENSITY)
+    for a, b in (
+        (first.friction, second.friction),
+        *zip(first.lengths, second.lengths, strict=True),
+        *zip(first.stiffness, second.stiffness, strict=True),
+    ):
+        # The loss weighs coordinates one by one, which turning mixes.
+        assert abs(a.value - b.value) < 0.05 * a.error
+
+
+def test_standard_errors_are_those_of_repeated_flights() -> None:
+    """Over flights with noise of 1.5 mm, deviations are about as large as the stated errors."""
+    task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
+    scores = []
+    for seed in range(12):
+        found = estimate_team(shaken(recording, 1.5e-3, seed), task, DENSITY)
+        soft, hard = found.stiffness[0], found.stiffness[1]
+        assert abs(found.friction.value - MU) < 0.05
+        scores.append([(soft.value - 4.0) / soft.error, (hard.value - 9.0) / hard.error])
+    assert np.all(np.sqrt(np.mean(np.square(scores), axis=0)) < 2.5)
+    assert np.max(np.abs(scores)) > 0.2  # they are no vacuous bounds
+
+
+def test_what_a_recording_does_not_determine_is_said() -> None:
+    first, second = hitches()
+    task, recording = recorded(first, second, K, 0.0)
+    weightless = estimate_team(recording, task, 0.0)
+    assert not any(one.known for one in weightless.stiffness)
+    assert "displaced by too little" in weightless.stiffness[0].remark
+    assert "neither determined nor stated" in weightless.friction.remark
+    task, recording = recorded(first, first, K, DENSITY)
+    still = estimate_team(recording, task, DENSITY)
+    assert all(one.known for one in still.stiffness)
+    assert "slide through clasps by 0.0 cm" in still.friction.remark
+    task, recording = recorded(first, second, K, DENSITY)
+    wound = replace(recording, integral=np.ones(6, dtype=np.bool_))
+    assert "integral action" in estimate_team(wound, task, DENSITY).stiffness[0].remark
+    unseen = replace(recording, vertices=np.full_like(recording.vertices, np.nan))
+    with pytest.raises(InputError, match="record the vertices too"):
+        estimate_team(unseen, task, DENSITY)
+
+
+def test_the_comparison_is_the_distance_to_the_plan() -> None:
+    task, recording = recorded(*hitches(), K, DENSITY)
+    between = replace(
+        recording,
+        t=recording.t + 0.5 / 20.0,
+        drones=recording.drones + [0.0, 0.3, 0.4],
+        vertices=np.repeat(task.vertices[-1:], len(recording.t), axis=0) + [0.02, 0.0, 0.0],
+    )
+    found = compare(between, task)
+    places = task.setpoints.positions
+    middle = np.vstack([0.5 * (places[1:] + places[:-1]), places[-1:]])
+    np.testing.assert_allclose(
+        found.drones, np.linalg.norm(recording.drones + [0.0, 0.3, 0.4] - middle, axis=-1)
+    )
+    assert found.vertices[-1] == pytest.approx(0.02)
+    np.testing.assert_array_equal(found.moving, (between.t > 2.0) & (between.t < 8.0))
+    whole, rest, moving = found.spreads(found.vertices)[0]
+    assert rest.mean < moving.largest <= whole.largest

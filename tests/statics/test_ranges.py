@@ -1,0 +1,224 @@
+"""Ranges of tensions and vertices: derivatives, sampled hitches, and what adds up how."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from resting_hitches import random_hitch, regular_hitch, settled, standing
+
+import hitchopt as ho
+from hitchopt.statics.settle import Conditions, energy_of, settle_motion
+from hitchopt.statics.tolerance import (
+    Errors,
+    ErrorSize,
+    Gradients,
+    Response,
+    Tolerance,
+    taut_times,
+    tolerance_of_motion,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def ranges(hitch: ho.Hitch, errors: Errors, **conditions: Any) -> Tolerance:
+    return tolerance_of_motion(standing(hitch), [1.0], errors, Conditions(**conditions))
+
+
+def response(hitch: ho.Hitch, conditions: Conditions) -> Response:
+    motion = standing(hitch)
+    states, nothing = ho.Plan(motion, None).at([1.0]), np.zeros((1, hitch.team.drones, 3))  # type: ignore[arg-type]
+    energy, _ = energy_of(
+        motion,
+        conditions,
+        states.positions,
+        states.vertices,
+        states.tensions,
+        states.cable_forces,
+        conditions.lengths(hitch.team)[None],
+        nothing,
+        nothing,
+    )
+    found = settle_motion(motion, [1.0], conditions)
+    clasps = found.vertices[:, hitch.team.layout.clasps]
+    return Response(energy, np.concatenate([found.drones, clasps], axis=1))
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+@pytest.mark.parametrize("held", [False, True])
+def test_gradients_are_those_of_settled_hitches(topology: str, held: bool) -> None:
+    hitch = random_hitch(3, 4, topology)
+    team, h = hitch.team, 1e-5
+    stiffness = team.stiffness.copy()
+    if held:
+        stiffness[[0, 3]] = np.inf
+    base: dict[str, Any] = {"stiffness": stiffness, "cable_density": 0.008, "axial_stiffness": 500}
+    made = response(hitch, Conditions(**base))
+    cables, points = np.arange(team.robots), np.arange(team.layout.points)
+    rows = [made.gradients_of_tensions(cables), made.gradients_of_points(points)]
+
+    def difference(**change: Any) -> tuple[np.ndarray, np.ndarray]:
+        up = settled(hitch, **(base | change))
+        down = settled(
+            hitch, **(base | {name: _mirrored(name, x, hitch) for name, x in change.items()})
+        )
+        apart = up.tensions - down.tensions, (up.vertices - down.vertices).ravel()
+        return apart[0] / (2 * h), apart[1] / (2 * h)
+
+    for k in range(team.robots):
+        step = h * np.eye(team.robots)[k]
+        for row, slope in zip(rows, difference(cable_length=team.cable_length + step), strict=True):
+            np.testing.assert_allclose(row.cable[0, :, k], slope, rtol=1e-4, atol=2e-5)
+    for i in range(0, team.drones, 3):
+        for axis in range(3):
+            step = np.zeros((team.drones, 3))
+            step[i, axis] = h
+            for name, part in (("offsets", "position"), ("forces", "force")):
+                for row, slope in zip(rows, difference(**{name: step}), strict=True):
+                    found = getattr(row, part)[0, :, i, axis]
+                    np.testing.assert_allclose(found, slope, rtol=1e-4, atol=2e-5)
+    assert isinstance(rows[0], Gradients)
+
+
+def _mirrored(name: str, value: np.ndarray, hitch: ho.Hitch) -> np.ndarray:
+    middle = hitch.team.cable_length if name == "cable_length" else 0.0
+    mirrored: np.ndarray = 2.0 * middle - value
+    return mirrored
+
+
+def drawn(
+    hitch: ho.Hitch, errors: Errors, count: int, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """Errors on the bounds' surface, where they do most, and normal ones."""
+    n = hitch.team.robots
+    signs = rng.choice([-1.0, 1.0], (count, n))
+    lengths = signs * errors.cable.bound + errors.cable.deviation * rng.normal(size=(count, n))
+    found = {"cable_length": hitch.team.cable_length + lengths}
+    for name, size in (("offsets", errors.position), ("forces", errors.force)):
+        directions = rng.normal(size=(count, 2 * n, 3))
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        normal = np.clip(rng.normal(size=(count, 2 * n, 3)), -3.0, 3.0)
+        found[name] = size.bound * directions + size.deviation * normal
+    return found
+
+
+@given(seeds, st.integers(3, 6), st.sampled_from(["closed", "open"]), st.sampled_from([0.0, 0.01]))
+@settings(max_examples=12)
+def test_sampled_hitches_stay_within_bounds(
+    seed: int, n: int, topology: str, density: float
+) -> None:
+    hitch, rng = random_hitch(seed, n, topology), np.random.default_rng(seed)
+    errors = Errors(ErrorSize(0.01), ErrorSize(0.01), ErrorSize(0.02))
+    found = ranges(hitch, errors, cable_density=density)
+    samples = settled(hitch, cable_density=density, **drawn(hitch, errors, 150, rng))
+    low, high = found.tensions[0, :, 0], found.tensions[0, :, 1]
+    assert np.all(samples.tensions >= low - 1e-9)
+    assert np.all(samples.tensions <= high + 1e-9)
+    away = samples.vertices - found.settled.vertices[0]
+    most = found.vertex_halves[0] + found.vertex_remainders[0]
+    assert np.all(np.abs(away) <= most + 1e-9)
+    # Each within its ellipsoid, widened by what is beyond first order.
+    shapes = found.ellipsoids[0] + 1e-18 * np.eye(3)
+    for k in range(away.shape[1]):
+        sizes, axes = np.linalg.eigh(shapes[k])
+        wide = np.sqrt(np.maximum(sizes, 0.0)) + found.vertex_remainders[0] + 1e-9
+        assert np.all(np.sum((away[:, k] @ axes / wide) ** 2, axis=-1) <= 1.0)
+    assert np.all(np.linalg.norm(away, axis=-1) <= found.radii[0] + 1e-9)
+    # They are not much wider than what is needed: the worst errors reach their ends.
+    assert found.tension_remainders[0] < 0.25 * np.max(found.tension_halves)
+
+
+def test_ends_of_ranges_are_reached() -> None:
+    hitch = random_hitch(21, 4)
+    errors = Errors(cable=ErrorSize(0.004))
+    found = ranges(hitch, errors)
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 4)).reshape(4, -1).T
+    corners = settled(hitch, cable_length=hitch.team.cable_length + 0.004 * signs)
+    for k in range(4):
+        low, high = np.min(corners.tensions[:, k]), np.max(corners.tensions[:, k])
+        span = found.tensions[0, k]
+        assert span[0] <= low <= span[0] + 3.0 * found.tension_remainders[0] + 1e-9
+        assert span[1] >= high >= span[1] - 3.0 * found.tension_remainders[0] - 1e-9
+
+
+def test_standard_deviations_are_those_of_samples() -> None:
+    hitch, rng = random_hitch(5, 4), np.random.default_rng(1)
+    errors = Errors(ErrorSize(deviation=0.002), ErrorSize(deviation=0.003))
+    found = ranges(hitch, errors)
+    samples = settled(
+        hitch,
+        cable_length=hitch.team.cable_length + 0.002 * rng.normal(size=(1500, 4)),
+        offsets=0.003 * rng.normal(size=(1500, 8, 3)),
+    )
+    spread = np.std(samples.tensions, axis=0)
+    np.testing.assert_allclose(found.tension_halves[0], 3.0 * spread, rtol=0.08)
+    spread = np.std(samples.vertices, axis=0)
+    np.testing.assert_allclose(found.vertex_halves[0], 3.0 * spread, rtol=0.1, atol=1e-4)
+    shapes = [np.cov(samples.vertices[:, k].T) * 9.0 for k in range(4)]
+    np.testing.assert_allclose(found.ellipsoids[0], shapes, atol=0.15 * np.max(shapes))
+
+
+def test_bounds_add_and_no_error_has_no_width() -> None:
+    hitch = random_hitch(9, 5)
+    one, two = ErrorSize(0.003), ErrorSize(0.01)
+    cable, force = ranges(hitch, Errors(cable=one)), ranges(hitch, Errors(force=two))
+    both = ranges(hitch, Errors(cable=one, force=two))
+    np.testing.assert_allclose(
+        both.tension_halves, cable.tension_halves + force.tension_halves, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        both.vertex_halves, cable.vertex_halves + force.vertex_halves, rtol=1e-9
+    )
+    nothing = ranges(hitch, Errors())
+    assert not np.any(nothing.tension_halves)
+    assert not np.any(nothing.ellipsoids)
+    assert np.max(nothing.tension_remainders) < 1e-9
+    np.testing.assert_allclose(nothing.tensions[0, :, 0], hitch.team.tension, atol=1e-8)
+
+
+def test_equal_errors_of_a_regular_hitch_are_the_closed_form() -> None:
+    """All cables too short by δ: T + δ/(2/k + L/EA), and no other signs do more for n = 3."""
+    k = 4.75
+    found = ranges(regular_hitch(3), Errors(cable=ErrorSize(0.01)), stiffness=k)
+    np.testing.assert_allclose(found.tension_halves, 0.01 / (2.0 / k + 2.4 / 1e4), rtol=1e-6)
+
+
+def test_slack_is_found_where_a_range_reaches_nothing() -> None:
+    hitch = regular_hitch(3)
+    errors = Errors(cable=ErrorSize(0.01))
+    assert ranges(hitch, errors, stiffness=20.0).slack_cables == ()
+    loose = ranges(hitch, errors, stiffness=120.0)
+    assert loose.slack_cables == ("c0", "c1", "c2")
+    assert np.all(loose.tensions[..., 0] == 0.0)
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    corners = settled(hitch, cable_length=2.4 + 0.01 * signs, stiffness=120.0)
+    assert np.min(corners.tensions) == 0.0
+
+
+def test_hundreds_of_robots_have_ranges() -> None:
+    errors = Errors(force=ErrorSize(0.001))
+    found = ranges(regular_hitch(200), errors, stiffness=4.75, cable_density=0.005)
+    assert found.tension_halves.shape == (1, 200)
+    np.testing.assert_allclose(found.tension_halves, found.tension_halves[0, 0], rtol=1e-3)
+
+
+def test_sizes_are_read_and_refused_in_words() -> None:
+    assert ErrorSize.parsed("--x", "0.01") == ErrorSize(0.01)
+    assert ErrorSize.parsed("--x", "sd:0.02") == ErrorSize(deviation=0.02)
+    assert ErrorSize(0.01, 0.02).words == "±0.01 and sd 0.02"
+    assert ErrorSize(deviation=0.02).words == "sd 0.02"
+    for text in ("", "sd:", "sd:-1", "-1", "nan", "1 cm"):
+        with pytest.raises(ho.InputError, match=r"^--x = "):
+            ErrorSize.parsed("--x", text)
+    with pytest.raises(ho.InputError, match=r"^cable_error = -1"):
+        ErrorSize.of("cable_error", -1.0)
+
+
+def test_taut_times_leave_out_rising_tensions() -> None:
+    motion = standing(regular_hitch(3))
+    np.testing.assert_allclose(taut_times(motion, 5), [0.0, 0.5, 1.0, 1.5, 2.0], atol=0.02)
+    assert taut_times(motion, 1).tolist() == [0.0]

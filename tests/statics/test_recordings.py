@@ -1,0 +1,172 @@
+"""Recordings in tables: read in any order, and refused with the reason."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import hitchopt as ho
+from hitchopt.cli import main
+from hitchopt.simulation.task import read_task
+from hitchopt.statics.calibrate import Calibration, estimate_team
+from hitchopt.statics.files import team_text
+from hitchopt.statics.friction import Estimate
+from hitchopt.statics.recordings import HEADER, Recording, compare, read_recording
+from hitchopt.storage.yaml_file import parse_yaml
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the plan of a triangle, at rest for two seconds."""
+    team = ho.Team(3, [2.4, 2.5, 2.45], tension=0.5)
+    hitch = ho.Hitch.balanced(team, [[0.0, -0.75], [-0.6, 0.4], [0.7, 0.4]], altitude=1.4)
+    return ho.hold(hitch, seconds=2.0).save(tmp_path_factory.mktemp("plan") / "out")
+
+
+def planned_rows(solved: Path) -> list[str]:
+    """Return the rows of a recording in which all is as planned."""
+    task = read_task(solved)
+    rows = []
+    for i in range(0, len(task.t), 5):
+        places = zip(
+            (*task.team.drone_names, *task.team.point_names),
+            (*task.setpoints.positions[i], *task.vertices[i]),
+            strict=True,
+        )
+        for name, (x, y, z) in places:
+            rows.append(f"{task.t[i]!r},{name},{x!r},{y!r},{z!r}".replace("np.float64", ""))
+    return [row.replace("(", "").replace(")", "") for row in rows]
+
+
+def write(path: Path, rows: list[str], header: str = HEADER) -> Path:
+    path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    return path
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def test_a_flight_as_planned_has_the_plans_lengths_and_no_errors(
+    solved: Path, tmp_path: Path
+) -> None:
+    table = write(tmp_path / "flight.csv", planned_rows(solved))
+    output, picture = tmp_path / "team.yaml", tmp_path / "flight.png"
+    result = run("calibrate", table, "--plan", solved, "-o", output, "--picture", picture)
+    assert result.exit_code == 0, result.output
+    for words in ("2.4000 m", "2.5000 m", "2.4500 m", "0.0 ± 0.0 (0.0)", "not determined"):
+        assert words in result.stdout
+    assert "displaced by too little" in result.stdout
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+    found = ho.calibrate(table, solved)
+    np.testing.assert_allclose([one.value for one in found.lengths], [2.4, 2.5, 2.45], atol=1e-6)
+    team = parse_yaml(output.read_text(encoding="utf-8"))
+    assert isinstance(team, dict)
+    problem = ho.problem_from_dict(
+        {
+            **team,
+            "start": {"hitch": {"polygon": [[0.0, -0.75], [-0.6, 0.4], [0.7, 0.4]]}},
+            "mission": [{"hold": {"seconds": 1.0}}],
+        }
+    )
+    np.testing.assert_allclose(problem.team.cable_length, [2.4, 2.5, 2.45], atol=1e-4)
+    np.testing.assert_allclose(problem.team.tension, 0.5)
+
+
+def test_order_other_columns_and_unknown_names_do_not_matter(solved: Path, tmp_path: Path) -> None:
+    rows = planned_rows(solved)
+    team = read_task(solved).team
+    plain = read_recording(write(tmp_path / "a.csv", rows), team)
+    mixed = np.random.default_rng(3).permutation(rows).tolist()
+    fields = [row.split(",") for row in mixed]
+    other = [f"{z},{name},{x},0.5,{t},{y}" for t, name, x, y, z in fields]
+    other += ["1.0,camera,2.0,3.0,0.0,1.0"]
+    again = read_recording(write(tmp_path / "b.csv", other, "z,name,x,battery,t,y"), team)
+    np.testing.assert_array_equal(plain.t, again.t)
+    np.testing.assert_array_equal(plain.drones, again.drones)
+    np.testing.assert_array_equal(plain.vertices, again.vertices)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: ("t,name,x,y", rows), "has no column 'z'"),
+        (lambda rows: (HEADER, [r for r in rows if ",r1," not in r]), "r1 is not recorded"),
+        (lambda rows: (HEADER, [*rows, rows[0]]), "holds a name twice at the same time"),
+        (lambda rows: (HEADER, [*rows, "9,q0,a,b,c"]), "holds a row that is not of numbers"),
+        (lambda rows: (HEADER, [*rows, "9,q0"]), "holds a row that is not of numbers"),
+        (lambda rows: (HEADER, [*rows, "inf,q0,1,2,3"]), "holds a time that is not finite"),
+        (lambda rows: (HEADER, rows[:0]), "q0 is not recorded"),
+        (lambda rows: (HEADER, [r for r in rows if ",p" not in r]), "record the vertices too"),
+    ],
+)
+def test_tables_that_are_no_recordings_are_refused(
+    solved: Path, tmp_path: Path, change: object, words: str
+) -> None:
+    header, rows = change(planned_rows(solved))  # type: ignore[operator]
+    result = run("calibrate", write(tmp_path / "x.csv", rows, header), "--plan", solved)
+    assert result.exit_code == 2, result.output
+    assert words in result.stderr
+
+
+def test_what_is_missing_is_named(solved: Path, tmp_path: Path) -> None:
+    nothing = run("calibrate", tmp_path / "none.csv", "--plan", solved)
+    assert (nothing.exit_code, "there is no such file" in nothing.stderr) == (2, True)
+    table = write(tmp_path / "flight.csv", planned_rows(solved))
+    planless = run("calibrate", table)
+    assert planless.exit_code == 2
+    assert "plan.npz: there is no such file" in planless.stderr
+    heavy = run("calibrate", table, "--plan", solved, "--density", "-1")
+    assert heavy.exit_code == 2
+    assert "density = -1.0: must be at least 0" in heavy.stderr
+
+
+@pytest.mark.slow
+def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
+    flown = run(
+        *("simulate", solved, "--drones", "point", "--stiffness", "6", "--density", "0.012")
+    )
+    assert flown.exit_code == 0, flown.output
+    result = run("calibrate", solved / "simulation")  # the plan is where the results lie
+    assert result.exit_code == 0, result.output
+    found = ho.calibrate(solved / "simulation")
+    assert found.density == 0.012
+    np.testing.assert_allclose([one.value for one in found.lengths], [2.4, 2.5, 2.45], atol=5e-3)
+    assert found.stiffness[0].value == pytest.approx(6.0, rel=0.1)
+    assert not found.friction.known
+    summary = json.loads((solved / "simulation" / "simulation.json").read_text(encoding="utf-8"))
+    whole = compare(found.recording, found.task)
+    assert np.nanmean(whole.vertices) == pytest.approx(
+        summary["vertex_error"]["all"]["mean"], rel=0.02
+    )
+    (solved / "simulation" / "simulation.json").write_text("{}", encoding="utf-8")
+    broken = run("calibrate", solved / "simulation")
+    assert (broken.exit_code, "simulate again" in broken.stderr) == (2, True)
+
+
+def test_a_team_of_different_kinds_lists_them(solved: Path) -> None:
+    task = read_task(solved)
+    drones, vertices = task.setpoints.positions, task.vertices
+    plain = estimate_team(Recording(task.t, drones, vertices), task, 0.01)
+    found = Calibration(
+        plain.task,
+        plain.recording,
+        0.01,
+        plain.lengths,
+        (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate.unknown("nothing moves")),
+        Estimate(0.123, 0.02),
+        plain.comparison,
+    )
+    text = team_text(found)
+    team = parse_yaml(text)
+    assert isinstance(team, dict)
+    given = team["team"]
+    assert isinstance(given, dict)
+    assert [kind["stiffness"] for kind in given["quadrotor"]] == [4, 4, None]  # type: ignore[index,union-attr,call-overload]
+    assert given["cable_friction"] == 0.123
+    assert "# ± 0.02" in text
+    assert text.count("not determined") == 1

@@ -1,0 +1,421 @@
+"""Where hitches come to rest: laws, closed forms, and residuals computed apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from clasp_balance import clasp_residuals
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from resting_hitches import random_hitch, regular_hitch, settled, standing
+from scipy.optimize import brentq, minimize
+
+import hitchopt as ho
+from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.motion.motion import CableState
+from hitchopt.statics.settle import Conditions, Settled, energy_of, settle_motion
+
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.integers(3, 8)
+topologies = st.sampled_from(["closed", "open"])
+
+
+def errors(seed: int, n: int, density: float) -> dict[str, Any]:
+    rng = np.random.default_rng(seed + 1)
+    return {
+        "cable_density": density,
+        "offsets": rng.uniform(-0.02, 0.02, (2 * n, 3)),
+        "forces": rng.uniform(-0.03, 0.03, (2 * n, 3)),
+    }
+
+
+@given(seeds, sizes, topologies)
+@settings(max_examples=30)
+def test_without_error_the_plan_comes_back(seed: int, n: int, topology: str) -> None:
+    hitch = random_hitch(seed, n, topology)
+    found = settled(hitch)
+    np.testing.assert_allclose(found.vertices, hitch.vertices, atol=1e-9)
+    np.testing.assert_allclose(found.drones, hitch.drones, atol=1e-9)
+    np.testing.assert_allclose(found.tensions, hitch.team.tension, atol=1e-9)
+    assert found.slack_cables == found.loose_clasps == ()
+
+
+@given(seeds, sizes, topologies)
+@settings(max_examples=10)
+def test_plans_that_know_the_weight_come_back_but_for_their_own_error(
+    seed: int, n: int, topology: str
+) -> None:
+    """Legs that rise for the weight hold vertices: to second order in weight over tension."""
+    away = []
+    for density in (0.002, 0.004):
+        hitch = random_hitch(seed, n, topology, density=density)
+        found = settled(hitch)
+        away.append(np.max(found.displacements))
+        np.testing.assert_allclose(found.tensions, hitch.team.tension, rtol=2e-3)
+        # Level drones would let the vertices sag by far more.
+        level = settled(random_hitch(seed, n, topology), cable_density=density)
+        assert away[-1] < 0.25 * np.max(level.displacements)
+    assert away[0] < 0.4 * away[1]
+
+
+@given(seeds, sizes, topologies, st.sampled_from([0.0, 0.01]))
+@settings(max_examples=30)
+def test_forces_balance_as_another_module_computes_them(
+    seed: int, n: int, topology: str, density: float
+) -> None:
+    hitch = random_hitch(seed, n, topology)
+    given_errors = errors(seed, n, density)
+    found = settled(hitch, **given_errors)
+    assert found.force_residual < 1e-8
+    assert found.length_residual < 1e-9
+    layout, w = hitch.team.layout, 9.81 * density
+    q, r = found.drones[0::2], found.drones[1::2]
+    if density == 0.0:
+        force = clasp_residuals(found.vertices, q, r, found.tensions, topology=topology)
+        assert np.max(np.linalg.norm(force, axis=-1)) < 1e-8
+        # Drones: what their springs pull with is what their cables pull with.
+        legs = found.drones - found.vertices[layout.pulled_to]
+        pull = np.repeat(found.tensions, 2)[:, None] * legs
+        pull /= np.linalg.norm(legs, axis=-1, keepdims=True)
+        away = found.drones - hitch.drones - given_errors["offsets"]
+        spring = hitch.team.stiffness[:, None] * away
+        outer = given_errors["forces"] - hitch.cable_forces
+        np.testing.assert_allclose(spring, outer - pull, atol=1e-8)
+    else:  # all forces from outside and all weight add up to nothing
+        away = found.drones - hitch.drones - given_errors["offsets"]
+        spring = -hitch.team.stiffness[:, None] * away
+        total = np.sum(spring + given_errors["forces"] - hitch.cable_forces, axis=0)
+        total[2] -= w * np.sum(hitch.team.cable_length)  # their arcs are as long
+        np.testing.assert_allclose(total, 0.0, atol=2e-5)
+
+
+def moved(hitch: ho.Hitch, angle: float, shift: np.ndarray) -> ho.Hitch:
+    c, s = np.cos(angle), np.sin(angle)
+    points = hitch.polygon.vertices @ np.array([[c, -s], [s, c]]).T + shift[:2]
+    polygon = ConvexPolygon(points)
+    return ho.Hitch(hitch.team, polygon, hitch.altitude + shift[2], hitch.q_legs)
+
+
+@given(seeds, sizes)
+@settings(max_examples=15)
+def test_the_mirror_image_settles_to_the_mirror_image(seed: int, n: int) -> None:
+    """Seen in a mirror q and r trade their roles, and cables run the other way."""
+    hitch, given_errors = random_hitch(seed, n), errors(seed, n, 0.008)
+    flip = np.array([-1.0, 1.0, 1.0])
+    back = np.arange(n)[::-1]
+    drones = np.stack([2 * back + 1, 2 * back], axis=1).ravel()
+    points = (-np.arange(n)) % n  # edge k of the image is edge n-1-k
+    team = dataclasses.replace(
+        hitch.team,
+        cable_length=hitch.team.cable_length[back],
+        tension=hitch.team.tension[back],
+        quadrotor=tuple(hitch.team.quadrotor[k] for k in back),
+    )
+    polygon = ConvexPolygon(hitch.polygon.vertices[points] * flip[:2])
+    legs = (hitch.slack - hitch.q_legs)[back]
+    other = ho.Hitch(team, polygon, hitch.altitude, legs)
+    np.testing.assert_allclose(other.drones, hitch.drones[drones] * flip, atol=1e-12)
+    mirrored = {name: given_errors[name][drones] * flip for name in ("offsets", "forces")}
+    found, again = settled(hitch, **given_errors), settled(other, **(given_errors | mirrored))
+    np.testing.assert_allclose(again.tensions, found.tensions[back], atol=1e-8)
+    np.testing.assert_allclose(again.vertices, found.vertices[points] * flip, atol=1e-8)
+
+
+def settle_states(motion: ho.Motion, conditions: Conditions) -> tuple[np.ndarray, ...]:
+    """What the plan says at one time, and no errors, as samples."""
+    states = ho.Plan(motion, None).at([1.0])  # type: ignore[arg-type]
+    nothing = np.zeros_like(states.positions)
+    return (
+        states.positions,
+        states.vertices,
+        states.tensions,
+        states.cable_forces,
+        conditions.lengths(motion.team)[None],
+        nothing,
+        nothing,
+    )
+
+
+def test_a_general_minimiser_finds_no_lower_energy() -> None:
+    hitch = random_hitch(7, 3)
+    conditions = Conditions(cable_length=hitch.team.cable_length - 0.01, axial_stiffness=300.0)
+    motion = standing(hitch)
+    energy, x = energy_of(motion, conditions, *settle_states(motion, conditions))
+    found = settle_motion(motion, 1.0, conditions)
+    ours = np.concatenate([found.drones, found.vertices])[None]
+    rng = np.random.default_rng(0)
+
+    def value(nodes: np.ndarray) -> float:
+        return float(energy.values(nodes.reshape(x.shape))[0])
+
+    def slope(nodes: np.ndarray) -> np.ndarray:
+        return energy.slopes(nodes.reshape(x.shape)).ravel()
+
+    options: Any = {"gtol": 1e-9, "maxiter": 5000}
+    for _ in range(3):
+        guess = (x + rng.normal(0.0, 0.1, x.shape)).ravel()
+        result = minimize(value, guess, jac=slope, method="BFGS", options=options)
+        assert energy.values(ours)[0] <= result.fun + 1e-9
+        np.testing.assert_allclose(result.x.reshape(ours.shape), ours, atol=1e-4)
+
+
+@pytest.mark.parametrize("change", [-0.02, -0.005, 0.01])
+def test_equal_errors_of_all_cables_of_a_regular_hitch(change: float) -> None:
+    """By symmetry the vertices stay; each end gives way by half of it, against k and the stretch.
+
+    For n = 3 the polygon could shrink or grow, too, but that changes no cable's length at first
+    order, and by symmetry nothing pushes it.
+    """
+    k, T, EA = 4.75, 0.5, 1e4
+    found = settled(regular_hitch(3, T), stiffness=k, cable_length=2.4 + change, axial_stiffness=EA)
+    expected = T - change / (2.0 / k + 2.4 / EA)
+    np.testing.assert_allclose(found.tensions, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.displacements, 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("change", [-1e-5, 1e-5])
+def test_one_cable_with_rigid_drones(change: float) -> None:
+    """Tensions stay in the self-stress's direction: EA/L shares the length among n cables."""
+    T, EA, n = 0.5, 500.0, 3
+    lengths = 2.4 + change * np.array([1.0, 0.0, 0.0])
+    found = settled(regular_hitch(n, T), cable_length=lengths, axial_stiffness=EA)
+    # The lengths' Jacobian has the one self-stress (1, 1, 1): the work of it on the change is all
+    # that cannot be met by moving vertices.
+    expected = T - EA / 2.4 * change / n
+    assert np.max(np.abs(found.tensions - expected)) < 0.05 * abs(expected - T)
+    np.testing.assert_array_equal(found.drones, found.planned_drones)
+
+
+def test_stiffer_rope_between_rigid_drones_swings_the_tension() -> None:
+    """The measured swing: up to 5.7 N at EA = 500 N for a centimetre of error."""
+    rng = np.random.default_rng(3)
+    offsets = rng.normal(0.0, 0.01, (400, 6, 3))
+    found = settle_motion(
+        standing(regular_hitch(3)), 1.0, Conditions(offsets=offsets, axial_stiffness=500.0)
+    )
+    assert np.min(found.tensions) == 0.0
+    assert 3.0 < np.max(found.tensions) < 9.0
+    assert found.slack_cables == ("c0", "c1", "c2")
+
+
+CABLES, PLACES = "cable_length", "offsets"
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "changed", "low", "high"),
+    [
+        (4.75, CABLES, 0.47, 0.52),
+        (4.75, PLACES, 0.44, 0.55),
+        (20.0, CABLES, 0.38, 0.57),
+        (20.0, PLACES, 0.27, 0.69),
+        (100.0, CABLES, 0.0, 0.82),
+        (100.0, PLACES, 0.0, 1.5),
+    ],
+)
+def test_ranges_of_tension_are_those_measured(
+    stiffness: float, changed: str, low: float, high: float
+) -> None:
+    """Ranges that another program found: n = 3, 0.5 N, random cables ±1 cm or drones ±2 cm."""
+    rng = np.random.default_rng(0)
+    errors: dict[str, Any] = {
+        CABLES: 2.4 + rng.uniform(-0.01, 0.01, (60, 3)),
+        PLACES: rng.uniform(-0.02, 0.02, (60, 6, 3)),
+    }
+    found = settled(regular_hitch(3), stiffness=stiffness, **{changed: errors[changed]})
+    ends = np.array([np.min(found.tensions), np.max(found.tensions)])
+    np.testing.assert_allclose(ends, [low, high], atol=0.25 * (high - low))
+
+
+def test_without_feed_forward_nothing_pulls_and_moved_set_points_pull_again() -> None:
+    hitch = random_hitch(11, 5, stiffness=4.75)
+    without = settled(hitch, feed_forward=False)
+    assert np.max(without.tensions) < 0.02
+    outward = -hitch.cable_forces / hitch.team.stiffness[:, None]
+    again = settled(hitch, feed_forward=False, offsets=outward)
+    np.testing.assert_allclose(again.tensions, hitch.team.tension, atol=1e-9)
+    np.testing.assert_allclose(again.vertices, hitch.vertices, atol=1e-9)
+
+
+def test_an_integral_holds_drones_where_they_are_led_whatever_their_stiffness() -> None:
+    hitch = regular_hitch(4)
+    found = settled(hitch, integral=True, stiffness=3.0, cable_length=2.39, axial_stiffness=200.0)
+    rigid = settled(hitch, stiffness=np.inf, cable_length=2.39, axial_stiffness=200.0)
+    np.testing.assert_array_equal(found.drones, hitch.drones)
+    np.testing.assert_array_equal(found.tensions, rigid.tensions)
+    np.testing.assert_allclose(found.tensions, 0.5 + 200.0 * 0.01 / 2.4, rtol=1e-9)
+
+
+def test_sag_of_a_regular_hitch_is_the_closed_form() -> None:
+    """z = ρ g d (l + d)/(2 T), for drones that keep their height; here they are rigid."""
+    n, edge, d, rho = 6, 1.2, 0.6, 0.0005
+    found = settled(regular_hitch(n), cable_density=rho, cable_length=2.4 + 1.0e-5, stiffness=1e9)
+    T = float(found.tensions[0])
+    sag = found.planned_vertices[:, 2] - found.vertices[:, 2]
+    np.testing.assert_allclose(sag, rho * 9.81 * d * (edge + d) / (2.0 * T), rtol=2e-3)
+
+
+def test_loads_hang_at_their_clasps_and_move_nothing_where_they_are_zero() -> None:
+    hitch = random_hitch(2, 4, "open")
+    plain, zero = settled(hitch), settled(hitch, load=[0.0] * 3)
+    np.testing.assert_array_equal(plain.vertices, zero.vertices)
+    load = np.array([0.002, 0.001, 0.003])
+    found = settled(hitch, load=load)
+    force = clasp_residuals(
+        found.vertices,
+        found.drones[0::2],
+        found.drones[1::2],
+        found.tensions,
+        9.81 * load[:, None] * np.array([0.0, 0.0, -1.0]),
+        "open",
+    )
+    assert np.max(np.abs(force)) < 1e-8
+    assert np.all((found.vertices - plain.vertices)[1:-1, 2] < 0.0)
+
+
+def test_slack_cables_are_named_and_hold_no_clasp() -> None:
+    hitch = regular_hitch(5)
+    longer = settled(hitch, cable_length=[4.4, 2.4, 2.4, 2.4, 2.4], stiffness=4.75)
+    assert longer.tensions[0] == 0.0
+    assert "c0" in longer.slack_cables
+    assert {"p0", "p1"} <= set(longer.loose_clasps)
+
+
+def test_samples_settle_as_each_alone() -> None:
+    hitch = random_hitch(4, 3, stiffness=8.0)
+    rng = np.random.default_rng(4)
+    lengths = hitch.team.cable_length + rng.uniform(-0.01, 0.01, (2, 3, 3))
+    offsets = rng.uniform(-0.01, 0.01, (3, 6, 3))
+    motion = standing(hitch)
+    together = settle_motion(
+        motion, [0.5, 1.0, 1.5], Conditions(cable_length=lengths, offsets=offsets)
+    )
+    assert together.tensions.shape == (2, 3, 3)
+    for i in range(2):
+        for j in range(3):
+            alone: Settled = settle_motion(
+                motion, 1.0, Conditions(cable_length=lengths[i, j], offsets=offsets[j])
+            )
+            np.testing.assert_allclose(together.tensions[i, j], alone.tensions, atol=1e-9)
+            np.testing.assert_allclose(together.vertices[i, j], alone.vertices, atol=1e-9)
+
+
+def test_a_hitch_of_a_thousand_robots_settles() -> None:
+    hitch = regular_hitch(1000)
+    rng = np.random.default_rng(0)
+    found = settled(
+        hitch, stiffness=4.75, cable_density=0.005, offsets=rng.uniform(-0.01, 0.01, (2000, 3))
+    )
+    assert found.force_residual < 1e-7
+    assert np.all(np.abs(found.tensions - 0.5) < 0.15)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "words"),
+    [
+        ({"stiffness": 0.0}, "stiffness = 0.0: must be one positive number, or 6 of them"),
+        ({"stiffness": [1.0, 2.0]}, "stiffness"),
+        ({"cable_length": [1.0, 2.0]}, "cable_length"),
+        ({"cable_length": np.nan}, "cable_length"),
+        ({"offsets": np.zeros((5, 3))}, "offsets"),
+        ({"load": -1.0}, "load"),
+        ({"cable_density": -0.1}, "cable_density = -0.1: must be at least 0"),
+        ({"axial_stiffness": 0.0}, "axial_stiffness = 0.0: must be greater than 0"),
+    ],
+)
+def test_wrong_conditions_are_refused(conditions: dict[str, Any], words: str) -> None:
+    with pytest.raises(ho.InputError, match="^" + words.replace("(", r"\(")):
+        settled(regular_hitch(3), **conditions)
+
+
+def test_times_without_hitch_are_refused() -> None:
+    motion = standing(regular_hitch(3))
+    (hold,) = motion.phases
+    free = dataclasses.replace(motion, phases=(dataclasses.replace(hold, state=CableState.FREE),))
+    with pytest.raises(
+        ho.InputError, match=r"t = 1\.0: must be within a hitch: never in this plan"
+    ):
+        settle_motion(free, 1.0, Conditions())
+    with pytest.raises(ho.InputError, match=r"t = -1\.0"):
+        settle_motion(motion, -1.0, Conditions())
+
+
+@pytest.mark.parametrize(("seed", "density"), [(1, 0.006), (2, 0.012), (3, 0.018)])
+def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> None:
+    """Spans as exact curves, of one tension a cable in height, between the settled nodes.
+
+    The forces that then miss a balance would move vertices by less than a millimetre.
+    """
+    hitch = random_hitch(seed, 5, density=density)
+    n, w = hitch.team.robots, 9.81 * density
+    found, motion = settled(hitch), standing(hitch)
+    clasps, drones = np.zeros((n, 3)), np.zeros((2 * n, 3))
+
+    def curve(first: np.ndarray, last: np.ndarray, tension: float) -> tuple[float, np.ndarray]:
+        """Length of the curve of that tension at its first end, and the forces on its ends."""
+        chord = float(np.linalg.norm(last - first))
+
+        def missing(log: float) -> float:
+            pull = w * Catenary.between(first, last, chord * (1.0 + np.exp(log))).pull(first, last)
+            return float(np.linalg.norm(pull[0])) - tension
+
+        length = chord * (1.0 + np.exp(brentq(missing, -18.0, -1.0)))
+        return length, w * Catenary.between(first, last, length).pull(first, last)
+
+    def cable(k: int, tension: float) -> tuple[float, tuple[np.ndarray, ...]]:
+        q, r = found.drones[2 * k : 2 * k + 2]
+        p, following = found.vertices[k], found.vertices[(k + 1) % n]
+        q_leg, edge = curve(p, q, tension), curve(p, following, tension)
+        r_leg = curve(following, r, float(np.linalg.norm(edge[1][1])))
+        return q_leg[0] + edge[0] + r_leg[0], (q_leg[1], edge[1], r_leg[1])
+
+    for k in range(n):
+        length = float(hitch.team.cable_length[k])
+        ends = (0.8 * found.tensions[k], 1.3 * found.tensions[k])
+        tension = brentq(lambda T, k=k, length=length: cable(k, T)[0] - length, *ends)
+        q_leg, edge, r_leg = cable(k, float(tension))[1]
+        clasps[k] += q_leg[0] + edge[0]
+        clasps[(k + 1) % n] += edge[1] + r_leg[0]
+        drones[2 * k] += q_leg[1]
+        drones[2 * k + 1] += r_leg[1]
+    springs = hitch.team.stiffness[:, None] * (found.planned_drones - found.drones)
+    drones += springs - hitch.cable_forces
+    energy, _ = energy_of(motion, Conditions(), *settle_states(motion, Conditions()))
+    x = np.concatenate([found.drones, found.vertices])[None]
+    blocks, diagonal = energy.blocks(x), energy.diagonal[None]
+    missed = np.concatenate([drones, clasps])[None, ..., None]
+    moved = energy.rigging.factor(blocks, diagonal).solve(missed)[0, ..., 0]
+    assert np.max(np.linalg.norm(moved, axis=-1)) < 1e-3
+
+
+@pytest.mark.parametrize("inward", [0.3, 0.45])
+@pytest.mark.parametrize("feed_forward", [True, False])
+def test_hitches_whose_drones_are_far_too_near_find_a_rest(
+    inward: float, feed_forward: bool
+) -> None:
+    hitch = regular_hitch(4)
+    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
+    legs = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    found = settled(
+        hitch,
+        stiffness=12.0,
+        cable_density=0.012,
+        feed_forward=feed_forward,
+        offsets=-inward * legs,
+    )
+    assert found.force_residual < 1e-8
+    assert np.all(found.tensions > 0.0)
+    assert np.all(found.tensions < 0.25)
+    assert bool(found.slack_cables or found.loose_clasps) == (inward > 0.4)
+
+
+def test_a_drone_that_comes_to_its_vertex_is_named() -> None:
+    hitch = regular_hitch(5)
+    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
+    beyond = np.zeros((10, 1))
+    beyond[2] = -2.0  # q1 is led through its vertex, as far again
+    with pytest.raises(ho.InfeasibleError, match="a leg of cable c1 has no length left"):
+        settled(hitch, stiffness=3.0, cable_density=0.01, offsets=beyond * legs)

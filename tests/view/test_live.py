@@ -1,0 +1,120 @@
+"""The live view, without a browser: what is sent to it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from pictured import made_certificate, make_motion
+
+from hitchopt.values import Array
+from hitchopt.view.live import ASPECT, NARROW_ASPECT, LiveView
+from hitchopt.view.live_scene import path_segments
+from hitchopt.view.scene import Concerned, scene_of
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[LiveView]:
+    view = LiveView(make_motion(4), made_certificate(), "A picture", port=8391)
+    yield view
+    view.close()
+
+
+def nodes(live: LiveView) -> dict[str, Any]:
+    """Return what a browser is sent of the plan, by name."""
+    sent = live.server.scene._handle_from_node_name
+    return {name: each for name, each in sent.items() if name.startswith("/plan/")}
+
+
+@pytest.mark.parametrize("time", [0.0, 0.9, 3.1])
+def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time: float) -> None:
+    assert live.url.startswith("http://127.0.0.1:")  # this machine alone
+    live.seek(time)
+    drones, sent = live.motion.drones.at(time), nodes(live)
+    for part in ("frame", "rotors", "rims"):
+        found = sent[f"/plan/drones/{part}"].batched_positions
+        np.testing.assert_allclose(found, drones, atol=2e-3)
+    ends = sent["/plan/cables"].points.reshape(4, -1, 2, 3)
+    np.testing.assert_allclose(ends[:, 0, 0], drones[0::2], atol=2e-3)
+    np.testing.assert_allclose(ends[:, -1, 1], drones[1::2], atol=2e-3)
+
+
+def test_an_old_plan_is_faded_and_comes_back_and_marks_stay(live: LiveView) -> None:
+    def colours() -> list[Array]:
+        sent = nodes(live)
+        batches = [sent[f"/plan/drones/{part}"].batched_colors for part in ("rotors", "rims")]
+        return [np.array(each).astype(float) for each in (*batches, sent["/plan/cables"].colors)]
+
+    before = colours()
+    live.note("an OLD plan")
+    for bright, dim in zip(before, colours(), strict=True):
+        vivid, dull = (np.max(np.ptp(each, axis=-1)) for each in (bright, dim))
+        assert dull <= 0.3 * vivid + 6  # the grey's own
+        assert np.min(dim) > 80
+    assert not nodes(live)["/plan/paths"].visible
+    live.live.mark(Concerned(cables=(2,)))
+    cables = colours()[-1].reshape(4, -1, 3)
+    assert np.ptp(cables[2][0]) > 100
+    assert np.ptp(cables[1][0]) < 60
+    live.live.mark(Concerned())
+    live.note("")
+    for bright, again in zip(before, colours(), strict=True):
+        np.testing.assert_array_equal(again, bright)
+    assert nodes(live)["/plan/paths"].visible
+
+
+@pytest.mark.parametrize(("aspect", "port"), [(ASPECT, 8394), (NARROW_ASPECT, 8395)])
+def test_the_camera_sees_all_paths_from_near(aspect: float, port: int) -> None:
+    live = LiveView(make_motion(5), None, port=port, aspect=aspect)
+    camera, drones = live.server.initial_camera, live.live.scene.drones.reshape(-1, 3)
+    live.close()
+    eye, target = np.array(camera.position), np.array(camera.look_at)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    depth = (drones - eye) @ forward * 2.0 * np.tan(0.5 * camera.fov)
+    seen = (drones - eye) @ np.stack([right, np.cross(right, forward)], axis=1) / depth[:, None]
+    shares = np.max(np.abs(seen), axis=0) / [0.5 * aspect, 0.5]
+    assert np.all(depth > 0.0)
+    assert 0.5 < np.max(shares) < 1.0
+
+
+def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -> None:
+    view = LiveView(make_motion(3), None, port=8396)
+    assert "being certified" in view.head.content
+    assert view.checks.labels == []
+    assert not view.wait_for_page(0.0)  # nobody has opened it
+    view.show_certificate(made_certificate())
+    assert "certified for all t" in view.head.content
+    assert len(view.checks.labels) == len(made_certificate().checks)
+    view.live.switch("thrusts", on=True)
+    view.play(on=True)
+    head = view.head
+    view.show_plan(make_motion(4), None, "another")
+    assert view.head is head
+    assert "another" in head.content
+    assert view.live.shown["thrusts"]
+    assert view.player.label == "Pause"
+    assert view.checks.labels == []
+    phases = [phase.name for phase in view.motion.phases]
+    assert [label.split(":")[0] for label in view.phases.labels] == phases
+    assert view.scrub.max >= view.motion.duration
+    view.close()
+
+
+@pytest.mark.parametrize("tolerance", [0.0005, 0.002, 0.02])
+def test_paths_are_few_segments_near_what_is_flown(tolerance: float) -> None:
+    curves = np.moveaxis(scene_of(make_motion(4)).drones, 1, 0)
+    segments, owners = path_segments(curves, tolerance)
+    shares = np.linspace(0.0, 1.0, 400)[:, None, None]
+    for k, curve in enumerate(curves):
+        own = segments[owners == k]
+        np.testing.assert_array_equal(own[0, 0], curve[0])
+        np.testing.assert_array_equal(own[-1, 1], curve[-1])
+        np.testing.assert_array_equal(own[1:, 0], own[:-1, 1])
+        places = ((1.0 - shares) * own[:, 0] + shares * own[:, 1]).reshape(-1, 3)
+        apart = np.min(np.linalg.norm(curve[:, None] - places, axis=-1), axis=1)
+        assert np.max(apart) <= tolerance + 0.002  # the sampling's own
+    assert len(segments) < 0.5 * len(curves) * (curves.shape[1] - 1)

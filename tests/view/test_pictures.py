@@ -1,0 +1,265 @@
+"""Pictures say what a plan is: looked for among what is drawn, and in pixels."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+from matplotlib.patches import Polygon, Rectangle
+from matplotlib.text import Text
+from matplotlib.transforms import Bbox
+from pictured import made_certificate, make_motion
+
+import hitchopt as ho
+from hitchopt.checks import certify
+from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.checks.closeness import closeness
+from hitchopt.hitch import Swarm
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+from hitchopt.view.painter import MOST, chosen_shots
+from hitchopt.view.pictures import (
+    draw_closeness,
+    draw_plan_view,
+    draw_summary,
+    panels,
+    sampled_states,
+)
+from hitchopt.view.style import COLOURS, cable_colours, new_figure, save_figure
+
+PRISM = Prism([[4.0, 1.0], [4.0, 2.0], [5.0, 1.5]], 0.0, 1.0)
+
+
+def swarm(n: int) -> Motion:
+    """Drones side by side, off the origin, that all go by one offset."""
+    start = np.column_stack([2.0 + 0.5 * np.arange(n), np.full(n, -1.0), np.full(n, 1.0)])
+    share = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
+    c = start[:, :, None] + np.array([0.3, 1.2, 0.2])[:, None] * share
+    curves = PiecewisePolynomial(np.array([0.0, 3.0]), c[None])
+    requirements = Requirements(
+        Limits(), Separation(), Arena([1, -2, 0], [25, 3, 2]), keep_out=(PRISM,)
+    )
+    return Motion.single(Swarm(n), requirements, curves, (Phase("fly", 0, 0.0, 3.0),))
+
+
+def chain(n: int) -> Motion:
+    """An open chain at rest, off the origin."""
+    headings = np.radians(np.linspace(60.0, -60.0, n))
+    steps = 1.4 * np.column_stack([np.cos(headings), np.sin(headings)])
+    points = np.array([2.0, -1.0]) + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
+    team = ho.Team(n, 2.1 + 0.05 * np.arange(n), topology="open")
+    return ho.hold(ho.Hitch.balanced(team, points), 1.0).motion
+
+
+def words(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.findobj(Text) if text.get_visible()]
+
+
+def visible_texts(figure: Figure) -> list[tuple[str, Bbox]]:
+    """Return what is written, with the box of pixels that it takes."""
+    figure.draw_without_rendering()
+    beyond = set()  # ticks that lie outside of the axes exist and are not drawn
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            lower, upper = sorted(axis.get_view_interval())
+            ticks = [t for t in axis.get_major_ticks() if not lower <= t.get_loc() <= upper]
+            beyond |= {label for tick in ticks for label in (tick.label1, tick.label2)}
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text not in beyond]
+    return [(t.get_text(), t.get_window_extent()) for t in texts if t.get_text().strip()]
+
+
+def cables(axes: Axes) -> list[Array]:
+    """Return the ends and corners of the cables (n, 4, 2) [m] of every hitch that is drawn."""
+    lines = [c.get_segments() for c in axes.collections if isinstance(c, LineCollection)]
+    return [np.array(each) for each in lines if len(each[0]) == 4]
+
+
+@pytest.mark.parametrize(
+    ("make", "n"), [*((make_motion, n) for n in (3, 4, 12, 60)), (chain, 2), (chain, 4)]
+)
+def test_both_hitches_are_drawn_cable_by_cable_and_vertices_numbered(
+    make: Callable[[int], Motion], n: int
+) -> None:
+    motion, figure = make(n), new_figure((5.0, 5.0))
+    axes = figure.add_subplot()
+    draw_plan_view(axes, motion, sampled_states(motion))
+    drawn, layout = cables(axes), motion.team.layout
+    rests = len(drawn) == 1
+    for lines, t in zip(drawn, [motion.duration] if rests else [0.0, motion.duration], strict=True):
+        drones, vertices = motion.drones.at(t), motion.vertices.at(t)
+        corners = [drones[0::2], vertices[layout.starts], vertices[layout.ends], drones[1::2]]
+        np.testing.assert_allclose(lines, np.stack(corners, axis=1)[..., :2], atol=1e-9)
+    assert rests == bool(np.allclose(motion.drones.at(0.0), motion.drones.at(motion.duration)))
+    for marker, side in (("o", 0), ("s", 1)):
+        shown = [line.get_xydata() for line in axes.lines if line.get_marker() == marker]
+        expected = motion.drones.at([0.0, motion.duration])[:, side::2, :2]
+        np.testing.assert_allclose(np.array(shown), expected, atol=1e-9)
+    numbers = [text.get_text() for text in axes.texts]
+    assert numbers[:2] == (["p₀", "p₁"] if n <= 12 else [])
+    assert len(numbers) == (len(motion.team.point_names) if n <= 12 else 0)
+    figure.draw_without_rendering()
+    seen = axes.transData.transform(motion.vertices.at(motion.duration)[:, :2])
+    first, along = seen[layout.starts], seen[layout.ends] - seen[layout.starts]
+    for text, place in zip(axes.texts, seen, strict=False):  # near its vertex and on no edge
+        middle = np.mean(text.get_window_extent().get_points(), axis=0)
+        share = np.clip(np.sum((middle - first) * along, 1) / np.sum(along**2, 1), 0.0, 1.0)
+        assert np.min(np.linalg.norm(middle - first - share[:, None] * along, axis=1)) > 5.0
+        assert np.linalg.norm(middle - place) < 90.0
+
+
+@pytest.mark.parametrize("n", range(3, 14))
+def test_neighbouring_cables_differ_in_grey(n: int) -> None:
+    def grey(colour: str) -> float:
+        red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+        return 0.299 * red + 0.587 * green + 0.114 * blue
+
+    shades = [grey(colour) for colour in cable_colours(n)]
+    assert set(cable_colours(n)) <= set(COLOURS)
+    assert min(abs(a - b) for a, b in zip(shades, shades[1:] + shades[:1], strict=True)) > 0.15
+
+
+@pytest.mark.parametrize("motion", [make_motion(5, thrusts=(2.6, 1.9)), make_motion(3), swarm(4)])
+def test_curves_are_the_plan_s_worst_values_at_the_joints_too(motion: Motion) -> None:
+    states = sampled_states(motion)
+    assert (states.t[0], states.t[-1]) == (0.0, motion.duration)
+    assert set(motion.drones.breaks) <= set(states.t)
+    apart, speed, thrust = panels(motion, states)
+    speeds = np.linalg.norm(motion.drones.at(states.t, 1), axis=-1)
+    np.testing.assert_allclose(speed.values, np.max(speeds, axis=1), atol=1e-9)
+    shares = np.linalg.norm(states.thrusts(motion.team), axis=-1) / motion.team.max_thrust
+    np.testing.assert_allclose(thrust.values, thrust.limit * np.max(shares, axis=1), rtol=1e-8)
+    offsets = states.positions[:, :, None] - states.positions[:, None]
+    size = 2.0 * np.array([motion.requirements.separation.radius] * 3)
+    size[2] = 2.0 * motion.requirements.separation.height
+    ratios = np.linalg.norm(offsets / size, axis=-1) + np.where(np.eye(offsets.shape[1]), np.inf, 0)
+    np.testing.assert_allclose(apart.values, np.min(ratios, axis=(1, 2)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [False, True])
+def test_limits_and_the_certificate_s_worst_are_marked(share: bool) -> None:
+    motion, certificate = make_motion(4, thrusts=(2.6, 2.0 if share else 2.6)), made_certificate()
+    figure = draw_summary(motion, certificate, "Four of them")
+    limits = [(1.0, 2.345, 0.4), (0.8, 0.6789, 1.1), (2.6, 1.456, 1.7)]
+    if share:  # of each drone's own limit
+        limits[2] = (1.0, 0.56, 1.7)
+    for axes, (limit, worst, time) in zip(figure.axes[-3:], limits, strict=True):
+        texts = [text.get_text() for text in axes.texts]
+        assert {f"limit {limit:.4g}", f"worst {worst:.4g}"} <= set(texts)
+        (mark,) = [line for line in axes.lines if line.get_marker() == "D"]
+        np.testing.assert_allclose(np.array(mark.get_xydata()), np.array([[time, worst]]))
+        assert axes.get_ylim()[0] == 0.0
+        assert axes.get_ylim()[1] > max(limit, worst)
+        assert axes.get_xlim() == (0.0, motion.duration)
+    head = "Four of them\n4 robots, 8 drones, 3.1 s; certified for all t: 3 of 3 limits hold"
+    assert head in words(figure)
+    assert {"morph", "hold"} <= {text.get_text() for text in figure.axes[-3].texts}
+    low = Check.of("legs", 0.1, 0.15, "min", "m", 0.0, ("q0",))
+    figure = draw_summary(motion, Certificate(3.1, (*certificate.checks, low)))
+    assert any("NOT CERTIFIED: legs" in text for text in words(figure))
+
+
+@pytest.mark.parametrize("worst", [None, float("inf"), sys.float_info.max, float("nan")])
+def test_a_worst_without_bound_is_not_drawn(worst: float | None) -> None:
+    check = Check("separation", True, worst, 1.0, "min", "ratio", 0.0, ())
+    axes = draw_summary(make_motion(3), Certificate(3.1, (check,))).axes[-3]
+    assert not any("worst" in text.get_text() for text in axes.texts)
+    assert axes.get_ylim()[1] < 100.0
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.01, -0.01, 0.3])
+@pytest.mark.parametrize("n", [3, 6, 12])
+def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
+    checks = (
+        Check.of("separation", 1.0 + gap, 1.0, "min", "ratio", 0.0, ()),
+        Check.of("speed", 0.8 - gap, 0.8, "max", "m/s", 1.1, ()),
+        Check.of("thrust", 2.6 - gap, 2.6, "max", "N", 3.1, ()),
+    )
+    phases = tuple(Phase("follow_vertex", i, 0.31 * i, 0.31 * (i + 1)) for i in range(10))
+    motion = replace(make_motion(n), phases=(*phases[:2], Phase("m", 2, 0.62, 3.1)))
+    figure = draw_summary(motion, Certificate(3.1, checks), "A title of some length " * 8)
+    texts = visible_texts(figure)
+    assert len(texts) > 30
+    named = {text.get_text() for text in figure.axes[-3].texts}
+    assert "follow_vertex" not in named  # no room for it
+    whole = figure.bbox
+    for text, box in texts:
+        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= whole.x1 and box.y1 <= whole.y1
+        assert inside, text
+    for i, (a, first) in enumerate(texts):
+        for b, second in texts[i + 1 :]:
+            width = min(first.x1, second.x1) - max(first.x0, second.x0)
+            height = min(first.y1, second.y1) - max(first.y0, second.y0)
+            assert width < 2.0 or height < 2.0, (a, b)
+
+
+def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
+    path, shown = tmp_path / "summary.png", (make_motion(3), made_certificate())
+    title = "三角 $x_ \\frac{ %s \n second line"
+    save_figure(draw_summary(*shown, title), path)
+    picture, first = imread(path), path.read_bytes()
+    assert picture.shape == (864, 1560, 3)  # a channel of opacity takes time and says nothing
+    assert 0.02 < np.mean(picture < 0.5) < 0.3  # ink, and not too much of it
+    save_figure(draw_summary(*shown, title), path)
+    assert path.read_bytes() == first
+
+
+def test_a_storyboard_has_the_moments_that_matter() -> None:
+    assert [shot.words for shot in chosen_shots(make_motion(3))] == ["start", "morph"]
+    ends = np.linspace(0.0, 2.2, 16)
+    phases = [Phase("morph", i, a, b) for i, (a, b) in enumerate(pairwise(ends.tolist()))]
+    many = replace(make_motion(3), phases=(*phases, Phase("hold", 15, 2.2, 3.1)))
+    times = [shot.time for shot in chosen_shots(many)]
+    assert len(times) == MOST
+    assert times == sorted(times)
+    assert (times[0], times[-1] >= 2.2 - 1e-9) == (0.0, True)
+
+
+def test_a_large_team_has_a_panel_of_a_few_cables() -> None:
+    figure = draw_summary(make_motion(300), made_certificate())
+    titles = [axes.get_title() for axes in figure.axes]
+    assert titles == ["3 of the cables, 3.1 s", "start, 0.0 s", "morph, 2.2 s", "", "", ""]
+    lower, upper = np.sort(figure.axes[0].get_xlim())
+    assert upper - lower < 0.1 * np.ptp(figure.axes[1].get_xlim())
+
+
+@pytest.mark.parametrize("n", [1, 5, 40])
+def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> None:
+    motion = swarm(n)
+    figure = draw_summary(motion, certify(motion), "Side by side")
+    above = figure.axes[0]
+    (paths,) = (c.get_segments() for c in above.collections if isinstance(c, LineCollection))
+    assert len(paths) == n
+    np.testing.assert_allclose(paths[0][0], [2.0, -1.0])
+    np.testing.assert_allclose(paths[-1][-1], [2.0 + 0.5 * (n - 1) + 0.3, 0.2])
+    ends = [c for c in above.collections if isinstance(c, EllipseCollection)]
+    assert [np.shape(c.get_offsets())[0] for c in ends] == [n, n]
+    (prism,) = (p for p in above.patches if isinstance(p, Polygon))
+    np.testing.assert_allclose(prism.get_xy()[:3], PRISM.polygon.vertices)
+    (arena,) = (p for p in above.patches if isinstance(p, Rectangle))
+    assert (arena.get_x(), arena.get_width()) == (1.0, 24.0)
+    said = words(figure)
+    assert any(f"{n} drones, 3 s; certified for all t" in text for text in said)
+    assert ("d0" in said) is (n <= 30)
+    assert len(figure.axes) == (3 if n == 1 else 4)  # a single drone has no separation
+
+
+def test_the_closest_pairs_are_drawn_above_their_bounds() -> None:
+    motion = swarm(4)
+    found = closeness(motion, 6)
+    (axes,) = draw_closeness(motion, found).axes
+    pair = found.pairs[0]
+    label = f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})"
+    (curve,) = (line for line in axes.get_lines() if line.get_label() == label)
+    assert np.min(np.asarray(curve.get_ydata())) >= pair.bound - 1e-9
+    assert np.asarray(curve.get_xdata())[-1] == 3.0
