@@ -193,16 +193,18 @@ class ForceBalance:
         return guess.ravel()
 
     def tensions(self, pulls: Array) -> Array:
-        """Return the tensions at the clasps (windows, unknowns) of parts with some pulls [N]."""
-        found, n = pulls.copy(), self.parts.edges.shape[1]
-        legs = np.flatnonzero(self.leg_unknown >= n)
-        for unknown, sizes, along in (
-            (np.arange(n), self.parts.edges, self.parts.along),
-            (self.leg_unknown[legs], self.parts.legs[:, legs], self.outward[:, legs]),
-        ):
-            rise = sizes * along[..., 2]
-            found[:, unknown] = tension_at(pulls[:, unknown], self.half, sizes**2 - rise**2, rise)
-        return found
+        """Return the tensions at the clasps (windows, 2n, 2) of legs and edges, drone by drone [N].
+
+        Parameters
+        ----------
+        pulls: (windows, unknowns) [N], along the chords.
+        """
+        parts, drones = self.parts, np.arange(len(self.leg_unknown))
+        inward = parts.along[:, drones // 2] * np.where(drones % 2, -1.0, 1.0)[:, None]
+        sizes = np.stack([parts.legs, parts.edges[:, drones // 2]], axis=-1)
+        rise = sizes * np.stack([self.outward[..., 2], inward[..., 2]], axis=-1)
+        along = np.stack([pulls[:, self.leg_unknown], pulls[:, drones // 2]], axis=-1)
+        return tension_at(along, self.half, sizes**2 - rise**2, rise)
 
     def leg_pulls(self) -> csr_array:
         """Return sparse (windows · 2n · 3, unknowns): forces of unit pulls on the drones."""
@@ -343,8 +345,7 @@ def sliding_clasps(
     speed = np.sqrt(_squared_speed(rate, cosine))[..., 0]
     usable = (count[..., 0] > 1) & (speed > SLIDING) & (np.sum(rate * asked, axis=-1) > 0.0)
     usable &= np.sqrt(_squared_speed(asked, cosine))[..., 0] > PLANNED
-    tensions = balance.tensions(pulled)
-    leg, edge = tensions[:, balance.leg_unknown[pair]], tensions[:, pair // 2]
+    leg, edge = np.moveaxis(balance.tensions(pulled)[:, pair], -1, 0)
     least = LEAST_RATIO * windows.tensions[:, pair // 2]
     usable &= np.all((leg > least) & (edge > least), axis=-1)
     w, c = np.nonzero(usable)

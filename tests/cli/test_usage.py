@@ -213,7 +213,7 @@ SIGNALS = [("SIGINT", 130), ("SIGTERM", 143)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["click", "hitchopt.cli.planning", "numpy", "casadi"])
+@pytest.mark.parametrize("module", ["click", "hitchopt.mission", "numpy", "casadi"])
 @pytest.mark.parametrize(("name", "code"), SIGNALS)
 def test_signals_within_imports_end_quietly(module: str, name: str, code: int, place: Path) -> None:
     (place / "hostile.py").write_text(HOSTILE.format(signal=name))

@@ -54,11 +54,12 @@ def moved() -> tuple[Hitch, Hitch]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pair", "friction", "within"),
-    [(hitches(), MU, 0.005), (moved(), MU, 0.02), (hitches("open"), 0.0, 0.005)],
+    [(hitches(), MU, 0.005), (moved(), MU, 0.01), (hitches("open"), 0.0, 1e-5)],
 )
 def test_without_noise_stiffness_and_friction_are_exact(
-    pair: tuple[Hitch, Hitch], friction: float, within: float
+    pair: tuple[Hitch, Hitch], friction: float, within: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("hitchopt.statics.friction.BLURRED", 1e-4)  # the law alone does not creep
     task, recording = recorded(*pair, K, DENSITY, friction)
     found = estimate_team(recording, task, DENSITY)
     assert all(one.known for one in found.stiffness)
