@@ -1,6 +1,6 @@
 """The public names: type checkers read them here, and ``__init__.py`` imports them from here."""
 
-from typing import Self, Unpack
+from typing import Literal, Self, Unpack
 
 from numpy.typing import ArrayLike
 
@@ -103,6 +103,7 @@ from hitchopt.steps import (
     MoveVertex as MoveVertex,
     Release as Release,
     SetDown as SetDown,
+    Settle as Settle,
     Transport as Transport,
     TransportObject as TransportObject,
 )
@@ -156,6 +157,7 @@ class Mission(_Mission):
     ) -> Self: ...
     def follow_vertex(self, vertex: int, path: ArrayLike, legs: _Legs | None = None) -> Self: ...
     def transport(self, to: ArrayLike, yaw: float = 0.0, duration: float | None = None) -> Self: ...
+    def settle(self, seconds: float | Literal["auto"] = "auto") -> Self: ...
     def form(
         self,
         polygon: _Outline | ArrayLike,
@@ -163,6 +165,7 @@ class Mission(_Mission):
         legs: _Legs | None = None,
         assign: _Assign = "auto",
         swap: SwapSettings = ...,
+        settle: float | Literal["auto", False] = "auto",
         duration: float | None = None,
     ) -> Self: ...
     def release(self, duration: float | None = None) -> Self: ...
@@ -249,6 +252,7 @@ def form(
     legs: _Legs | None = None,
     assign: _Assign = "auto",
     swap: SwapSettings | None = ...,
+    settle: float | Literal["auto", False] = "auto",
     duration: float | None = None,
     **required: Unpack[_Required],
 ) -> Plan: ...

@@ -33,7 +33,7 @@ from hitchopt.motion.asked import check_asked
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
 from hitchopt.requirements import Arena, Limits, Separation
-from hitchopt.steps import STEPS, Step
+from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage
 from hitchopt.steps.step_keys import keys_of
 from hitchopt.values import flag, instance, path, positive, text
@@ -337,9 +337,12 @@ def _named(
 ALONE = tuple(
     kind
     for kind in STEPS
-    if (kind.stages is None or kind.stages[0] is Stage.FREE) and "object" not in _arguments(kind)
+    if (kind.stages is None or kind.stages[0] is Stage.FREE)
+    and "object" not in _arguments(kind)
+    and kind is not Settle
 )
-"""Kinds of steps that are functions too: those that need no object."""
+"""Kinds of steps that are functions too: those that need no object, and whose name is free
+(``hitchopt.settle`` tells where drones that give way come to rest)."""
 
 for _kind in STEPS:
     setattr(Mission, _kind.name, _method(_kind))

@@ -14,6 +14,7 @@ from hitchopt.steps.moving import Hold as Hold
 from hitchopt.steps.moving import Morph as Morph
 from hitchopt.steps.moving import MoveEdge as MoveEdge
 from hitchopt.steps.moving import MoveVertex as MoveVertex
+from hitchopt.steps.moving import Settle as Settle
 from hitchopt.steps.moving import Transport as Transport
 from hitchopt.steps.step import Step as Step
 from hitchopt.steps.tying import Form as Form
@@ -28,6 +29,7 @@ STEPS: tuple[type[Step], ...] = (
     Adjust,
     FollowVertex,
     Transport,
+    Settle,
     Form,
     Release,
     Land,

@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from hitchopt.steps.step_keys import (
     OUTLINE_TEXT,
     TURNS,
     YAW_TEXT,
+    AutoSeconds,
     Blend,
     Key,
     Keys,
@@ -50,6 +51,7 @@ from hitchopt.steps.step_keys import (
     TimedPath,
     TwoPoints,
     WhichPoint,
+    auto_seconds,
     key,
     numbers,
     of_shape,
@@ -247,6 +249,57 @@ class Hold(HitchStep):
     def knobs(self) -> Iterator[Knob]:
         """Yield the seconds."""
         yield from lasting_knobs("seconds", self.seconds)
+
+
+@dataclass(frozen=True)
+class Settle(Step):
+    """The clasps are worked until their friction has lost its memory.
+
+    With friction a hitch has no single place of rest, but a band, in which it rests as it was
+    formed. Drones swing about their places, by less and less; vertices stay within the plan.
+
+    Parameters
+    ----------
+    seconds: how long [s]; ``auto``: eight swings of two seconds, slower where limits need that.
+    """
+
+    name: ClassVar[str] = "settle"
+    summary: ClassVar[str] = "Work friction out of the clasps"
+    seconds: Annotated[
+        float | Literal["auto"],
+        Key(
+            AutoSeconds,
+            "How long [s]; auto: eight swings of two seconds",
+            (17,),
+            check=auto_seconds,
+        ),
+    ] = "auto"
+
+    @property
+    def given_duration(self) -> float | None:
+        """How long it takes [s], where it was given that, or None."""
+        return None if isinstance(self.seconds, str) else self.seconds
+
+    def fitting(self, team: Team) -> Self:
+        """Return the step, or raise InputError for a team whose cables have no friction."""
+        if team.cable_friction == 0.0:
+            remedy = "give the team's cable_friction, or leave the step out"
+            raise InputError("", "no friction", "a step of a team whose cables have some", remedy)
+        return super().fitting(team)
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan in which drones swing about their places."""
+        from hitchopt.motion.motion import Phase
+        from hitchopt.steps.route_choice import worked
+
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        found = worked(task.hitch, task.requirements, self.given_duration, phase)
+        return task.ended(found.motion, task.hitch, found.certificate)
+
+    def knobs(self) -> Iterator[Knob]:
+        """Yield the seconds, where they are given."""
+        if self.given_duration is not None:
+            yield from lasting_knobs("seconds", self.given_duration, longer=True)
 
 
 class TensionKeys(Keys):

@@ -22,7 +22,7 @@ from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath, shapes_along
-from hitchopt.planners.timing.flight import Flight, check_duration, fly
+from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
 from hitchopt.planners.timing.profile import flight_estimate
 from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import (
@@ -31,6 +31,8 @@ from hitchopt.steps.certified_motions import (
     certified,
     checked,
     flying,
+    infeasible,
+    resting,
 )
 from hitchopt.steps.step import StepPlan
 from hitchopt.steps.step_keys import RolledLegs, SlackSplit
@@ -386,6 +388,49 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
             return replace(planned, motion=judged.motion, certificate=judged.certificate)
         most = REFUSED * share
     return replace(planned, motion=remarked(motion, NO_ROOM))
+
+
+def worked(
+    hitch: Hitch, requirements: Requirements, seconds: float | None, phase: Phase
+) -> Certified:
+    """Return the motion in which drones swing until the clasps' friction has lost its memory.
+
+    They swing as far as limits allow, ``remark`` says how far.
+
+    Parameters
+    ----------
+    hitch: of cables with friction, at rest before and after.
+    requirements: what the motion must satisfy.
+    seconds: how long [s]; None for SWINGS of SWING, up to LONGER times as long where limits of
+        motion need that.
+    phase: its name, step and remark; the times are set.
+
+    Raises
+    ------
+    InfeasibleError: limits leave no room for a quarter of what would do.
+    """
+    from hitchopt.planners.morph.friction import SWING, SWINGS, settling
+
+    lasts = SWING * (SWINGS + 0.5) if seconds is None else seconds
+    limits, judged = requirements.limits, None
+    rest = resting(hitch, requirements, lasts, phase)
+    for share in SHARES:
+        found = settling(rest, share)
+        if found is None:
+            break
+        motion, words = found.motion, f"drones swing by up to {math.degrees(found.turned):.2g}°"
+        curves = motion.drones, motion.vertices, motion.pulls
+        factor = needed_stretch(motion.team, limits, *curves)
+        if factor > 1.0 and seconds is None and factor <= LONGER:
+            motion = motion.slowed(factor)
+        if share < 1.0:
+            words += f" ({share:.0%} of what would do: limits leave room for no more)"
+        judged = certified(remarked(motion, words))
+        if judged.certificate.certified:
+            return judged
+    if judged is None:
+        return certified(remarked(rest, "no leg can lean against friction"))
+    raise infeasible(judged.certificate, judged.motion)
 
 
 def remarked(motion: Motion, words: str) -> Motion:

@@ -39,8 +39,8 @@ MAX_QUANTITY = 1e9
 FAULT = "hitchopt"
 """Type of the errors that carry their own ``bound`` and ``remedy``."""
 
-ONE, EACH, WORD, MAPPING = "<one>", "<each>", "<word>", "<mapping>"
-"""Tags of the forms of a value: once for all robots, one per robot, as a word, as a mapping."""
+ONE, EACH, WORD, FLAG, MAPPING = "<one>", "<each>", "<word>", "<flag>", "<mapping>"
+"""Tags of the forms of a value: once for all robots, one each, a word, a flag, a mapping."""
 
 
 def one_or_each(value: object) -> str:
@@ -51,6 +51,11 @@ def one_or_each(value: object) -> str:
 def word_one_or_each(value: object) -> str:
     """Return the tag of a value that is a word, given once, or a list."""
     return WORD if isinstance(value, str) else one_or_each(value)
+
+
+def word_flag_or_one(value: object) -> str:
+    """Return the tag of a value that is a word, a flag, or a number."""
+    return FLAG if isinstance(value, bool) else word_one_or_each(value)
 
 
 def legs_form(value: object) -> str:
@@ -314,6 +319,17 @@ MAX_TURNS = 5
 
 TURNS = Annotated[float, Field(ge=-360 * MAX_TURNS, le=360 * MAX_TURNS)]
 YAW_TEXT = "By how much it turns, counter-clockwise [°]"
+
+AutoSeconds = Annotated[
+    Annotated[Literal["auto"], Tag(WORD)] | Annotated[Positive, Tag(ONE)],
+    Discriminator(word_one_or_each),
+]
+
+
+def auto_seconds(key: str, value: object) -> float | str:
+    """Return a duration [s] or ``auto``, or raise InputError."""
+    return AUTO if value == AUTO else seconds(key, value)
+
 
 Seconds = Annotated[float | None, Key(Positive, DURATION_TEXT, check=seconds)]
 Blend = Annotated[bool, Key(bool, "Go on into the next step without a stop", check=flag)]

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
+from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -24,9 +25,12 @@ from hitchopt.steps.step import (
     outline_edit,
 )
 from hitchopt.steps.step_keys import (
+    FLAG,
     LEGS_TEXT,
+    ONE,
     OUTLINE_TEXT,
     TRIANGLE,
+    WORD,
     Key,
     Keys,
     Legs,
@@ -37,8 +41,10 @@ from hitchopt.steps.step_keys import (
     Seconds,
     SlackSplit,
     altitude,
+    auto_seconds,
     key,
     one_of,
+    word_flag_or_one,
 )
 from hitchopt.values import Array, instance
 
@@ -75,6 +81,18 @@ def _settings(key: str, value: object) -> object:
     return value
 
 
+SettleKey = Annotated[
+    Annotated[Literal["auto"], Tag(WORD)]
+    | Annotated[Literal[False], Tag(FLAG)]
+    | Annotated[Positive, Tag(ONE)],
+    Discriminator(word_flag_or_one),
+]
+
+
+def _settle(key: str, value: object) -> float | str | bool:
+    return False if value is False else auto_seconds(key, value)
+
+
 @dataclass(frozen=True, eq=False)
 class Form(Step):
     """Drones with hanging cables form a hitch.
@@ -89,6 +107,8 @@ class Form(Step):
         where drones stand close to them.
     assign: ``auto``: which robot takes which edge, and which end is its q, is chosen.
     swap: how the drones turn about each other.
+    settle: how long clasps are worked at the end where cables have friction [s], as by Settle;
+        ``auto`` for as far as limits allow, False for not at all.
     duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.
     """
 
@@ -111,6 +131,14 @@ class Form(Step):
     swap: Annotated[SwapSettings, Key(SwapKeys, str(SwapKeys.__doc__), check=_settings)] = field(
         default_factory=SwapSettings
     )
+    settle: Annotated[
+        float | Literal["auto", False],
+        Key(
+            SettleKey,
+            "Where cables have friction, how long clasps are worked at the end [s]; auto, or false",
+            check=_settle,
+        ),
+    ] = "auto"
     duration: Seconds = None
 
     @classmethod
@@ -146,6 +174,8 @@ class Form(Step):
         parts = [_approach(task, pre.drones, high), tying]
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
+        if wanted.team.cable_friction > 0.0 and self.settle is not False:
+            parts.append(self._settled(wanted, task))
         after = replace(
             task.before,
             drones=wanted.drones,
@@ -182,6 +212,23 @@ class Form(Step):
             if certificate_at_rest(hitch, wider).certified:
                 return hitch
         return spread
+
+    def _settled(self, hitch: Hitch, task: StepTask) -> Motion:
+        """Return the motion that works the clasps; at rest, where ``auto`` finds no room for it."""
+        from hitchopt.motion.motion import Phase
+        from hitchopt.steps.certified_motions import resting
+        from hitchopt.steps.moving import IDLE
+        from hitchopt.steps.route_choice import worked
+
+        phase = Phase("settle", task.index, 0.0, 0.0)
+        seconds = None if isinstance(self.settle, str) else self.settle
+        try:
+            return worked(hitch, task.requirements, seconds, phase).motion
+        except InfeasibleError:
+            if seconds is not None:
+                raise
+            remark = "clasps keep their friction: limits leave no room to work them"
+            return resting(hitch, task.requirements, IDLE, replace(phase, remark=remark))
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the duration, and the swap's radius where it is larger than it needs to be."""
