@@ -99,6 +99,9 @@ SWINGS, SWING = 8, 2.0
 """How often drones swing to work the clasps, and how long a swing takes [s]. In simulations
 (friction 0.1, thin segments, noise and wind) three leave 3 cm of 5, eight 1 to 2 cm."""
 
+USED = 0.98
+"""Share of the friction that is used, which leaves room for interpolation."""
+
 
 def settling(rest: Motion, share: float) -> Leaning | None:
     """Return a hitch at rest whose drones swing until clasps have no memory of how it was formed.
@@ -115,7 +118,10 @@ def settling(rest: Motion, share: float) -> Leaning | None:
     start, count = float(rest.drones.breaks[0]), 2 * SWINGS + 1
     times = start + rest.duration * np.linspace(0.0, 1.0, count + 1)
     clasps = _Clasps.of(rest, times[:1])
-    most = min(rest.team.cable_friction, ROUGHEST) * clasps.wrapped
+    friction = USED * min(rest.team.cable_friction, ROUGHEST)
+    most = friction * clasps.wrapped
+    for _ in range(ROUNDS):  # legs that close in on each other wrap less
+        most = friction * (clasps.upright + np.nan_to_num(clasps.angles(-most)))
     most *= share * np.minimum(clasps.bearable(most), clasps.bearable(-most))[..., None]
     decay = np.linspace(1.0, 0.0, count, endpoint=False) * (-1.0) ** np.arange(count)
     decay = np.concatenate([[0.0], decay[:-1], [0.0]])
@@ -239,6 +245,9 @@ less, and the exponential of more is no number."""
 TOUCHING = 1e-3
 """[m] Distance of drones from the other leg of their clasp where they have no limit."""
 
+ROUNDS = 8
+"""Rounds in which the angle is found that legs wrap with the friction that it gives them."""
+
 HALVINGS = 20
 """Number of halvings of the interval in which the largest bearable share of friction lies."""
 
@@ -319,7 +328,7 @@ class _Clasps:
     @cached_property
     def upright(self) -> Array:
         """(J, clasps, 2) [rad]: angles between the legs and V, without friction."""
-        return self._angles(np.zeros_like(self.tensions))
+        return self.angles(np.zeros_like(self.tensions))
 
     @property
     def wrapped(self) -> Array:
@@ -338,7 +347,7 @@ class _Clasps:
         lower, upper = np.zeros(slip.shape[:-1]), np.ones(slip.shape[:-1])
         trial = upper
         for _ in range(HALVINGS):
-            angles = self._angles(trial[..., None] * slip)
+            angles = self.angles(trial[..., None] * slip)
             leans = np.abs(angles - self.upright) <= FARTHEST
             gaps = self._gaps(angles)
             apart = (gaps >= ROOM) | (gaps >= before)
@@ -347,7 +356,7 @@ class _Clasps:
             trial = 0.5 * (lower + upper)
         return lower
 
-    def _angles(self, slip: Array) -> Array:
+    def angles(self, slip: Array) -> Array:
         """Return (J, clasps, 2) [rad] between the legs and V; nan where there is no triangle."""
         pulls = self.tensions * np.exp(slip)
         others, pull = pulls[..., ::-1], self.pull[..., None]
