@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.certificate import Check, most_pressing
+from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import FileError, InputError, UnitWarning
 from hitchopt.exports.exporting import part_folders
-from hitchopt.exports.formats.file_reading import MANIFEST, read_manifest
-from hitchopt.exports.formats.format import (
+from hitchopt.exports.format import (
     ERROR,
     FARTHEST,
     LEVELS,
@@ -32,19 +32,15 @@ from hitchopt.exports.formats.format import (
     note,
     warning,
 )
-from hitchopt.exports.formats.known_formats import HOMES, format_of
+from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
+from hitchopt.exports.options import HOMES, format_of
+from hitchopt.exports.reading import MANIFEST, read_manifest
 from hitchopt.exports.recording import Recording, with_orders_told
-from hitchopt.exports.worst_values import (
-    DISTANCE,
-    DOWN,
-    OWN_LIMITS,
-    drone_check,
-    largest_along,
-    worst_of,
-)
+from hitchopt.exports.verification import drone_check
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.values import Array, units
 from hitchopt.values import path as checked_path
 
@@ -66,6 +62,15 @@ REMEDIES = {
     "maxAltitude": "fly lower",
 }
 """Remedies by check; all others bound rates, which fall where a flight is slower."""
+
+SIZES: dict[int, Callable[[Enclosed], Bound]] = {
+    ACROSS: lambda rate: rate.level.norm_above,
+    UP: lambda rate: rate[2].above,
+    DOWN: lambda rate: (rate[2] * -1.0).above,
+}
+"""Sizes of a vector in the directions of own limits."""
+
+RATES = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
 
 
 @dataclass(frozen=True)
@@ -304,8 +309,7 @@ def _flown_from_places(loaded: Loaded) -> Loaded:
         offsets: Array | None = None
         for window in recording.windows():
             if offsets is None:
-                first = window.coefficients[0, ..., 0]
-                offsets = np.where(np.isnan(places), 0.0, places - first)
+                offsets = np.nan_to_num(places - window.coefficients[0, ..., 0])
             yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
 
     moved = Recording(recording.names, recording.frame, recording.smooth, windows)
@@ -321,19 +325,18 @@ def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding
     reach, longest = (0.0, ""), 0.0
     first = last = None
     for window in loaded.recording.windows():
-        farthest = _reach(window, names)
+        reach = max(reach, _reach(window, names))
         if first is None:
             first, start = window.coefficients[0, ..., 0], float(window.breaks[0])
         for check in _checks(loaded, window, limits, rules.separation, first):
             checks.setdefault(check.name, []).append(check)
         whole = window if last is None else joined([last, window])
         jumps = [max(jump, _jump(whole, order, names)) for order, jump in enumerate(jumps)]
-        reach, longest = max(reach, farthest), max(longest, float(np.max(window.durations)))
+        longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
     if last is None or first is None:  # a recording has windows, or raises
         raise ValueError("a recording without windows")
-    pressing = {name: worst_of(found) for name, found in checks.items()}
-    worst = {name: check for name, check in pressing.items() if check is not None}
+    worst = {name: each for name, found in checks.items() if (each := most_pressing(found))}
     values = {name: check.bound for name, check in worst.items()}
     flight = Flight(
         float(last.breaks[-1]) - start,
@@ -363,9 +366,8 @@ def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, st
         raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
     if np.min(window.durations) < SHORTEST:
         at = float(window.breaks[np.argmin(window.durations)])
-        raise FileError(
-            f"a piece lasts {np.min(window.durations):.2g} s at t = {at:g} s; leave it out"
-        )
+        shortest = np.min(window.durations)
+        raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
     return farthest
 
 
@@ -407,9 +409,9 @@ def _checks(
             continue
         if f"{key}Up" in loaded.own:
             directions = (DOWN,)  # upwards, the other key takes precedence
-        each = (largest_along(window, order, direction) for direction in directions)
-        worst = max(each, key=lambda found: (found.value, found.drone, found.time))
-        yield Check.of(key, worst.value, limit, "max", unit, worst.time, (names[worst.drone],))
+        each = [largest_rate(window, order, size=SIZES[d]) for d in directions]
+        worst = max(each, key=lambda found: (found.worst, found.item, found.time))
+        yield Check.of(key, worst.worst, limit, "max", unit, worst.time, (names[worst.item],))
 
 
 def _at_one_point(first: Array) -> bool:
@@ -465,8 +467,7 @@ def _beginning(loaded: Loaded, first: Array, start: float) -> Iterator[Finding]:
 
 
 def _jumping(jumps: Sequence[tuple[float, str, float]], rules: Rules) -> Iterator[Finding]:
-    words = ("position", "velocity", "acceleration"), ("m", "m/s", "m/s²")
-    for what, unit, (size, drone, t), bound in zip(*words, jumps, rules.jumps, strict=False):
+    for (what, unit), (size, drone, t), bound in zip(RATES, jumps, rules.jumps, strict=False):
         if size > bound:
             yield (error if what == "position" else warning)(
                 "jump",

@@ -53,22 +53,25 @@ def recording_of_curves(
     ------
     FileError: common breaks times drones beyond MAX_SPANS.
     """
-    breaks = curves[0].breaks
+    end = max(float(curve.breaks[-1]) for curve in curves)
     degree = max(curve.degree for curve in curves)
-    each = [curve if curve.degree == degree else curve.elevated(degree) for curve in curves]
-    same = all(np.array_equal(curve.breaks, breaks) for curve in each)
+    each = [lasted(curve.elevated(degree), end) for curve in curves]
+    times, pieces = [curve.breaks for curve in each], each[0].pieces
+    if same := all(np.array_equal(t, times[0]) for t in times):
+        breaks = times[0]
+    else:
+        pieces = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
+    if pieces * len(each) > MAX_SPANS:
+        raise FileError(
+            f"{len(each)} drones with {pieces} spans of time between their points are more than "
+            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
+        )
     if not same:
-        end = max(float(curve.breaks[-1]) for curve in each)
-        each = [lasted(curve, end) for curve in each]
-        times = [curve.breaks for curve in each]
-        _refuse_many(len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1, len(each))
         breaks = merged_breaks(times)
-    pieces = len(breaks) - 1
-    _refuse_many(pieces, len(each))
     size = max(1, WINDOW // len(each))
 
     def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, pieces, size):
+        for start in range(0, len(breaks) - 1, size):
             here = breaks[start : start + size + 1]
             if same:
                 parts = [curve.coefficients[start : start + size] for curve in each]
@@ -77,14 +80,6 @@ def recording_of_curves(
             yield PiecewisePolynomial(here, np.stack(parts, axis=1))
 
     return Recording(tuple(names), frame, smooth, windows)
-
-
-def _refuse_many(pieces: int, drones: int) -> None:
-    if pieces * drones > MAX_SPANS:
-        raise FileError(
-            f"{drones} drones with {pieces} spans of time between their points are more than "
-            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
-        )
 
 
 def recording_of_samples(

@@ -19,12 +19,12 @@ from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
-from hitchopt.exports.formats.known_formats import HOMES
 from hitchopt.exports.formats.mavsdk import COLUMNS
 from hitchopt.exports.formats.ros2bag import message_types
 from hitchopt.exports.formats.skybrush import read_show
 from hitchopt.exports.formats.skybrush_csv import HEADER
 from hitchopt.exports.lint import lint
+from hitchopt.exports.options import HOMES
 
 ODD = (
     *(b"null", b"[null, null]", b"[]", b"{}", b'"a"', b"true", b"", b",", b"\n", b"\xff", b"\x00"),

@@ -17,8 +17,8 @@ from exported_plans import exported, hitch_plan, long_plan, swarm_plan
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
+from hitchopt.exports.format import ERROR, NOTE, WARNING
 from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
-from hitchopt.exports.formats.format import ERROR, NOTE, WARNING
 from hitchopt.exports.formats.mavsdk import COLUMNS
 from hitchopt.exports.lint import Report, Rules, lint
 from hitchopt.requirements import Separation

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.formats.format import (
+from hitchopt.exports.format import (
     Arrangement,
     Candidate,
     DroneFacts,
@@ -47,13 +47,9 @@ from hitchopt.exports.refit import (
     fitted,
     rounded,
     settled,
-    settling_times,
 )
-from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
-from hitchopt.motion.states import states_at
-from hitchopt.storage.files import Writer
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -81,8 +77,6 @@ END = b"\x00\x00\x00"  # The segment of no duration
 
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""
-
-UNLIMITED = 1e6  # [m/s], [N] Speed and thrust beyond all that is flown
 
 BOUNDS = (1.0, 1.4, 0.8, 2.0, 0.6, 1.2, 0.9, 1.6, 0.4, 0.2)
 """Errors of the refit over Scale, the best first: long pieces fit worse and suffer less from
@@ -126,43 +120,6 @@ class CrazyflieFormat(Format):
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many pieces of some curves memory holds."""
 
-    def _held(self, motion: Motion, share: float = 1.0) -> bool:
-        """Return whether memory holds a motion within a share of the bound."""
-        most = self.most_pieces(motion.drones)
-        return breaks_within(motion.drones, self.kind, share * self.bound, most) is not None
-
-    def _parts(self, motion: Motion, at: Sequence[int], share: float) -> list[tuple[int, Motion]]:
-        """Return as few parts between rests as memory holds, and the rest each begins at.
-
-        Raises
-        ------
-        InfeasibleError: between two rests there is more than fits.
-        """
-        parts: list[tuple[int, Motion]] = []
-        first = 0
-        while first < len(at) - 1:
-            # All of the plan in one part has been tried before.
-            ends = range(first + 1, len(at) - (first == 0 and len(at) > 2))
-            tried = (cut(motion, at[first], at[end]) for end in ends)
-            held = list(takewhile(lambda part: self._held(part, share), tried))
-            if not held:
-                raise self._refusal(cut(motion, at[first], at[first + 1]))
-            parts.append((at[first], held[-1]))
-            first += len(held)
-        return parts
-
-    def _refusal(self, motion: Motion) -> InfeasibleError:
-        """Return the error that memory does not hold a motion without a rest."""
-        breaks = breaks_within(motion.drones, self.kind, self.bound)
-        pieces = math.inf if breaks is None else len(breaks) - 1.0
-        most = float(self.most_pieces(motion.drones))
-        when = f"to stay {self.nearness} a plan of {motion.duration:.4g} s without a rest"
-        return InfeasibleError(
-            [Violation("memory", pieces, most, "max", self.unit, (), when, self.remedy)],
-            "it cannot be cut either, as nothing rests in between; stream it: "
-            "--format ros2bag (full-state setpoints), csv or mavsdk_drone_show",
-        )
-
     def arrangements(self, task: Task) -> Iterator[Arrangement]:
         """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
 
@@ -195,6 +152,38 @@ class CrazyflieFormat(Format):
                 f"{UPLOAD_LAST}, go on",
             )
 
+    def _held(self, motion: Motion, share: float = 1.0) -> bool:
+        """Return whether memory holds a motion within a share of the bound."""
+        most = self.most_pieces(motion.drones)
+        return breaks_within(motion.drones, self.kind, share * self.bound, most) is not None
+
+    def _parts(self, motion: Motion, at: Sequence[int], share: float) -> list[tuple[int, Motion]]:
+        """Return as few parts between rests as memory holds, and the rest each begins at."""
+        parts: list[tuple[int, Motion]] = []
+        first = 0
+        while first < len(at) - 1:
+            # All of the plan in one part has been tried before.
+            ends = range(first + 1, len(at) - (first == 0 and len(at) > 2))
+            tried = (cut(motion, at[first], at[end]) for end in ends)
+            held = list(takewhile(lambda part: self._held(part, share), tried))
+            if not held:
+                raise self._refusal(cut(motion, at[first], at[first + 1]))
+            parts.append((at[first], held[-1]))
+            first += len(held)
+        return parts
+
+    def _refusal(self, motion: Motion) -> InfeasibleError:
+        """Return the error that memory does not hold a motion without a rest."""
+        breaks = breaks_within(motion.drones, self.kind, self.bound)
+        pieces = math.inf if breaks is None else len(breaks) - 1.0
+        most = float(self.most_pieces(motion.drones))
+        when = f"to stay {self.nearness} a plan of {motion.duration:.4g} s without a rest"
+        return InfeasibleError(
+            [Violation("memory", pieces, most, "max", self.unit, (), when, self.remedy)],
+            "it cannot be cut either, as nothing rests in between; stream it: "
+            "--format ros2bag (full-state setpoints), csv or mavsdk_drone_show",
+        )
+
 
 class CompressedBytes(CrazyflieFormat):
     """One file of bytes per drone, whose name tells the frame as the bytes cannot."""
@@ -223,12 +212,11 @@ class CompressedBytes(CrazyflieFormat):
             if most > BYTES:
                 continue
             each = zip(self.files(task), data, strict=True)
-            writers: dict[str, Writer] = {file: writer_of(content) for file, content in each}
             note = (
                 f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps "
                 "where segments join by no more than twice the velocity error above"
             )
-            yield Candidate(writers, (note,))
+            yield Candidate({file: writer_of(content) for file, content in each}, (note,))
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return what files of bytes hold, one drone each."""
@@ -265,26 +253,11 @@ def compressed(task: Task, bound: float, accuracy: float) -> list[bytes]:
         raise FileError("compressed: the plan has no pieces")
     placed = task.frame.placed(fitted(curves, breaks, KIND))
     rounding = rounded(placed, MILLI, SCALE)
-    whole = settled(rounding, placed, MILLI, keeping_of(task, breaks, accuracy))
+    keeping = Keeping.of(task.motion, task.frame, breaks, accuracy, task.options.hold_tension)
+    whole = settled(rounding, placed, MILLI, keeping)
     durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
     points = np.rint(whole.coefficients / MILLI).astype(np.int64)
     return [encoded(durations, points[:, i], task.frame.heading) for i in range(len(task.names))]
-
-
-def keeping_of(task: Task, breaks: Array, accuracy: float) -> Keeping:
-    """Return the limits that rounding may break: speed and thrust, in the file's axes.
-
-    Set points that hold the tension have none: they are not where the drones are.
-    """
-    motion = task.motion
-    t = np.minimum(settling_times(breaks), float(motion.drones.breaks[-1]))
-    mass = motion.team.mass
-    weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
-    load = task.frame.vectors(weight - states_at(motion, t).cable_forces)
-    speed, thrust = motion.requirements.limits.speed, motion.team.max_thrust
-    if task.options.hold_tension:
-        speed, thrust = UNLIMITED, np.full(len(mass), UNLIMITED)
-    return Keeping(speed, mass, thrust, load, accuracy)
 
 
 def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
@@ -339,35 +312,30 @@ def decoded(data: bytes, source: str = "trajectory") -> Compressed:
     *last, yaw = struct.unpack_from("<hhhh", data)
     at, ended = START_BYTES, False
     durations: list[int] = []
-    segments: list[list[list[int]]] = []
+    segments: list[list[Array]] = []
     yaws = [yaw]
-    while at < len(data):
+    while at < len(data) and not ended:
         if at + HEADER_BYTES > len(data):
             raise FileError(f"{source}: stops within a segment's header, at byte {at}")
         kind, duration = struct.unpack_from("<BH", data, at)
-        counts = [POINTS[(kind >> (2 * i)) & 3] for i in range(4)]
         at += HEADER_BYTES
-        if duration == 0:
-            ended = True
+        if ended := duration == 0:
             break
+        counts = [POINTS[(kind >> (2 * i)) & 3] for i in range(4)]
         if at + 2 * sum(counts) > len(data):
             raise FileError(f"{source}: stops within segment {len(durations)}, at byte {len(data)}")
-        axes = []
-        for i, count in enumerate(counts):
-            values = struct.unpack_from(f"<{count}h", data, at)
-            at += 2 * count
-            if i == 3:
-                yaws += values
-                continue
-            axes.append([last[i], *values])
-            last[i] = axes[-1][-1]
+        values = struct.unpack_from(f"<{sum(counts)}h", data, at)
+        at += 2 * sum(counts)
+        *axes, turns = np.split(np.array(values, dtype=np.float64), np.cumsum(counts)[:-1])
+        axes = [np.append(start, axis) for start, axis in zip(last, axes, strict=True)]
+        last = [axis[-1] for axis in axes]
+        yaws += turns.tolist()
         durations.append(duration)
-        segments.append(axes)
+        segments.append([bernstein.elevate(axis, DEGREE) for axis in axes])
     if not durations:
         raise FileError(f"{source}: has no segment that lasts")
-    rows = [[bernstein.elevate(np.array(a, dtype=np.float64), DEGREE) for a in s] for s in segments]
     breaks = np.concatenate([[0], np.cumsum(durations)]) * MILLI
-    curve = PiecewisePolynomial(breaks, np.array(rows) * MILLI)
+    curve = PiecewisePolynomial(breaks, np.array(segments) * MILLI)
     return Compressed(curve, np.radians(np.array(yaws, dtype=np.float64) / 10.0), ended, at)
 
 
