@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -22,7 +22,7 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
-from hitchopt.exports.format import Candidate, Format, Progress, Task
+from hitchopt.exports.format import Format, Progress, Task
 from hitchopt.exports.held_tension import PositionLoop, held_tension
 from hitchopt.exports.options import HOMES, ExportOptions, checked_rate, format_of
 from hitchopt.exports.reading import MANIFEST, MANIFEST_FORMAT, read_manifest
@@ -202,16 +202,10 @@ def _written(
     """Write the first arrangement that loses nothing, or raise what the first of all loses."""
     refusals = []
     try:
-        for number, arrangement in enumerate(kind.arrangements(task)):
+        for number, tasks in enumerate(kind.arrangements(task)):
             place = scratch / str(number)
             try:
-                return [
-                    _part(
-                        *(kind, part, certificate, place / f"part{part.number}"),
-                        *(arrangement.note, progress),
-                    )
-                    for part in arrangement.tasks
-                ]
+                return [_part(kind, each, certificate, place, progress) for each in tasks]
             except InfeasibleError as error:
                 refusals.append(error)
     except InfeasibleError as error:  # there is no other arrangement
@@ -220,25 +214,20 @@ def _written(
 
 
 def _part(
-    kind: Format,
-    task: Task,
-    certificate: Certificate,
-    folder: Path,
-    note: str,
-    progress: Progress,
+    kind: Format, task: Task, certificate: Certificate, place: Path, progress: Progress
 ) -> Export:
     """Write the first candidate that loses nothing, or raise what the first of all loses."""
+    folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
     refusal: InfeasibleError | None = None
-    whole = f"{task.part}: {note}" if task.part else note
-    more = (*task.notes, *task.undetermined, *((whole,) if whole else ()))
+    cut = (f"{task.part}: {task.why}",) if task.why else ()
+    rules = PLACES if task.options.hold_tension else FLOWN
     for number, candidate in enumerate(kind.candidates(task), 1):
         attempt = f", attempt {number}" if number > 1 else ""
         progress(f"writing {kind.name}{attempt}")
         for name, write in candidate.writers.items():
             write(folder / name)
         progress(f"reading {kind.name} back")
-        rules = PLACES if task.options.hold_tension else FLOWN
         verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
         try:
             if lost := verdict.violations(certificate, kind.accuracy):
@@ -248,9 +237,11 @@ def _part(
         except InfeasibleError as error:
             refusal = refusal or error
             continue
-        noted = replace(candidate, notes=(*candidate.notes, *more))
-        write_strict_json(folder / MANIFEST, _manifest(kind, task, noted, verdict))
-        return Export(folder, tuple(noted.writers), verdict, noted.notes, task.begins)
+        notes = (*candidate.notes, *task.notes, *task.undetermined, *cut)
+        done = Export(folder, tuple(candidate.writers), verdict, notes, task.begins)
+        manifest = _manifest(kind, task, done, candidate.receiver)
+        write_strict_json(folder / MANIFEST, manifest)
+        return done
     raise refusal or FileError(f"{kind.name}: has nothing to write")
 
 
@@ -259,9 +250,11 @@ def _head(kind: Format, task: Task) -> dict[str, Any]:
     return {**head, **task.frame.to_dict()}
 
 
-def _manifest(kind: Format, task: Task, candidate: Candidate, verdict: Verdict) -> dict[str, Any]:
+def _manifest(
+    kind: Format, task: Task, done: Export, receiver: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return what export.json says of files that were read back."""
-    receiver = {"receiver": dict(candidate.receiver)} if candidate.receiver else {}
+    verdict = done.verdict
     return _head(kind, task) | {
         "heading_rad": task.frame.heading,
         "drones": {member.role: member.name for member in task.fleet.members},
@@ -273,9 +266,9 @@ def _manifest(kind: Format, task: Task, candidate: Candidate, verdict: Verdict) 
         "not_carried": verdict.not_carried,
         "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
         "undetermined_tension": list(task.undetermined),
-        "notes": list(candidate.notes),
-        "files": sorted(candidate.writers),
-        **receiver,
+        "notes": list(done.notes),
+        "files": sorted(done.files),
+        **({"receiver": dict(receiver)} if receiver else {}),
     }
 
 
@@ -328,12 +321,11 @@ def _put(done: Sequence[Export], folder: Path, kind: Format, task: Task) -> tupl
         content |= {"plan_spans": spans, "files": []}
         write = partial(write_strict_json, content=content)
         replace_files(folder, {MANIFEST: write}, _owned(folder, ()), seal=MANIFEST)
-    for name in before:  # an earlier export was cut into more parts
-        if name not in parts and (folder / name).is_dir():
-            for file in owned_files(folder / name):
-                (folder / name / file).unlink(missing_ok=True)
-            if not any((folder / name).iterdir()):
-                (folder / name).rmdir()
+    for name in set(before) - set(parts):  # an earlier export was cut into more parts
+        for file in owned_files(folder / name):
+            (folder / name / file).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # not empty, or gone
+            (folder / name).rmdir()
     return tuple(placed)
 
 

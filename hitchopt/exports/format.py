@@ -114,6 +114,7 @@ class Task:
     begins: float = 0.0  # when in the plan the motion begins [s]; 0 unless the plan was cut
     number: int = 1  # which part of the plan the motion is, from 1 on,
     count: int = 1  # of how many
+    why: str = ""  # why it was cut
     undetermined: tuple[str, ...] = ()  # why the files leave the cables' tension undetermined
     notes: tuple[str, ...] = ()  # what else the user should know of it
 
@@ -191,14 +192,6 @@ class Candidate:
     receiver: Mapping[str, Any] = field(default_factory=dict)  # its settings, for the manifest
 
 
-@dataclass(frozen=True, eq=False)
-class Arrangement:
-    """A plan as a whole, or cut into tasks to be flown one after the other."""
-
-    tasks: tuple[Task, ...]
-    note: str = ""  # why it is so, for the user; nothing for the usual
-
-
 class Format(Protocol):
     """One file format: what is written, and how files are read, ours or anybody else's.
 
@@ -230,14 +223,14 @@ class Format(Protocol):
     carries_pull: bool = False
     receiver_integral: bool = False
 
-    def arrangements(self, task: Task) -> Iterator[Arrangement]:
+    def arrangements(self, task: Task) -> Iterator[Sequence[Task]]:
         """Give the task as a whole, then in parts to be flown one after the other, at rest between.
 
         Raises
         ------
         InfeasibleError: no other arrangement holds the plan.
         """
-        yield Arrangement((task,))
+        yield (task,)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give what may be written, the best first: the one file, unless a format says otherwise.

@@ -35,7 +35,6 @@ from hitchopt.exports.format import (
 from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
 from hitchopt.exports.options import HOMES, format_of
 from hitchopt.exports.reading import MANIFEST, read_manifest
-from hitchopt.exports.recording import Recording, with_orders_told
 from hitchopt.exports.verification import drone_check
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
@@ -69,6 +68,14 @@ SIZES: dict[int, Callable[[Enclosed], Bound]] = {
     DOWN: lambda rate: (rate[2] * -1.0).above,
 }
 """Sizes of a vector in the directions of own limits."""
+
+UNTOLD = {
+    "velocities": "none, or all zero although the drones move: read as positions alone, joined by "
+    "straight lines; accelerations are not checked",
+    "accelerations": "none, or all zero although the drones move: joined by cubics through "
+    "positions and velocities",
+}
+"""What is said of files that do not hold a derivative."""
 
 RATES = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
 
@@ -185,7 +192,7 @@ def lint(
 def _report(path: Path, rules: Rules, relative: bool) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
-            loaded = _with_orders_given(load(path))
+            loaded = load(path)
             if relative:
                 loaded = _flown_from_places(loaded)
             flight, found = _flown_together(loaded, rules)
@@ -193,6 +200,8 @@ def _report(path: Path, rules: Rules, relative: bool) -> Report:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     findings = [*loaded.findings, *found, *_durations(loaded), *_folder(path)]
+    if untold := loaded.recording.untold:
+        findings.append(note(untold, "", UNTOLD[untold]))
     findings.sort(key=lambda f: LEVELS.index(f.level))
     frame = loaded.recording.frame
     if not frame:
@@ -264,21 +273,6 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
     )
 
 
-def _with_orders_given(loaded: Loaded) -> Loaded:
-    """Return samples joined by curves of no more derivatives than their files hold."""
-    if loaded.recording.smooth == 0 or any(fact.pieces for fact in loaded.facts):
-        return loaded
-    recording = with_orders_told(loaded.recording)
-    if recording is loaded.recording:
-        return loaded
-    missing, joint = "accelerations", "joined by cubics through positions and velocities"
-    if recording.smooth == 0:
-        missing = "velocities"
-        joint = "read as positions alone, joined by straight lines; accelerations are not checked"
-    zeros = note(missing, "", f"none, or all zero although the drones move: {joint}")
-    return replace(loaded, recording=recording, findings=(*loaded.findings, zeros))
-
-
 def _places(loaded: Loaded) -> Array:
     """Return the drones' places (D, 3) [m], nan where they are not known."""
     places = np.full((len(loaded.recording.names), 3), np.nan)
@@ -312,7 +306,7 @@ def _flown_from_places(loaded: Loaded) -> Loaded:
                 offsets = np.nan_to_num(places - window.coefficients[0, ..., 0])
             yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
 
-    moved = Recording(recording.names, recording.frame, recording.smooth, windows)
+    moved = replace(recording, windows=windows)
     return replace(loaded, recording=moved, findings=findings, together=not missing)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -33,12 +34,14 @@ class Recording:
 
     ``smooth`` is the highest derivative by time that does not jump: 0 positions, 1 velocities, 2
     accelerations. ``windows`` gives the curves (D, 3) [m] over one span of time after the other.
+    ``untold`` says which derivatives the format has and the files do not hold.
     """
 
     names: tuple[str, ...]  # (D,) of the drones, in the file's order
     frame: str  # enu, nwu or ned; empty where the file does not say
     smooth: int
     windows: Callable[[], Iterator[PiecewisePolynomial]]
+    untold: str = ""
 
 
 def recording_of_curves(
@@ -88,7 +91,9 @@ def recording_of_samples(
     """Return the recording of samples: between two of them the curve that meets both.
 
     The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too.
+    through accelerations too. A derivative that is zero at all samples while the drones move is not
+    told: files of positions alone often have columns of zeros, and curves that rest at every sample
+    are not what is flown.
 
     Parameters
     ----------
@@ -96,7 +101,7 @@ def recording_of_samples(
     t: (S,) [s]
     values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
     frame: an unknown one becomes none.
-    smooth: the highest derivative that is used.
+    smooth: the highest derivative that is used, if it is told.
 
     Raises
     ------
@@ -106,7 +111,11 @@ def recording_of_samples(
     if len(t) < 2:
         raise FileError("has fewer than two samples; nothing moves between them")
     shape = (len(t), len(names), -1, 3)
-    used = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
+    given = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
+    told = [np.ptp(given[0], axis=0), *given[1:]]  # of positions that they move
+    orders = sum(1 for _ in takewhile(lambda each: not np.max(np.abs(each)) <= SILENT, told)) - 1
+    used = given if orders < 0 else given[: orders + 1]
+    untold = ("velocities", "accelerations", "")[len(used) - 1] if len(used) < len(given) else ""
     size = max(1, WINDOW // len(names))
 
     def windows() -> Iterator[PiecewisePolynomial]:
@@ -115,35 +124,8 @@ def recording_of_samples(
             ends = used[:, here]
             yield PiecewisePolynomial.hermite(t[here], ends[:, :-1], ends[:, 1:])
 
-    return Recording(tuple(names), frame if frame in AXES else "", smooth, windows)
-
-
-def with_orders_told(recording: Recording) -> Recording:
-    """Return the recording of samples by no more derivatives than they tell.
-
-    A derivative that is zero at all samples while the drones move is not told: files of positions
-    alone often have columns of zeros, and curves that rest at every sample are not what is flown.
-    """
-    told, moved = np.zeros(recording.smooth + 1, dtype=np.bool_), False
-    told[0] = True
-    for window in recording.windows():
-        starts, ends = window.ends()
-        moved |= bool(np.max(np.abs(ends - starts)) > SILENT)
-        for order in np.flatnonzero(~told).tolist():
-            told[order] = any(np.max(np.abs(end)) > SILENT for end in window.ends(order))
-        if np.all(told):
-            break
-    if np.all(told) or not moved:
-        return recording
-    orders = int(np.argmin(told)) - 1
-
-    def windows() -> Iterator[PiecewisePolynomial]:
-        for window in recording.windows():
-            ends = zip(*(window.ends(order) for order in range(orders + 1)), strict=True)
-            starts, stops = (np.stack(values) for values in ends)
-            yield PiecewisePolynomial.hermite(window.breaks, starts, stops)
-
-    return Recording(recording.names, recording.frame, orders, windows)
+    known = frame if frame in AXES else ""
+    return Recording(tuple(names), known, len(used) - 1, windows, untold)
 
 
 def check_times(t: Array, source: str = "") -> None:

@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.format import (
-    Arrangement,
     Candidate,
     DroneFacts,
     Finding,
@@ -120,7 +119,7 @@ class CrazyflieFormat(Format):
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many pieces of some curves memory holds."""
 
-    def arrangements(self, task: Task) -> Iterator[Arrangement]:
+    def arrangements(self, task: Task) -> Iterator[Sequence[Task]]:
         """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
 
         Parts that are refitted too coarsely to keep the plan's limits are followed by closer ones.
@@ -132,7 +131,7 @@ class CrazyflieFormat(Format):
         motion, before = task.motion, 1
         at = rests(motion).tolist()
         if whole := self._held(motion):
-            yield Arrangement((task,))
+            yield (task,)
             if len(at) == 2:
                 return
         for share in (1.0, CLOSER):
@@ -140,17 +139,18 @@ class CrazyflieFormat(Format):
             if len(parts) <= before:
                 continue
             before = len(parts)
-            begins = [float(motion.drones.breaks[start]) for start, _ in parts]
-            why = "loses a limit in so few pieces" if whole else "does not fit"
-            yield Arrangement(
-                tuple(
-                    replace(task, motion=part, begins=begins[i], number=i + 1, count=len(parts))
-                    for i, (_, part) in enumerate(parts)
-                ),
-                f"the plan is cut into {len(parts)} parts at rests, since as a whole it {why} "
+            lost = "loses a limit in so few pieces" if whole else "does not fit"
+            why = (
+                f"the plan is cut into {before} parts at rests, since as a whole it {lost} "
                 f"(a drone's memory holds {BYTES} bytes): fly one and let the drones hover, "
-                f"{UPLOAD_LAST}, go on",
+                f"{UPLOAD_LAST}, go on"
             )
+            part = replace(task, count=before, why=why)
+            begins = [float(motion.drones.breaks[start]) for start, _ in parts]
+            yield [
+                replace(part, motion=each, begins=begins[i], number=i + 1)
+                for i, (_, each) in enumerate(parts)
+            ]
 
     def _held(self, motion: Motion, share: float = 1.0) -> bool:
         """Return whether memory holds a motion within a share of the bound."""

@@ -47,7 +47,7 @@ from hitchopt.exports.formats.compressed import (
     CrazyflieFormat,
     beyond_memory,
 )
-from hitchopt.exports.reading import read_text
+from hitchopt.exports.reading import read_columns, read_text
 from hitchopt.exports.recording import recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.exports.refit import Kind, Scale, best_breaks, fitted
@@ -178,30 +178,14 @@ def read_poly_csv(path: Path) -> PolyTable:
     ------
     FileError: no such file, a row without 33 finite numbers, a duration that is not positive.
     """
-    lines = read_text(path).splitlines() or [""]
-    header, _, comment = lines[0].partition("#")
-    rows = []
-    for number, line in enumerate(lines[1:], 2):
-        parts = line.partition("#")[0].strip().rstrip(",").split(",")
-        if parts == [""]:
-            continue
-        if len(parts) != COLUMNS:
-            raise FileError(
-                f"{path}: line {number} has {len(parts)} numbers, not {COLUMNS} "
-                "(duration, then 8 each of x, y, z, yaw); it is truncated or another format"
-            )
-        try:
-            rows.append([float(part) for part in parts])
-        except ValueError as fault:
-            raise FileError(f"{path}: line {number}: {fault}") from fault
-    if not rows:
-        raise FileError(
-            f"{path}: has no row of numbers after its first line ({header[:40]!r}); it is truncated"
-        )
-    if len(rows) > MAX_ROWS:
+    first, *lines = [*read_text(path).splitlines(), ""]
+    header, _, comment = first.partition("#")
+    if len(lines) > MAX_ROWS:
         raise FileError(f"{path}: has more than {MAX_ROWS} rows")
+    rows = [line.partition("#")[0].strip().rstrip(",") for line in lines]
+    table = read_columns(rows, HEADER, HEADER.split(","), HEADER, str(path), least=1)
     with np.errstate(over="ignore"):  # reported below
-        table = np.array(rows, dtype=np.float64).astype(np.float32).astype(np.float64)
+        table = table.astype(np.float32).astype(np.float64)
     if not np.all(np.isfinite(table)):
         raise FileError(f"{path}: a number is beyond single precision, which is what drones hold")
     if np.any(wrong := table[:, 0] <= 0.0):
