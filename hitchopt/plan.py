@@ -14,7 +14,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.closeness import SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
-from hitchopt.exports.export_options import ExportOptions
+from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.asked import check_asked
 from hitchopt.motion.final_hitch import final_hitch

@@ -19,7 +19,7 @@ from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, certificate_table, record, say, span_text, table
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.exports.formats.known_formats import HOMES
+from hitchopt.exports.options import HOMES
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
@@ -70,9 +70,8 @@ def _complete_format(_: click.Context, __: click.Parameter, begun: str) -> list[
 )
 def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
     """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
-    from hitchopt.exports.export_options import ExportOptions
     from hitchopt.exports.exporting import export_motion
-    from hitchopt.exports.formats.known_formats import format_of
+    from hitchopt.exports.options import ExportOptions, format_of
     from hitchopt.motion.plan_file import read_plan, read_title
 
     chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)
@@ -168,8 +167,8 @@ def _report_entry(report: Report) -> dict[str, Any]:
 
 def _say_report(report: Report) -> None:
     """Write the contents of the files, then the findings, then their number."""
+    from hitchopt.exports.format import ERROR, WARNING
     from hitchopt.exports.formats.compressed import BYTES
-    from hitchopt.exports.formats.format import ERROR, WARNING
 
     facts, flight = report.facts, report.flight
     frame = f", frame {report.frame}" if report.frame else ""

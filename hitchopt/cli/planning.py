@@ -20,7 +20,7 @@ from hitchopt.cli.failures import complain, exit_code, unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, certificate_table, hint, phase_table, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
-from hitchopt.exports.export_options import checked_rate
+from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.checks.certificate import Certificate

@@ -31,17 +31,8 @@ ABORTS = "aborts.json"
 ABORT_PLANS = "aborts.zip"
 
 OWNED = (
-    PLAN,
-    SETPOINTS,
-    VERTICES,
-    CERTIFICATE,
-    SUMMARY,
-    DIAGNOSIS,
-    REPORT,
-    STATICS,
-    STATICS_PICTURE,
-    ABORTS,
-    ABORT_PLANS,
+    *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),
+    *(STATICS, STATICS_PICTURE, ABORTS, ABORT_PLANS),
 )
 """The names in DIR that are ours: nothing else there is ever replaced or removed."""
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -21,15 +21,13 @@ import numpy as np
 from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine
-from hitchopt.exports.export_options import ExportOptions, checked_rate
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
-from hitchopt.exports.formats.file_reading import MANIFEST, MANIFEST_FORMAT, read_manifest
-from hitchopt.exports.formats.format import Candidate, Format, Progress, Task
-from hitchopt.exports.formats.known_formats import HOMES, format_of
+from hitchopt.exports.format import Format, Progress, Task
 from hitchopt.exports.held_tension import PositionLoop, held_tension
+from hitchopt.exports.options import HOMES, ExportOptions, checked_rate, format_of
+from hitchopt.exports.reading import MANIFEST, MANIFEST_FORMAT, read_manifest
 from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.verification import SLOWER, Verdict, verify
-from hitchopt.exports.worst_values import FLOWN, PLACES
+from hitchopt.exports.verification import FLOWN, PLACES, SLOWER, Verdict, verify
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import stretched
@@ -94,21 +92,17 @@ def export_motion(
     InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
     UnsupportedError: a library that the format needs is not installed.
     """
-    kind = format_of(options.format)
-    roles = motion.team.drone_names
+    kind, roles = format_of(options.format), motion.team.drone_names
     plan = stretched(motion, options.stretch)
-    rate = kind.rate
-    if options.rate is not None:
-        if kind.rate == 0.0:
-            bound, remedy = f"left out for {kind.name}", "it does not sample"
-            raise InputError("--rate", options.rate, bound, remedy)
-        rate = checked_rate(options.rate)
+    if options.rate is not None and kind.rate == 0.0:
+        bound = f"left out for {kind.name}"
+        raise InputError("--rate", options.rate, bound, "it does not sample")
     task = Task(
         plan,
         title,
         ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw),
         placeholder_fleet(roles) if options.fleet is None else read_fleet(options.fleet, roles),
-        rate,
+        kind.rate if options.rate is None else checked_rate(options.rate),
         options,
         undetermined=_undetermined(kind, motion, options),
     )
@@ -182,113 +176,100 @@ def export_plan(
         raise InputError("--frame", task.frame.name, bound, f"leave it out for {kind.frames[0]}")
     _refuse_taken(place)
     with _scratch(place) as scratch:
-        exporter = _Exporter(kind, certificate, progress)
         try:
-            done = exporter.first(task, scratch)
+            done = _written(kind, task, certificate, scratch, progress)
         except InfeasibleError as refusal:
-            if found := _slower(refusal, exporter, task, scratch):
-                raise found from None
-            raise
+            eased = any(violation.remedy == SLOWER for violation in refusal.violations)
+            # Offsets that hold the tension are of one pace: a slower flight needs others.
+            tried = eased and len(task.names) <= MOST_DRONES and not task.options.hold_tension
+            for factor in FACTORS if tried else ():
+                progress(f"trying --stretch {factor:g}")
+                slower = replace(task, motion=stretched(task.motion, factor))
+                with contextlib.suppress(InfeasibleError):
+                    _written(kind, slower, certificate, scratch / f"slower {factor:g}", silent)
+                    slow = f"{100 * (factor - 1):.2g} % slower"
+                    note = f"verified: --stretch {factor:g} ({slow}) loses nothing"
+                    both = f"{refusal.note}\n{note}" if refusal.note else note
+                    refusal = InfeasibleError(refusal.violations, both)
+                    break
+            raise refusal from None
         return _put_file(done, place, kind) if _is_file(place) else _put(done, place, kind, task)
 
 
-def _slower(
-    refusal: InfeasibleError, exporter: _Exporter, task: Task, scratch: Path
-) -> InfeasibleError | None:
-    """Return the refusal with the slower flight that loses nothing; None if none was found."""
-    eased = any(violation.remedy == SLOWER for violation in refusal.violations)
-    # Offsets that hold the tension are of one pace: a slower flight needs others.
-    tried = eased and len(task.names) <= MOST_DRONES and not task.options.hold_tension
-    for factor in FACTORS if tried else ():
-        exporter.progress(f"trying --stretch {factor:g}")
-        slower = replace(task, motion=stretched(task.motion, factor))
-        try:
-            replace(exporter, progress=silent).first(slower, scratch / f"slower {factor:g}")
-        except InfeasibleError:
-            continue
-        note = f"verified: --stretch {factor:g} ({100 * (factor - 1):.2g} % slower) loses nothing"
-        both = f"{refusal.note}\n{note}" if refusal.note else note
-        return InfeasibleError(refusal.violations, both)
-    return None
-
-
-@dataclass(frozen=True)
-class _Exporter:
-    """Writes motions in a format and verifies them, with the plan's certificate for comparison."""
-
-    kind: Format
-    certificate: Certificate
-    progress: Progress
-
-    def first(self, task: Task, scratch: Path) -> list[Export]:
-        """Write the first arrangement that loses nothing, or raise what the first of all loses."""
-        refusals = []
-        try:
-            for number, arrangement in enumerate(self.kind.arrangements(task)):
-                place = scratch / str(number)
-                try:
-                    return [
-                        self._part(part, place / f"part{part.number}", arrangement.note)
-                        for part in arrangement.tasks
-                    ]
-                except InfeasibleError as error:
-                    refusals.append(error)
-        except InfeasibleError as error:  # there is no other arrangement
-            refusals.append(error)
-        raise refusals[0]
-
-    def _part(self, task: Task, folder: Path, note: str) -> Export:
-        """Write the first candidate that loses nothing, or raise what the first of all loses."""
-        folder.mkdir(parents=True)
-        refusal: InfeasibleError | None = None
-        whole = f"{task.part}: {note}" if task.part else note
-        more = (*task.notes, *task.undetermined, *((whole,) if whole else ()))
-        for number, candidate in enumerate(self.kind.candidates(task), 1):
-            attempt = f", attempt {number}" if number > 1 else ""
-            self.progress(f"writing {self.kind.name}{attempt}")
-            for name, write in candidate.writers.items():
-                write(folder / name)
+def _written(
+    kind: Format, task: Task, certificate: Certificate, scratch: Path, progress: Progress
+) -> list[Export]:
+    """Write the first arrangement that loses nothing, or raise what the first of all loses."""
+    refusals = []
+    try:
+        for number, tasks in enumerate(kind.arrangements(task)):
+            place = scratch / str(number)
             try:
-                noted = replace(candidate, notes=(*candidate.notes, *more))
-                verdict = self._verdict(task, noted, folder)
+                return [_part(kind, each, certificate, place, progress) for each in tasks]
             except InfeasibleError as error:
-                refusal = refusal or error
-                continue
-            return Export(folder, tuple(noted.writers), verdict, noted.notes, task.begins)
-        raise refusal or FileError(f"{self.kind.name}: has nothing to write")
+                refusals.append(error)
+    except InfeasibleError as error:  # there is no other arrangement
+        refusals.append(error)
+    raise refusals[0]
 
-    def _verdict(self, task: Task, candidate: Candidate, folder: Path) -> Verdict:
-        """Return what files read back say, which is written beside them; raise what they lose."""
-        kind = self.kind
-        self.progress(f"reading {kind.name} back")
-        rules = PLACES if task.options.hold_tension else FLOWN
+
+def _part(
+    kind: Format, task: Task, certificate: Certificate, place: Path, progress: Progress
+) -> Export:
+    """Write the first candidate that loses nothing, or raise what the first of all loses."""
+    folder = place / f"part{task.number}"
+    folder.mkdir(parents=True)
+    refusal: InfeasibleError | None = None
+    cut = (f"{task.part}: {task.why}",) if task.why else ()
+    rules = PLACES if task.options.hold_tension else FLOWN
+    for number, candidate in enumerate(kind.candidates(task), 1):
+        attempt = f", attempt {number}" if number > 1 else ""
+        progress(f"writing {kind.name}{attempt}")
+        for name, write in candidate.writers.items():
+            write(folder / name)
+        progress(f"reading {kind.name} back")
         verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
-        if lost := verdict.violations(self.certificate, kind.accuracy):
-            note = "what it rounds or refits costs more than the plan has left"
-            raise InfeasibleError(lost, f"{kind.name} is not written: {note}")
-        kind.certify(folder, task)
-        content = _head(kind, task) | {
-            "heading_rad": task.frame.heading,
-            "drones": {member.role: member.name for member in task.fleet.members},
-            "duration": verdict.duration,
-            "plan_span": list(task.span),
-            "position_error_m": asdict(verdict.position),
-            "velocity_error_m_s": asdict(verdict.velocity),
-            "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
-            "not_carried": verdict.not_carried,
-            "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
-            "undetermined_tension": list(task.undetermined),
-            "notes": list(candidate.notes),
-            "files": sorted(candidate.writers),
-        }
-        content |= {"receiver": dict(candidate.receiver)} if candidate.receiver else {}
-        write_strict_json(folder / MANIFEST, content)
-        return verdict
+        try:
+            if lost := verdict.violations(certificate, kind.accuracy):
+                words = "what it rounds or refits costs more than the plan has left"
+                raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
+            kind.certify(folder, task)
+        except InfeasibleError as error:
+            refusal = refusal or error
+            continue
+        notes = (*candidate.notes, *task.notes, *task.undetermined, *cut)
+        done = Export(folder, tuple(candidate.writers), verdict, notes, task.begins)
+        manifest = _manifest(kind, task, done, candidate.receiver)
+        write_strict_json(folder / MANIFEST, manifest)
+        return done
+    raise refusal or FileError(f"{kind.name}: has nothing to write")
 
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
     return {**head, **task.frame.to_dict()}
+
+
+def _manifest(
+    kind: Format, task: Task, done: Export, receiver: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return what export.json says of files that were read back."""
+    verdict = done.verdict
+    return _head(kind, task) | {
+        "heading_rad": task.frame.heading,
+        "drones": {member.role: member.name for member in task.fleet.members},
+        "duration": verdict.duration,
+        "plan_span": list(task.span),
+        "position_error_m": asdict(verdict.position),
+        "velocity_error_m_s": asdict(verdict.velocity),
+        "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
+        "not_carried": verdict.not_carried,
+        "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
+        "undetermined_tension": list(task.undetermined),
+        "notes": list(done.notes),
+        "files": sorted(done.files),
+        **({"receiver": dict(receiver)} if receiver else {}),
+    }
 
 
 @contextlib.contextmanager
@@ -340,12 +321,11 @@ def _put(done: Sequence[Export], folder: Path, kind: Format, task: Task) -> tupl
         content |= {"plan_spans": spans, "files": []}
         write = partial(write_strict_json, content=content)
         replace_files(folder, {MANIFEST: write}, _owned(folder, ()), seal=MANIFEST)
-    for name in before:  # an earlier export was cut into more parts
-        if name not in parts and (folder / name).is_dir():
-            for file in owned_files(folder / name):
-                (folder / name / file).unlink(missing_ok=True)
-            if not any((folder / name).iterdir()):
-                (folder / name).rmdir()
+    for name in set(before) - set(parts):  # an earlier export was cut into more parts
+        for file in owned_files(folder / name):
+            (folder / name / file).unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # not empty, or gone
+            (folder / name).rmdir()
     return tuple(placed)
 
 

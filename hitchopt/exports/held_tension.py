@@ -21,9 +21,9 @@ from math import ceil
 
 import numpy as np
 
+from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
 from hitchopt.exports.recording import lasted
-from hitchopt.exports.worst_values import largest_derivative
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
@@ -151,8 +151,8 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
     limits, share = split.requirements.limits.planned, 1.0 + SPARE
     eased = replace(  # shows state limits, which set points keep
         limits,
-        speed=max(limits.speed, share * largest_derivative(drones, 1)),
-        acceleration=max(limits.acceleration, share * largest_derivative(drones, 2)),
+        speed=max(limits.speed, share * largest_rate(drones, 1).worst),
+        acceleration=max(limits.acceleration, share * largest_rate(drones, 2).worst),
     )
     parts = {"drones": drones, "requirements": replace(split.requirements, limits=eased)}
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))

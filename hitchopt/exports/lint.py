@@ -9,17 +9,17 @@ from __future__ import annotations
 import math
 import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.certificate import Check, most_pressing
+from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import FileError, InputError, UnitWarning
 from hitchopt.exports.exporting import part_folders
-from hitchopt.exports.formats.file_reading import MANIFEST, read_manifest
-from hitchopt.exports.formats.format import (
+from hitchopt.exports.format import (
     ERROR,
     FARTHEST,
     LEVELS,
@@ -32,19 +32,14 @@ from hitchopt.exports.formats.format import (
     note,
     warning,
 )
-from hitchopt.exports.formats.known_formats import HOMES, format_of
-from hitchopt.exports.recording import Recording, with_orders_told
-from hitchopt.exports.worst_values import (
-    DISTANCE,
-    DOWN,
-    OWN_LIMITS,
-    drone_check,
-    largest_along,
-    worst_of,
-)
+from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
+from hitchopt.exports.options import HOMES, format_of
+from hitchopt.exports.reading import MANIFEST, read_manifest
+from hitchopt.exports.verification import drone_check
 from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.values import Array, units
 from hitchopt.values import path as checked_path
 
@@ -66,6 +61,23 @@ REMEDIES = {
     "maxAltitude": "fly lower",
 }
 """Remedies by check; all others bound rates, which fall where a flight is slower."""
+
+SIZES: dict[int, Callable[[Enclosed], Bound]] = {
+    ACROSS: lambda rate: rate.level.norm_above,
+    UP: lambda rate: rate[2].above,
+    DOWN: lambda rate: (rate[2] * -1.0).above,
+}
+"""Sizes of a vector in the directions of own limits."""
+
+UNTOLD = {
+    "velocities": "none, or all zero although the drones move: read as positions alone, joined by "
+    "straight lines; accelerations are not checked",
+    "accelerations": "none, or all zero although the drones move: joined by cubics through "
+    "positions and velocities",
+}
+"""What is said of files that do not hold a derivative."""
+
+RATES = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
 
 
 @dataclass(frozen=True)
@@ -180,7 +192,7 @@ def lint(
 def _report(path: Path, rules: Rules, relative: bool) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
-            loaded = _with_orders_given(load(path))
+            loaded = load(path)
             if relative:
                 loaded = _flown_from_places(loaded)
             flight, found = _flown_together(loaded, rules)
@@ -188,6 +200,8 @@ def _report(path: Path, rules: Rules, relative: bool) -> Report:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     findings = [*loaded.findings, *found, *_durations(loaded), *_folder(path)]
+    if untold := loaded.recording.untold:
+        findings.append(note(untold, "", UNTOLD[untold]))
     findings.sort(key=lambda f: LEVELS.index(f.level))
     frame = loaded.recording.frame
     if not frame:
@@ -259,21 +273,6 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
     )
 
 
-def _with_orders_given(loaded: Loaded) -> Loaded:
-    """Return samples joined by curves of no more derivatives than their files hold."""
-    if loaded.recording.smooth == 0 or any(fact.pieces for fact in loaded.facts):
-        return loaded
-    recording = with_orders_told(loaded.recording)
-    if recording is loaded.recording:
-        return loaded
-    missing, joint = "accelerations", "joined by cubics through positions and velocities"
-    if recording.smooth == 0:
-        missing = "velocities"
-        joint = "read as positions alone, joined by straight lines; accelerations are not checked"
-    zeros = note(missing, "", f"none, or all zero although the drones move: {joint}")
-    return replace(loaded, recording=recording, findings=(*loaded.findings, zeros))
-
-
 def _places(loaded: Loaded) -> Array:
     """Return the drones' places (D, 3) [m], nan where they are not known."""
     places = np.full((len(loaded.recording.names), 3), np.nan)
@@ -304,11 +303,10 @@ def _flown_from_places(loaded: Loaded) -> Loaded:
         offsets: Array | None = None
         for window in recording.windows():
             if offsets is None:
-                first = window.coefficients[0, ..., 0]
-                offsets = np.where(np.isnan(places), 0.0, places - first)
+                offsets = np.nan_to_num(places - window.coefficients[0, ..., 0])
             yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
 
-    moved = Recording(recording.names, recording.frame, recording.smooth, windows)
+    moved = replace(recording, windows=windows)
     return replace(loaded, recording=moved, findings=findings, together=not missing)
 
 
@@ -321,19 +319,18 @@ def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding
     reach, longest = (0.0, ""), 0.0
     first = last = None
     for window in loaded.recording.windows():
-        farthest = _reach(window, names)
+        reach = max(reach, _reach(window, names))
         if first is None:
             first, start = window.coefficients[0, ..., 0], float(window.breaks[0])
         for check in _checks(loaded, window, limits, rules.separation, first):
             checks.setdefault(check.name, []).append(check)
         whole = window if last is None else joined([last, window])
         jumps = [max(jump, _jump(whole, order, names)) for order, jump in enumerate(jumps)]
-        reach, longest = max(reach, farthest), max(longest, float(np.max(window.durations)))
+        longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
     if last is None or first is None:  # a recording has windows, or raises
         raise ValueError("a recording without windows")
-    pressing = {name: worst_of(found) for name, found in checks.items()}
-    worst = {name: check for name, check in pressing.items() if check is not None}
+    worst = {name: each for name, found in checks.items() if (each := most_pressing(found))}
     values = {name: check.bound for name, check in worst.items()}
     flight = Flight(
         float(last.breaks[-1]) - start,
@@ -363,9 +360,8 @@ def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, st
         raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
     if np.min(window.durations) < SHORTEST:
         at = float(window.breaks[np.argmin(window.durations)])
-        raise FileError(
-            f"a piece lasts {np.min(window.durations):.2g} s at t = {at:g} s; leave it out"
-        )
+        shortest = np.min(window.durations)
+        raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
     return farthest
 
 
@@ -407,9 +403,9 @@ def _checks(
             continue
         if f"{key}Up" in loaded.own:
             directions = (DOWN,)  # upwards, the other key takes precedence
-        each = (largest_along(window, order, direction) for direction in directions)
-        worst = max(each, key=lambda found: (found.value, found.drone, found.time))
-        yield Check.of(key, worst.value, limit, "max", unit, worst.time, (names[worst.drone],))
+        each = [largest_rate(window, order, size=SIZES[d]) for d in directions]
+        worst = max(each, key=lambda found: (found.worst, found.item, found.time))
+        yield Check.of(key, worst.worst, limit, "max", unit, worst.time, (names[worst.item],))
 
 
 def _at_one_point(first: Array) -> bool:
@@ -465,8 +461,7 @@ def _beginning(loaded: Loaded, first: Array, start: float) -> Iterator[Finding]:
 
 
 def _jumping(jumps: Sequence[tuple[float, str, float]], rules: Rules) -> Iterator[Finding]:
-    words = ("position", "velocity", "acceleration"), ("m", "m/s", "m/s²")
-    for what, unit, (size, drone, t), bound in zip(*words, jumps, rules.jumps, strict=False):
+    for (what, unit), (size, drone, t), bound in zip(RATES, jumps, rules.jumps, strict=False):
         if size > bound:
             yield (error if what == "position" else warning)(
                 "jump",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -33,12 +34,14 @@ class Recording:
 
     ``smooth`` is the highest derivative by time that does not jump: 0 positions, 1 velocities, 2
     accelerations. ``windows`` gives the curves (D, 3) [m] over one span of time after the other.
+    ``untold`` says which derivatives the format has and the files do not hold.
     """
 
     names: tuple[str, ...]  # (D,) of the drones, in the file's order
     frame: str  # enu, nwu or ned; empty where the file does not say
     smooth: int
     windows: Callable[[], Iterator[PiecewisePolynomial]]
+    untold: str = ""
 
 
 def recording_of_curves(
@@ -53,22 +56,25 @@ def recording_of_curves(
     ------
     FileError: common breaks times drones beyond MAX_SPANS.
     """
-    breaks = curves[0].breaks
+    end = max(float(curve.breaks[-1]) for curve in curves)
     degree = max(curve.degree for curve in curves)
-    each = [curve if curve.degree == degree else curve.elevated(degree) for curve in curves]
-    same = all(np.array_equal(curve.breaks, breaks) for curve in each)
+    each = [lasted(curve.elevated(degree), end) for curve in curves]
+    times, pieces = [curve.breaks for curve in each], each[0].pieces
+    if same := all(np.array_equal(t, times[0]) for t in times):
+        breaks = times[0]
+    else:
+        pieces = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
+    if pieces * len(each) > MAX_SPANS:
+        raise FileError(
+            f"{len(each)} drones with {pieces} spans of time between their points are more than "
+            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
+        )
     if not same:
-        end = max(float(curve.breaks[-1]) for curve in each)
-        each = [lasted(curve, end) for curve in each]
-        times = [curve.breaks for curve in each]
-        _refuse_many(len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1, len(each))
         breaks = merged_breaks(times)
-    pieces = len(breaks) - 1
-    _refuse_many(pieces, len(each))
     size = max(1, WINDOW // len(each))
 
     def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, pieces, size):
+        for start in range(0, len(breaks) - 1, size):
             here = breaks[start : start + size + 1]
             if same:
                 parts = [curve.coefficients[start : start + size] for curve in each]
@@ -79,21 +85,15 @@ def recording_of_curves(
     return Recording(tuple(names), frame, smooth, windows)
 
 
-def _refuse_many(pieces: int, drones: int) -> None:
-    if pieces * drones > MAX_SPANS:
-        raise FileError(
-            f"{drones} drones with {pieces} spans of time between their points are more than "
-            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
-        )
-
-
 def recording_of_samples(
     names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
 ) -> Recording:
     """Return the recording of samples: between two of them the curve that meets both.
 
     The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too.
+    through accelerations too. A derivative that is zero at all samples while the drones move is not
+    told: files of positions alone often have columns of zeros, and curves that rest at every sample
+    are not what is flown.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def recording_of_samples(
     t: (S,) [s]
     values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
     frame: an unknown one becomes none.
-    smooth: the highest derivative that is used.
+    smooth: the highest derivative that is used, if it is told.
 
     Raises
     ------
@@ -111,7 +111,11 @@ def recording_of_samples(
     if len(t) < 2:
         raise FileError("has fewer than two samples; nothing moves between them")
     shape = (len(t), len(names), -1, 3)
-    used = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
+    given = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
+    told = [np.ptp(given[0], axis=0), *given[1:]]  # of positions that they move
+    orders = sum(1 for _ in takewhile(lambda each: not np.max(np.abs(each)) <= SILENT, told)) - 1
+    used = given if orders < 0 else given[: orders + 1]
+    untold = ("velocities", "accelerations", "")[len(used) - 1] if len(used) < len(given) else ""
     size = max(1, WINDOW // len(names))
 
     def windows() -> Iterator[PiecewisePolynomial]:
@@ -120,35 +124,8 @@ def recording_of_samples(
             ends = used[:, here]
             yield PiecewisePolynomial.hermite(t[here], ends[:, :-1], ends[:, 1:])
 
-    return Recording(tuple(names), frame if frame in AXES else "", smooth, windows)
-
-
-def with_orders_told(recording: Recording) -> Recording:
-    """Return the recording of samples by no more derivatives than they tell.
-
-    A derivative that is zero at all samples while the drones move is not told: files of positions
-    alone often have columns of zeros, and curves that rest at every sample are not what is flown.
-    """
-    told, moved = np.zeros(recording.smooth + 1, dtype=np.bool_), False
-    told[0] = True
-    for window in recording.windows():
-        starts, ends = window.ends()
-        moved |= bool(np.max(np.abs(ends - starts)) > SILENT)
-        for order in np.flatnonzero(~told).tolist():
-            told[order] = any(np.max(np.abs(end)) > SILENT for end in window.ends(order))
-        if np.all(told):
-            break
-    if np.all(told) or not moved:
-        return recording
-    orders = int(np.argmin(told)) - 1
-
-    def windows() -> Iterator[PiecewisePolynomial]:
-        for window in recording.windows():
-            ends = zip(*(window.ends(order) for order in range(orders + 1)), strict=True)
-            starts, stops = (np.stack(values) for values in ends)
-            yield PiecewisePolynomial.hermite(window.breaks, starts, stops)
-
-    return Recording(recording.names, recording.frame, orders, windows)
+    known = frame if frame in AXES else ""
+    return Recording(tuple(names), known, len(used) - 1, windows, untold)
 
 
 def check_times(t: Array, source: str = "") -> None:

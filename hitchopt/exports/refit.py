@@ -27,6 +27,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.exports.recording import lasted
+from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.hitch import GRAVITY
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -42,6 +46,7 @@ MARGIN = 3e-4
 MOST = 500
 """Pieces of single drones that are settled, at some 10 ms each; with more, limits are too tight."""
 
+UNLIMITED = 1e6  # [m/s], [N] Speed and thrust beyond all that is flown
 STEPS = 12  # Largest number of moves of one piece
 NEAR = 0.85  # Share of the accuracy beyond which errors cost
 
@@ -261,11 +266,37 @@ class Keeping:
     load: Array  # (pieces, POINTS, D, 3) [N], what thrust carries besides acceleration: m g ẑ - F
     accuracy: float  # largest error of positions [m]
 
+    @classmethod
+    def of(
+        cls, motion: Motion, frame: ReferenceFrame, breaks: Array, accuracy: float, offset: bool
+    ) -> Keeping:
+        """Return the limits of a plan that rounding may break, in the file's axes.
 
-def settling_times(breaks: Array) -> Array:
-    """Return the times (pieces, POINTS) [s] at which limits are checked."""
-    x = np.linspace(0.0, 1.0, POINTS)
-    return breaks[:-1, None] + x * np.diff(breaks)[:, None]
+        Set points that are ``offset`` from the drones have neither speed nor thrust to keep.
+        """
+        times = breaks[:-1, None] + np.linspace(0.0, 1.0, POINTS) * np.diff(breaks)[:, None]
+        forces = states_at(motion, np.minimum(times, float(motion.drones.breaks[-1]))).cable_forces
+        mass, speed = motion.team.mass, motion.requirements.limits.speed
+        load = frame.vectors(mass[:, None] * np.array([0.0, 0.0, GRAVITY]) - forces)
+        if offset:
+            return cls(UNLIMITED, mass, np.full(len(mass), UNLIMITED), load, accuracy)
+        return cls(speed, mass, motion.team.max_thrust, load, accuracy)
+
+    def beyond(self, each: Array, h: float, piece: int, drones: slice = slice(None)) -> Array:
+        """Return by how much pieces (m, 3, N + 1) of ``h`` s are beyond limits, relative, (m,).
+
+        The root of the mean of squares over the points: a move that helps one of several counts.
+        """
+        _, slopes, bends = _bases(bernstein.degree(each))
+        speed = np.linalg.norm(np.einsum("tn,mdn->mtd", slopes, each) / h, axis=-1)
+        pull = np.einsum("tn,mdn->mtd", bends, each) / h**2
+        load = np.moveaxis(self.load[piece, :, drones], 1, 0)
+        thrust = self.mass[drones, None, None] * pull + load
+        pushed = np.linalg.norm(thrust, axis=-1) / self.max_thrust[drones, None]
+        most = 1.0 - MARGIN
+        squares = np.maximum(speed / self.speed - most, 0.0) ** 2
+        squares += np.maximum(pushed - most, 0.0) ** 2
+        return np.asarray(np.sqrt(np.mean(squares, axis=1)))
 
 
 def settled(
@@ -275,61 +306,32 @@ def settled(
 
     ``wanted`` is what they were rounded from, on the same pieces.
     """
-    c = np.array(curves.coefficients)
-    beyond = np.stack([_beyond(c[p], h, keeping, p) for p, h in enumerate(curves.durations)])
+    c, durations = np.array(curves.coefficients), curves.durations.tolist()
+    beyond = np.stack([keeping.beyond(c[p], h, p) for p, h in enumerate(durations)])
     pieces, drones = np.nonzero(beyond > 0.0)
     if len(pieces) > MOST:
         return curves
+    moves = quantum * _moves(curves.degree)
+    basis, slopes, _ = _bases(curves.degree)
     for p, d in zip(pieces.tolist(), drones.tolist(), strict=True):
-        h = float(curves.durations[p])
-        c[p, d] = _one_settled(c[p, d], wanted.coefficients[p, d], h, quantum, keeping, p, d)
+        h, to = durations[p], wanted.coefficients[p, d].T
+        for _ in range(STEPS):
+            each = c[p, d] + moves  # (moves, 3, N + 1)
+            lost = keeping.beyond(each, h, p, slice(d, d + 1))
+            if lost[0] == 0.0:  # the first one moves nothing
+                break
+            off = np.linalg.norm(np.einsum("tn,mdn->mtd", basis, each) - basis @ to, axis=-1)
+            wild = np.einsum("tn,mdn->mtd", slopes, each) / h - slopes @ to / h
+            cost = (
+                1e5 * lost
+                + 2e1 * np.maximum(np.max(off, axis=1) / keeping.accuracy - NEAR, 0.0)
+                + np.max(np.linalg.norm(wild, axis=-1), axis=1) / keeping.speed
+            )
+            best = int(np.argmin(cost))
+            if best == 0:
+                break
+            c[p, d] = each[best]
     return PiecewisePolynomial(curves.breaks, np.rint(c / quantum) * quantum)
-
-
-def _one_settled(
-    c: Array, wanted: Array, h: float, quantum: float, keeping: Keeping, piece: int, drone: int
-) -> Array:
-    """Return the control points (3, N + 1) of one drone's piece after the moves that help most."""
-    moves = quantum * _moves(bernstein.degree(c))
-    basis, slopes, _ = _bases(bernstein.degree(c))
-    goal, pace = basis @ wanted.T, slopes @ wanted.T / h
-    for _ in range(STEPS):
-        each = c + moves  # (moves, 3, N + 1)
-        beyond = _beyond(each, h, keeping, piece, slice(drone, drone + 1))
-        if beyond[0] == 0.0:  # the first one moves nothing
-            break
-        off = np.max(np.linalg.norm(np.einsum("tn,mdn->mtd", basis, each) - goal, axis=-1), axis=1)
-        wild = np.einsum("tn,mdn->mtd", slopes, each) / h - pace
-        cost = (
-            1e5 * beyond
-            + 2e1 * np.maximum(off / keeping.accuracy - NEAR, 0.0)
-            + np.max(np.linalg.norm(wild, axis=-1), axis=1) / keeping.speed
-        )
-        best = int(np.argmin(cost))
-        if best == 0:
-            break
-        c = each[best]
-    return c
-
-
-def _beyond(
-    each: Array, h: float, keeping: Keeping, piece: int, drones: slice = slice(None)
-) -> Array:
-    """Return by how much pieces (m, 3, N + 1) are beyond their limits, relative to these, (m,).
-
-    The root of the mean of squares over the points: a move that helps one of several counts.
-    """
-    _, slopes, bends = _bases(bernstein.degree(each))
-    speed = np.linalg.norm(np.einsum("tn,mdn->mtd", slopes, each) / h, axis=-1)
-    pull = np.einsum("tn,mdn->mtd", bends, each) / h**2
-    load = np.moveaxis(keeping.load[piece, :, drones], 1, 0)
-    thrust = keeping.mass[drones, None, None] * pull + load
-    pushed = np.linalg.norm(thrust, axis=-1) / keeping.max_thrust[drones, None]
-    most = 1.0 - MARGIN
-    squares = np.maximum(speed / keeping.speed - most, 0.0) ** 2
-    squares += np.maximum(pushed - most, 0.0) ** 2
-    beyond: Array = np.sqrt(np.mean(squares, axis=1))
-    return beyond
 
 
 @lru_cache

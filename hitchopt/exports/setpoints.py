@@ -1,8 +1,15 @@
-"""Tables of a plan's directory, setpoints.csv and vertices.csv; the first as a data frame too."""
+"""The table of a plan: setpoints by time, then drone, as text and as a data frame; vertices.csv.
+
+The columns up to ``cable_z`` are those of ``setpoints.csv``. Exported tables have all: ``ff_*`` is
+the acceleration to feed forward to a controller that adds gravity itself, ``a_ff = a - F / m`` with
+the cable's force F on the drone, so that the thrust is ``m (a_ff + g ẑ)``; ``q*`` is the attitude
+that points the thrust so, from the body's axes to the file's, and ``rate_*`` its angular velocity
+about the body's axes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +25,9 @@ from hitchopt.values import Array
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-GROUPS = {
+    from hitchopt.exports.format import Task
+
+SAVED = {
     "positions": ("x", "y", "z"),
     "velocities": ("vx", "vy", "vz"),
     "accelerations": ("ax", "ay", "az"),
@@ -28,7 +37,17 @@ GROUPS = {
 }
 """Quantities of a row and their columns: [m], [m/s], [m/s²], [m/s³], [rad], [N]."""
 
-HEADER = ",".join(("t", "drone", *(name for group in GROUPS.values() for name in group)))
+GROUPS = SAVED | {
+    "feed_forward": ("ff_x", "ff_y", "ff_z"),
+    "quaternions": ("qw", "qx", "qy", "qz"),
+    "body_rates": ("rate_x", "rate_y", "rate_z"),
+}
+"""Those of exported tables: [m/s²], 1, [rad/s] as well."""
+
+COLUMNS = tuple(name for group in GROUPS.values() for name in group)
+"""Names of the numbers of an exported row, after ``t`` and ``drone``."""
+
+HEADER = ",".join(("t", "drone", *(name for group in SAVED.values() for name in group)))
 
 VERTICES_HEADER = "t,vertex,x,y,z,tension"
 
@@ -44,6 +63,39 @@ ROWS = 2000
 
 Progress = Callable[[float], None]
 """Function that is called now and then with the fraction done, 0 to 1."""
+
+
+def _values(states: States) -> Array:
+    """Return the numbers of SAVED (S, D, 16)."""
+    motion = (states.positions, states.velocities, states.accelerations, states.jerks)
+    yaw = np.zeros((*states.positions.shape[:2], 1))
+    values: Array = np.concatenate((*motion, yaw, states.cable_forces), axis=-1) + 0.0
+    return values  # without negative zeros
+
+
+def exported_blocks(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
+    """Yield times (S,) [s] and the numbers of COLUMNS (S, D, 26) in blocks of so many rows.
+
+    Raises
+    ------
+    InputError: a rate that is not positive, or more samples than anyone can use.
+    """
+    frame = task.frame
+    for states in task.blocks(sample_times(task.motion.duration, task.rate), rows):
+        positions, velocities, forward = task.setpoints(states)
+        attitudes = task.attitudes(states)
+        parts = (
+            positions,
+            velocities,
+            frame.vectors(states.accelerations),
+            frame.vectors(states.jerks),
+            np.full((*positions.shape[:2], 1), frame.heading),
+            frame.vectors(states.cable_forces),
+            forward,
+            attitudes.quaternions,
+            attitudes.body_rates,
+        )
+        yield states.t, np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
 
 
 def write_setpoints(
@@ -63,38 +115,36 @@ def write_setpoints(
     InputError: a rate that is not positive, or more samples than anyone can use.
     OSError: the file cannot be written.
     """
-    times = sample_times(motion.duration, rate)
-    names = motion.team.drone_names
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(HEADER + "\n")
+    times, names = sample_times(motion.duration, rate), motion.team.drone_names
+
+    def blocks() -> Iterator[tuple[Array, Array]]:
         for states in iterate_states(motion, times, max(1, ROWS // len(names))):
-            file.write(lines_of(names, states.t, _values(states)))
+            yield states.t, _values(states)
             if progress is not None:
                 progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
 
-
-def _values(states: States) -> Array:
-    """Return the numbers of HEADER's columns, all but time and drone, (S, D, 16)."""
-    motion = (states.positions, states.velocities, states.accelerations, states.jerks)
-    yaw = np.zeros((*states.positions.shape[:2], 1))
-    values: Array = np.concatenate((*motion, yaw, states.cable_forces), axis=-1) + 0.0
-    return values  # without negative zeros
+    write_rows(path, HEADER, names, blocks())
 
 
-def lines_of(names: tuple[str, ...], t: Array, values: Array) -> str:
-    """Return one line per sample and drone: the time, the drone's name, the numbers.
+def write_rows(
+    path: Path, header: str, names: tuple[str, ...], blocks: Iterable[tuple[Array, Array]]
+) -> None:
+    """Write a header and one line per sample and drone: the time, the drone's name, the numbers.
 
     Parameters
     ----------
+    path: name of the file, replaced if there is one.
+    header: the first line.
     names: (D,) names of the drones.
-    t: (S,) [s].
-    values: (S, D, C)
+    blocks: times (S,) [s] and numbers (S, D, C) of the samples, one block after the other.
     """
-    zero = np.all(values == 0.0, axis=0)
-    numbers = np.concatenate(
-        [np.broadcast_to(t[:, None, None], (*values.shape[:2], 1)), values], -1
-    )
-    return _layout(names, zero.tobytes()) * len(values) % tuple(numbers.ravel().tolist())
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(header + "\n")
+        for t, values in blocks:
+            zero = np.all(values == 0.0, axis=0)
+            times = np.broadcast_to(t[:, None, None], (*values.shape[:2], 1))
+            numbers = np.concatenate([times, values], -1)
+            file.write(_layout(names, zero.tobytes()) * len(t) % tuple(numbers.ravel().tolist()))
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,7 @@
-"""Verification of exported numbers against the plan: their errors and their certificate.
+"""Exported numbers against the plan: their errors, and the checks' formulas on what is flown.
 
 Drones are read from the files, after rounding; vertices, legs and tensions are the plan's. So every
-``worst`` bounds what is flown, for all t, as in the plan's certificate.
+``worst`` bounds what is flown, for all t, as in the plan's certificate. Lint uses the same rules.
 """
 
 from __future__ import annotations
@@ -9,23 +9,32 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from hitchopt.checks.certificate import Certificate, Check
+import numpy as np
+
+from hitchopt.checks.certificate import Certificate, Check, most_pressing
+from hitchopt.checks.drones import largest_rate
+from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule
+from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import FileError, Violation
 from hitchopt.exports.recording import Recording, lasted
 from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.worst_values import (
-    FLOWN,
-    Worst,
-    eased_by_slowing,
-    largest_distance,
-    worst_of,
-    written_checks,
-)
+from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import JOINT, Motion
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.requirements import Requirements
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 from hitchopt.values import Array
+
+FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
+"""Rules of the checks of what is flown, as they are listed."""
+
+LINES = tuple(rule for rule in FLOWN if rule.derivative <= 1)
+"""Rules for drones that fly along lines: velocities jump where they meet."""
+
+PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
+"""Rules for set points that hold a tension. They are not where the drones are, of which the plan's
+certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
 SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
 """Remedy for checks that a slower flight eases."""
@@ -82,7 +91,8 @@ class Verdict:
                 f"at t = {check.time:.4g} s (the plan keeps {kept:.6g}{unit}, "
                 f"the export loses {abs(check.bound - kept):.3g}{unit})"
             )
-            found.append(check.violation(when, SLOWER if eased_by_slowing(check.name) else CLEARER))
+            eased = RULE_OF[check.name].derivative > 0
+            found.append(check.violation(when, SLOWER if eased else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"
@@ -121,7 +131,7 @@ def verify(
     index = [where[name] for name in names]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
     checks: list[list[Check | None]] = []
-    apart: list[tuple[Worst, Worst]] = []
+    apart: list[tuple[Deviation, Deviation]] = []
     end = 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
@@ -130,16 +140,12 @@ def verify(
         curves = PiecewisePolynomial(window.breaks, window.coefficients[:, index])
         planned = _planned(motion, window.breaks)
         flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
-        apart.append(largest_distance(flown, planned.drones))
+        apart.append(_deviations(flown, planned))
         checks.append(written_checks(replace(planned, drones=flown), carried))
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
-    worst = [max(each, key=lambda d: d.value) for each in zip(*apart, strict=True)]
-    position, velocity = (
-        Deviation(each.value, each.time, motion.team.drone_names[each.drone]) for each in worst
-    )
-    found = map(worst_of, zip(*checks, strict=True))
-    kept = tuple(check for check in found if check is not None)
+    position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
+    kept = tuple(filter(None, map(most_pressing, zip(*checks, strict=True))))
     return Verdict(end, position, velocity, kept, NOT_CARRIED[recording.smooth])
 
 
@@ -156,3 +162,27 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     phases = motion.phases[:-1] + tuple(replace(p, end=max(p.end, end)) for p in last)
     here = tuple(p for p in phases if p.end > start + JOINT and p.start < end - JOINT)
     return motion.changed(span, here)
+
+
+def _deviations(flown: PiecewisePolynomial, motion: Motion) -> tuple[Deviation, Deviation]:
+    """Return how far curves on the breaks of a plan are off, in position and in velocity."""
+    degree = max(flown.degree, motion.drones.degree)
+    wanted = bernstein.elevate(motion.drones.coefficients, degree)
+    apart = bernstein.elevate(flown.coefficients, degree) - wanted
+    margins = (ROUNDING * float(np.max(np.abs(wanted))), 0.0)
+    position, velocity = (
+        Deviation(found.worst + margin, found.time, motion.team.drone_names[found.item])
+        for order, margin in enumerate(margins)
+        for found in (largest_rate(PiecewisePolynomial(flown.breaks, apart), order),)
+    )
+    return position, velocity
+
+
+def written_checks(motion: Motion, rules: Sequence[CheckRule] = FLOWN) -> list[Check | None]:
+    """Return what the rules say of a motion whose drones were read from files, rule by rule."""
+    return [rule.check(motion, exported=True) for rule in rules]
+
+
+def drone_check(name: str, curves: PiecewisePolynomial, asked: Requirements) -> Check | None:
+    """Return a check of drones alone on their curves (D, 3) [m]; they are named d0, d1, …."""
+    return RULE_OF[name].check(Motion.single(Swarm(curves.shape[0]), asked, curves, ()))

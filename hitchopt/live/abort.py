@@ -24,7 +24,6 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.stops import SWITCH, StopTable, stop_phases
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
-from hitchopt.exports.formats.file_reading import opened_zip, read_members
 from hitchopt.live.player import Player
 from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.loads import stated_tensions
@@ -45,6 +44,7 @@ from hitchopt.planners.forming.turns import straight
 from hitchopt.steps import Land, Release
 from hitchopt.steps.certified_motions import Certified, infeasible, lifted
 from hitchopt.steps.step import Situation, StepTask
+from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json, replace_files, write_strict_json
 from hitchopt.trajectory.splitting import SAME_BREAK
 from hitchopt.values import Array, choice, not_negative, positive

@@ -1,4 +1,4 @@
-"""Read arrays of an npz file from any source, checked before memory is spent on them.
+"""Read zips and npz files from any source, checked before memory is spent on them.
 
 Bytes are compared with the archive's checksum first. Only then is an array's header read, by a
 pattern of exactly what numpy writes: no text of a file is evaluated as Python.
@@ -6,12 +6,13 @@ pattern of exactly what numpy writes: no text of a file is evaluated as Python.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ MODEST = 64 * 2**20
 MAX_EXPANSION = 100
 """Largest ratio of unpacked members beyond MODEST to their file: more is a decompression bomb.
 hitchopt's own plans are not compressed."""
+
+MAX_UNPACKED = 500_000_000  # Size limit of all that is read of one zip, unpacked [B]
 
 MAX_HEADER = 10_000  # [bytes] The longest description of an array's shape that is parsed
 
@@ -77,16 +80,57 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
             if listed.count(member) != 1:
                 raise FileError(f"array {name!r} is in it {listed.count(member)} times, not once")
         members = [archive.getinfo(member) for member in wanted.values()]
-        refuse_bomb(members, path.stat().st_size)
+        refuse_expansion(sum(info.file_size for info in members), path.stat().st_size)
         return {
             name: _array(name, checked_bytes(archive, info))
             for name, info in zip(wanted, members, strict=True)
         }
 
 
-def refuse_bomb(members: Sequence[zipfile.ZipInfo], packed: int) -> None:
-    """Raise FileError if the members of a file of ``packed`` bytes unpack to far more than that."""
-    refuse_expansion(sum(member.file_size for member in members), packed)
+@contextlib.contextmanager
+def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Iterator[None]:
+    """Turn what a file of another kind or a damaged one raises into a FileError that names it.
+
+    Parameters
+    ----------
+    path: name of the file that the block reads.
+    what: what it is expected to be, as in "is no ``what``".
+    kind: root of the exceptions of a library that reads it, besides ``BROKEN``.
+    """
+    try:
+        yield
+    except FileError as error:
+        if str(error).startswith(str(path)):
+            raise
+        raise FileError(f"{path}: {error}") from error
+    except (*BROKEN, kind) as error:
+        words = repr(error) if isinstance(error, LookupError) else str(error)
+        raise FileError(f"{path}: is no {what}, or a damaged one: {words}") from error
+
+
+@contextlib.contextmanager
+def opened_zip(path: Path, what: str) -> Iterator[zipfile.ZipFile]:
+    """Open a zip file for the block; whatever is wrong with it within the block is a FileError."""
+    with reading(path, what), zipfile.ZipFile(path) as archive:
+        yield archive
+
+
+def read_members(
+    path: Path, archive: zipfile.ZipFile, members: Sequence[zipfile.ZipInfo]
+) -> Iterator[bytes]:
+    """Yield the bytes of files in the archive, one after the other.
+
+    Raises
+    ------
+    FileError: together they are too large, or they are packed in an unusual manner.
+    BROKEN: the archive is damaged.
+    """
+    size = sum(member.file_size for member in members)
+    if size > MAX_UNPACKED:
+        raise FileError(f"its files unpack to {size:.3g} bytes; {MAX_UNPACKED} are the most")
+    refuse_expansion(size, path.stat().st_size)
+    for member in members:
+        yield checked_bytes(archive, member)
 
 
 def refuse_expansion(size: int, packed: int) -> None:

@@ -1,15 +1,14 @@
 """A set of files in a directory, replaced whole.
 
-Files are written into a hidden directory first, so a writer that fails or is killed leaves the set
-alone. A new directory then gets its name in one step. In one that exists files are replaced one by
-one: the ``seal``, say the certificate, is removed first and comes last, and until it is there the
-set that it sealed before is whole in ``previous``. So files beside a seal are of one set.
+Files are written into a hidden folder first, so a writer that fails or is killed leaves the set
+alone. A new directory is that folder, renamed. In one that exists files get their names one by one:
+the ``seal``, say the certificate, is removed first and comes last, and until it is there the set
+that it sealed before is whole in ``previous``. So files beside a seal are of one set.
 """
 
 from __future__ import annotations
 
 import contextlib
-import glob
 import json
 import math
 import os
@@ -31,10 +30,7 @@ Fate = Literal["leave", "keep", "remove"]
 """What becomes of the set before: nothing, it stays in PREVIOUS, or only until the new one is
 whole."""
 
-STAGE, SUFFIX = ".hitchopt-", ".tmp"
-"""Beginning and end of the names of hidden directories; beside a new directory, its name first."""
-
-LONGEST = 200  # Characters of a directory's name that its hidden neighbours repeat
+STAGE, SUFFIX = ".hitchopt-", ".tmp"  # Beginning and end of the names of hidden folders
 
 Writer = Callable[[Path], None]  # Function that writes one file at the path that it is given
 
@@ -75,7 +71,7 @@ def replace_files(
             if path.is_dir() and not path.is_symlink():
                 raise FileError(f"{path}: is a directory where a file is to go; move it away")
         kept = target / PREVIOUS
-        if previous != "leave" and os.path.lexists(kept) and (kept.is_symlink() or kept.is_file()):
+        if previous != "leave" and (kept.is_symlink() or kept.is_file()):
             raise FileError(f"{kept}: is where hitchopt keeps the last plan; move it away")
         missing = [parent for parent in target.parents if not parent.exists()]
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -111,20 +107,17 @@ def _resolved(given: Path) -> Path:
 
 @contextlib.contextmanager
 def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
-    """Give a new hidden directory to write into; remove it, and those of writers that were killed.
+    """Give a new hidden folder to write into; remove it, and those of writers that were killed.
 
-    A writer holds the lock of its own hidden directory, which ends with its process.
+    A writer holds the lock of its own hidden folder, which ends with its process.
     """
-    beside = target.with_name(f".{target.name[:LONGEST]}{STAGE}")
-    place = target / STAGE if target.exists() else beside
-    stage = place.with_name(f"{place.name}{secrets.token_hex(4)}{SUFFIX}")
+    home = target if target.exists() else target.parent
+    stage = home / f"{STAGE}{secrets.token_hex(4)}{SUFFIX}"
     with contextlib.ExitStack() as held:
         with locked(target.parent):
-            for begins in {target / STAGE, beside}:
-                if os.access(begins.parent, os.R_OK):
-                    for path in begins.parent.glob(f"{glob.escape(begins.name)}*{SUFFIX}"):
-                        with contextlib.suppress(BlockingIOError), locked(path, wait=False):
-                            _remove(path, owned)
+            for left in home.glob(f"{STAGE}*{SUFFIX}"):
+                with contextlib.suppress(BlockingIOError), locked(left, wait=False):
+                    _remove(left, owned)
             stage.mkdir()
             held.enter_context(locked(stage))
         try:
@@ -136,8 +129,8 @@ def _staged(target: Path, owned: Collection[str]) -> Iterator[Path]:
 def _exchange(
     target: Path, stage: Path, written: set[str], owned: set[str], seal: str, previous: Fate
 ) -> None:
-    """Put the files of a hidden directory in place of the set."""
-    if stage.parent != target and not target.exists():
+    """Put the files of a hidden folder in place of the set."""
+    if not target.exists():
         stage.rename(target)
         sync(target.parent)
         return
@@ -193,11 +186,8 @@ def sync(path: Path) -> None:
 def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
     """Hold the lock of a directory within the block; other processes and threads wait for it.
 
-    Where there are no such locks, as on Windows, the block is entered at once.
-
-    Raises
-    ------
-    BlockingIOError: it is held elsewhere, and this is not to wait.
+    Where there are no such locks, as on Windows, the block is entered at once. BlockingIOError is
+    raised where it is held elsewhere and this is not to wait.
     """
     try:
         descriptor = os.open(directory, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
@@ -218,12 +208,7 @@ def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
 
 
 def write_strict_json(path: Path, content: dict[str, Any]) -> None:
-    """Write the content, indented, in UTF-8.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
-    """
+    """Write the content, indented, in UTF-8; raise OSError if the file cannot be written."""
     path.write_text(strict_json(content) + "\n", encoding="utf-8", newline="\n")
 
 

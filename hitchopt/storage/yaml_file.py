@@ -105,37 +105,32 @@ def read_text(path: str | Path) -> tuple[str, str]:
     """
     if not isinstance(path, str | Path):
         raise InputError("path", path, "a path", "write its name in quotation marks")
-    name = str(path)
+    name, data = str(path), b""
     if name == STDIN:
-        return _text(sys.stdin.buffer.read(MAX_BYTES + 1), "<stdin>"), "<stdin>"
-    return _text(_file_bytes(name), name), name
-
-
-def _file_bytes(name: str) -> bytes:
-    try:
-        with open(name, "rb") as file:
-            return file.read(MAX_BYTES + 1)
-    except FileNotFoundError:
-        raise FileError(f"{name}: no such file; check the path, or run `hitchopt init`") from None
-    except IsADirectoryError:
-        raise FileError(f"{name}: is a directory; give the problem file in it") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
-
-
-def _text(data: bytes, name: str) -> str:
+        name, data = "<stdin>", sys.stdin.buffer.read(MAX_BYTES + 1)
+    else:
+        try:
+            with open(name, "rb") as file:
+                data = file.read(MAX_BYTES + 1)
+        except FileNotFoundError:
+            remedy = "check the path, or run `hitchopt init`"
+            raise FileError(f"{name}: no such file; {remedy}") from None
+        except IsADirectoryError:
+            raise FileError(f"{name}: is a directory; give the problem file in it") from None
+        except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+            reason = getattr(error, "strerror", None) or str(error)
+            raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
     if len(data) > MAX_BYTES:
-        raise FileError(
-            f"{name}: is larger than the {MAX_BYTES} bytes that a problem file may have"
-        )
+        size = f"the {MAX_BYTES} bytes that a problem file may have"
+        raise FileError(f"{name}: is larger than {size}")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise FileError(f"{name}: is UTF-16; save it as UTF-8")
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-8-sig"), name
     except UnicodeDecodeError as error:
+        place = f"byte {error.start}"
         raise FileError(
-            f"{name}: is not UTF-8 text (byte {error.start}); give a YAML file, saved as UTF-8"
+            f"{name}: is not UTF-8 text ({place}); give a YAML file, saved as UTF-8"
         ) from None
 
 

@@ -12,8 +12,8 @@ from carried_plans import MASS, TO, lifted, plan, tray
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_motion
+from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import Aborts
 from hitchopt.motion.motion import Hold, HoldBy, Motion

@@ -9,7 +9,7 @@ import pytest
 from problem_files import run
 
 from hitchopt.exports import refit as point_rounding
-from hitchopt.exports.formats.known_formats import HOMES
+from hitchopt.exports.options import HOMES
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan

@@ -12,7 +12,7 @@ import pytest
 from problem_files import BAD, ROOT, TRIANGLE, run, strict
 
 from hitchopt.cli.planning import MODELINE, SCHEMA, example_files
-from hitchopt.exports.formats.known_formats import HOMES
+from hitchopt.exports.options import HOMES
 from hitchopt.mission.loading import read_problem
 
 pytestmark = pytest.mark.usefixtures("place")

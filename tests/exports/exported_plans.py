@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import Export, export_plan
 from hitchopt.exports.fleet import placeholder_fleet
-from hitchopt.exports.formats.format import Task
-from hitchopt.exports.formats.known_formats import format_of
+from hitchopt.exports.format import Task
+from hitchopt.exports.options import ExportOptions, format_of
 from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.worst_values import FLOWN
+from hitchopt.exports.verification import FLOWN
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem

@@ -32,8 +32,8 @@ from hitchopt.exports.formats.crazyswarm2 import (
     PIECE_BYTES,
     read_poly_csv,
 )
-from hitchopt.exports.formats.file_reading import read_manifest
-from hitchopt.exports.formats.known_formats import format_of
+from hitchopt.exports.options import format_of
+from hitchopt.exports.reading import read_manifest
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.mission.solving import solve_swarm

@@ -8,23 +8,23 @@ import re
 import shutil
 import tracemalloc
 import zipfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from exported_plans import exported, swarm_plan
+from file_edits import Edit, cell, content, points_of, rows, show, text, write_show
 from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
-from hitchopt.exports.formats.known_formats import HOMES
 from hitchopt.exports.formats.mavsdk import COLUMNS
 from hitchopt.exports.formats.ros2bag import message_types
 from hitchopt.exports.formats.skybrush import read_show
 from hitchopt.exports.formats.skybrush_csv import HEADER
 from hitchopt.exports.lint import lint
+from hitchopt.exports.options import HOMES
 
 ODD = (
     *(b"null", b"[null, null]", b"[]", b"{}", b'"a"', b"true", b"", b",", b"\n", b"\xff", b"\x00"),
@@ -89,67 +89,14 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
     assert all(text.startswith(str(folder)) for text in refused)
     stems = {"d0", "d0_enu", "Drone 1", "show", "setpoints", "setpoints_enu", "plan"}
     data = next(path for path in originals if path.stem in stems)
-    for content in (b"", b"no such file\n", originals[data][: len(originals[data]) // 3]):
-        data.write_bytes(content)
+    for other in (b"", b"no such file\n", originals[data][: len(originals[data]) // 3]):
+        data.write_bytes(other)
         with pytest.raises(FileError) as caught:
             lint(folder)
         assert len(str(caught.value)) < 800
 
 
-def text(name: str, old: str, new: str) -> Callable[[Path], None]:
-    """Exchange a piece of a text, its first one."""
-
-    def edit(folder: Path) -> None:
-        path = folder / name
-        before = path.read_text()
-        after = before.replace(old, new, 1) if old else new
-        assert after != before
-        path.write_text(after)
-
-    return edit
-
-
-def rows(name: str, order: Callable[[list[str]], list[str]]) -> Callable[[Path], None]:
-    def edit(folder: Path) -> None:
-        path = folder / name
-        path.write_text("\n".join(order(path.read_text().splitlines())) + "\n")
-
-    return edit
-
-
-def cell(name: str, row: int, column: int, value: str) -> Callable[[Path], None]:
-    def order(lines: list[str]) -> list[str]:
-        cells = lines[row].split(",")
-        cells[column] = value
-        return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
-
-    return rows(name, order)
-
-
-def content(name: str, data: bytes) -> Callable[[Path], None]:
-    def edit(folder: Path) -> None:
-        (folder / name).write_bytes(data)
-
-    return edit
-
-
-FIRST = "drones/d0/trajectory.json"
-
-
-def show(edit: Callable[[dict[str, Any]], object]) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        path = folder / "show.skyc"
-        with zipfile.ZipFile(path) as archive:
-            files = {name: json.loads(archive.read(name)) for name in archive.namelist()}
-        edit(files)
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, data in files.items():
-                archive.writestr(name, json.dumps(data))
-
-    return change
-
-
-def zipped(data: str) -> Callable[[Path], None]:
+def zipped(data: str) -> Edit:
     def edit(folder: Path) -> None:
         with zipfile.ZipFile(folder / "show.zip", "w") as archive:
             archive.writestr("d0.csv", data)
@@ -157,7 +104,7 @@ def zipped(data: str) -> Callable[[Path], None]:
     return edit
 
 
-def scene(old: str, new: str) -> Callable[[Path], None]:
+def scene(old: str, new: str) -> Edit:
     """Exchange the first words of a .glb by others of the same length."""
 
     def edit(folder: Path) -> None:
@@ -169,20 +116,15 @@ def scene(old: str, new: str) -> Callable[[Path], None]:
     return edit
 
 
-def points(f: dict[str, Any]) -> list[Any]:
-    found: list[Any] = f[FIRST]["points"]
-    return found
-
-
-CSV, START = "setpoints_enu.csv", bytes(8)
-DAMAGE: dict[str, list[tuple[Callable[[Path], None], str]]] = {
+CSV, START, FIRST = "setpoints_enu.csv", bytes(8), "drones/d0/trajectory.json"
+DAMAGE: dict[str, list[tuple[Edit, str]]] = {
     "crazyswarm2": [
-        (rows("d0.csv", lambda s: s[:1]), "no row of numbers"),
-        (rows("d0.csv", lambda s: [*s, "1.0,2.0"]), "line 5 has 2 numbers, not 33"),
+        (rows("d0.csv", lambda s: s[:1]), "has 0 rows; 1 are the least"),
+        (rows("d0.csv", lambda s: [*s, "1.0,2.0"]), "truncated or damaged"),
         (cell("d0.csv", 2, 3, "nan"), "beyond single precision"),
         (cell("d0.csv", 2, 3, "1e39"), "beyond single precision"),
         (cell("d0.csv", 2, 0, "0.0"), "row 2: its duration is 0 s"),
-        (cell("d0.csv", 2, 3, "half"), "line 3: could not convert"),
+        (cell("d0.csv", 2, 3, "half"), "could not convert"),
     ],
     "compressed": [
         (content("d0_enu.bin", b""), "has 0 bytes"),
@@ -196,15 +138,15 @@ DAMAGE: dict[str, list[tuple[Callable[[Path], None], str]]] = {
         (show(lambda f: f["show.json"].pop("swarm")), "KeyError"),
         (show(lambda f: f["show.json"]["swarm"]["drones"].clear()), "names no drones"),
         (show(lambda f: f.pop(FIRST)), FIRST),
-        (show(lambda f: points(f).__delitem__(slice(1, None))), "has 1 points"),
-        (show(lambda f: points(f).reverse()), "go back from t = "),
-        (show(lambda f: points(f)[1].__setitem__(1, [0.0, 1.0])), "damaged|not"),
-        (show(lambda f: points(f)[1].__setitem__(2, [[0, 0, 0]] * 3)), "cubic is the most"),
-        (show(lambda f: points(f)[1].__setitem__(1, [0.0, 1.0, float("nan")])), "finite"),
-        (show(lambda f: points(f)[1].__setitem__(0, 10**400)), "show.skyc"),
-        (show(lambda f: points(f)[1].__setitem__(1, [0, 0, 1e300])), r"goes 1e\+300 m from"),
-        (show(lambda f: points(f)[1].__setitem__(2, [[0, None, 0]])), "show.skyc"),
-        (show(lambda f: points(f)[1].__setitem__(2, 5)), "show.skyc"),
+        (show(lambda f: points_of(f).__delitem__(slice(1, None))), "has 1 points"),
+        (show(lambda f: points_of(f).reverse()), "go back from t = "),
+        (show(lambda f: points_of(f)[1].__setitem__(1, [0.0, 1.0])), "damaged|not"),
+        (show(lambda f: points_of(f)[1].__setitem__(2, [[0, 0, 0]] * 3)), "cubic is the most"),
+        (show(lambda f: points_of(f)[1].__setitem__(1, [0.0, 1.0, float("nan")])), "finite"),
+        (show(lambda f: points_of(f)[1].__setitem__(0, 10**400)), "show.skyc"),
+        (show(lambda f: points_of(f)[1].__setitem__(1, [0, 0, 1e300])), r"goes 1e\+300 m from"),
+        (show(lambda f: points_of(f)[1].__setitem__(2, [[0, None, 0]])), "show.skyc"),
+        (show(lambda f: points_of(f)[1].__setitem__(2, 5)), "show.skyc"),
         (show(lambda f: f[FIRST].update(points={"0": 1})), "has 0 points"),
         (content("show.skyc", b"PK\x03\x04" + bytes(200)), "is no Skybrush show"),
     ],
@@ -258,9 +200,7 @@ DAMAGE: dict[str, list[tuple[Callable[[Path], None], str]]] = {
     [(name, *each) for name, table in DAMAGE.items() for each in table],
     ids=[f"{name}-{i}" for name, table in DAMAGE.items() for i in range(len(table))],
 )
-def test_damage_is_named(
-    name: str, edit: Callable[[Path], None], words: str, exports: Path, tmp_path: Path
-) -> None:
+def test_damage_is_named(name: str, edit: Edit, words: str, exports: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(exports / name, tmp_path / name))
     edit(folder)
     with pytest.raises(FileError, match=words):
@@ -281,10 +221,8 @@ def show_file(path: Path, **changes: Any) -> Path:
     """Write a show of one drone, with other settings of the drone."""
     points = [[0, [0, 0, 1], []], [1, [0, 0, 1], []]]
     settings = {"name": "d0", "home": [0, 0, 0], "trajectory": {"points": points}, **changes}
-    content = json.dumps({"version": 1, "swarm": {"drones": [{"settings": settings}]}})
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("show.json", content)
-    return path
+    swarm = {"drones": [{"settings": settings}]}
+    return write_show(path, {"show.json": {"version": 1, "swarm": swarm}})
 
 
 @pytest.mark.parametrize("home", [None, [None, None], [10**400, 0], ["a", 0], [0], {}, [[0], 1], 3])
@@ -297,10 +235,7 @@ def shared(path: Path, member: str, drones: int = 300) -> Path:
     """Write a show whose drones all refer to one member."""
     refer = {"$ref": "./one.json#"}
     names = [{"settings": {"name": f"d{i}", "trajectory": refer}} for i in range(drones)]
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("one.json", member)
-        archive.writestr("show.json", json.dumps({"swarm": {"drones": names}}))
-    return path
+    return write_show(path, {"one.json": member, "show.json": {"swarm": {"drones": names}}})
 
 
 def test_spans_of_many_drones_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

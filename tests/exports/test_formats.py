@@ -14,10 +14,10 @@ from format_readers import READERS
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, InfeasibleError, UnsupportedError
-from hitchopt.exports.formats.file_reading import read_manifest
-from hitchopt.exports.formats.format import NOTE
-from hitchopt.exports.formats.known_formats import HOMES, format_of
+from hitchopt.exports.format import NOTE
 from hitchopt.exports.lint import lint
+from hitchopt.exports.options import HOMES, format_of
+from hitchopt.exports.reading import read_manifest
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict, load_problem
 from hitchopt.mission.problem import SwarmProblem

@@ -12,9 +12,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hitchopt as ho
-from hitchopt.exports.formats.known_formats import HOMES
 from hitchopt.exports.formats.tables import CsvTable
 from hitchopt.exports.held_tension import PositionLoop, held_tension
+from hitchopt.exports.options import HOMES
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 

@@ -6,7 +6,6 @@ import json
 import math
 import re
 import struct
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 from exported_plans import exported, hitch_plan, long_plan, swarm_plan
+from file_edits import Edit, content, points_of, rows, settings_of, show, write_show
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
+from hitchopt.exports.format import ERROR, NOTE, WARNING
 from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
-from hitchopt.exports.formats.format import ERROR, NOTE, WARNING
 from hitchopt.exports.formats.mavsdk import COLUMNS
 from hitchopt.exports.lint import Report, Rules, lint
 from hitchopt.requirements import Separation
@@ -172,63 +172,29 @@ WIDE_AND_TURNED = struct.pack("<4hBHh", 32767, 0, 1000, 0, 0b01_00_00_00, 500, 9
 END = b"\x00\x00\x00"
 
 
-def bytes_of(edit: Callable[[bytes], bytes]) -> Callable[[Path], object]:
-    def change(folder: Path) -> None:
-        path = folder / "d1_enu.bin"
-        path.write_bytes(edit(path.read_bytes()))
-
-    return change
-
-
-def lines_of(pattern: str, edit: Callable[[list[str]], list[str]]) -> Callable[[Path], object]:
-    def change(folder: Path) -> None:
-        for path in folder.glob(pattern):
-            path.write_text("\n".join(edit(path.read_text().splitlines())))
-
-    return change
-
-
-def shown(edit: Callable[[dict[str, Any], list[Any]], object]) -> Callable[[Path], object]:
-    """Change settings and points of d0 in a show."""
-
-    def change(folder: Path) -> None:
-        path = folder / "show.skyc"
-        with zipfile.ZipFile(path) as archive:
-            files = {name: json.loads(archive.read(name)) for name in archive.namelist()}
-        settings = files["show.json"]["swarm"]["drones"][0]["settings"]
-        edit(settings, files["drones/d0/trajectory.json"]["points"])
-        with zipfile.ZipFile(path, "w") as archive:
-            for name, content in files.items():
-                archive.writestr(name, json.dumps(content))
-
-    return change
-
-
-EDITED: list[tuple[str, Callable[[Path], object], str]] = [
+EDITED: list[tuple[str, Edit, str]] = [
     ("crazyswarm2", lambda f: (f / "d1.csv").unlink(), "error missing d1.csv, warning settings d1"),
-    ("compressed", bytes_of(lambda data: data[:-3]), "error end marker d1"),
-    ("compressed", bytes_of(lambda _: MEMORY + END), "error memory d1, warning duration d1"),
+    ("compressed", content("d1_enu.bin", lambda data: data[:-3]), "error end marker d1"),
+    ("compressed", content("d1_enu.bin", MEMORY + END), "error memory d1, warning duration d1"),
     (
         "compressed",
-        bytes_of(lambda _: WIDE_AND_TURNED + END),
+        content("d1_enu.bin", WIDE_AND_TURNED + END),
         "error range d1, warning duration d1, warning yaw d1",
     ),
-    ("skybrush", shown(lambda s, _: s.update(home=[0.0, 0.0, 0.0])), "warning start d0"),
+    ("skybrush", show(lambda f: settings_of(f).update(home=[0.0, 0.0, 0.0])), "warning start d0"),
     (
         "skybrush",
-        shown(lambda _, points: points.insert(1, [points[0][0] + 1e-4, points[0][1], []])),
+        show(lambda f: points_of(f).insert(1, [1e-4, points_of(f)[0][1], []])),
         "error duration d0",
     ),
-    ("mavsdk_drone_show", lines_of("*.csv", lambda s: s[:10] + s[25:]), "error rate"),
-    ("mavsdk_drone_show", lines_of("* 2.csv", lambda s: s[:-5]), "warning duration Drone 2"),
+    ("mavsdk_drone_show", rows("*.csv", lambda s: s[:10] + s[25:]), "error rate"),
+    ("mavsdk_drone_show", rows("* 2.csv", lambda s: s[:-5]), "warning duration Drone 2"),
 ]
 """What is done to an export, and what the lint finds then, of some rules."""
 
 
 @pytest.mark.parametrize(("name", "edit", "expected"), EDITED)
-def test_exports_that_were_edited(
-    name: str, edit: Callable[[Path], object], expected: str, tmp_path: Path
-) -> None:
+def test_exports_that_were_edited(name: str, edit: Edit, expected: str, tmp_path: Path) -> None:
     exported(swarm_plan(), name, tmp_path)
     edit(tmp_path)
     found = {f"{f.level} {f.rule} {f.where}".strip() for f in report(tmp_path).findings}
@@ -373,10 +339,8 @@ def two_drones(path: Path, validation: dict[str, Any]) -> Path:
         {"settings": {"name": name, "home": points[0][1][:2], "trajectory": {"points": points}}}
         for name, points in routes.items()
     ]
-    show = {"swarm": {"drones": drones}, "settings": {"validation": validation}}
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("show.json", json.dumps(show))
-    return path
+    content = {"swarm": {"drones": drones}, "settings": {"validation": validation}}
+    return write_show(path, {"show.json": content})
 
 
 WIDE = {"maxAltitude": 10, "maxVelocityXY": 8, "maxVelocityZ": 5, "minDistance": 2}
@@ -467,11 +431,7 @@ def test_without_places_nothing_is_judged_together(tmp_path: Path) -> None:
 
 def test_shows_relative_to_homes(tmp_path: Path) -> None:
     path = two_drones(tmp_path / "show.skyc", WIDE)
-    with zipfile.ZipFile(path) as archive:
-        show = json.loads(archive.read("show.json"))
-    show["swarm"]["drones"][1]["settings"]["home"] = [0.0, 1.5]
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("show.json", json.dumps(show))
+    show(lambda f: settings_of(f, 1).update(home=[0.0, 1.5]))(tmp_path)
     assert rules_of(report(path), WARNING) == {"start", "jump"}  # velocities jump here
     found = report(path, relative=True)
     assert rules_of(found, ERROR) == {"minDistance"}  # 1.5 m instead of 3

@@ -16,8 +16,8 @@ from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import InputError
-from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.exporting import export_motion
+from hitchopt.exports.options import ExportOptions
 from hitchopt.motion.states import sample_times, states_at
 
 RATE = 25.0

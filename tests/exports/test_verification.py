@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hitchopt.errors import FileError
 from hitchopt.exports.recording import Recording, recording_of_curves
 from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.verification import Verdict, verify
-from hitchopt.exports.worst_values import FLOWN
+from hitchopt.exports.verification import FLOWN, Verdict, verify
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 

@@ -25,8 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.formats.format import (
-    Arrangement,
+from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
     Finding,
@@ -47,13 +46,9 @@ from hitchopt.exports.refit import (
     fitted,
     rounded,
     settled,
-    settling_times,
 )
-from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
-from hitchopt.motion.states import states_at
-from hitchopt.storage.files import Writer
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -81,8 +76,6 @@ END = b"\x00\x00\x00"  # The segment of no duration
 
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""
-
-UNLIMITED = 1e6  # [m/s], [N] Speed and thrust beyond all that is flown
 
 BOUNDS = (1.0, 1.4, 0.8, 2.0, 0.6, 1.2, 0.9, 1.6, 0.4, 0.2)
 """Errors of the refit over Scale, the best first: long pieces fit worse and suffer less from
@@ -126,18 +119,46 @@ class CrazyflieFormat(Format):
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many pieces of some curves memory holds."""
 
+    def arrangements(self, task: Task) -> Iterator[Sequence[Task]]:
+        """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
+
+        Parts that are refitted too coarsely to keep the plan's limits are followed by closer ones.
+
+        Raises
+        ------
+        InfeasibleError: between two rests there is more than fits.
+        """
+        motion, before = task.motion, 1
+        at = rests(motion).tolist()
+        if whole := self._held(motion):
+            yield (task,)
+            if len(at) == 2:
+                return
+        for share in (1.0, CLOSER):
+            parts = self._parts(motion, at, share)
+            if len(parts) <= before:
+                continue
+            before = len(parts)
+            lost = "loses a limit in so few pieces" if whole else "does not fit"
+            why = (
+                f"the plan is cut into {before} parts at rests, since as a whole it {lost} "
+                f"(a drone's memory holds {BYTES} bytes): fly one and let the drones hover, "
+                f"{UPLOAD_LAST}, go on"
+            )
+            part = replace(task, count=before, why=why)
+            begins = [float(motion.drones.breaks[start]) for start, _ in parts]
+            yield [
+                replace(part, motion=each, begins=begins[i], number=i + 1)
+                for i, (_, each) in enumerate(parts)
+            ]
+
     def _held(self, motion: Motion, share: float = 1.0) -> bool:
         """Return whether memory holds a motion within a share of the bound."""
         most = self.most_pieces(motion.drones)
         return breaks_within(motion.drones, self.kind, share * self.bound, most) is not None
 
     def _parts(self, motion: Motion, at: Sequence[int], share: float) -> list[tuple[int, Motion]]:
-        """Return as few parts between rests as memory holds, and the rest each begins at.
-
-        Raises
-        ------
-        InfeasibleError: between two rests there is more than fits.
-        """
+        """Return as few parts between rests as memory holds, and the rest each begins at."""
         parts: list[tuple[int, Motion]] = []
         first = 0
         while first < len(at) - 1:
@@ -162,38 +183,6 @@ class CrazyflieFormat(Format):
             "it cannot be cut either, as nothing rests in between; stream it: "
             "--format ros2bag (full-state setpoints), csv or mavsdk_drone_show",
         )
-
-    def arrangements(self, task: Task) -> Iterator[Arrangement]:
-        """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
-
-        Parts that are refitted too coarsely to keep the plan's limits are followed by closer ones.
-
-        Raises
-        ------
-        InfeasibleError: between two rests there is more than fits.
-        """
-        motion, before = task.motion, 1
-        at = rests(motion).tolist()
-        if whole := self._held(motion):
-            yield Arrangement((task,))
-            if len(at) == 2:
-                return
-        for share in (1.0, CLOSER):
-            parts = self._parts(motion, at, share)
-            if len(parts) <= before:
-                continue
-            before = len(parts)
-            begins = [float(motion.drones.breaks[start]) for start, _ in parts]
-            why = "loses a limit in so few pieces" if whole else "does not fit"
-            yield Arrangement(
-                tuple(
-                    replace(task, motion=part, begins=begins[i], number=i + 1, count=len(parts))
-                    for i, (_, part) in enumerate(parts)
-                ),
-                f"the plan is cut into {len(parts)} parts at rests, since as a whole it {why} "
-                f"(a drone's memory holds {BYTES} bytes): fly one and let the drones hover, "
-                f"{UPLOAD_LAST}, go on",
-            )
 
 
 class CompressedBytes(CrazyflieFormat):
@@ -223,12 +212,11 @@ class CompressedBytes(CrazyflieFormat):
             if most > BYTES:
                 continue
             each = zip(self.files(task), data, strict=True)
-            writers: dict[str, Writer] = {file: writer_of(content) for file, content in each}
             note = (
                 f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps "
                 "where segments join by no more than twice the velocity error above"
             )
-            yield Candidate(writers, (note,))
+            yield Candidate({file: writer_of(content) for file, content in each}, (note,))
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return what files of bytes hold, one drone each."""
@@ -265,26 +253,11 @@ def compressed(task: Task, bound: float, accuracy: float) -> list[bytes]:
         raise FileError("compressed: the plan has no pieces")
     placed = task.frame.placed(fitted(curves, breaks, KIND))
     rounding = rounded(placed, MILLI, SCALE)
-    whole = settled(rounding, placed, MILLI, keeping_of(task, breaks, accuracy))
+    keeping = Keeping.of(task.motion, task.frame, breaks, accuracy, task.options.hold_tension)
+    whole = settled(rounding, placed, MILLI, keeping)
     durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
     points = np.rint(whole.coefficients / MILLI).astype(np.int64)
     return [encoded(durations, points[:, i], task.frame.heading) for i in range(len(task.names))]
-
-
-def keeping_of(task: Task, breaks: Array, accuracy: float) -> Keeping:
-    """Return the limits that rounding may break: speed and thrust, in the file's axes.
-
-    Set points that hold the tension have none: they are not where the drones are.
-    """
-    motion = task.motion
-    t = np.minimum(settling_times(breaks), float(motion.drones.breaks[-1]))
-    mass = motion.team.mass
-    weight = mass[:, None] * np.array([0.0, 0.0, GRAVITY])
-    load = task.frame.vectors(weight - states_at(motion, t).cable_forces)
-    speed, thrust = motion.requirements.limits.speed, motion.team.max_thrust
-    if task.options.hold_tension:
-        speed, thrust = UNLIMITED, np.full(len(mass), UNLIMITED)
-    return Keeping(speed, mass, thrust, load, accuracy)
 
 
 def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
@@ -339,35 +312,30 @@ def decoded(data: bytes, source: str = "trajectory") -> Compressed:
     *last, yaw = struct.unpack_from("<hhhh", data)
     at, ended = START_BYTES, False
     durations: list[int] = []
-    segments: list[list[list[int]]] = []
+    segments: list[list[Array]] = []
     yaws = [yaw]
-    while at < len(data):
+    while at < len(data) and not ended:
         if at + HEADER_BYTES > len(data):
             raise FileError(f"{source}: stops within a segment's header, at byte {at}")
         kind, duration = struct.unpack_from("<BH", data, at)
-        counts = [POINTS[(kind >> (2 * i)) & 3] for i in range(4)]
         at += HEADER_BYTES
-        if duration == 0:
-            ended = True
+        if ended := duration == 0:
             break
+        counts = [POINTS[(kind >> (2 * i)) & 3] for i in range(4)]
         if at + 2 * sum(counts) > len(data):
             raise FileError(f"{source}: stops within segment {len(durations)}, at byte {len(data)}")
-        axes = []
-        for i, count in enumerate(counts):
-            values = struct.unpack_from(f"<{count}h", data, at)
-            at += 2 * count
-            if i == 3:
-                yaws += values
-                continue
-            axes.append([last[i], *values])
-            last[i] = axes[-1][-1]
+        values = struct.unpack_from(f"<{sum(counts)}h", data, at)
+        at += 2 * sum(counts)
+        *axes, turns = np.split(np.array(values, dtype=np.float64), np.cumsum(counts)[:-1])
+        axes = [np.append(start, axis) for start, axis in zip(last, axes, strict=True)]
+        last = [axis[-1] for axis in axes]
+        yaws += turns.tolist()
         durations.append(duration)
-        segments.append(axes)
+        segments.append([bernstein.elevate(axis, DEGREE) for axis in axes])
     if not durations:
         raise FileError(f"{source}: has no segment that lasts")
-    rows = [[bernstein.elevate(np.array(a, dtype=np.float64), DEGREE) for a in s] for s in segments]
     breaks = np.concatenate([[0], np.cumsum(durations)]) * MILLI
-    curve = PiecewisePolynomial(breaks, np.array(rows) * MILLI)
+    curve = PiecewisePolynomial(breaks, np.array(segments) * MILLI)
     return Compressed(curve, np.radians(np.array(yaws, dtype=np.float64) / 10.0), ended, at)
 
 

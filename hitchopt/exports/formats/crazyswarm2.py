@@ -28,15 +28,7 @@ from scipy.spatial import cKDTree
 from scipy.special import comb
 
 from hitchopt.errors import FileError, HitchoptError
-from hitchopt.exports.formats.compressed import (
-    BYTES,
-    LONGEST,
-    STEADY,
-    CrazyflieFormat,
-    beyond_memory,
-)
-from hitchopt.exports.formats.file_reading import read_text
-from hitchopt.exports.formats.format import (
+from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
     Finding,
@@ -48,13 +40,21 @@ from hitchopt.exports.formats.format import (
     warning,
     writer_of,
 )
+from hitchopt.exports.formats.compressed import (
+    BYTES,
+    LONGEST,
+    STEADY,
+    CrazyflieFormat,
+    beyond_memory,
+)
+from hitchopt.exports.reading import read_columns, read_text
 from hitchopt.exports.recording import recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.exports.refit import Kind, Scale, best_breaks, fitted
 from hitchopt.requirements import Separation
 from hitchopt.storage.files import Writer
 from hitchopt.storage.yaml_file import read_yaml
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 DEGREE = 7  # Degree of every piece
@@ -131,7 +131,7 @@ class PolyTable:
     """Pieces of one drone as they stand in a file."""
 
     durations: Array  # (rows,) [s]
-    powers: Array  # (rows, 4, 8) of x, y, z [m] and yaw [rad], ascending
+    powers: Array  # (rows, 4, 8) of x, y, z [m] and yaw [rad], ascending powers of seconds
     frame: str = ""  # that the header names; empty where it names none
     headed: bool = True  # whether the first line is words
 
@@ -139,32 +139,28 @@ class PolyTable:
     def curve(self) -> PiecewisePolynomial:
         """Positions (3,) [m] over time."""
         breaks = np.concatenate([[0.0], np.cumsum(self.durations)])
-        return PiecewisePolynomial(breaks, from_powers(self.powers[:, :3], self.durations))
-
-
-def to_powers(coefficients: Array, durations: Array) -> Array:
-    """Return ascending powers of seconds (pieces, …, N + 1) of Bernstein coefficients."""
-    inverse: Array = np.rint(np.linalg.inv(_powers(bernstein.degree(coefficients))))
-    local = coefficients @ inverse.T
-    local[np.abs(local) < NOTHING] = 0.0  # differences that are rounding alone
-    return local / _scales(durations, local)
-
-
-def from_powers(powers: Array, durations: Array) -> Array:
-    """Return Bernstein coefficients (pieces, …, N + 1) of ascending powers of seconds."""
-    local = powers * _scales(durations, powers)
-    return local @ _powers(bernstein.degree(powers)).T
+        local = self.powers[:, :3] * _scales(self.durations)
+        return PiecewisePolynomial(breaks, local @ _bernstein_of_powers().T)
 
 
 @lru_cache
-def _powers(degree: int) -> Array:
+def _bernstein_of_powers() -> Array:
     """Return the Bernstein coefficients of the local parameter's powers, one column each."""
-    i = np.arange(degree + 1)
-    return np.asarray(comb(i[:, None], i) / comb(degree, i), dtype=np.float64)
+    i = np.arange(DEGREE + 1)
+    return np.asarray(comb(i[:, None], i) / comb(DEGREE, i), dtype=np.float64)
 
 
-def _scales(durations: Array, powers: Array) -> Array:
-    return durations.reshape(-1, *(1,) * (powers.ndim - 1)) ** np.arange(powers.shape[-1])
+def _scales(durations: Array) -> Array:
+    """Return the powers of the durations (pieces, 1, 8)."""
+    return durations[:, None, None] ** np.arange(DEGREE + 1)
+
+
+def to_powers(curves: PiecewisePolynomial) -> Array:
+    """Return ascending powers of seconds (pieces, D, 3, 8) of curves (D, 3) of degree 7."""
+    inverse: Array = np.rint(np.linalg.inv(_bernstein_of_powers()))
+    local = curves.coefficients @ inverse.T
+    local[np.abs(local) < NOTHING] = 0.0  # differences that are rounding alone
+    return local / _scales(curves.durations)[:, None]
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:
@@ -182,30 +178,14 @@ def read_poly_csv(path: Path) -> PolyTable:
     ------
     FileError: no such file, a row without 33 finite numbers, a duration that is not positive.
     """
-    lines = read_text(path).splitlines() or [""]
-    header, _, comment = lines[0].partition("#")
-    rows = []
-    for number, line in enumerate(lines[1:], 2):
-        parts = line.partition("#")[0].strip().rstrip(",").split(",")
-        if parts == [""]:
-            continue
-        if len(parts) != COLUMNS:
-            raise FileError(
-                f"{path}: line {number} has {len(parts)} numbers, not {COLUMNS} "
-                "(duration, then 8 each of x, y, z, yaw); it is truncated or another format"
-            )
-        try:
-            rows.append([float(part) for part in parts])
-        except ValueError as fault:
-            raise FileError(f"{path}: line {number}: {fault}") from fault
-    if not rows:
-        raise FileError(
-            f"{path}: has no row of numbers after its first line ({header[:40]!r}); it is truncated"
-        )
-    if len(rows) > MAX_ROWS:
+    first, *lines = [*read_text(path).splitlines(), ""]
+    header, _, comment = first.partition("#")
+    if len(lines) > MAX_ROWS:
         raise FileError(f"{path}: has more than {MAX_ROWS} rows")
+    rows = [line.partition("#")[0].strip().rstrip(",") for line in lines]
+    table = read_columns(rows, HEADER, HEADER.split(","), HEADER, str(path), least=1)
     with np.errstate(over="ignore"):  # reported below
-        table = np.array(rows, dtype=np.float64).astype(np.float32).astype(np.float64)
+        table = table.astype(np.float32).astype(np.float64)
     if not np.all(np.isfinite(table)):
         raise FileError(f"{path}: a number is beyond single precision, which is what drones hold")
     if np.any(wrong := table[:, 0] <= 0.0):
@@ -247,10 +227,9 @@ class Crazyswarm2(CrazyflieFormat):
         curves = task.frame.placed(fitted(task.motion.drones, breaks, KIND))
         durations = curves.durations
         powers = np.zeros((curves.pieces, len(task.names), 4, KIND.degree + 1))
-        powers[:, :, :3] = to_powers(curves.coefficients, durations)
+        powers[:, :, :3] = to_powers(curves)
         powers[:, :, 3, 0] = task.frame.heading
-        starts, ends = curves.ends()
-        first, last = starts[0], ends[-1]
+        first, last = curves.coefficients[0, ..., 0], curves.coefficients[-1, ..., -1]
         write = partial(write_poly_csv, durations=durations, frame=task.frame.name)
         writers: dict[str, Writer] = {
             file: partial(write, powers=powers[:, i]) for i, file in enumerate(self.files(task))

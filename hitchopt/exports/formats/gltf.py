@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +20,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
-from hitchopt.exports.formats.file_reading import reading
-from hitchopt.exports.formats.format import (
-    Candidate,
-    DroneFacts,
-    Format,
-    Loaded,
-    Task,
-    lines_at_rates,
-)
+from hitchopt.exports.format import DroneFacts, Format, Loaded, Task
 from hitchopt.exports.recording import recording_of_samples
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
+from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 from hitchopt.view.scene import scene_at
@@ -57,13 +50,14 @@ class Gltf(Format):
     endings = (".glb",)
     frames = ("enu",)
     rate = 30.0
+    rates = (60.0, 120.0)
     accuracy = 2e-3
     feed_forward = "not in this file: it is a picture that moves, which nobody flies"
     carries_pull = True  # drones are tilted by it
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the scene at the usual rate, then at higher ones; only at one that was asked for."""
-        return lines_at_rates(self.file, write_scene, task, (60.0, 120.0))
+    def write(self, path: Path, task: Task) -> None:
+        """Write the plan's drones, cables and objects at the task's rate."""
+        write_scene(path, task)
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return the places of the drones that a scene names, between lines."""

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from math import ceil, floor
 from pathlib import Path
@@ -38,8 +38,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError
-from hitchopt.exports.formats.file_reading import read_columns, read_manifest, read_text
-from hitchopt.exports.formats.format import (
+from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
     Finding,
@@ -51,9 +50,9 @@ from hitchopt.exports.formats.format import (
     note,
     warning,
 )
+from hitchopt.exports.reading import read_columns, read_manifest, read_text
 from hitchopt.exports.recording import Recording, recording_of_samples
-from hitchopt.exports.worst_values import drone_check
-from hitchopt.motion.states import states_at
+from hitchopt.exports.verification import drone_check
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -80,17 +79,6 @@ REMAINING = 0.1
 """[m] Rows that move a drone no farther, seen from above, may be replaced by a climb or a landing;
 so far may a first row be from the ground."""
 
-NAMES = {
-    "climb_altitude": "INITIAL_CLIMB_ALTITUDE_THRESHOLD",
-    "climb_time": "INITIAL_CLIMB_TIME_THRESHOLD",
-    "ground_altitude": "GROUND_ALTITUDE_THRESHOLD",
-    "shared_origin": "AUTO_GLOBAL_ORIGIN_MODE",
-    "global_setpoints": "USE_GLOBAL_SETPOINTS",
-    "velocities": "FEEDFORWARD_VELOCITY_ENABLED",
-    "accelerations": "FEEDFORWARD_ACCELERATION_ENABLED",
-}
-"""Names of the settings in ``src/params.py``."""
-
 WAIT = LATE + BLEND
 """Wait on the ground [s]: a drone that is late, or is drawn to its row, is there by then."""
 
@@ -101,17 +89,21 @@ DIGITS = 5e-9  # Relative error of a number in the files, which has nine digits
 BELOW = 1.0  # Distance of thresholds below all rows [m]: those are never under them
 
 
+def _setting(name: str, usual: float | bool) -> Any:
+    return field(default=usual, metadata={"name": name})
+
+
 @dataclass(frozen=True)
 class Receiver:
-    """Settings of mavsdk_drone_show; those that it comes with where nothing is given."""
+    """Settings of mavsdk_drone_show, named as in its ``src/params.py``; by default its own."""
 
-    climb_altitude: float = 5.0  # [m], which ends the initial climb
-    climb_time: float = 5.0  # [s], together with this
-    ground_altitude: float = 1.0  # [m], at or below which a show ends on the ground
-    shared_origin: bool = True  # whether rows are taken as they stand, not from the first one
-    global_setpoints: bool = True  # whether positions are sent as latitude, longitude, altitude
-    velocities: bool = False  # whether local setpoints hold them
-    accelerations: bool = False
+    climb_altitude: float = _setting("INITIAL_CLIMB_ALTITUDE_THRESHOLD", 5.0)  # [m], ends the climb
+    climb_time: float = _setting("INITIAL_CLIMB_TIME_THRESHOLD", 5.0)  # [s], together with this
+    ground_altitude: float = _setting("GROUND_ALTITUDE_THRESHOLD", 1.0)  # [m], of shows that land
+    shared_origin: bool = _setting("AUTO_GLOBAL_ORIGIN_MODE", True)  # else from the first row on
+    global_setpoints: bool = _setting("USE_GLOBAL_SETPOINTS", True)  # latitude and longitude
+    velocities: bool = _setting("FEEDFORWARD_VELOCITY_ENABLED", False)  # in local setpoints
+    accelerations: bool = _setting("FEEDFORWARD_ACCELERATION_ENABLED", False)
 
     @classmethod
     def of(cls, settings: Mapping[str, Any]) -> Receiver:
@@ -122,19 +114,19 @@ class Receiver:
         FileError: a value of another type, or a number that is not finite.
         """
         values: dict[str, Any] = {}
-        for field in fields(cls):
-            name = NAMES[field.name]
-            value = settings.get(name, field.default)
-            if isinstance(field.default, bool) != isinstance(value, bool) or not (
+        for each in fields(cls):
+            name = each.metadata["name"]
+            value = settings.get(name, each.default)
+            if isinstance(each.default, bool) != isinstance(value, bool) or not (
                 isinstance(value, int | float) and math.isfinite(value)
             ):
-                raise FileError(f"{name}: is {value!r}, not {type(field.default).__name__}")
-            values[field.name] = value
+                raise FileError(f"{name}: is {value!r}, not {type(each.default).__name__}")
+            values[each.name] = value
         return cls(**values)
 
     def settings(self) -> dict[str, float | bool]:
         """Return the settings by their names in ``src/params.py``."""
-        return {NAMES[field.name]: getattr(self, field.name) for field in fields(self)}
+        return {each.metadata["name"]: getattr(self, each.name) for each in fields(self)}
 
     def lowered(self, places: Array) -> Array:
         """Return how much lower than its rows (S, D, 3) [m] each drone flies, (D,) [m]."""
@@ -163,6 +155,9 @@ class Receiver:
         return climbed & ~np.logical_or.accumulate(landing, axis=0)
 
 
+CLIMB, CLIMB_TIME, GROUND, SHARED = (each.metadata["name"] for each in fields(Receiver)[:4])
+
+
 class MavsdkDroneShow(Format):
     """Setpoints of 20 Hz for PX4, ``Drone N.csv`` from 1 in the plan's order."""
 
@@ -189,9 +184,10 @@ class MavsdkDroneShow(Format):
         lead = lead_in(task)
         check = _rising_check(task, lead)
         settings = receiver_for(task).settings()
-        rows = rows_of(task, lead)
+        rows = np.moveaxis(rows_of(task, lead), 1, 0)
         write = partial(np.savetxt, fmt=ROW, header=COLUMNS, comments="", encoding="ascii")
-        writers = {name: partial(write, X=rows[:, i]) for i, name in enumerate(self.files(task))}
+        each = zip(self.files(task), rows, strict=True)
+        writers = {name: partial(write, X=table) for name, table in each}
         notes = (
             f"the plan begins {lead.duration:g} s after the show (row {lead.rows}): until then the "
             "drones wait on the ground and rise straight up, with their cables not looked at",
@@ -347,8 +343,8 @@ def rows_of(task: Task, lead: LeadIn) -> Array:
     samples = ceil(task.motion.duration * task.rate - 1e-6) + 1
     index = np.arange(lead.rows + samples)
     t, frame = index / task.rate, task.frame
-    before, plan = t[: lead.rows], task.setpoints(states_at(task.motion, t[:samples]))
-    pull = task.pulls(states_at(task.motion, np.zeros(1))) * lead.share.at(before)[:, None, None]
+    before, plan = t[: lead.rows], task.setpoints(task.states(t[:samples]))
+    pull = task.pulls(task.states(np.zeros(1))) * lead.share.at(before)[:, None, None]
     velocities, forward = (frame.vectors(lead.curves.at(before, order)) for order in (1, 2))
     rising = (frame.points(lead.curves.at(before)), velocities, forward - pull)
     values = [np.concatenate(parts, axis=-1) for parts in (rising, plan)]
@@ -396,7 +392,7 @@ def recording_of_tables(
             raise FileError(f"{name}: its times are not those of {names[0]}")
     values = np.stack([table[:, 1:] for table in tables], axis=1)
     if task is not None:
-        values[..., 6:] += task.pulls(states_at(task.motion, t))
+        values[..., 6:] += task.pulls(task.states(t))
         values[t > task.motion.duration, :, 6:] = 0.0
     return recording_of_samples(names, t, values, "ned", 1 if task is None else SMOOTH)
 
@@ -407,17 +403,8 @@ def receiver_findings(
     """Yield which rows are not flown as they stand, one finding a rule.
 
     The settings are those that the folder's manifest states, else those that the show comes with.
-
-    Parameters
-    ----------
-    folder: of the files.
-    names: (D,) of the drones.
-    t: times of the rows (S,) [s].
-    places: positions of the rows (S, D, 3) [m], north-east-down.
-
-    Raises
-    ------
-    FileError: a manifest that cannot be read.
+    Rows are times (S,) [s] and places (S, D, 3) [m], north-east-down. FileError is raised of a
+    manifest that cannot be read.
     """
     stated = (read_manifest(folder) or {}).get("receiver")
     settings = stated.get("settings") if isinstance(stated, dict) else None
@@ -434,14 +421,14 @@ def receiver_findings(
             and_more(names[never[0]], len(never)),
             f"mavsdk_drone_show flies none of its rows: it climbs until a row is at "
             f"{receiver.climb_altitude:g} m and {receiver.climb_time:g} s have passed, and they go "
-            f"up to {highest:.4g} m; set {NAMES['climb_altitude']} below them and "
-            f"{NAMES['climb_time']} to 0",
+            f"up to {highest:.4g} m; set {CLIMB} below them and "
+            f"{CLIMB_TIME} to 0",
         )
     first = np.argmax(followed, axis=0)
     last = len(t) - 1 - np.argmax(followed[::-1], axis=0)
     rows = np.arange(len(t))[:, None]
-    lower = f"{NAMES['climb_altitude']} and {NAMES['climb_time']} lower"
-    land = f"{NAMES['ground_altitude']} below {receiver.ground_altitude:g}"
+    lower = f"{CLIMB} and {CLIMB_TIME} lower"
+    land = f"{GROUND} below {receiver.ground_altitude:g}"
     for rule, lost, met, end, remedy in (
         ("climb", rows < first, first, "before", f"let it wait until then, or set {lower}"),
         ("landing", rows > last, last, "after", f"end higher, or set {land}"),
@@ -464,7 +451,7 @@ def receiver_findings(
         yield warning(
             "launch",
             and_more(names[drone], np.count_nonzero(np.abs(low) > REMAINING)),
-            f"its first row is at {low[drone]:.3g} m: unless {NAMES['shared_origin']} is on, "
+            f"its first row is at {low[drone]:.3g} m: unless {SHARED} is on, "
             "altitudes are counted from there, and it flies so much lower; begin on the ground",
         )
     if settings is not None and receiver != Receiver():

@@ -25,17 +25,15 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.export_options import ROS_DISTROS, STORAGES
-from hitchopt.exports.formats.file_reading import needed, reading
-from hitchopt.exports.formats.format import Candidate, DroneFacts, Format, Loaded, Task
+from hitchopt.exports.format import Candidate, DroneFacts, Format, Loaded, Task
+from hitchopt.exports.options import ROS_DISTROS, STORAGES
+from hitchopt.exports.reading import needed
 from hitchopt.exports.recording import Recording, recording_of_samples
-from hitchopt.motion.states import iterate_states, sample_times
-from hitchopt.storage.files import Writer
+from hitchopt.motion.states import sample_times
+from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
-STEM = "setpoints"
-
-METADATA = "metadata.yaml"
+STEM, METADATA = "setpoints", "metadata.yaml"  # Names of the data, without ending, and of the rest
 
 BLOCK = 20_000  # Setpoints that are held at once
 
@@ -79,7 +77,7 @@ class Ros2Bag(Format):
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
         """Give the one bag there is."""
-        writers: dict[str, Writer] = {
+        writers = {
             self.files(task)[0]: lambda path: write_bag(path, task),
             METADATA: lambda path: None,  # noqa: ARG005  written with the data
         }
@@ -154,7 +152,7 @@ def _write_messages(bag: Any, task: Task) -> None:
 
     topics = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
     blocks = []
-    for states in iterate_states(task.motion, times, max(1, BLOCK // len(task.names))):
+    for states in task.blocks(times, BLOCK):
         attitudes = task.attitudes(states)
         places, velocities, forward = task.setpoints(states)
         own = task.frame.vectors(states.accelerations)
@@ -220,14 +218,14 @@ def bag_recording(path: Path) -> Recording:
                 if name in found:
                     raise FileError(f"holds two trajectories of {name!r}")
                 found[name] = _table(message, i)
-    if not found:
-        raise FileError(f"{path}: its trajectories name no joint")
-    names, tables = tuple(found), list(found.values())
-    if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
-        raise FileError(f"{path}: its trajectories have different times")
-    values = np.stack(tables, axis=1)
-    smooth = 2 if np.all(np.isfinite(values)) else 0
-    return recording_of_samples(names, values[:, 0, 0], values[..., 1:], frame, smooth)
+        if not found:
+            raise FileError("its trajectories name no joint")
+        names, tables = tuple(found), list(found.values())
+        if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
+            raise FileError("its trajectories have different times")
+        values = np.stack(tables, axis=1)
+        smooth = 2 if np.all(np.isfinite(values)) else 0
+        return recording_of_samples(names, values[:, 0, 0], values[..., 1:], frame, smooth)
 
 
 def _table(message: Any, joint: int) -> Array:

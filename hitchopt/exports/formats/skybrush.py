@@ -37,9 +37,7 @@ from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError
-from hitchopt.exports.formats.compressed import keeping_of
-from hitchopt.exports.formats.file_reading import opened_zip, read_members
-from hitchopt.exports.formats.format import (
+from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
     Finding,
@@ -52,13 +50,14 @@ from hitchopt.exports.formats.format import (
 )
 from hitchopt.exports.recording import Recording, check_times, recording_of_curves
 from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded, settled
-from hitchopt.exports.worst_values import LINES, OWN_LIMITS, written_checks
+from hitchopt.exports.refit import Keeping, Kind, Scale, breaks_within, fitted, rounded, settled
+from hitchopt.exports.verification import LINES, written_checks
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splitting import merged_breaks
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 MILLI = 1e-3  # Unit of what Skybrush's server stores, [m] and [s]
 REACH = 32768  # Numbers on either side of zero that 16 bits with a sign hold
@@ -86,6 +85,23 @@ NUDGE = 1e-6
 and in binary most of them lie just below."""
 
 
+ACROSS, UP, DOWN = 0, 1, -1  # Directions in which vectors count; z is up
+
+DISTANCE = "minDistance"  # Key of the smallest distance between two drones [m]
+
+OWN_LIMITS: dict[str, tuple[int, str, tuple[int, ...]]] = {
+    "maxAltitude": (0, "m", (UP,)),
+    "maxVelocityXY": (1, "m/s", (ACROSS,)),
+    "maxVelocityZ": (1, "m/s", (UP, DOWN)),
+    "maxVelocityZUp": (1, "m/s", (UP,)),
+    "maxAccelerationXY": (2, "m/s²", (ACROSS,)),
+    "maxAccelerationZ": (2, "m/s²", (UP, DOWN)),
+    "maxAccelerationZUp": (2, "m/s²", (UP,)),
+    DISTANCE: (0, "m", ()),
+}
+"""Limits that shows set themselves, as Skybrush's validation panel checks them: derivative by time,
+unit, and directions in which the quantity counts; none for the distance of pairs."""
+
 LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or after a level flight
 SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
 LANDING = 0.5  # [m/s] Usual speed of a descent
@@ -111,16 +127,22 @@ class SkybrushShow(Format):
         plans: Sequence[Any] = [None] * len(task.names)
         returning: tuple[str, ...] = ()
         if not task.motion.team.has_cables:
-            returns = planned_returns(task.motion)
-            plans = return_plans(returns, landing_speed(task.motion), task.frame, task.motion)
-            returning = (stated(returns),)
+            returns, landing = planned_returns(task.motion), landing_speed(task.motion)
+            entries = [each.entries(task.motion, task.frame) for each in returns]
+            head = {"version": 1, "landingSpeed": landing}
+            plans = [{**head, "entries": [e[i] for e in entries]} for i in range(len(plans))]
+            times = ", ".join(f"{each.time:g}" for each in returns)
+            none = "no coordinated return was found; drones would land where they are"
+            some = f"rthPlan: coordinated returns from t = {times} s"
+            returning = (f"{some}; drones are taken to stop at once there" if returns else none,)
         for bound in BOUNDS:
             breaks = breaks_within(task.motion.drones, KIND, bound, scale=SCALE)
             if breaks is None:
                 continue
             fit = task.frame.placed(fitted(task.motion.drones, breaks, KIND))
             quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
-            keeping = keeping_of(task, breaks, self.accuracy)
+            offset = task.options.hold_tension
+            keeping = Keeping.of(task.motion, task.frame, breaks, self.accuracy, offset)
             for rounding in _roundings(fit, quantum):
                 whole = settled(rounding, fit, quantum, keeping)
                 notes = (
@@ -354,31 +376,60 @@ class Return:
         """
         there = np.column_stack([self.targets, start[:, 2]])
         down = np.column_stack([self.targets, np.full(len(start), floor)])
-        falling = np.maximum(start[:, 2] - floor, 0.0) / landing
         begins, ends = self.before, self.before + self.duration
         lowers = ends + self.after
-        lands = lowers + falling
-        breaks = merged_breaks([np.array([0.0, 1e-2, float(np.max(lands)) + 1e-2])])
-        inner = np.unique(np.round(np.concatenate([begins, ends, lowers, lands]), 9))
-        breaks = merged_breaks([breaks, inner[(inner > 0.0) & (inner < breaks[-1])]])
+        lands = lowers + np.maximum(start[:, 2] - floor, 0.0) / landing
+        times = np.round(np.concatenate([begins, ends, lowers, lands]), 9)
+        last = float(np.max(lands)) + 1e-2
+        breaks = merged_breaks([np.unique(np.append(times[times < last], [0.0, 1e-2, last]))])
 
         def share(first: Array, last: Array) -> Array:
             spans = np.maximum(last - first, 1e-12)
             found: Array = np.clip((breaks[:, None] - first) / spans, 0.0, 1.0)
             return found[..., None]
 
-        level, low = share(begins, ends), share(lowers, lands)
-        places = start + level * (there - start) + low * (down - there)
+        places = start + share(begins, ends) * (there - start)
+        places += share(lowers, lands) * (down - there)
         return PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
 
+    def checks(self, motion: Motion, start: Array, landing: float) -> list[Check]:
+        """Return the checks of a return whose drones begin at ``start`` (D, 3) [m]."""
+        requirements = motion.requirements.untimed
+        curves = self.curves(start, requirements.floor, landing)
+        phase = Phase("return", 0, 0.0, curves.duration)
+        whole = Motion.single(motion.team, requirements, curves, [phase])
+        return [check for check in written_checks(whole, LINES) if check is not None]
 
-def return_checks(motion: Motion, flown: Return, start: Array, landing: float) -> list[Check]:
-    """Return the checks of a return whose drones begin at ``start`` (D, 3) [m]."""
-    requirements = motion.requirements.untimed
-    curves = flown.curves(start, requirements.floor, landing)
-    phase = Phase("return", 0, 0.0, curves.duration)
-    whole = Motion.single(motion.team, requirements, curves, [phase])
-    return [check for check in written_checks(whole, LINES) if check is not None]
+    def entries(self, motion: Motion, frame: ReferenceFrame) -> list[dict[str, Any]]:
+        """Return the entry of each drone's ``rthPlan``, in the show's frame."""
+        heights = motion.drones.at(min(self.time, motion.duration))[:, 2:]
+        places = frame.points(np.hstack([self.targets, heights]))
+        points = np.round(np.rint(places / MILLI) * MILLI, 3) + 0.0
+        return [
+            {
+                "time": int(self.time),
+                "action": LEVEL if self.duration > 0.0 else LAND,
+                "target": point,
+                "duration": int(self.duration),
+                "preDelay": int(before),
+                "postDelay": int(after),
+            }
+            for point, before, after in zip(points.tolist(), self.before, self.after, strict=True)
+        ]
+
+    @classmethod
+    def of(cls, entries: Sequence[Mapping[str, Any]], frame: ReferenceFrame) -> Return:
+        """Return the return that the drones' entries of one time describe, in the plan's axes."""
+        times = {entry["time"] for entry in entries}
+        durations = {entry["duration"] if entry["action"] == LEVEL else 0 for entry in entries}
+        if len(times) != 1 or len(durations) != 1 or any(float(t) % 1.0 for t in times):
+            raise ValueError("entries of one time differ")
+        if any(entry["action"] not in (LAND, LEVEL) for entry in entries):
+            raise ValueError("an action is not known")
+        targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
+        waits = np.array([[entry["preDelay"], entry["postDelay"]] for entry in entries], np.float64)
+        level, duration = frame.planned(targets)[:, :2], float(durations.pop())
+        return cls(float(times.pop()), level, duration, waits[:, 0], waits[:, 1])
 
 
 def landing_speed(motion: Motion) -> float:
@@ -386,92 +437,43 @@ def landing_speed(motion: Motion) -> float:
     return min(LANDING, SHARE * motion.requirements.limits.speed)
 
 
-def planned_returns(motion: Motion) -> tuple[Return, ...]:
+def planned_returns(motion: Motion) -> list[Return]:
     """Return the returns of a plan, at times of whole seconds, the last one after its end.
 
     Times from which none was found are left out: a command then waits for the next one.
     """
+    landing, found = landing_speed(motion), []
     every = max(1, ceil(motion.duration / MOST))
-    times = range(0, ceil(motion.duration) + every, every)
-    found = (_planned_return(motion, float(time)) for time in times)
-    return tuple(each for each in found if each is not None)
-
-
-def _planned_return(motion: Motion, time: float) -> Return | None:
-    """Return the first return from a time [s] that keeps all limits; None if none was found."""
-    start = motion.drones.at(min(time, motion.duration))
-    landing = landing_speed(motion)
-    for tried in _tries(motion, time, start, landing):
-        checks = return_checks(motion, tried, start, landing)
-        spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
-        if spare and all(check.holds for check in checks):
-            return tried
-    return None
+    for time in range(0, ceil(motion.duration) + every, every):
+        start = motion.drones.at(min(time, motion.duration))
+        for tried in _tries(motion, float(time), start, landing):
+            checks = tried.checks(motion, start, landing)
+            spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
+            if spare and all(check.holds for check in checks):
+                found.append(tried)
+                break
+    return found
 
 
 def _tries(motion: Motion, time: float, start: Array, landing: float) -> Iterator[Return]:
     """Yield returns: down at once, then to places of the plan, at once or the lower ones first."""
     level, zero = start[:, :2], np.zeros(len(start))
     yield Return(time, level, 0.0, zero, zero)
-    ends = motion.drones.coefficients[-1, ..., -1]
-    first = motion.drones.coefficients[0, ..., 0]
+    places = [motion.drones.at(t)[:, :2] for t in (motion.duration, 0.0)]
+    # The least squares of distances: lines of one clock then do not cross at one time.
+    apart = (np.sum((level[:, None] - place) ** 2, axis=-1) for place in places)
+    orders = (linear_sum_assignment(squares)[1] for squares in apart)
+    nearest = [place[order] for place, order in zip(places, orders, strict=True)]
     speed = SHARE * motion.requirements.limits.speed
     fall = ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / landing) + 1.0
     # Drones of one height go down together, the lowest first.
     turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1).astype(float)
-    places = (ends[:, :2], first[:, :2])
-    for goal in (*(place[assigned(level, place)] for place in places), *places, level):
+    for goal in (*nearest, *places, level):
         far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
         duration = float(max(1, ceil(far / speed)))
         yield Return(time, goal, duration, zero, zero)
         yield Return(time, goal, duration, zero, fall * turn)
         yield Return(time, goal, duration, (fall + duration) * turn, zero)
-
-
-def assigned(level: Array, goal: Array) -> Indices:
-    """Return (D,) which place each drone flies to such that the squares of distances are least.
-
-    Lines of one clock then do not cross at one time.
-    """
-    apart = np.sum((level[:, None] - goal) ** 2, axis=-1)
-    rows, columns = linear_sum_assignment(apart)
-    order: Indices = columns[np.argsort(rows)]
-    return order
-
-
-def stated(returns: Sequence[Return]) -> str:
-    """Return the times of returns in words."""
-    if not returns:
-        return "no coordinated return was found; drones would land where they are"
-    times = ", ".join(f"{each.time:g}" for each in returns)
-    return (
-        f"rthPlan: coordinated returns from t = {times} s; drones are taken to stop at once there"
-    )
-
-
-def return_plans(
-    returns: Sequence[Return], landing: float, frame: ReferenceFrame, motion: Motion
-) -> list[dict[str, Any]]:
-    """Return ``rthPlan`` of each drone, in the show's frame."""
-    plans: list[list[dict[str, Any]]] = [[] for _ in motion.team.drone_names]
-    for each in returns:
-        heights = motion.drones.at(min(each.time, motion.duration))[:, 2:]
-        places = frame.points(np.hstack([each.targets, heights]))
-        points = np.round(np.rint(places / MILLI) * MILLI, 3) + 0.0
-        for entries, point, before, after in zip(
-            plans, points.tolist(), each.before.tolist(), each.after.tolist(), strict=True
-        ):
-            entries.append(
-                {
-                    "time": int(each.time),
-                    "action": LEVEL if each.duration > 0.0 else LAND,
-                    "target": point,
-                    "duration": int(each.duration),
-                    "preDelay": int(before),
-                    "postDelay": int(after),
-                }
-            )
-    return [{"version": 1, "landingSpeed": landing, "entries": entries} for entries in plans]
 
 
 def certify_returns(path: Path, show: Show, task: Task) -> None:
@@ -486,10 +488,8 @@ def certify_returns(path: Path, show: Show, task: Task) -> None:
     try:
         plans = [show.returns[name] for name in task.names]
         (landing,) = {float(plan["landingSpeed"]) for plan in plans}
-        returns = [
-            _return(entries, task.frame)
-            for entries in zip(*(plan["entries"] for plan in plans), strict=True)
-        ]
+        entries = zip(*(plan["entries"] for plan in plans), strict=True)
+        returns = [Return.of(each, task.frame) for each in entries]
         times = [each.time for each in returns]
         if times != sorted(set(times)):
             raise ValueError("its times do not increase")
@@ -500,22 +500,8 @@ def certify_returns(path: Path, show: Show, task: Task) -> None:
         places = task.frame.planned(start)
         # Drones that do not fly level go down where they are.
         flown = each if each.duration > 0.0 else replace(each, targets=places[:, :2])
-        checks = return_checks(task.motion, flown, places, landing)
+        checks = flown.checks(task.motion, places, landing)
         if broken := [check for check in checks if not check.holds]:
             words = "a coordinated return of the show breaks a limit when it is read back"
             when, remedy = f"in the return from t = {each.time:g} s", "plan with a wider margin"
             raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
-
-
-def _return(entries: Sequence[Mapping[str, Any]], frame: ReferenceFrame) -> Return:
-    """Return the return that the drones' entries of one time describe, in the plan's axes."""
-    times = {entry["time"] for entry in entries}
-    durations = {entry["duration"] if entry["action"] == LEVEL else 0 for entry in entries}
-    if len(times) != 1 or len(durations) != 1 or any(float(t) % 1.0 for t in times):
-        raise ValueError("entries of one time differ")
-    if any(entry["action"] not in (LAND, LEVEL) for entry in entries):
-        raise ValueError("an action is not known")
-    targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
-    waits = np.array([[entry["preDelay"], entry["postDelay"]] for entry in entries], np.float64)
-    level, duration = frame.planned(targets)[:, :2], float(durations.pop())
-    return Return(float(times.pop()), level, duration, waits[:, 0], waits[:, 1])

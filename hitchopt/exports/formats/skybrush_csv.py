@@ -7,23 +7,17 @@ straight lines between them. There is no velocity in it, so no acceleration eith
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import ceil
 from pathlib import Path
 
 import numpy as np
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.formats.file_reading import opened_zip, read_columns, read_members, read_text
-from hitchopt.exports.formats.format import (
-    Candidate,
-    DroneFacts,
-    Format,
-    Loaded,
-    Task,
-    lines_at_rates,
-)
+from hitchopt.exports.format import DroneFacts, Format, Loaded, Task
+from hitchopt.exports.reading import read_columns, read_text
 from hitchopt.exports.recording import check_times, recording_of_curves
+from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.trajectory import PiecewisePolynomial
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
@@ -40,12 +34,25 @@ class SkybrushCsv(Format):
     several = (".csv",)  # outside of a zip
     frames = ("nwu",)
     rate = 20.0
+    rates = (40.0, 100.0)
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the zip at the usual rate, then at higher ones; only at one that was asked for."""
-        return lines_at_rates(self.file, write_zip, task, (40.0, 100.0))
+    def write(self, path: Path, task: Task) -> None:
+        """Write the zip, drone by drone; raise InputError for more than 1000 samples a second."""
+        if task.rate > 1000.0:
+            bound = "at most 1000 Hz"
+            raise InputError("--rate", task.rate, bound, "the format has milliseconds")
+        drones = task.motion.drones
+        samples = ceil(drones.duration * task.rate - 1e-6)
+        milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate))
+        places = drones.at(np.minimum(milliseconds * 1e-3, float(drones.breaks[-1])))
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.comment = f"frame: {task.frame.name}".encode()
+            for i, name in enumerate(task.names):
+                rows = np.column_stack([milliseconds, task.frame.points(places[:, i]) + 0.0])
+                with archive.open(f"{name}.csv", "w") as file:
+                    np.savetxt(file, rows, ROW, header=HEADER, comments="")
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether the first column is the time in milliseconds."""
@@ -60,29 +67,6 @@ class SkybrushCsv(Format):
         recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
         facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
         return Loaded(self.name, recording, tuple(facts))
-
-
-def write_zip(path: Path, task: Task) -> None:
-    """Write the zip, drone by drone.
-
-    Raises
-    ------
-    InputError: more than 1000 samples a second.
-    OSError: the file cannot be written.
-    """
-    if task.rate > 1000.0:
-        raise InputError("--rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
-    drones = task.motion.drones
-    samples = ceil(drones.duration * task.rate - 1e-6)
-    milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate))
-    t = np.minimum(milliseconds * 1e-3, float(drones.breaks[-1]))
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.comment = f"frame: {task.frame.name}".encode()
-        for i, name in enumerate(task.names):
-            curve = PiecewisePolynomial(drones.breaks, drones.coefficients[:, i])
-            rows = np.column_stack([milliseconds, task.frame.points(curve.at(t)) + 0.0])
-            with archive.open(f"{name}.csv", "w") as file:
-                np.savetxt(file, rows, ROW, header=HEADER, comments="")
 
 
 def read_zip(path: Path) -> dict[str, PiecewisePolynomial]:

@@ -1,20 +1,39 @@
-"""The options of an export, as the command line and ``Plan.export`` take them."""
+"""What is asked of an export: its format, and how the plan is placed and sampled in it."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hitchopt.errors import InputError
+
+if TYPE_CHECKING:
+    from hitchopt.exports.format import Format
+
+HOMES = {
+    "crazyswarm2": "crazyswarm2:Crazyswarm2",
+    "compressed": "compressed:CompressedBytes",
+    "skybrush": "skybrush:SkybrushShow",
+    "skybrush_csv": "skybrush_csv:SkybrushCsv",
+    "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
+    "ros2bag": "ros2bag:Ros2Bag",
+    "csv": "tables:CsvTable",
+    "parquet": "tables:ParquetTable",
+    "npz": "tables:NpzTable",
+    "json": "tables:JsonTable",
+    "gltf": "gltf:Gltf",
+}
+"""Module and class of every format; a module is imported when its format is asked for."""
 
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of a bag, and how their files end
 
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
 """Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
 stop at 9, whose profiles of quality of service are lists."""
-
 
 MAX_RATE = 10_000.0
 """Largest rate of setpoints or samples [Hz]: no flight controller accepts a higher one."""
@@ -43,7 +62,7 @@ class ExportOptions:
 
     Raises
     ------
-    InputError: an unknown storage format or release.
+    InputError: an unknown storage format or release, or gains without ``hold_tension``.
     """
 
     format: str
@@ -76,3 +95,16 @@ def checked_rate(rate: float) -> float:
     if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
         raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
     return rate
+
+
+def format_of(name: str) -> Format:
+    """Return the format of that name; raise InputError if there is none."""
+    if name not in HOMES:
+        import difflib
+
+        near = difflib.get_close_matches(name, HOMES, 1)
+        remedy = f"did you mean {near[0]}?" if near else "hitchopt export --help tells them apart"
+        raise InputError("--format", name, f"one of {', '.join(HOMES)}", remedy)
+    module, _, kind = HOMES[name].partition(":")
+    found: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
+    return found

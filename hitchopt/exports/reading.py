@@ -1,48 +1,22 @@
-"""Read files from any source: text, tables, zips, manifests; every fault is a FileError."""
+"""Read text, tables and manifests from any source; every fault is a FileError."""
 
 from __future__ import annotations
 
-import contextlib
 import json
-import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import FileError, HitchoptError, UnsupportedError
-from hitchopt.storage.archive import BROKEN, checked_bytes, refuse_bomb
+from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.values import Array
 
 MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
 """Name of the file with what an export holds, in which frame, and what was checked; its format."""
 
 MAX_MANIFEST = 50_000_000  # Size limit of a manifest that is read [B]
-
-MAX_UNPACKED = 500_000_000  # Size limit of all that is read of one zip, unpacked [B]
-
-
-@contextlib.contextmanager
-def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Iterator[None]:
-    """Turn what a file of another kind or a damaged one raises into a FileError that names it.
-
-    Parameters
-    ----------
-    path: name of the file that the block reads.
-    what: what it is expected to be, as in "is no ``what``".
-    kind: root of the exceptions of a library that reads it, besides ``BROKEN``.
-    """
-    try:
-        yield
-    except FileError as error:
-        if str(error).startswith(str(path)):
-            raise
-        raise FileError(f"{path}: {error}") from error
-    except (*BROKEN, kind) as error:
-        words = repr(error) if isinstance(error, LookupError) else str(error)
-        raise FileError(f"{path}: is no {what}, or a damaged one: {words}") from error
 
 
 def read_text(path: Path) -> str:
@@ -97,31 +71,6 @@ def read_columns(
     if len(table) < least:
         raise FileError(f"{source}: has {len(table)} rows; {least} are the least")
     return table
-
-
-@contextlib.contextmanager
-def opened_zip(path: Path, what: str) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file for the block; whatever is wrong with it within the block is a FileError."""
-    with reading(path, what), zipfile.ZipFile(path) as archive:
-        yield archive
-
-
-def read_members(
-    path: Path, archive: zipfile.ZipFile, members: Sequence[zipfile.ZipInfo]
-) -> Iterator[bytes]:
-    """Yield the bytes of files in the archive, one after the other.
-
-    Raises
-    ------
-    FileError: together they are too large, or they are packed in an unusual manner.
-    BROKEN: the archive is damaged.
-    """
-    size = sum(member.file_size for member in members)
-    if size > MAX_UNPACKED:
-        raise FileError(f"its files unpack to {size:.3g} bytes; {MAX_UNPACKED} are the most")
-    refuse_bomb(members, path.stat().st_size)
-    for member in members:
-        yield checked_bytes(archive, member)
 
 
 def needed(module: str) -> Any:

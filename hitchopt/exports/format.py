@@ -10,16 +10,14 @@ from typing import Any, Protocol, SupportsInt, TypeGuard
 
 import numpy as np
 
-from hitchopt.exports.export_options import ExportOptions
 from hitchopt.exports.fleet import Fleet
+from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.recording import Recording
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import Attitudes, States, attitudes
+from hitchopt.motion.states import Attitudes, States, attitudes, iterate_states, states_at
 from hitchopt.storage.files import Writer
 from hitchopt.values import Array
-
-Progress = Callable[[str], None]  # Function that is called with what is being done now
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes that are turned by 180° about x
 
@@ -116,6 +114,7 @@ class Task:
     begins: float = 0.0  # when in the plan the motion begins [s]; 0 unless the plan was cut
     number: int = 1  # which part of the plan the motion is, from 1 on,
     count: int = 1  # of how many
+    why: str = ""  # why it was cut
     undetermined: tuple[str, ...] = ()  # why the files leave the cables' tension undetermined
     notes: tuple[str, ...] = ()  # what else the user should know of it
 
@@ -137,17 +136,27 @@ class Task:
         begins, ends = self.span
         return f"part {self.number} of {self.count}, t = {begins:.3f} s to {ends:.3f} s of the plan"
 
-    def cable_forces(self, states: States) -> Array:
-        """Return the cable forces to feed forward, (S, D, 3) [N], in the file's axes.
+    def states(self, t: Array) -> States:
+        """Return the states at times (S,) [s], with the cable forces that are fed forward.
 
-        None where the set points hold the tension by their offsets.
+        There are none where set points hold the tension by their offsets.
         """
-        forces = 0.0 * states.cable_forces if self.options.hold_tension else states.cable_forces
-        return self.frame.vectors(forces)
+        return self._fed(states_at(self.motion, t))
+
+    def blocks(self, times: Array, rows: int) -> Iterator[States]:
+        """Yield states at times (S,) [s] in blocks of so many rows, one per drone and time."""
+        size = max(1, rows // len(self.names))
+        return map(self._fed, iterate_states(self.motion, times, size))
+
+    def _fed(self, states: States) -> States:
+        if not self.options.hold_tension:
+            return states
+        nothing = np.zeros_like(states.cable_forces)
+        return replace(states, cable_forces=nothing, cable_force_rates=nothing)
 
     def pulls(self, states: States) -> Array:
         """Return the forces to feed forward over each drone's mass, (S, D, 3) [m/s²]."""
-        return self.cable_forces(states) / self.motion.team.mass[:, None]
+        return self.frame.vectors(states.cable_forces) / self.motion.team.mass[:, None]
 
     def setpoints(self, states: States) -> tuple[Array, Array, Array]:
         """Return positions, velocities and accelerations less the pull, in the file's axes.
@@ -163,13 +172,9 @@ class Task:
 
         The body's z axis is along the thrust ``m (a_ff + g ẑ)``, its yaw is the frame's heading. In
         a frame whose z axis points down the body's axes are forward, right, down, as its readers
-        expect; in others forward, left, up. Where set points hold the tension there is no cable
-        force in the thrust, as in all that is fed forward: the position loop tilts drones.
+        expect; in others forward, left, up.
         """
         frame, team = self.frame, self.motion.team
-        if self.options.hold_tension:
-            nothing = np.zeros_like(states.cable_forces)
-            states = replace(states, cable_forces=nothing, cable_force_rates=nothing)
         thrusts = frame.vectors(states.thrusts(team))
         rates = frame.vectors(states.thrust_rates(team))
         if frame.vectors(np.array([0.0, 0.0, 1.0]))[2] > 0.0:
@@ -187,16 +192,8 @@ class Candidate:
     receiver: Mapping[str, Any] = field(default_factory=dict)  # its settings, for the manifest
 
 
-@dataclass(frozen=True, eq=False)
-class Arrangement:
-    """A plan as a whole, or cut into tasks to be flown one after the other."""
-
-    tasks: tuple[Task, ...]
-    note: str = ""  # why it is so, for the user; nothing for the usual
-
-
 class Format(Protocol):
-    """One file format: what is written, how files are read, ours or anybody else's, and lint.
+    """One file format: what is written, and how files are read, ours or anybody else's.
 
     Attributes
     ----------
@@ -207,6 +204,7 @@ class Format(Protocol):
     several: those of them of which every drone has a file.
     frames: those that its files may be in, the usual one first.
     rate: samples a second if nothing else is asked [Hz]; 0 where nothing is sampled.
+    rates: higher ones for plans of which lines between samples lose a limit [Hz].
     accuracy: the largest position error that it is meant to have [m].
     feed_forward: whether the consumer needs the cable's pull in its acceleration, and what is done.
     carries_pull: whether the files hold the cable's pull, as a force or in an acceleration.
@@ -219,30 +217,37 @@ class Format(Protocol):
     several: tuple[str, ...] = ()
     frames: tuple[str, ...]
     rate: float = 0.0
+    rates: tuple[float, ...] = ()
     accuracy: float
     feed_forward: str
     carries_pull: bool = False
     receiver_integral: bool = False
 
-    def arrangements(self, task: Task) -> Iterator[Arrangement]:
+    def arrangements(self, task: Task) -> Iterator[Sequence[Task]]:
         """Give the task as a whole, then in parts to be flown one after the other, at rest between.
-
-        Formats that hold plans of any length give the whole.
 
         Raises
         ------
         InfeasibleError: no other arrangement holds the plan.
         """
-        yield Arrangement((task,))
+        yield (task,)
 
     def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give what may be written, the best first.
+        """Give what may be written, the best first: the one file, unless a format says otherwise.
 
         Raises
         ------
         InfeasibleError: the plan is beyond what the format can hold.
         """
-        ...
+        (file,) = self.files(task)
+        yield Candidate({file: partial(self.write, task=task)})
+        for rate in () if task.options.rate is not None else self.rates:
+            note = f"at {rate:g} Hz: lines between fewer samples lose a limit"
+            yield Candidate({file: partial(self.write, task=replace(task, rate=rate))}, (note,))
+
+    def write(self, path: Path, task: Task) -> None:
+        """Write the one file of a task; raise OSError if it cannot be written."""
+        raise NotImplementedError
 
     def files(self, task: Task) -> tuple[str, ...]:
         """Return the names of the files with the trajectories of a task."""
@@ -264,12 +269,7 @@ class Format(Protocol):
         return False
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return what the files of a task in a folder say.
-
-        Raises
-        ------
-        FileError: they are damaged.
-        """
+        """Return what the files of a task in a folder say; raise FileError if they are damaged."""
         return self.load([folder / name for name in self.files(task)]).recording
 
     def certify(self, folder: Path, task: Task) -> None:  # noqa: ARG002
@@ -283,28 +283,6 @@ class Format(Protocol):
         return
 
 
-def lines_at_rates(
-    file: str, write: Callable[[Path, Task], None], task: Task, others: Sequence[float]
-) -> Iterator[Candidate]:
-    """Yield a file of lines between samples, at the usual rate and unless it is given at others.
-
-    Parameters
-    ----------
-    file: its name.
-    write: writes a task at its rate to a path.
-    task: the plan.
-    others: higher rates [Hz], for plans of which lines lose a limit.
-    """
-
-    def sampled(each: Task) -> Mapping[str, Writer]:
-        return {file: lambda path: write(path, each)}
-
-    yield Candidate(sampled(task))
-    for rate in () if task.options.rate is not None else others:
-        note = f"at {rate:g} Hz: lines between fewer samples lose a limit"
-        yield Candidate(sampled(replace(task, rate=rate)), (note,))
-
-
 def writer_of(content: str | bytes) -> Writer:
     """Return what writes the content, text in UTF-8."""
     data = content.encode() if isinstance(content, str) else content
@@ -313,3 +291,6 @@ def writer_of(content: str | bytes) -> Writer:
         path.write_bytes(data)
 
     return write
+
+
+Progress = Callable[[str], None]  # Function that is called with what is being done now
