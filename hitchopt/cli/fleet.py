@@ -71,7 +71,8 @@ def _complete_format(_: click.Context, __: click.Parameter, begun: str) -> list[
 def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
     """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
     from hitchopt.exports.exporting import export_motion
-    from hitchopt.exports.options import ExportOptions, format_of
+    from hitchopt.exports.format import format_of
+    from hitchopt.exports.options import ExportOptions
     from hitchopt.motion.plan_file import read_plan, read_title
 
     chosen = ExportOptions(yaw=math.radians(yaw_deg), **options)

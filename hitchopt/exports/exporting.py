@@ -22,9 +22,9 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine
 from hitchopt.exports.fleet import placeholder_fleet, read_fleet
-from hitchopt.exports.format import Format, Progress, Task
+from hitchopt.exports.format import Format, Progress, Task, format_of
 from hitchopt.exports.held_tension import PositionLoop, held_tension
-from hitchopt.exports.options import HOMES, ExportOptions, checked_rate, format_of
+from hitchopt.exports.options import HOMES, ExportOptions, checked_rate
 from hitchopt.exports.reading import MANIFEST, MANIFEST_FORMAT, read_manifest
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.exports.verification import FLOWN, PLACES, SLOWER, Verdict, verify

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Protocol, SupportsInt, TypeGuard
 
 import numpy as np
 
+from hitchopt.errors import InputError
 from hitchopt.exports.fleet import Fleet
-from hitchopt.exports.options import ExportOptions
+from hitchopt.exports.options import HOMES, ExportOptions
 from hitchopt.exports.recording import Recording
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import Motion
@@ -294,3 +296,16 @@ def writer_of(content: str | bytes) -> Writer:
 
 
 Progress = Callable[[str], None]  # Function that is called with what is being done now
+
+
+def format_of(name: str) -> Format:
+    """Return the format of that name; raise InputError if there is none."""
+    if name not in HOMES:
+        import difflib
+
+        near = difflib.get_close_matches(name, HOMES, 1)
+        remedy = f"did you mean {near[0]}?" if near else "hitchopt export --help tells them apart"
+        raise InputError("--format", name, f"one of {', '.join(HOMES)}", remedy)
+    module, _, kind = HOMES[name].partition(":")
+    found: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
+    return found

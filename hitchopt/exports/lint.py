@@ -29,11 +29,12 @@ from hitchopt.exports.format import (
     Loaded,
     and_more,
     error,
+    format_of,
     note,
     warning,
 )
 from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
-from hitchopt.exports.options import HOMES, format_of
+from hitchopt.exports.options import HOMES
 from hitchopt.exports.reading import MANIFEST, read_manifest
 from hitchopt.exports.verification import drone_check
 from hitchopt.requirements import Limits, Requirements, Separation

@@ -5,14 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hitchopt.errors import InputError
-
-if TYPE_CHECKING:
-    from hitchopt.exports.format import Format
 
 HOMES = {
     "crazyswarm2": "crazyswarm2:Crazyswarm2",
@@ -95,16 +90,3 @@ def checked_rate(rate: float) -> float:
     if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
         raise InputError("--rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
     return rate
-
-
-def format_of(name: str) -> Format:
-    """Return the format of that name; raise InputError if there is none."""
-    if name not in HOMES:
-        import difflib
-
-        near = difflib.get_close_matches(name, HOMES, 1)
-        remedy = f"did you mean {near[0]}?" if near else "hitchopt export --help tells them apart"
-        raise InputError("--format", name, f"one of {', '.join(HOMES)}", remedy)
-    module, _, kind = HOMES[name].partition(":")
-    found: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
-    return found

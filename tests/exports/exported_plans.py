@@ -13,8 +13,8 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.exporting import Export, export_plan
 from hitchopt.exports.fleet import placeholder_fleet
-from hitchopt.exports.format import Task
-from hitchopt.exports.options import ExportOptions, format_of
+from hitchopt.exports.format import Task, format_of
+from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.exports.verification import FLOWN
 from hitchopt.hitch import Quadrotor, Swarm

@@ -26,13 +26,13 @@ from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError
 from hitchopt.exports.exporting import export_plan
 from hitchopt.exports.fleet import fleet_from_dict, placeholder_fleet, read_fleet
+from hitchopt.exports.format import format_of
 from hitchopt.exports.formats.compressed import compressed
 from hitchopt.exports.formats.crazyswarm2 import (
     KIND,
     PIECE_BYTES,
     read_poly_csv,
 )
-from hitchopt.exports.options import format_of
 from hitchopt.exports.reading import read_manifest
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem

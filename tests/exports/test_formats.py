@@ -14,9 +14,9 @@ from format_readers import READERS
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, InfeasibleError, UnsupportedError
-from hitchopt.exports.format import NOTE
+from hitchopt.exports.format import NOTE, format_of
 from hitchopt.exports.lint import lint
-from hitchopt.exports.options import HOMES, format_of
+from hitchopt.exports.options import HOMES
 from hitchopt.exports.reading import read_manifest
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict, load_problem

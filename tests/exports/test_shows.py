@@ -18,6 +18,7 @@ from format_readers import as_stored
 from hitchopt.checks import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import export_plan
+from hitchopt.exports.format import format_of
 from hitchopt.exports.formats import mavsdk
 from hitchopt.exports.formats.mavsdk import LATE, Receiver, read_table
 from hitchopt.exports.formats.skybrush import (
@@ -26,7 +27,7 @@ from hitchopt.exports.formats.skybrush import (
     stored,
     write_show,
 )
-from hitchopt.exports.options import ExportOptions, format_of
+from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import states_at
