@@ -17,7 +17,8 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
-from hitchopt.statics.settle import Conditions, Settled, energy_of, settle_motion
+from hitchopt.statics.energy import HitchEnergy
+from hitchopt.statics.settle import Conditions, Settled, energy_of, samples_of, settle_motion
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(3, 8)
@@ -125,27 +126,29 @@ def test_the_mirror_image_settles_to_the_mirror_image(seed: int, n: int) -> None
     np.testing.assert_allclose(again.vertices, found.vertices[points] * flip, atol=1e-8)
 
 
-def settle_states(motion: ho.Motion, conditions: Conditions) -> tuple[np.ndarray, ...]:
-    """What the plan says at one time, and no errors, as samples."""
-    states = ho.Plan(motion, None).at([1.0])  # type: ignore[arg-type]
-    nothing = np.zeros_like(states.positions)
-    return (
-        states.positions,
-        states.vertices,
-        states.tensions,
-        states.cable_forces,
-        conditions.lengths(motion.team)[None],
-        nothing,
-        nothing,
-    )
+def resting_energy(hitch: ho.Hitch, conditions: Conditions) -> tuple[HitchEnergy, np.ndarray]:
+    motion = standing(hitch)
+    return energy_of(motion, conditions, samples_of(motion, [1.0], conditions)[1])
+
+
+def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
+    hitch = random_hitch(3, 4, "open")
+    energy, x = resting_energy(hitch, Conditions(cable_density=0.01, stiffness=4.0))
+    away, h = np.random.default_rng(2).normal(size=x.shape), 1e-6
+    up, down = x + h * away, x - h * away
+    change = (energy.values(up) - energy.values(down))[0] / (2.0 * h)
+    assert np.sum(energy.slopes(x) * away) == pytest.approx(change, rel=1e-5)
+    for friction in (0.0, 0.1):
+        matrix = energy.matrix(energy.linear(x, friction).forces)
+        change = (energy.slopes(up, friction) - energy.slopes(down, friction)).ravel() / (2.0 * h)
+        np.testing.assert_allclose(matrix @ away.ravel(), change, rtol=1e-5, atol=1e-3)
 
 
 def test_a_general_minimiser_finds_no_lower_energy() -> None:
     hitch = random_hitch(7, 3)
     conditions = Conditions(cable_length=hitch.team.cable_length - 0.01, axial_stiffness=300.0)
-    motion = standing(hitch)
-    energy, x = energy_of(motion, conditions, *settle_states(motion, conditions))
-    found = settle_motion(motion, 1.0, conditions)
+    energy, x = resting_energy(hitch, conditions)
+    found = settled(hitch, cable_length=hitch.team.cable_length - 0.01, axial_stiffness=300.0)
     ours = np.concatenate([found.drones, found.vertices])[None]
     rng = np.random.default_rng(0)
 
@@ -351,7 +354,7 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
     """
     hitch = random_hitch(seed, 5, density=density)
     n, w = hitch.team.robots, 9.81 * density
-    found, motion = settled(hitch), standing(hitch)
+    found = settled(hitch)
     clasps, drones = np.zeros((n, 3)), np.zeros((2 * n, 3))
 
     def curve(first: np.ndarray, last: np.ndarray, tension: float) -> tuple[float, np.ndarray]:
@@ -383,11 +386,10 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
         drones[2 * k + 1] += r_leg[1]
     springs = hitch.team.stiffness[:, None] * (found.planned_drones - found.drones)
     drones += springs - hitch.cable_forces
-    energy, _ = energy_of(motion, Conditions(), *settle_states(motion, Conditions()))
+    energy, _ = resting_energy(hitch, Conditions())
     x = np.concatenate([found.drones, found.vertices])[None]
-    blocks, diagonal = energy.blocks(x), energy.diagonal[None]
-    missed = np.concatenate([drones, clasps])[None, ..., None]
-    moved = energy.rigging.factor(blocks, diagonal).solve(missed)[0, ..., 0]
+    missed = np.concatenate([drones, clasps])[None]
+    moved = energy.solved(energy.matrix(energy.linear(x).forces), missed)[0]
     assert np.max(np.linalg.norm(moved, axis=-1)) < 1e-3
 
 
