@@ -1,15 +1,9 @@
 """Corrected setpoints of a plan in flight, from measured vertices.
 
-The measured error of the vertices, filtered, enters a proportional and integral law. Which
-setpoints move vertices so is a question of statics: drones are springs to their setpoints, cables
-are straight, of constant length and without friction. A small shift δ of the setpoints moves the
-nodes y (drones, then clasps) and changes the tensions T by
-
-    K y + Aᵀ T = k δ,    A y = 0,
-
-K being the drones' stiffness and that of straight cables across their direction, ``T/s`` per span
-of length s, and A the slopes of the cables' lengths. Vertices move by S δ, and the damped inverse
-of S gives the offsets of the drones that are wanted.
+The measured error of the vertices, filtered, enters a proportional and integral law. How vertices
+move with the setpoints is a question of statics: ``hitchopt.statics`` gives the linear response S
+of a hitch whose drones are springs to their setpoints, and the damped inverse of S the offsets of
+the drones that are wanted.
 
 What is commanded is that, projected onto offsets that keep every distance for all times of a cell
 of the plan. Two bodies (a drone, or a straight part of a cable) with the distance D to keep are
@@ -24,7 +18,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,10 +26,10 @@ from numpy.typing import ArrayLike
 from hitchopt.checks.tables import part_points, positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.segments import differences, shortest_offset
-from hitchopt.hitch import Team
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion
-from hitchopt.motion.states import states_at
+from hitchopt.statics.settle import Conditions, energy_of, samples_of
+from hitchopt.statics.tolerance import Gradients
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices, as_array, finite, not_negative, per_robot, positive
 
@@ -74,9 +68,6 @@ STEADY = (1.0, 0.0, 0.0)
 DAMPING = 0.3
 """Singular value of the response below which a mode is corrected by less than half: to move the
 vertices there takes setpoints more than three times as far."""
-
-LEAST_LENGTH = 1e-6
-"""[m] Length of a span below which it counts as that long."""
 
 TRAVEL, MOST_CELLS = 0.05, 64
 """[m] Cells are so short that no drone's curve is longer: directions stay what they are. A piece
@@ -137,17 +128,18 @@ class Feedback(OneLine):
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
         given = own if stiffness is None else stiffness
         stiff = per_robot("stiffness", given, team.drones, owner="drone")
-        breaks, self._cells = covered_set(motion, not_negative("reserve", reserve))
-        states = states_at(motion, 0.5 * (breaks[1:] + breaks[:-1]))
+        breaks, kept = covered_set(motion, not_negative("reserve", reserve))
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
-        self._response = [
-            None
-            if cell is None
-            else vertex_response(
-                team, states.positions[i], states.vertices[i], states.tensions[i], stiff
-            )
-            for i, cell in enumerate(self._cells)
-        ]
+        middles = 0.5 * (breaks[1:] + breaks[:-1])
+        formed = [i for i, each in enumerate(kept) if each is not None]
+        responses = dict(zip(formed, vertex_responses(motion, middles[formed], stiff), strict=True))
+        self._cells: list[Cell | None] = []
+        for i, (here, following) in enumerate(zip(kept, (*kept[1:], None), strict=True)):
+            aimed = here if here is None or following is None else here.and_(following)
+            cell = None
+            if here is not None and aimed is not None:
+                cell = Cell(here, aimed, *responses[i])
+            self._cells.append(cell)
         self._spans = [
             (s.drones.breaks[0], s.drones.breaks[-1]) for s in motion.spans(HITCHED_STATE)
         ]
@@ -166,6 +158,7 @@ class Feedback(OneLine):
         self._error, self._speed, self._integral = np.zeros((3, clasps, 3))
         self._age = np.full(clasps, math.inf)  # [s], since each was measured
         self._offsets, self._velocities = np.zeros((2, self.motion.team.drones, 3))
+        self._here: Cell | None = None  # of the last step
 
     @property
     def offsets(self) -> Array:
@@ -245,26 +238,24 @@ class Feedback(OneLine):
 
     def _correct(self, time: float, seconds: float, *, growing: bool) -> None:
         """Advance the integral and the offsets by some time."""
-        here, share = self._cell(time), self._authority(time)
-        cell, response = self._cells[here], self._response[here]
+        cell, share = self._cells[self._cell(time)], self._authority(time)
         wanted = self._wanted(seconds, growing=growing)
         asked = goal = np.zeros_like(self._offsets)
-        if cell is not None and response is not None and share > 0.0:
-            asked = (response[1] @ (share * wanted).ravel()).reshape(-1, 3)
-            following = self._cells[min(here + 1, len(self._cells) - 1)]
-            goal = cell.within(asked)
-            if following is not None and following is not cell:
-                goal = following.within(goal)
+        if cell is not None and share > 0.0:
+            asked = (cell.inverse @ (share * wanted).ravel()).reshape(-1, 3)
+            goal = cell.aimed.within(asked)
         change = goal - self._offsets
         largest, reach = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
-        found = self._offsets + (change if largest <= reach else reach / largest * change)
-        if cell is not None:
-            found = cell.within(found)
-        if response is not None and share > 0.0:  # the integral forgets what is not commanded
-            missed = (response[0] @ (found - asked).ravel()).reshape(-1, 3)
+        if largest > reach:
+            change *= reach / largest
+        found = self._offsets + change
+        if cell is not None and cell is not self._here:  # else between two offsets that it holds
+            found = cell.kept.within(found)
+        if cell is not None and share > 0.0:  # the integral forgets what is not commanded
+            missed = (cell.forward @ (found - asked).ravel()).reshape(-1, 3)
             self._integral += min(seconds / UNWINDING, 1.0) * missed
         self._velocities = (found - self._offsets) / seconds
-        self._offsets = found
+        self._offsets, self._here = found, cell
 
     def _wanted(self, seconds: float, *, growing: bool) -> Array:
         """Return by how much vertices are to be moved (clasps, 3) [m], and advance the integral."""
@@ -297,48 +288,29 @@ def _shaped(key: str, values: object, shape: tuple[int, ...], remedy: str = MISS
     return found
 
 
-def vertex_response(
-    team: Team, drones: Array, vertices: Array, tensions: Array, stiffness: Array
-) -> tuple[Array, Array]:
+def vertex_responses(
+    motion: Motion, times: ArrayLike, stiffness: Array
+) -> list[tuple[Array, Array]]:
     """Return how vertices move with setpoints, (3 clasps, 6n), and the damped inverse of that.
 
     Parameters
     ----------
-    drones, vertices: (2n, 3), (points, 3) [m], of one shape of the hitch.
-    tensions: (n,) [N]
+    times: (k,) [s], at which there is a hitch.
     stiffness: (2n,) of the drones' position loops [N/m].
     """
-    layout, n = team.layout, team.robots
-    nodes = np.concatenate([drones, vertices[layout.clasps]])
-    node = np.full(layout.points, -1)
-    node[layout.clasps] = team.drones + np.arange(len(layout.clasps))
-    even = 2 * np.arange(n)
-    chains = np.column_stack([even, node[layout.starts], node[layout.ends], even + 1])
-    cable, place = np.nonzero(chains >= 0)
-    flat, same = chains[cable, place], cable[1:] == cable[:-1]
-    first, last, cable = flat[:-1][same], flat[1:][same], cable[1:][same]
-    along = nodes[last] - nodes[first]
-    lengths = np.maximum(np.linalg.norm(along, axis=-1), LEAST_LENGTH)
-    unit = along / lengths[:, None]
-    across = np.eye(3) - unit[:, :, None] * unit[:, None, :]
-    across *= (tensions[cable] / lengths)[:, None, None]
-    count, size = len(nodes), 3 * len(nodes)
-    stiff = np.zeros((count, count, 3, 3))
-    for a, b, sign in ((first, first, 1), (last, last, 1), (first, last, -1), (last, first, -1)):
-        np.add.at(stiff, (a, b), sign * across)
-    slopes = np.zeros((n, count, 3))
-    np.add.at(slopes, (cable, first), -unit)
-    np.add.at(slopes, (cable, last), unit)
-    matrix, held = np.zeros((size + n, size + n)), np.arange(3 * team.drones)
-    matrix[:size, :size] = stiff.transpose(0, 2, 1, 3).reshape(size, size)
-    matrix[held, held] += np.repeat(stiffness, 3)
-    matrix[size:, :size] = slopes.reshape(n, size)
-    matrix[:size, size:] = matrix[size:, :size].T
-    pushed = np.zeros((size + n, len(held)))
-    pushed[held, held] = np.repeat(stiffness, 3)
-    forward: Array = np.linalg.solve(matrix, pushed)[len(held) : size].astype(np.float64)
-    gram = forward @ forward.T + DAMPING**2 * np.eye(len(forward))
-    return forward, np.ascontiguousarray(np.linalg.solve(gram, forward).T)
+    team = motion.team
+    clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
+    conditions = Conditions(stiffness=stiffness, integral=False)
+    found = []
+    for time in np.atleast_1d(as_array(times)).tolist():
+        energy, x = energy_of(motion, conditions, samples_of(motion, [time], conditions)[1])
+        arcs = energy.law.forces(x[:, energy.nodes], energy.law.reference)[1]
+        energy = replace(energy, law=replace(energy.law, lengths=arcs))  # of planned tension
+        rows = Gradients.of(energy, x).position[clasps.ravel()]
+        forward = rows.reshape(len(rows), -1)
+        gram = forward @ forward.T + DAMPING**2 * np.eye(len(forward))
+        found.append((forward, np.ascontiguousarray(np.linalg.solve(gram, forward).T)))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,7 +319,7 @@ class HalfSpaces:
 
     Attributes
     ----------
-    rows: (m, 6n), offsets without their common shift.
+    rows: (m, 6n), of length 1, orthogonal to common shifts.
     bounds: (m,)
     lower, upper: (3,) [m], the common shift's range that the arena leaves, besides LARGEST.
     """
@@ -357,29 +329,51 @@ class HalfSpaces:
     lower: Array
     upper: Array
 
+    def and_(self, other: HalfSpaces) -> HalfSpaces:
+        """Return the offsets that are in both sets."""
+        return HalfSpaces(
+            np.concatenate([self.rows, other.rows]),
+            np.concatenate([self.bounds, other.bounds]),
+            np.maximum(self.lower, other.lower),
+            np.minimum(self.upper, other.upper),
+        )
+
     def within(self, offsets: Array) -> Array:
         """Return offsets (2n, 3) [m] of the set near the given ones."""
-        count = len(offsets)
-        common = np.add.reduce(offsets, 0) / count
+        common = np.add.reduce(offsets, 0) / len(offsets)
         own = (offsets - common).ravel()
-        common = np.minimum(np.maximum(common, self.lower), self.upper)
         beyond = self.rows @ own - self.bounds
         if beyond.size and beyond.max() > 0.0:
             for _ in range(PASSES):
                 own = own - np.maximum(beyond, 0.0) @ self.rows
                 beyond = self.rows @ own - self.bounds
-            each = own.reshape(-1, 3)
-            own = (each - np.add.reduce(each, 0) / count).ravel()
-            values = self.rows @ own
-            broken = values > self.bounds
-            if broken.any():
-                own = own * float((self.bounds[broken] / values[broken]).min())
+            if beyond.max() > 0.0:
+                broken = beyond > 0.0
+                bounds = self.bounds[broken]
+                own = own * float((bounds / (beyond[broken] + bounds)).min())
         each = own.reshape(-1, 3)
         largest = math.sqrt(((each * each) @ ONES).max())
         if largest > LARGEST:
             each = each * (LARGEST / largest)
-        found: Array = each + common
+        found: Array = each + np.minimum(np.maximum(common, self.lower), self.upper)
         return found
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """A span of the plan in which directions stay what they are.
+
+    Attributes
+    ----------
+    kept: offsets that keep all distances in it.
+    aimed: those that keep them in the next cell as well.
+    forward, inverse: see ``vertex_responses``.
+    """
+
+    kept: HalfSpaces
+    aimed: HalfSpaces
+    forward: Array
+    inverse: Array
 
 
 def covered_set(motion: Motion, reserve: float) -> tuple[Array, tuple[HalfSpaces | None, ...]]:
@@ -470,7 +464,8 @@ def _half_spaces(
                 row[each, b] += n
                 row[each, a] -= n
                 bound = np.maximum(along - pair.limit - spare, 0.0)
-                own = row[:, :count].reshape(len(near), 3 * count)
+                row = row[:, :count] - np.mean(row[:, :count], axis=1, keepdims=True)
+                own = row.reshape(len(near), 3 * count)
                 length = np.linalg.norm(own, axis=1)
                 kept = (length > 0.0) & (bound < np.sqrt(2.0) * LARGEST * length)
                 rows.append(own[kept] / length[kept, None])

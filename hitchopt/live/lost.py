@@ -1,11 +1,12 @@
 """Reactions to the loss of a drone: survivors let go, and sink clear of where it swings and falls.
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
-certificate allows, and the team sinks as a whole, as fast as the limits leave room for, until it is
-on the ground; drones that are higher go straight down then. A team that sinks as a whole keeps all
-its distances, and while it gathers speed, what falls pulls less. All survivors of a hitch let
-tension go in a moment; the lost drone swings below its clasp then, while its cable runs. Where
-cables hang free it has to reach the ground before its cable is taut, since no drone carries two.
+certificate allows, and the team sinks as a whole until it is on the ground: at once with the
+largest of a few shares of the limits that the stop leaves, else after the stop. Drones that are
+higher go straight down then. A team that sinks as a whole keeps all its distances. All survivors of
+a hitch let tension go in a moment; the lost drone swings below its clasp then, while its cable
+runs. Where cables hang free it has to reach the ground before its cable is taut, since no drone
+carries two.
 """
 
 from __future__ import annotations
@@ -21,7 +22,6 @@ from hitchopt.checks.certificate import Check
 from hitchopt.checks.drones import largest_static_thrust
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
-from hitchopt.geometry.vectors import dot
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import Aborts, until_stop
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
@@ -42,21 +42,8 @@ LETTING_GO = 0.3
 falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
 was let go at once, or in twice the time."""
 
-STOPS = (1.0, 1.5, 2.2)
-"""Durations of the clock's stop that are tried, over that of the shortest one: a slow stop leaves
-more acceleration for sinking."""
-
-SHARES = (0.97, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.12)
-"""Shares of the limits that sinking is tried with while the clock slows down."""
-
-COURSES = 12
-"""Number of courses that are certified, before one that sinks only after the stop."""
-
-SWUNG = 0.65
-"""[s] Time after the loss at which a lost drone pulls most: the deepest team then is preferred."""
-
-SAMPLE, LATER = 0.01, 0.05
-"""[s] Distance of the samples of a stop, and of the times at which sinking is tried to begin."""
+SHARES = (0.8, 0.5, 0.3)
+"""Shares of the limits that sinking is tried with from the reaction on, while the clock stops."""
 
 HOLD, REST = 0.1, 0.2
 """[s] Rest of drones whose cables hang free before they land, and of a team that has sunk."""
@@ -179,14 +166,12 @@ class Reactions:
         if motion.team.has_cables and motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
         begins = min(time + DELAY, motion.duration)
-        stops = [self._stopped(begins, longer) for longer in STOPS]
-        first = stops[0]
-        if motion.team.has_cables and not first.phases[-1].formed:
-            tries = [followed(first, resting(first, HOLD))]  # no cable is dragged on the ground
+        stopped = self._stopped(begins)
+        if motion.team.has_cables and not stopped.phases[-1].formed:
+            tries = [followed(stopped, resting(stopped, HOLD))]  # no cable is dragged on the ground
         else:
-            choices = _deepest_first(stops, begins, time + SWUNG)[:COURSES]
-            choices.append((first, first.duration, SHARES[0]))
-            tries = [_sunk(*each) for each in choices]
+            tries = [_sunk(stopped, begins, share) for share in SHARES]
+            tries.append(_sunk(stopped, stopped.duration, 1.0))
         refusal: Check | None = None
         for sinking in tries:
             landing = tuple(_landed(sinking))
@@ -200,14 +185,12 @@ class Reactions:
         values = f"{refusal.worst:.4g} {refusal.unit} ({refusal.number:.4g})"
         raise _none(time, f"sinking breaks {refusal.name}: {values}")
 
-    def _stopped(self, time: float, longer: float) -> Motion:
-        """Return the plan that rests after a time [s], a factor later than it can at the least."""
+    def _stopped(self, time: float) -> Motion:
+        """Return the plan that rests as soon after a time [s] as its clock can."""
         motion = self.motion.untimed
         if time >= motion.duration - JOINT:
             return motion
-        start, duration = self._aborts.stops.after(time)
-        duration = min(longer * duration, 2.0 * (motion.duration - start))
-        return until_stop(motion, start, duration, REST)[0]
+        return until_stop(motion, *self._aborts.stops.after(time), REST)[0]
 
     def _hitched(self, _course: Course, lost: int, states: States) -> tuple[float, float]:
         """Return the thrust and the nearest distance of a hitch that has lost a drone."""
@@ -352,41 +335,6 @@ def _shift(motion: Motion, share: float) -> PiecewisePolynomial:
     down = fastest_clock(_depth(motion), *(share * bound for bound in bounds))
     below = np.array([0.0, 0.0, -1.0])[:, None]
     return PiecewisePolynomial(down.breaks, below * down.coefficients[:, None])
-
-
-def _deepest_first(
-    stops: list[Motion], first: float, swung: float
-) -> list[tuple[Motion, float, float]]:
-    """Return stops, and times and shares with which to sink, the deepest at ``swung`` [s] ahead.
-
-    Left out is what breaks a limit at samples from ``first`` [s] on: what is left of the limits
-    while a plan stops changes, and to begin later with more of them may sink the team sooner.
-    """
-    found: list[tuple[float, float, float, Motion]] = []
-    for motion in stops:
-        if _depth(motion) <= LEAST:
-            continue
-        limits = motion.requirements.limits
-        bounds = {1: limits.speed, 2: limits.acceleration, 3: limits.jerk}
-        t = np.append(np.arange(first, motion.duration, SAMPLE), motion.duration)
-        flown = {order: motion.drones.at(t, order) for order in bounds}
-        begins = np.append(np.arange(first, motion.duration, LATER), motion.duration)
-        for share in SHARES:
-            shift = _shift(motion, share)
-            since = t - begins[:, None]
-            moves = ((since > 0.0) & (since < shift.duration))[..., None]
-            since = np.clip(since, 0.0, shift.duration)
-            kept = np.ones(len(begins), dtype=np.bool_)
-            for order, bound in bounds.items():
-                by = np.where(moves, shift.at(since, order), 0.0)
-                for i in np.flatnonzero(kept):
-                    sums = flown[order] + by[i, :, None]
-                    kept[i] = np.max(dot(sums, sums)) <= bound**2
-            heights = shift.at(np.clip(swung - begins, 0.0, shift.duration))[:, 2]
-            rows = zip(heights[kept].tolist(), begins[kept].tolist(), strict=True)
-            found += [(height, begin, -share, motion) for height, begin in rows]
-    found.sort(key=lambda each: each[:3])
-    return [(motion, begin, -share) for _, begin, share, motion in found]
 
 
 def _sunk(motion: Motion, begin: float, share: float) -> Motion:

@@ -1,36 +1,27 @@
-"""Energy of a hitch whose drones give way: its nodes, spans and cables, and its minimum.
+"""The law of cables between drones that give way, and where their energy is least.
 
 Nodes are the drones q0, r0, q1, …, then the clasps. Every cable runs over four of them, drone,
 clasp, clasp, drone. Where a chain's end has no leg the drone stands in for the clasp as well, and
 the span between the two is left out.
 
-Clasps are without friction. A hanging span with chord v, of length s and level length h, and with
-the tension m at the height of its chord's middle, costs the energy ``∫ (tension) ds``; to the
-second order in its weight w over m
+A hanging span with chord v, of length s and level length h, and with the tension m at the height
+of its chord's middle, costs the energy ``∫ (tension) ds``; to the second order in its weight w over
+m that is ``E(v, m) = m s - w² s h²/(24 m)``. Its slope by m is its arc length ``s + w² s h²/(24
+m²)``, its slope by v the force on its ends but for half of its weight. Tension grows with height:
+``m = T + w (z - z₀)``, z the height of the chord's middle, with one T for all spans of a cable.
+With the cable's length L and its stretch ``a (T - T₀)`` the energy of a cable is the maximum over T
+of ``Σ E(v, m) - T L - a (T - T₀)²/2``: there arcs and stretch make up the length. T is at least the
+tension at which the cable is slack; below that tension arcs are constant.
 
-    E(v, m) = m s - w² s h²/(24 m).
-
-Its slope by m is its arc length ``s + w² s h²/(24 m²)``, its slope by v the force on its ends but
-for half of its weight. Tension grows with height: ``m = T + w (z - z₀)``, z the height of the
-chord's middle, with one T for all spans of a cable. With the cable's length L and its stretch ``a
-(T - T₀)`` the energy of a cable is the maximum over T of
-
-    Σ E(v, m) - T L - a (T - T₀)²/2;
-
-at the maximum arcs and stretch make up the length. The next order is ``7 (w s/m)⁴ m s/1920``, and
-nothing where spans hang by less than a tenth of their chord. T is at least the tension at which the
-cable is slack; below that tension arcs are taken to be constant.
-
-Drones of stiffness k add ``½ k |x - x_set|² - F·x``, loads ``-w·x``. Newton's method finds the
-minimum for many samples at once. The Hessian is exact and sparse; a diagonal is added where a step
-does not descend, and steps are shortened until the energy falls enough (Armijo). Where cables weigh
-nothing the energy is convex, so that the minimum is global.
+Drones of stiffness k add ``½ k |x - x_set|² - F·x``, loads ``-w·x``. Where cables weigh nothing the
+energy is convex, so that its minimum is global. With friction at the clasps legs pull with
+``e^{μθ}`` times what edges do, θ the angle of the bend: forces balance, but there is no energy.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,440 +29,18 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import SuperLU, splu
 
 from hitchopt.hitch import Team
+from hitchopt.hitch.team import Index
 from hitchopt.values import Array
-
-Index = NDArray[np.intp]
-
-INCIDENCE = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, -1.0, 1.0, 0.0], [0.0, 0.0, -1.0, 1.0]])
-"""(3, 4): each span of a cable from one of its nodes to the next."""
-
-MIDDLES = 0.5 * np.abs(INCIDENCE)
-"""(3, 4): the middle of each span."""
-
-
-def add_at_nodes(totals: Array, nodes: Index, added: Array) -> None:
-    """Add values (S, *k, …) to those of the nodes (*k) in totals (S, nodes, …); nodes may recur."""
-    np.add.at(totals.swapaxes(0, 1), nodes, np.moveaxis(added, 0, nodes.ndim))
-
-
-@dataclass(frozen=True, eq=False)
-class Rigging:
-    """Nodes and spans of a team, and which nodes give way.
-
-    Attributes
-    ----------
-    drones: number 2n of drones, the first nodes.
-    clasps: (c,), the points that are clasps; their nodes follow.
-    nodes: (n, 4), nodes that each cable runs over.
-    spans: (n, 3), whether q-leg, edge and r-leg exist.
-    free: (2n + c,), whether a node moves: clasps, and drones that are not held in place.
-    points: (points,), the node at each point.
-    """
-
-    drones: int
-    clasps: Index
-    nodes: Index
-    spans: NDArray[np.bool_]
-    free: NDArray[np.bool_]
-    points: Index
-
-    @classmethod
-    def of(cls, team: Team, held: NDArray[np.bool_]) -> Rigging:
-        """Return the rigging of a team whose drones (2n,) are held in place or give way."""
-        layout, n = team.layout, team.robots
-        points = np.zeros(layout.points, dtype=np.intp)
-        points[layout.clasps] = 2 * n + np.arange(len(layout.clasps))
-        for point, drone in ((0, 0), (layout.points - 1, 2 * n - 1)) if not layout.closed else ():
-            points[point] = drone
-        cables = np.arange(n)
-        nodes = np.column_stack(
-            [2 * cables, points[layout.starts], points[layout.ends], 2 * cables + 1]
-        )
-        spans = np.column_stack([layout.has_leg[:, 0], np.ones(n, np.bool_), layout.has_leg[:, 1]])
-        free = np.concatenate([~held, np.ones(len(layout.clasps), np.bool_)])
-        return cls(2 * n, layout.clasps, nodes, spans, free, points)
-
-    @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return len(self.free)
-
-    @cached_property
-    def unknowns(self) -> Index:
-        """(m,): indices of the coordinates that move, in an array (nodes, 3) that is flattened."""
-        return np.flatnonzero(np.repeat(self.free, 3))
-
-    @cached_property
-    def _pattern(self) -> tuple[Index, Index, csc_array]:
-        """Rows and columns of the entries of a Hessian, and the sum of blocks into entries."""
-        coordinates = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, 12)
-        rows = np.concatenate(
-            [np.repeat(coordinates, 12, axis=1).ravel(), np.arange(3 * self.count)]
-        )
-        columns = np.concatenate([np.tile(coordinates, 12).ravel(), np.arange(3 * self.count)])
-        keys, place = np.unique(columns * (3 * self.count) + rows, return_inverse=True)
-        shape = (len(keys), len(rows))
-        total = coo_array((np.ones(len(rows)), (place, np.arange(len(rows)))), shape=shape)
-        return keys % (3 * self.count), keys // (3 * self.count), csc_array(total)
-
-    def matrix(self, blocks: Array, diagonal: Array) -> csc_array:
-        """Return the block-diagonal matrix (S N, S N) of the Hessians of S samples, N = 3 nodes.
-
-        Parameters
-        ----------
-        blocks: (S, n, 12, 12), one per cable and its four nodes.
-        diagonal: (S, N), added to it.
-        """
-        rows, columns, total = self._pattern
-        samples, size = len(blocks), 3 * self.count
-        parts = np.concatenate([blocks.reshape(samples, -1), diagonal], axis=1)
-        values = (total @ parts.T).T
-        shift = size * np.arange(samples)[:, None]
-        places = ((rows + shift).ravel(), (columns + shift).ravel())
-        return csc_array((values.ravel(), places), shape=(samples * size, samples * size))
-
-    def factor(self, blocks: Array, diagonal: Array) -> Factor:
-        """Return the factors of the Hessians in the coordinates that move."""
-        samples, size = len(blocks), 3 * self.count
-        moving = (self.unknowns + size * np.arange(samples)[:, None]).ravel()
-        inner = self.matrix(blocks, diagonal)[moving][:, moving]
-        # Symmetric and all but positive definite: the diagonal serves as pivots.
-        factors = splu(
-            csc_array(inner),
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        return Factor(self, samples, factors)
-
-
-@dataclass(frozen=True, eq=False)
-class Factor:
-    """Factors of the Hessians of some samples."""
-
-    rigging: Rigging
-    samples: int
-    factors: SuperLU
-
-    def solve(self, forces: Array) -> Array:
-        """Return the displacements that forces (S, nodes, 3, …) cause, of the same shape."""
-        shape = forces.shape
-        unknowns = self.rigging.unknowns
-        flat = forces.reshape(self.samples, 3 * self.rigging.count, -1)
-        right = np.ascontiguousarray(flat[:, unknowns].reshape(-1, flat.shape[-1]))
-        found = np.zeros(flat.shape)
-        solved = self.factors.solve(right)
-        found[:, unknowns] = solved.reshape(self.samples, len(unknowns), -1)
-        return found.reshape(shape)
-
-
-NEWTON = 60
-"""Number of Newton iterations for T; from below they rise by half at least, then converge
-quadratically."""
-
-CONVERGED = 1e-11
-"""Relative step that ends the iteration: the next one would be the square of it."""
-
-BEGINNING = 1e-9
-"""Rounding of the tension at which a span begins to be taut, over that tension."""
 
 SAG_RATIO = 4.0
 """A cable is slack where a level span as long as its longest one would hang by more than its chord
 over this number."""
 
-LEVEL = np.array([1.0, 1.0, 0.0])
-"""Level part of a vector."""
+CONVERGED, CABLE_STEPS = 1e-12, 100
+"""Relative step at which a cable's tension is found, and number of steps at most."""
 
-
-def least_tension(weight: float, chords: Array) -> Array:
-    """Return (…, n) [N] the tension at which the longest span hangs by its chord over SAG_RATIO.
-
-    Parameters
-    ----------
-    weight: of the cables per length [N/m].
-    chords: (…, n, 3) [m], of the spans.
-    """
-    least: Array = weight * SAG_RATIO / 8.0 * np.max(chords, axis=-1)
-    return least
-
-
-@dataclass(frozen=True, eq=False)
-class Spans:
-    """Spans of cables.
-
-    Attributes
-    ----------
-    vectors: (…, n, 3, 3) [m], from end to end; zero where a chain's end has no leg.
-    middles: (…, n, 3) [m], heights of their middles.
-    chords: (…, n, 3) [m], lengths.
-    directions: (…, n, 3, 3), zero where there is no length.
-    bulges: (…, n, 3) [m³], ``s h²``.
-    """
-
-    vectors: Array
-    middles: Array
-    chords: Array
-    directions: Array
-    bulges: Array
-
-    @classmethod
-    def between(cls, ends: Array, exist: NDArray[np.bool_]) -> Spans:
-        """Return the spans between the four nodes (…, n, 4, 3) [m] of cables.
-
-        Parameters
-        ----------
-        exist: (n, 3), which of them there are.
-        """
-        vectors = np.where(exist[..., None], np.diff(ends, axis=-2), 0.0)
-        chords = np.linalg.norm(vectors, axis=-1)
-        directions = vectors / np.where(chords > 0.0, chords, 1.0)[..., None]
-        middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
-        level = np.sum(vectors[..., :2] ** 2, axis=-1)
-        return cls(vectors, middles, chords, directions, chords * level)
-
-    @property
-    def bulge_slopes(self) -> Array:
-        """(…, n, 3, 3) [m²]: slopes of the bulges by the vectors."""
-        level = np.sum(self.vectors[..., :2] ** 2, axis=-1)[..., None]
-        return np.asarray(
-            level * self.directions + 2.0 * self.chords[..., None] * self.vectors * LEVEL
-        )
-
-    def curvatures(self, tensions: Array, sagging: Array) -> Array:
-        """Return (…, n, 3, 3, 3): second derivatives by the vectors.
-
-        Parameters
-        ----------
-        tensions, sagging: (…, n, 3), factors of the chords and of the bulges.
-        """
-        u, v = self.directions, self.vectors * LEVEL
-        across = np.eye(3) - u[..., :, None] * u[..., None, :]
-        across /= np.where(self.chords > 0.0, self.chords, np.inf)[..., None, None]
-        mixed = u[..., :, None] * v[..., None, :]
-        level = np.sum(self.vectors[..., :2] ** 2, axis=-1)
-        found = (tensions + sagging * level)[..., None, None] * across
-        found += 2.0 * sagging[..., None, None] * (mixed + np.swapaxes(mixed, -1, -2))
-        found += 2.0 * (sagging * self.chords)[..., None, None] * np.diag(LEVEL)
-        return np.asarray(found)
-
-
-@dataclass(frozen=True, eq=False)
-class CableLaw:
-    """Lengths, weight and stretch of cables (…, n).
-
-    Attributes
-    ----------
-    lengths: (…, n) [m], L at the tension T₀.
-    weight: per length [N/m].
-    compliance: (n,) [m/N], a: what a cable grows by per tension.
-    reference: (…, n) [N], T₀.
-    heights: (…, n) [m], z₀.
-    least: (…, n) [N], tension at which a cable is slack.
-    """
-
-    lengths: Array
-    weight: float
-    compliance: Array
-    reference: Array
-    heights: Array
-    least: Array
-
-    def tensions(self, spans: Spans) -> Array:
-        """Return T (…, n) [N]."""
-        a = self.compliance
-        spare = np.sum(spans.chords, axis=-1) - self.lengths + a * self.reference
-        if self.weight == 0.0:
-            return np.asarray(np.maximum(self.least, spare / a))
-        # The excess of length falls with T. It is convex but where a span begins to pull with more
-        # than the least tension: from the last such T at which there is an excess, Newton's method
-        # rises to the solution.
-        T = np.maximum(self.least, np.maximum(spare / a, 0.0))
-        c = self.weight**2 / 24.0
-
-        def excess(T: Array) -> tuple[Array, Array]:
-            """Return the excess of length and how much it falls with T."""
-            m, least = self.middle_tensions(spans, T), self.least[..., None]
-            held = np.maximum(m, least)
-            arcs = c * spans.bulges / held**2
-            falling = np.where(m >= (1.0 - BEGINNING) * least, 2.0 * arcs / held, 0.0)
-            return spare - a * T + np.sum(arcs, axis=-1), a + np.sum(falling, axis=-1)
-
-        begins = self.least[..., None] + self.weight * (self.heights[..., None] - spans.middles)
-        for begin in np.moveaxis(begins, -1, 0):
-            if np.any(begin > T):
-                T = np.where((begin > T) & (excess(begin)[0] >= 0.0), begin, T)
-        for _ in range(NEWTON):
-            over, fall = excess(T)
-            step: Array = np.maximum(over, 0.0) / fall
-            T = T + step
-            if np.all(step <= CONVERGED * T):
-                break
-        return np.asarray(T)
-
-    def slack(self, tensions: Array) -> NDArray[np.bool_]:
-        """Return (…, n) whether cables of these tensions [N] are slack."""
-        return np.asarray(tensions <= self.least)
-
-    def hanging(self, spans: Spans, tensions: Array) -> NDArray[np.bool_]:
-        """Return (…, n) whether cables of these tensions [N] are slack, or hang as slack ones do.
-
-        A span that has come down pulls with less than T: it hangs by its chord over SAG_RATIO where
-        its own tension is ``SAG_RATIO w s/8``.
-        """
-        m = self.middle_tensions(spans, tensions)
-        deep = 8.0 * m < SAG_RATIO * self.weight * spans.chords
-        return np.asarray(self.slack(tensions) | np.any(deep, axis=-1))
-
-    def middle_tensions(self, spans: Spans, tensions: Array) -> Array:
-        """Return m (…, n, 3) [N] at the heights of the spans' middles."""
-        higher = spans.middles - self.heights[..., None]
-        found: Array = tensions[..., None] + self.weight * higher
-        return found
-
-    def energies(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n) [J], but for a constant; T is that of ``tensions``."""
-        m = self.middle_tensions(spans, tensions)
-        hanging = m * spans.chords + self._factors(m)[0] * spans.bulges
-        stretch = 0.5 * self.compliance * (tensions - self.reference) ** 2
-        energies: Array = np.sum(hanging, axis=-1) - tensions * self.lengths - stretch
-        return energies
-
-    def pulls(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n, 3, 3) [N]: slopes of the energy by the spans' vectors."""
-        m = self.middle_tensions(spans, tensions)
-        sagging = self._factors(m)[0][..., None] * spans.bulge_slopes
-        return np.asarray(m[..., None] * spans.directions + sagging)
-
-    def weights(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n, 3) [N] the weights of the spans: slopes of the energy by their heights."""
-        return np.asarray(self.weight * (spans.chords + self.arcs(spans, tensions)))
-
-    def arcs(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n, 3) [m]: what arcs are longer than their chords."""
-        m = self.middle_tensions(spans, tensions)
-        return np.asarray(self._factors(m)[1] * spans.bulges)
-
-    def softness(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n) [m/N]: what a cable gives per tension, by stretch and by less sag."""
-        m = self.middle_tensions(spans, tensions)
-        sag = np.sum(self._factors(m)[2] * spans.bulges, axis=-1)
-        return np.asarray(self.compliance - sag)
-
-    def length_slopes(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n) [N/m]: what T loses per length that the cable is longer."""
-        return np.where(self.slack(tensions), 0.0, 1.0 / self.softness(spans, tensions))
-
-    def arc_slopes(self, spans: Spans, tensions: Array) -> tuple[Array, Array]:
-        """Return the slopes of the arc lengths by vectors (…, n, 3, 3) and heights (…, n, 3)."""
-        _, second, third = self._factors(self.middle_tensions(spans, tensions))
-        by_vectors = spans.directions + second[..., None] * spans.bulge_slopes
-        return by_vectors, self.weight * third * spans.bulges
-
-    def curvatures(self, spans: Spans, tensions: Array) -> Array:
-        """Return (…, n, 3, 3, 3) [N/m]: second derivatives by the vectors at constant T."""
-        m = self.middle_tensions(spans, tensions)
-        return spans.curvatures(m, self._factors(m)[0])
-
-    def _factors(self, m: Array) -> tuple[Array, Array, Array]:
-        """Return the factors of the bulges in energy, arc length, and its slope by m."""
-        if self.weight == 0.0:
-            return (np.zeros_like(m),) * 3
-        c = self.weight**2 / 24.0
-        held = np.maximum(m, self.least[..., None])
-        inside = np.where(m > self.least[..., None], -2.0 * c / held**3, 0.0)
-        return c * (-1.0 / held + (m - held) / held**2), c / held**2, inside
-
-
-@dataclass(frozen=True, eq=False)
-class HitchEnergy:
-    """The energy of S samples of a hitch.
-
-    Attributes
-    ----------
-    rigging: nodes and spans.
-    law: of the cables, (S, n) where it says (…, n).
-    places: (S, 2n, 3) [m], where drones are led.
-    stiffness: (2n,) [N/m], finite for those that give way.
-    forces: (S, nodes, 3) [N], of feed-forward on drones and of loads on clasps.
-    """
-
-    rigging: Rigging
-    law: CableLaw
-    places: Array
-    stiffness: Array
-    forces: Array
-
-    def spans(self, x: Array) -> Spans:
-        """Return the spans between nodes x (S, nodes, 3) [m]."""
-        return Spans.between(x[:, self.rigging.nodes], self.rigging.spans)
-
-    def values(self, x: Array) -> Array:
-        """Return the energies (S,) [J]."""
-        spans = self.spans(x)
-        cables = np.sum(self.law.energies(spans, self.law.tensions(spans)), axis=-1)
-        away = x[:, : self.rigging.drones] - self.places
-        drones = 0.5 * np.einsum("sdi,d,sdi->s", away, self._soft, away)
-        values: Array = cables + drones - np.einsum("sni,sni->s", self.forces, x)
-        return values
-
-    def slopes(self, x: Array) -> Array:
-        """Return the slopes (S, nodes, 3) [N]: minus the force on every node."""
-        spans = self.spans(x)
-        T = self.law.tensions(spans)
-        at_ends = np.einsum("pa,snpi->snai", INCIDENCE, self.law.pulls(spans, T))
-        at_ends[..., 2] += self.law.weights(spans, T) @ MIDDLES
-        slopes: Array = -self.forces.copy()
-        add_at_nodes(slopes, self.rigging.nodes, at_ends)
-        away = x[:, : self.rigging.drones] - self.places
-        slopes[:, : self.rigging.drones] += self._soft[:, None] * away
-        return slopes
-
-    def length_slopes(self, spans: Spans, tensions: Array) -> Array:
-        """Return (S, n, 4, 3): slopes of the cables' arc lengths by their four nodes."""
-        by_vectors, by_heights = self.law.arc_slopes(spans, tensions)
-        slopes = np.einsum("pa,snpi->snai", INCIDENCE, by_vectors)
-        slopes[..., 2] += by_heights @ MIDDLES
-        return np.asarray(slopes)
-
-    def blocks(self, x: Array) -> Array:
-        """Return (S, n, 12, 12) [N/m]: each cable's share of the Hessian, at its four nodes."""
-        spans, law = self.spans(x), self.law
-        T = law.tensions(spans)
-        inner = np.zeros((*T.shape, 3, 3, 3, 3))
-        own = np.arange(3)
-        inner[:, :, own, :, own, :] = np.moveaxis(law.curvatures(spans, T), 2, 0)
-        blocks = _by_ends(_by_ends(inner, 2), 4)
-        if law.weight > 0.0:  # forces grow with height, and weights with arcs
-            by_vectors, by_heights = law.arc_slopes(spans, T)
-            lift = law.weight * np.einsum("pa,snpi,pb->snaib", INCIDENCE, by_vectors, MIDDLES)
-            blocks[..., 2] += lift
-            blocks[:, :, :, 2] += np.einsum("snbja->snabj", lift)
-            higher = law.weight * np.einsum("pa,snp,pb->snab", MIDDLES, by_heights, MIDDLES)
-            blocks[:, :, :, 2, :, 2] += higher
-        longer = self.length_slopes(spans, T)
-        stiff = law.length_slopes(spans, T)[..., None, None, None, None]
-        blocks += stiff * longer[..., :, :, None, None] * longer[:, :, None, None]
-        return np.asarray(blocks.reshape(*T.shape, 12, 12))
-
-    @property
-    def diagonal(self) -> Array:
-        """(3 nodes,) [N/m]: what the drones' stiffness adds to the Hessian."""
-        diagonal = np.zeros(3 * self.rigging.count)
-        diagonal[: 3 * self.rigging.drones] = np.repeat(self._soft, 3)
-        return diagonal
-
-    @property
-    def _soft(self) -> Array:
-        free = self.rigging.free[: self.rigging.drones]
-        return np.where(free, np.where(free, self.stiffness, 1.0), 0.0)
-
-
-def _by_ends(values: Array, axis: int) -> Array:
-    """Return what derivatives by three spans are by their four ends, along ``axis``: INCIDENCEᵀ."""
-    wide = [(0, 0)] * values.ndim
-    wide[axis] = (1, 1)
-    return np.asarray(-np.diff(np.pad(values, wide), axis=axis))
-
+IMAGINARY = 1e-30
+"""[m], [N] Imaginary step by which derivatives are taken: exact to rounding."""
 
 SMALL_FORCE = 1e-11
 """[N] Forces this small on every node end the iteration."""
@@ -482,70 +51,398 @@ ROUNDED_FORCE = 16.0 * float(np.finfo(np.float64).eps)
 LEAST_STIFFNESS = 1e-9
 """[N/m] Added to the Hessian's diagonal: slack cables hold their clasps by nothing."""
 
-NEWTON_STEPS = 200
-"""Number of Newton iterations; warm starts take 5 to 30."""
+NEWTON_STEPS, HALVINGS = 200, 30
+"""Number of Newton steps (5 to 30 are usual), and of times that one is halved."""
 
-HALVINGS = 30
-"""Number of times that a step is halved before damping is raised."""
+FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e6
+"""[N/m] Damping after the first step that does not descend, and the largest one."""
 
-LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e6
-"""[N/m] Range of the damping: clasps of slack cables have no stiffness of their own."""
-
-FIRST_DAMPING = 1e-3
-"""[N/m] Damping after the first step that does not descend."""
-
-DESCENT = 1e-4
-"""Share of the linear decrease that a step must bring (Armijo)."""
-
-ROUNDING = 1e-14
-"""Relative rounding of the energies, by which they may rise."""
+DESCENT, ROUNDING = 1e-4, 1e-14
+"""Share of the linear decrease that a step must bring (Armijo), and rounding of the energies."""
 
 LONGEST_STEP = 0.3
 """[m] Longest step of a node: directions change beyond it."""
 
+SHARES = np.linspace(0.1, 1.0, 10)
+"""Shares of the friction at which the hitch settles on its way to an end of its band."""
+
+BAND_STEPS, LARGEST_FORCE, LONGEST_BAND_STEP = 20, 1e-7, 0.1
+"""Number of Newton steps at each of them (three to five are usual), the largest force without
+balance [N] but for rounding of stiff cables, and the longest step of a node [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cables:
+    """Lengths, weight and stretch of the cables (S, n) of S samples.
+
+    Attributes
+    ----------
+    exist: (n, 3), whether q-leg, edge and r-leg exist.
+    lengths: (S, n) [m], L at the tension T₀.
+    weight: per length [N/m].
+    compliance: (n,) [m/N], a: what a cable grows by per tension.
+    reference: (S, n) [N], T₀.
+    heights: (S, n) [m], z₀.
+    least: (S, n) [N], tension at which a cable is slack.
+    """
+
+    exist: NDArray[np.bool_]
+    lengths: Array
+    weight: float
+    compliance: Array
+    reference: Array
+    heights: Array
+    least: Array
+
+    def spans(self, ends: Any) -> tuple[Any, Any, Any]:
+        """Return the chords (…, S, n, 3, 3) between nodes (…, S, n, 4, 3), lengths and heights [m].
+
+        Heights (…, 3) are those of the middles, over z₀.
+        """
+        chords = np.where(self.exist[..., None], np.diff(ends, axis=-2), 0.0)
+        sizes = np.sqrt(np.sum(chords * chords, axis=-1))
+        middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
+        return chords, sizes, middles - self.heights[..., None]
+
+    def forces(self, ends: Any, T: Any, friction: float = 0.0) -> tuple[Any, Any, Any]:
+        """Return what cables of tensions T pull their nodes with, turned round, and more.
+
+        Parameters
+        ----------
+        ends: (…, S, n, 4, 3) [m], nodes of each cable; real or complex.
+        T: (…, S, n) [N], likewise.
+        friction: μ; positive where legs pull more than edges, negative where they pull less.
+
+        Returns
+        -------
+        forces: (…, S, n, 4, 3) [N], slopes of the energy by the nodes where there is no friction.
+        arcs: (…, S, n) [m], lengths of the cables.
+        energies: (…, S, n) [J], but for a constant and for friction.
+        """
+        chords, sizes, heights = self.spans(ends)
+        units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
+        m = T[..., None] + self.weight * heights
+        sag = self._sag(m)
+        bent = -sag * (2.0 * self._held(m) - m)  # slope of the energy by s h²
+        level = chords[..., 0] ** 2 + chords[..., 1] ** 2
+        pulls = (m + bent * level)[..., None] * units
+        pulls[..., :2] += (2.0 * bent * sizes)[..., None] * chords[..., :2]
+        arcs = sizes * (1.0 + sag * level)
+        stretched = T - self.reference
+        energies = np.sum(sizes * (m + bent * level), axis=-1) - T * self.lengths
+        energies = energies - 0.5 * self.compliance * stretched * stretched
+        if friction:
+            cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
+            bends = np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
+            pulls[..., 0::2, :] *= np.exp(friction * bends)[..., None]
+        forces = np.zeros(ends.shape, dtype=pulls.dtype)
+        forces[..., 1:, :] += pulls
+        forces[..., :-1, :] -= pulls
+        forces[..., 1:, 2] += 0.5 * self.weight * arcs
+        forces[..., :-1, 2] += 0.5 * self.weight * arcs
+        return forces, np.sum(arcs, axis=-1), energies
+
+    def tensions(self, ends: Array) -> Array:
+        """Return the T (S, n) [N] at which cables over nodes (S, n, 4, 3) have their lengths."""
+        chords, sizes, heights = self.spans(ends)
+        a = self.compliance
+        spare = np.sum(sizes, axis=-1) - self.lengths + a * self.reference
+        if self.weight == 0.0:
+            return np.asarray(np.maximum(self.least, spare / a))
+        bulges = sizes * (chords[..., 0] ** 2 + chords[..., 1] ** 2)
+
+        def excess(T: Array) -> tuple[Array, Array]:
+            """Return the excess of length, and how much it falls with T."""
+            m = T[..., None] + self.weight * heights
+            arcs = self._sag(m) * bulges
+            falls = np.where(m > self.least[..., None], 2.0 * arcs / self._held(m), 0.0)
+            return spare - a * T + np.sum(arcs, axis=-1), a + np.sum(falls, axis=-1)
+
+        T = np.maximum(self.least, spare / a)
+        low, high = self.least, T + np.maximum(excess(T)[0], 0.0) / a
+        for _ in range(CABLE_STEPS):  # Newton's method within a bracket
+            over, fall = excess(T)
+            low, high = np.where(over > 0.0, T, low), np.where(over > 0.0, high, T)
+            step = over / fall
+            done = (np.abs(step) <= CONVERGED * T) | ((over <= 0.0) & (self.least >= T))
+            inside = (T + step > low) & (T + step < high)
+            T = np.where(done, T, np.where(inside, T + step, np.sqrt(low * high)))
+            if np.all(done):
+                break
+        return np.asarray(T)
+
+    def hanging(self, ends: Array, T: Array) -> NDArray[np.bool_]:
+        """Return (S, n) whether cables are slack, or one of their spans hangs as slack ones do.
+
+        A span that has come down pulls with less than T: it hangs by its chord over SAG_RATIO where
+        its own tension is ``SAG_RATIO w s/8``.
+        """
+        _, sizes, heights = self.spans(ends)
+        m = T[..., None] + self.weight * heights
+        deep = 8.0 * m < SAG_RATIO * self.weight * sizes
+        return np.asarray((self.least >= T) | np.any(deep, axis=-1))
+
+    def _held(self, m: Any) -> Any:
+        return np.where(m.real > self.least[..., None], m, self.least[..., None])
+
+    def _sag(self, m: Any) -> Any:
+        """Return the slope of arcs by s h² for tensions m (…, 3) [N]."""
+        held = self._held(m)
+        return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2
+
+
+def least_tension(weight: float, chords: Array) -> Array:
+    """Return (…, n) [N] the tension at which the longest span hangs by its chord over SAG_RATIO.
+
+    Parameters
+    ----------
+    weight: of the cables per length [N/m].
+    chords: (…, n, 3) [m], lengths of the spans.
+    """
+    least: Array = weight * SAG_RATIO / 8.0 * np.max(chords, axis=-1)
+    return least
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """Derivatives of cables that have settled, S samples of n.
+
+    Attributes
+    ----------
+    forces: (S, n, 12, 12) [N/m], of the forces on a cable's nodes by these, T following.
+    pulls: (S, n, 12) [N/m], what a longer cable changes these forces by, turned round.
+    tensions: (S, n, 12) [N/m], of T by the nodes.
+    softness: (S, n) [N/m], what T loses per length; zero where a cable is slack.
+    """
+
+    forces: Array
+    pulls: Array
+    tensions: Array
+    softness: Array
+
+
+@dataclass(frozen=True, eq=False)
+class HitchEnergy:
+    """The energy of S samples of a hitch.
+
+    Attributes
+    ----------
+    nodes: (n, 4), nodes that each cable runs over.
+    points: (points,), the node at each point.
+    free: (nodes,), whether a node moves: clasps, and drones that are not held in place.
+    law: of the cables.
+    places: (S, 2n, 3) [m], where drones are led.
+    stiffness: (2n,) [N/m], zero for drones that are held.
+    loads: (S, nodes, 3) [N], forces of feed-forward on drones and of loads on clasps.
+    """
+
+    nodes: Index
+    points: Index
+    free: NDArray[np.bool_]
+    law: Cables
+    places: Array
+    stiffness: Array
+    loads: Array
+
+    @property
+    def drones(self) -> int:
+        """Number of drones, the first nodes."""
+        return len(self.stiffness)
+
+    @property
+    def accuracy(self) -> float:
+        """Rounding of the forces per coordinate [N/m]."""
+        return ROUNDED_FORCE / float(np.min(self.law.compliance))
+
+    def values(self, x: Array) -> Array:
+        """Return the energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
+        ends = x[:, self.nodes]
+        energies = np.sum(self.law.forces(ends, self.law.tensions(ends))[2], axis=-1)
+        away = x[:, : self.drones] - self.places
+        energies += 0.5 * np.einsum("sdi,d,sdi->s", away, self.stiffness, away)
+        return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
+
+    def slopes(self, x: Array, friction: float = 0.0) -> Array:
+        """Return minus the force on every node (S, nodes, 3) [N], zero on those that are held."""
+        ends = x[:, self.nodes]
+        slopes = -self.loads
+        slopes[:, : self.drones] += self.stiffness[:, None] * (x[:, : self.drones] - self.places)
+        at_ends = self.law.forces(ends, self.law.tensions(ends), friction)[0]
+        np.add.at(slopes.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
+        return np.where(self.free[:, None], slopes, 0.0)
+
+    def linear(self, x: Array, friction: float = 0.0) -> Linear:
+        """Return the derivatives of the cables' law at nodes x (S, nodes, 3) [m]."""
+        ends, law = x[:, self.nodes], self.law
+        T = law.tensions(ends)
+        moved = np.eye(12).reshape(12, 1, 1, 4, 3) * (1j * IMAGINARY)
+        by_nodes = law.forces(ends + moved, T + 0j * moved[..., 0, 0], friction)
+        by_tension = law.forces(ends + 0j, T + 1j * IMAGINARY, friction)
+        columns = np.moveaxis(by_nodes[0].imag / IMAGINARY, 0, -1).reshape(*T.shape, 12, 12)
+        arcs = np.moveaxis(by_nodes[1].imag / IMAGINARY, 0, -1)
+        pulled = (by_tension[0].imag / IMAGINARY).reshape(*T.shape, 12)
+        softness = 1.0 / (law.compliance - by_tension[1].imag / IMAGINARY)
+        softness = np.where(law.least >= T, 0.0, softness)
+        along = softness[..., None] * arcs
+        forces = columns + pulled[..., :, None] * along[..., None, :]
+        return Linear(forces, softness[..., None] * pulled, along, softness)
+
+    def matrix(self, blocks: Array, damping: Array | float = LEAST_STIFFNESS) -> csc_array:
+        """Return the derivatives (S N, S N) [N/m] of all forces, N = 3 nodes, sample by sample.
+
+        Parameters
+        ----------
+        blocks: (S, n, 12, 12), those of the cables.
+        damping: (S,) [N/m], added to the diagonal.
+        """
+        samples, size = len(blocks), 3 * len(self.free)
+        shift = size * np.arange(samples)[:, None, None]
+        own = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, 12) + shift
+        rows = np.broadcast_to(own[..., :, None], blocks.shape).ravel()
+        columns = np.broadcast_to(own[..., None, :], blocks.shape).ravel()
+        diagonal = np.zeros((samples, size)) + np.reshape(damping, (-1, 1))
+        diagonal[:, : 3 * self.drones] += np.repeat(self.stiffness, 3)
+        all_ = np.arange(samples * size)
+        entries = np.concatenate([blocks.ravel(), diagonal.ravel()])
+        places = np.concatenate([rows, all_]), np.concatenate([columns, all_])
+        return coo_array((entries, places), shape=(samples * size,) * 2).tocsc()
+
+    def solved(self, matrix: csc_array, forces: Array) -> Array:
+        """Return the displacements (S, nodes, 3, …) [m] that forces of this shape [N] cause."""
+        free = np.flatnonzero(np.tile(np.repeat(self.free, 3), len(forces)))
+        found = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
+        found[free] = _factors(matrix[free][:, free]).solve(forces.reshape(found.shape)[free])
+        return found.reshape(forces.shape)
+
+
+def _factors(matrix: csc_array) -> SuperLU:
+    """Return the factors of a matrix that is all but symmetric: its diagonal has the pivots."""
+    options = {"SymmetricMode": True}
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+
+
+def hitch_energy(
+    team: Team,
+    stiffness: Array,
+    planned: tuple[Array, Array],
+    reference: Array,
+    lengths: Array,
+    weight: float,
+    axial_stiffness: float,
+    places: Array,
+    loads: tuple[Array, Array],
+) -> tuple[HitchEnergy, Array]:
+    """Return the energy of S samples of a team, and the nodes (S, nodes, 3) [m] to start from.
+
+    Parameters
+    ----------
+    team: cables and drones.
+    stiffness: (2n,) [N/m], infinite for drones that are held.
+    planned: drones (S, 2n, 3) and vertices (S, points, 3) [m] of the plan.
+    reference: (S, n) [N], planned tensions.
+    lengths: (S, n) [m], under these.
+    weight: of the cables per length [N/m].
+    axial_stiffness: EA of the cables [N].
+    places: (S, 2n, 3) [m], where drones are led.
+    loads: forces on drones (S, 2n, 3) and on clasps (clasps, 3) [N].
+    """
+    layout, n = team.layout, team.robots
+    points = np.zeros(layout.points, dtype=np.intp)
+    points[layout.clasps] = 2 * n + np.arange(len(layout.clasps))
+    for point, drone in ((0, 0), (layout.points - 1, 2 * n - 1)) if not layout.closed else ():
+        points[point] = drone
+    cables = np.arange(n)
+    ends = points[layout.starts], points[layout.ends]
+    nodes = np.column_stack([2 * cables, *ends, 2 * cables + 1])
+    legs = layout.has_leg
+    exist = np.column_stack([legs[:, 0], np.ones(n, dtype=np.bool_), legs[:, 1]])
+    drones, vertices = planned
+    clasps = vertices[:, layout.clasps]
+    at = np.concatenate([drones, clasps], axis=1)[:, nodes]
+    chords = np.linalg.norm(np.diff(at, axis=2), axis=-1)
+    law = Cables(
+        exist,
+        lengths,
+        weight,
+        team.cable_length / axial_stiffness,
+        reference,
+        0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
+        least_tension(weight, chords),
+    )
+    held = np.isinf(stiffness)
+    free = np.concatenate([~held, np.ones(len(layout.clasps), dtype=np.bool_)])
+    pushed = np.concatenate([loads[0], np.broadcast_to(loads[1], clasps.shape)], axis=1)
+    soft = np.where(held, 0.0, stiffness)
+    start = np.concatenate([places, clasps], axis=1)
+    return HitchEnergy(nodes, points, free, law, places, soft, pushed), start
+
 
 def settled_nodes(energy: HitchEnergy, start: Array) -> Array:
-    """Return the nodes (S, nodes, 3) [m] of least energy; the caller recomputes the residuals.
+    """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method.
+
+    The caller recomputes the residuals. A diagonal is added where a step does not descend; steps
+    are halved until the energy falls enough.
 
     Parameters
     ----------
     energy: of S samples.
     start: (S, nodes, 3) [m], where held drones are, and guesses for the other nodes.
     """
-    x = start.copy()
-    free = energy.rigging.free[:, None]
-    damping = np.full(len(x), LEAST_DAMPING)
-    values = energy.values(x)
-    stiffest = 1.0 / np.min(energy.law.compliance)
-    small = SMALL_FORCE + ROUNDED_FORCE * stiffest * np.max(np.abs(x), axis=(1, 2))
+    x, damping, values = start, np.full(len(start), LEAST_STIFFNESS), energy.values(start)
     for _ in range(NEWTON_STEPS):
-        slopes = np.where(free, energy.slopes(x), 0.0)
+        slopes = energy.slopes(x)
+        small = SMALL_FORCE + energy.accuracy * np.max(np.abs(x), axis=(1, 2))
         active = np.max(np.abs(slopes), axis=(1, 2)) > small
         if not active.any():
             break
-        added = energy.diagonal + damping[:, None]
-        factor = energy.rigging.factor(energy.blocks(x), added)
-        steps = -factor.solve(slopes)
-        longest = np.max(np.linalg.norm(steps, axis=-1), axis=1)
-        steps *= np.minimum(1.0, LONGEST_STEP / np.maximum(longest, 1e-300))[:, None, None]
+        matrix = energy.matrix(energy.linear(x).forces, damping)
+        steps = _shortened(-energy.solved(matrix, slopes), LONGEST_STEP)
         falls = np.einsum("sni,sni->s", steps, slopes)
-        share = np.where(active & (falls < 0.0), 1.0, 0.0)
+        pending, failed = active & (falls < 0.0), active & (falls >= 0.0)
         found, reached = x, values
-        pending = share > 0.0
-        for _ in range(HALVINGS):
+        for share in 0.5 ** np.arange(HALVINGS):
             if not pending.any():
                 break
-            tried = x + share[:, None, None] * steps
+            tried = x + share * steps
             energies = energy.values(tried)
             allowed = values + DESCENT * share * falls + ROUNDING * (1.0 + np.abs(values))
             good = pending & (energies <= allowed)
             found = np.where(good[:, None, None], tried, found)
             reached = np.where(good, energies, reached)
-            pending &= ~good
-            share = np.where(pending, 0.5 * share, share)
-        failed = active & ((falls >= 0.0) | pending)
-        raised = np.maximum(10.0 * damping, FIRST_DAMPING)
-        damping = np.where(failed, raised, np.maximum(0.1 * damping, LEAST_DAMPING))
-        damping = np.minimum(damping, MOST_DAMPING)
+            pending = pending & ~good
+        raised = np.minimum(np.maximum(10.0 * damping, FIRST_DAMPING), MOST_DAMPING)
+        damping = np.where(failed | pending, raised, np.maximum(0.1 * damping, LEAST_STIFFNESS))
         x, values = found, reached
     return x
+
+
+def rubbing_nodes(energy: HitchEnergy, rest: Array, friction: float) -> Array:
+    """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
+
+    Parameters
+    ----------
+    energy: of S samples.
+    rest: (S, nodes, 3) [m], where they rest without friction.
+    friction: coefficient, positive for legs that pull more than edges, negative for less.
+    """
+    x, lost = rest, np.zeros(len(rest), dtype=np.bool_)
+    small = LARGEST_FORCE + 10.0 * energy.accuracy * float(np.max(np.abs(rest)))
+    for share in SHARES if friction else ():
+        for _ in range(BAND_STEPS):
+            slopes = energy.slopes(x, share * friction)
+            moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2)) <= small)
+            if not np.any(moving):
+                break
+            matrix = energy.matrix(energy.linear(x, share * friction).forces)
+            steps = _shortened(-energy.solved(matrix, slopes), LONGEST_BAND_STEP)
+            x = np.where(moving[:, None, None], x + steps, x)
+        else:
+            lost |= moving
+            x = np.where(lost[:, None, None], rest, x)
+    return np.where(lost[:, None, None], np.nan, x)
+
+
+def _shortened(steps: Array, longest: float) -> Array:
+    """Return steps (S, nodes, 3) [m], each sample's shortened such that no node goes farther."""
+    sizes = np.max(np.linalg.norm(steps, axis=-1), axis=1)
+    return np.asarray(steps * np.minimum(1.0, longest / np.maximum(sizes, 1e-300))[:, None, None])

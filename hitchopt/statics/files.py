@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -45,16 +46,6 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     _draw_tensions(left, settled, ranges)
     _draw_vertices(right, settled, ranges)
     return figure
-
-
-def save_statics_picture(path: Path, settled: Settled, ranges: Tolerance | None) -> None:
-    """Draw the picture and write it as a PNG.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
-    """
-    save_figure(draw_statics(settled, ranges), path)
 
 
 def _draw_tensions(axes: Axes, settled: Settled, ranges: Tolerance | None) -> None:
@@ -145,7 +136,7 @@ def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) ->
     """
     content = statics_content(settled, ranges)
     writers = {
-        STATICS_PICTURE: lambda path: save_statics_picture(path, settled, ranges),
+        STATICS_PICTURE: lambda path: save_figure(draw_statics(settled, ranges), path),
         STATICS: lambda path: write_strict_json(path, content),
     }
     return replace_files(directory, writers, tuple(writers), seal=STATICS)
@@ -158,32 +149,17 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
     an end without rest is null.
     """
     team = settled.team
-    cables: list[dict[str, Any]] = [
-        {
-            "name": f"c{k}",
-            "planned_tension": settled.planned_tensions[:, k].tolist(),
-            "tension": settled.tensions[:, k].tolist(),
-            "slack": settled.slack[:, k].tolist(),
-        }
-        for k in range(team.robots)
-    ]
-    vertices: list[dict[str, Any]] = [
-        {
-            "name": name,
-            "planned": settled.planned_vertices[:, k].tolist(),
-            "position": settled.vertices[:, k].tolist(),
-            "band": settled.band[:, k].tolist(),
-        }
-        for k, name in enumerate(team.point_names)
-    ]
-    drones = [
-        {
-            "name": name,
-            "planned": settled.planned_drones[:, i].tolist(),
-            "position": settled.drones[:, i].tolist(),
-        }
-        for i, name in enumerate(team.drone_names)
-    ]
+    cables = {
+        "planned_tension": settled.planned_tensions,
+        "tension": settled.tensions,
+        "slack": settled.slack,
+    }
+    vertices = {
+        "planned": settled.planned_vertices,
+        "position": settled.vertices,
+        "band": settled.band,
+    }
+    drones = {"planned": settled.planned_drones, "position": settled.drones}
     content: dict[str, Any] = {
         "format": STATICS_FORMAT,
         "t": settled.t.tolist(),
@@ -193,21 +169,27 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
         "length_residual": float(settled.length_residual.max()),
     }
     if ranges is not None:
-        content["errors"] = {
-            name: {"bound": size.bound, "deviation": size.deviation}
-            for name, size in vars(ranges.errors).items()
-        }
+        content["errors"] = {name: vars(size) for name, size in vars(ranges.errors).items()}
         content["may_be_slack"] = list(ranges.slack_cables)
         content["tension_remainder"] = ranges.tension_remainders.tolist()
         content["vertex_remainder"] = ranges.vertex_remainders.tolist()
-        limits = ranges.tensions
-        for k, cable in enumerate(cables):
-            cable["smallest"] = limits[:, k, 0].tolist()
-            cable["largest"] = limits[:, k, 1].tolist()
-        for k, vertex in enumerate(vertices):
-            vertex["half_widths"] = ranges.vertex_halves[:, k].tolist()
-            vertex["radius"] = ranges.radii[:, k].tolist()
-    return {**content, "cables": cables, "vertices": vertices, "drones": drones}
+        cables |= {"smallest": ranges.tensions[..., 0], "largest": ranges.tensions[..., 1]}
+        vertices |= {"half_widths": ranges.vertex_halves, "radius": ranges.radii}
+    names = [f"c{k}" for k in range(team.robots)]
+    return {
+        **content,
+        "cables": _rows(names, cables),
+        "vertices": _rows(team.point_names, vertices),
+        "drones": _rows(team.drone_names, drones),
+    }
+
+
+def _rows(names: Sequence[str], columns: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return what is said of each item, from arrays (S, items, …)."""
+    return [
+        {"name": name, **{key: values[:, k].tolist() for key, values in columns.items()}}
+        for k, name in enumerate(names)
+    ]
 
 
 def save_team(path: Path, calibration: Calibration) -> None:
@@ -228,15 +210,13 @@ def save_team(path: Path, calibration: Calibration) -> None:
 def team_text(calibration: Calibration) -> str:
     """Return the block ``team:`` in YAML."""
     team, friction = calibration.task.team, calibration.friction
-    values: dict[str, str] = {}
-    for field in fields(Team):
-        value = getattr(team, field.name)
-        values[field.name] = _plain(value.tolist() if isinstance(value, np.ndarray) else value)
+    names = [field.name for field in fields(Team) if field.name != "quadrotor"]
+    values = {name: _yaml(getattr(team, name)) for name in names}
     errors = ", ".join(f"{one.error:.1g}" for one in calibration.lengths)
     lengths = ", ".join(f"{one.value:.4f}" for one in calibration.lengths)
     values["cable_length"] = f"[{lengths}]  # ± {errors} m"
-    values["cable_density"] = f"{_plain(calibration.density)}  # as assumed"
-    values["cable_friction"] = f"{_plain(team.cable_friction)}  # of the plan: not determined"
+    values["cable_density"] = f"{_yaml(calibration.density)}  # as assumed"
+    values["cable_friction"] = f"{_yaml(team.cable_friction)}  # of the plan: not determined"
     if friction.known:
         values["cable_friction"] = f"{friction.value:.3f}  # ± {friction.error:.1g}"
     values["quadrotor"] = _quadrotors(team.quadrotor, calibration.stiffness)
@@ -247,7 +227,7 @@ def _quadrotors(kinds: Sequence[Quadrotor], stiffness: Sequence[Estimate]) -> st
     """Return one kind where all robots have the same, else a list."""
     texts, remarks = [], []
     for kind, estimate in zip(kinds, stiffness, strict=True):
-        entries = {field.name: _plain(getattr(kind, field.name)) for field in fields(Quadrotor)}
+        entries = {field.name: _yaml(getattr(kind, field.name)) for field in fields(Quadrotor)}
         if estimate.known:
             entries["stiffness"] = f"{estimate.value:.3g}"
         texts.append("{" + ", ".join(f"{name}: {text}" for name, text in entries.items()) + "}")
@@ -258,19 +238,13 @@ def _quadrotors(kinds: Sequence[Quadrotor], stiffness: Sequence[Estimate]) -> st
     return "".join(f"\n    - {a}{b}" for a, b in zip(texts, remarks, strict=True))
 
 
-def _plain(value: object) -> str:
+def _yaml(value: object) -> str:
     """Return a value in YAML."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_plain, value)) + "]"
-    return f"{value:.9g}" if isinstance(value, float) else str(value)
+    return json.dumps(value, default=lambda array: np.round(array, 9).tolist())
 
 
-FLIGHT_SIZE, FLIGHT_DOTS = (11.0, 5.0), 110
-"""Size of the picture [in], and its resolution [1/in]."""
+FLIGHT_SIZE = (11.0, 5.0)
+"""Width and height [inch]."""
 
 LABELLED = 12
 """Largest number of curves for which a legend has space."""
@@ -281,12 +255,10 @@ def save_calibration_picture(path: Path, calibration: Calibration) -> None:
 
     Raises
     ------
-    FileError: the file cannot be written, or its ending names no format.
+    FileError: the file cannot be written.
     """
-    from matplotlib.figure import Figure
-
     task, recording, found = calibration.task, calibration.recording, calibration.comparison
-    figure = Figure(FLIGHT_SIZE, dpi=FLIGHT_DOTS, layout="constrained")
+    figure = new_figure(FLIGHT_SIZE)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.1))
     above = figure.add_subplot(grid[:, 0])
     for k in range(task.team.drones):
@@ -322,9 +294,9 @@ def save_calibration_picture(path: Path, calibration: Calibration) -> None:
         axes.set(ylabel=title, xlabel="t [s]" if row else "")
         axes.grid(alpha=0.3)
     try:
-        figure.savefig(path)
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be written: {error}; take .png or .pdf") from error
+        save_figure(figure, path)
+    except OSError as error:
+        raise FileError(f"{path}: cannot be written: {error}") from error
 
 
 FIT_SIZE = (12.0, 4.6)
@@ -353,16 +325,6 @@ def draw_fit(fit: Fit) -> Figure:
         _draw_hitch(axes[2], fit, holding.rest)
     axes[2].set_title(_held("rest", holding.rest_capacity))
     return figure
-
-
-def save_fit_picture(path: Path, fit: Fit) -> None:
-    """Draw the picture and write it as a PNG.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
-    """
-    save_figure(draw_fit(fit), path)
 
 
 def _held(by: str, capacity: Capacity) -> str:
@@ -436,7 +398,7 @@ def save_fit(directory: Path, fit: Fit) -> None:
     """
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
-    save_fit_picture(directory / "fit.png", fit)
+    save_figure(draw_fit(fit), directory / "fit.png")
 
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """Where a plan's hitch comes to rest while its drones give way, with friction or without.
 
-Residuals of what has settled are recomputed from positions and tensions alone, without the energy
-whose minimum the solver looks for.
+Forces without balance are recomputed from positions and tensions that are returned.
 
 By the capstan's law a leg may pull with up to ``e^{μθ}`` times what its cable's edge pulls with, or
 with as little as ``e^{-μθ}`` times that; θ is the angle by which the cable bends at the clasp. The
@@ -20,23 +19,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError, Violation
+from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import States, states_at
 from hitchopt.plan import Plan
-from hitchopt.statics.energy import (
-    INCIDENCE,
-    LEAST_STIFFNESS,
-    ROUNDED_FORCE,
-    CableLaw,
-    HitchEnergy,
-    Rigging,
-    Spans,
-    add_at_nodes,
-    least_tension,
-    settled_nodes,
-)
+from hitchopt.statics.energy import HitchEnergy, hitch_energy, rubbing_nodes, settled_nodes
 from hitchopt.values import Array, instance, not_negative, positive
 
 AXIAL_STIFFNESS = 1e4
@@ -164,7 +153,7 @@ def _array(name: str, given: ArrayLike, shape: tuple[int, ...], least: float = -
 
 
 SLACK_SHARE = 1e-6
-"""Tension over the planned one up to which the length of a cable is not compared: it is slack."""
+"""Tension over the planned one up to which a cable is slack, its length not compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,173 +244,25 @@ def named(letter: str, flags: NDArray[np.bool_]) -> tuple[str, ...]:
     return tuple(f"{letter}{k}" for k in columns)
 
 
-def residuals(energy: HitchEnergy, x: Array, tensions: Array) -> tuple[Array, Array]:
-    """Return the largest force without balance (S,) [N] and error of a taut cable's length [m].
-
-    A span of length s and level length h, with the tension m at the height of its chord's middle,
-    pulls its two ends along its chord with ``m - w² h²/(24 m)``, less ``w² s/(12 m)`` times its
-    level part; it puts half of its arc's weight on each. Where m is less than the least tension at
-    which a cable is taut, arcs are those at that tension, and the force is linear in m.
-
-    Parameters
-    ----------
-    energy: what is known of drones, cables and loads.
-    x: (S, nodes, 3) [m]
-    tensions: (S, n) [N], at the heights of the edges' middles.
-    """
-    rigging, law = energy.rigging, energy.law
-    forces = energy.forces.copy()
-    soft = np.flatnonzero(rigging.free[: rigging.drones])
-    away = (energy.places - x[:, : rigging.drones])[:, soft]
-    forces[:, soft] += energy.stiffness[soft, None] * away
-    lengths = np.zeros(tensions.shape)
-    edges = 0.5 * (x[:, rigging.nodes[:, 1], 2] + x[:, rigging.nodes[:, 2], 2])
-    for part in range(3):
-        cables = np.flatnonzero(rigging.spans[:, part])
-        first, second = rigging.nodes[cables, part], rigging.nodes[cables, part + 1]
-        chord = x[:, second] - x[:, first]
-        s, h = (np.sqrt(np.sum(chord[..., :axes] ** 2, axis=-1)) for axes in (3, 2))
-        middle = 0.5 * (x[:, first, 2] + x[:, second, 2])
-        m = tensions[:, cables] + law.weight * (middle - edges[:, cables])
-        held = np.maximum(m, law.least[:, cables])
-        held = np.where(held > 0.0, held, np.inf)
-        sag = law.weight**2 / (24.0 * held**2)
-        bent = sag * (2.0 * held - m) if law.weight > 0.0 else np.zeros_like(m)
-        force = ((m - bent * h**2) / s)[..., None] * chord
-        force[..., :2] -= (2.0 * bent * s)[..., None] * chord[..., :2]
-        add_at_nodes(forces, first, force)
-        add_at_nodes(forces, second, -force)
-        arc = s + sag * s * h**2
-        for end in (first, second):
-            add_at_nodes(forces[..., 2], end, -0.5 * law.weight * arc)
-        lengths[:, cables] += arc
-    free = np.sqrt(np.sum(forces**2, axis=-1))[:, rigging.free]
-    lower = tensions - law.weight * (edges - law.heights)  # at the reference height
-    stretched = law.lengths + law.compliance * (lower - law.reference)
-    taut = (lower > law.least) & (lower > SLACK_SHARE * law.reference)
-    wrong = np.where(taut, np.abs(lengths - stretched), 0.0)
-    return np.max(free, axis=-1, initial=0.0), np.max(wrong, axis=-1)
-
-
-def bearing(
-    team: Team, rigging: Rigging, x: Array, tensions: Array, weight: float
-) -> NDArray[np.bool_]:
+def bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDArray[np.bool_]:
     """Return (S, clasps) whether the two cables of each clasp press on each other.
 
-    The force C with which the other cable acts on a cable is what that cable's two spans pull with,
+    The force with which the other cable acts on a cable is what that cable's two spans pull with,
     and half of their weight, turned round; it has to point into the cable's bend.
 
     Parameters
     ----------
     x: (S, nodes, 3) [m]
-    tensions: (S, n) [N]
-    weight: of the cables per length [N/m].
+    tensions: (S, n) [N], in the edges' middles.
     """
-    layout = team.layout
-    found = np.ones((len(x), len(layout.clasps)), dtype=np.bool_)
-    for cables, node in ((layout.ahead, 1), (layout.behind, 2)):
-        here = rigging.nodes[cables]
-        to_drone = x[:, here[:, node - 1 if node == 1 else 3]] - x[:, here[:, node]]
-        to_edge = x[:, here[:, 3 - node]] - x[:, here[:, node]]
-        sizes = [np.linalg.norm(part, axis=-1, keepdims=True) for part in (to_drone, to_edge)]
-        leg, edge = to_drone / sizes[0], to_edge / sizes[1]
-        contact = -tensions[:, cables, None] * (leg + edge)
-        contact[..., 2] += 0.5 * weight * (sizes[0] + sizes[1])[..., 0]
-        for direction in (leg, edge):
-            found &= np.sum(contact * direction, axis=-1) < 0.0
+    found = np.ones((len(x), len(team.layout.clasps)), dtype=np.bool_)
+    for cables, node, drone in ((team.layout.ahead, 1, 0), (team.layout.behind, 2, 3)):
+        clasp, other, end = (x[:, energy.nodes[cables, k]] for k in (node, 3 - node, drone))
+        leg, edge = end - clasp, other - clasp
+        contact = -tensions[:, cables, None] * (unit(leg) + unit(edge))
+        contact[..., 2] += 0.5 * energy.law.weight * (length(leg) + length(edge))
+        found &= (dot(contact, leg) < 0.0) & (dot(contact, edge) < 0.0)
     return found
-
-
-SHARES = np.linspace(0.1, 1.0, 10)
-"""Shares of the friction at which the hitch settles on the way to the ends of its band."""
-
-BAND_STEPS = 20
-"""Number of Newton iterations at each of them; three to five are usual."""
-
-LARGEST_FORCE = 1e-7
-"""[N] Largest force without balance at an end of the band, but for rounding of stiff cables."""
-
-LONGEST_BAND_STEP = 0.1
-"""[m] Longest step of a node."""
-
-DIFFERENCE, STRETCH_SHARE = 1e-6, 1e-2
-"""[m] Half width of the central differences of friction's forces, less where cables are so stiff
-that it would be more than this share of their stretch."""
-
-
-@dataclass(frozen=True, eq=False)
-class Rubbing:
-    """Friction at the clasps of a hitch.
-
-    Attributes
-    ----------
-    energy: without friction, of S samples.
-    friction: μ times the share of it that is used, positive where legs pull more than edges.
-    """
-
-    energy: HitchEnergy
-    friction: float
-
-    def forces(self, ends: Array) -> Array:
-        """Return what friction adds to the slopes (…, S, n, 4, 3) [N] at the cables' nodes."""
-        spans = Spans.between(ends, self.energy.rigging.spans)
-        law = self.energy.law
-        pulls = law.pulls(spans, law.tensions(spans))
-        along = spans.directions
-        cosines = np.sum(along[..., 1:, :] * along[..., :-1, :], axis=-1)
-        bends = np.arccos(np.clip(cosines, -1.0, 1.0))
-        factors = np.expm1(self.friction * bends)
-        added = np.zeros(pulls.shape)
-        added[..., (0, 2), :] = factors[..., None] * pulls[..., (0, 2), :]
-        return np.asarray(np.einsum("pa,...pi->...ai", INCIDENCE, added))
-
-    def slopes(self, x: Array) -> Array:
-        """Return minus the force on every node (S, nodes, 3) [N]; zero on those that are held."""
-        slopes = self.energy.slopes(x)
-        nodes = self.energy.rigging.nodes
-        add_at_nodes(slopes, nodes, self.forces(x[:, nodes]))
-        return np.where(self.energy.rigging.free[:, None], slopes, 0.0)
-
-    def newton_steps(self, x: Array, slopes: Array) -> Array:
-        """Return the Newton steps (S, nodes, 3) [m], none of them too long."""
-        ends = x[:, self.energy.rigging.nodes]
-        law = self.energy.law
-        stretch = float(np.min(law.compliance) * np.min(law.reference))
-        width = min(DIFFERENCE, STRETCH_SHARE * stretch) or DIFFERENCE
-        moved = width * np.eye(12).reshape(12, 1, 1, 4, 3)
-        apart = self.forces(ends + moved) - self.forces(ends - moved)
-        columns = apart.reshape(*apart.shape[:3], 12) / (2.0 * width)
-        added = np.moveaxis(columns, 0, -1)
-        diagonal = np.tile(self.energy.diagonal + LEAST_STIFFNESS, (len(x), 1))
-        steps = -self.energy.rigging.factor(self.energy.blocks(x) + added, diagonal).solve(slopes)
-        longest = np.max(np.linalg.norm(steps, axis=-1), axis=1)
-        shorter = np.minimum(1.0, LONGEST_BAND_STEP / np.maximum(longest, 1e-300))
-        return np.asarray(steps * shorter[:, None, None])
-
-
-def rubbing_nodes(energy: HitchEnergy, rest: Array, friction: float) -> Array:
-    """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
-
-    Parameters
-    ----------
-    energy: of S samples.
-    rest: (S, nodes, 3) [m], where they rest without friction.
-    friction: coefficient, positive for legs that pull more than edges, negative for less.
-    """
-    x, lost = rest, np.zeros(len(rest), dtype=np.bool_)
-    rounded = 10.0 * ROUNDED_FORCE / np.min(energy.law.compliance) * np.max(np.abs(rest))
-    for share in SHARES:
-        rubbing = Rubbing(energy, friction * share)
-        for _ in range(BAND_STEPS):
-            slopes = rubbing.slopes(x)
-            moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2)) <= LARGEST_FORCE + rounded)
-            if not np.any(moving):
-                break
-            x = np.where(moving[:, None, None], x + rubbing.newton_steps(x, slopes), x)
-        else:
-            lost |= moving
-            x = np.where(lost[:, None, None], rest, x)
-    return np.where(lost[:, None, None], np.nan, x)
 
 
 LARGEST_RESIDUAL = 1e-6
@@ -430,7 +271,7 @@ LARGEST_RESIDUAL = 1e-6
 NO_LEG = 1e-4
 """[m] Length below which a leg has no direction: its drone has come to its vertex."""
 
-NODES = 40_000
+BLOCK = 4000
 """Cables of all samples that are solved for at once, which bounds the memory."""
 
 
@@ -464,32 +305,11 @@ def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
 
 def settle_motion(motion: Motion, t: ArrayLike, conditions: Conditions) -> Settled:
     """Return where the hitch of a motion comes to rest; see ``settle``."""
-    team = motion.team
-    states = hitched_states(motion, t)
-    lengths = conditions.lengths(team)
-    offsets, forces = conditions.errors("offsets", team), conditions.errors("forces", team)
-    shape = np.broadcast_shapes(
-        states.t.shape, lengths.shape[:-1], offsets.shape[:-2], forces.shape[:-2]
-    )
-
-    def samples(values: Array, axes: int) -> Array:
-        inner = values.shape[values.ndim - axes :]
-        return np.broadcast_to(values, (*shape, *inner)).reshape((-1, *inner))
-
-    given = [
-        samples(states.t, 0),
-        samples(states.positions, 2),
-        samples(states.vertices, 2),
-        samples(states.tensions, 1),
-        samples(states.cable_forces, 2),
-        samples(lengths, 1),
-        samples(offsets, 2),
-        samples(forces, 2),
-    ]
-    size = max(1, NODES // team.robots)
+    shape, samples = samples_of(motion, t, conditions)
+    size = max(1, BLOCK // motion.team.robots)
     blocks = [
-        _settled(motion, conditions, *(values[first : first + size] for values in given))
-        for first in range(0, len(given[0]), size)
+        _settled(motion, conditions, [values[first : first + size] for values in samples])
+        for first in range(0, len(samples[0]), size)
     ]
     joined = {
         name: np.concatenate([getattr(block, name) for block in blocks])
@@ -499,7 +319,7 @@ def settle_motion(motion: Motion, t: ArrayLike, conditions: Conditions) -> Settl
     parts: dict[str, Any] = {
         name: values.reshape((*shape, *values.shape[1:])) for name, values in joined.items()
     }
-    return Settled(team=team, **parts)
+    return Settled(team=motion.team, **parts)
 
 
 def hitched_states(motion: Motion, t: ArrayLike) -> States:
@@ -524,88 +344,93 @@ def hitched_states(motion: Motion, t: ArrayLike) -> States:
     return states
 
 
-def energy_of(
-    motion: Motion,
-    conditions: Conditions,
-    positions: Array,
-    vertices: Array,
-    tensions: Array,
-    cable_forces: Array,
-    lengths: Array,
-    offsets: Array,
-    forces: Array,
-) -> tuple[HitchEnergy, Array]:
-    """Return the energy of S samples, and the nodes (S, nodes, 3) [m] from which to start.
+def samples_of(
+    motion: Motion, t: ArrayLike, conditions: Conditions
+) -> tuple[tuple[int, ...], list[Array]]:
+    """Return the shape of times and conditions together, and the arrays (S, …) of all samples.
 
-    Parameters
-    ----------
-    positions, vertices, tensions, cable_forces: the plan's (S, …).
-    lengths, offsets, forces: (S, n) [m], (S, 2n, 3) [m], (S, 2n, 3) [N], those of the conditions.
+    The arrays are times [s], the plan's positions (2n, 3), vertices (points, 3) [m], tensions (n)
+    and cable forces (2n, 3) [N], then lengths (n), offsets (2n, 3) [m] and forces (2n, 3) [N] of
+    the conditions.
     """
-    team, weight = motion.team, GRAVITY * conditions.weight(motion.team)
-    stiffness = conditions.drone_stiffness(team)
-    rigging = Rigging.of(team, np.isinf(stiffness))
-    places = positions + offsets
-    start = np.concatenate([places, vertices[:, rigging.clasps]], axis=1)
-    pushed = np.zeros(start.shape)
-    fed = conditions.fed_forward(team)[:, None]
-    pushed[:, : team.drones] = forces - np.where(fed, cable_forces, 0.0)
-    pushed[:, team.drones :, 2] = -GRAVITY * conditions.loads(team)
-    planned = np.concatenate([positions, vertices[:, rigging.clasps]], axis=1)
-    ends = planned[:, rigging.nodes]
-    chords = np.linalg.norm(np.diff(ends, axis=2), axis=-1)
-    law = CableLaw(
-        lengths,
-        weight,
-        team.cable_length / conditions.axial_stiffness,
-        tensions,
-        0.5 * (ends[:, :, 1, 2] + ends[:, :, 2, 2]),
-        least_tension(weight, chords),
+    team, states = motion.team, hitched_states(motion, t)
+    given = (
+        (states.t, 0),
+        (states.positions, 2),
+        (states.vertices, 2),
+        (states.tensions, 1),
+        (states.cable_forces, 2),
+        (conditions.lengths(team), 1),
+        (conditions.errors("offsets", team), 2),
+        (conditions.errors("forces", team), 2),
     )
-    return HitchEnergy(rigging, law, places, stiffness, pushed), start
+    inner = [values.shape[values.ndim - axes :] for values, axes in given]
+    shape = np.broadcast_shapes(*(v.shape[: v.ndim - axes] for v, axes in given))
+    return shape, [
+        np.broadcast_to(values, (*shape, *own)).reshape((-1, *own))
+        for (values, _), own in zip(given, inner, strict=True)
+    ]
 
 
-def _settled(
-    motion: Motion,
-    conditions: Conditions,
-    t: Array,
-    positions: Array,
-    vertices: Array,
-    tensions: Array,
-    *others: Array,
-) -> Settled:
+def energy_of(
+    motion: Motion, conditions: Conditions, samples: Sequence[Array]
+) -> tuple[HitchEnergy, Array]:
+    """Return the energy of samples, see ``samples_of``, and the nodes to start from [m]."""
     team = motion.team
-    energy, start = energy_of(motion, conditions, positions, vertices, tensions, *others)
-    x = settled_nodes(energy, start)
-    spans = energy.spans(x)
-    pulling = energy.law.tensions(spans)
-    found = energy.law.middle_tensions(spans, pulling)[..., 1]
-    force, length = residuals(energy, x, found)
+    _, positions, vertices, tensions, cable_forces, lengths, offsets, forces = samples
+    weights = np.zeros((len(team.layout.clasps), 3))
+    weights[:, 2] = -GRAVITY * conditions.loads(team)
+    fed = conditions.fed_forward(team)[:, None]
+    return hitch_energy(
+        team,
+        conditions.drone_stiffness(team),
+        (positions, vertices),
+        tensions,
+        lengths,
+        GRAVITY * conditions.weight(team),
+        conditions.axial_stiffness,
+        positions + offsets,
+        (forces - np.where(fed, cable_forces, 0.0), weights),
+    )
+
+
+def _settled(motion: Motion, conditions: Conditions, samples: Sequence[Array]) -> Settled:
+    team = motion.team
+    energy, start = energy_of(motion, conditions, samples)
+    law, x = energy.law, settled_nodes(energy, start)
+    ends = x[:, energy.nodes]
+    T = law.tensions(ends)
+    _, sizes, heights = law.spans(ends)
+    force = np.max(length(energy.slopes(x)), axis=1)
     if not np.max(force) <= LARGEST_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
         remedy = "give drones a stiffness, or cables more length"
-        short = np.where(energy.rigging.spans, spans.chords[worst], np.inf)
+        short = np.min(np.where(law.exist, sizes[worst], np.inf), axis=-1)
         if np.min(short) < NO_LEG:
-            cable = int(np.argmin(np.min(short, axis=-1)))
+            cable = int(np.argmin(short))
             remedy = f"lead its drones farther out: a leg of cable c{cable} has no length left"
-        when = f"at t = {t[worst]:.4g} s"
+        when = f"at t = {samples[0][worst]:.4g} s"
         limit = LARGEST_RESIDUAL
         broken = Violation("settling", float(force[worst]), limit, "max", "N", (), when, remedy)
         raise InfeasibleError([broken], "the hitch finds no rest under these conditions")
-    friction, points = conditions.rubbing(team), energy.rigging.points
-    ends = [rubbing_nodes(energy, x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
+    missing = law.forces(ends, T)[1] - law.lengths - law.compliance * (T - law.reference)
+    pulling = SLACK_SHARE * law.reference < T
+    taut = pulling & (law.least < T)
+    friction, points = conditions.rubbing(team), energy.points
+    rests = [rubbing_nodes(energy, x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
+    tensions = T + law.weight * heights[..., 1]
     return Settled(
         team,
-        t,
+        samples[0],
         x[:, : team.drones],
         x[:, points],
-        np.stack(ends, axis=1),
-        found,
-        energy.law.hanging(spans, pulling),
-        bearing(team, energy.rigging, x, found, energy.law.weight),
-        positions,
-        vertices,
+        np.stack(rests, axis=1),
         tensions,
+        ~pulling | law.hanging(ends, T),
+        bearing(team, energy, x, np.where(pulling, tensions, 0.0)),
+        samples[1],
+        samples[2],
+        samples[3],
         force,
-        length,
+        np.max(np.where(taut, np.abs(missing), 0.0), axis=-1),
     )

@@ -3,8 +3,8 @@
 Derivatives take one linear solve with the Hessian each. At rest the energy's slope is zero for any
 error p, so ``H dx = -∂slope/∂p dp``. A tension's row ``A_k`` of derivatives by the nodes is at the
 same time, turned round, what a longer cable k does to the slope: ``dx = H⁻¹ A_k dL_k``. Rows of
-outputs are found by the adjoint, ``Y = H⁻¹ B`` for the outputs' derivatives B by the nodes, block
-by block: every output depends on every error, so that the work grows with n², the memory with n.
+outputs are found by the adjoint, ``Y = H⁻¹ B`` for the outputs' derivatives B by the nodes. Every
+output depends on every error, so that work and memory grow with n².
 
 To first order every tension and coordinate is linear in the errors: bounds add, standard deviations
 add in squares and count three times. What is left out is measured: the hitch settles at the errors
@@ -14,34 +14,25 @@ widens every range. It is infinite where no rest is found there.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csc_array
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.statics.energy import (
-    LEAST_STIFFNESS,
-    MIDDLES,
-    Factor,
-    HitchEnergy,
-    Index,
-    add_at_nodes,
-)
+from hitchopt.statics.energy import HitchEnergy
 from hitchopt.statics.settle import (
     Conditions,
     Settled,
     energy_of,
-    hitched_states,
     named,
+    samples_of,
     settle_motion,
 )
 from hitchopt.values import Array, as_array, instance, not_negative
@@ -122,122 +113,42 @@ class Errors:
     force: ErrorSize = ErrorSize()
 
 
-BLOCK = 48
-"""Outputs that are solved for at once."""
-
-
 @dataclass(frozen=True, eq=False)
 class Gradients:
-    """Derivatives of some outputs, o of them, in S samples.
+    """Derivatives of the tensions and points of a hitch at rest, o = n + 3 points of them.
 
     Attributes
     ----------
-    cable: (S, o, n) by the cables' lengths.
-    position: (S, o, 2n, 3) by the drones' set points.
-    force: (S, o, 2n, 3) by the forces on drones.
+    cable: (o, n, 1) by the cables' lengths.
+    position: (o, 2n, 3) by the drones' set points.
+    force: (o, 2n, 3) by the forces on drones.
     """
 
     cable: Array
     position: Array
     force: Array
 
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """First-order response of a hitch that has settled at nodes x (S, nodes, 3)."""
-
-    energy: HitchEnergy
-    x: Array
-
-    @cached_property
-    def _cables(self) -> tuple[Array, Array]:
-        """Slopes of T by its cable's nodes (S, n, 4, 3), and by its length turned round (S, n)."""
-        spans, law = self.energy.spans(self.x), self.energy.law
-        T = law.tensions(spans)
-        shorter = law.length_slopes(spans, T)
-        along = shorter[..., None, None] * self.energy.length_slopes(spans, T)
-        return along, shorter
-
-    @cached_property
-    def _tensions(self) -> Array:
-        """Slopes (S, n, 4, 3) of the tensions in the edges' middles, by their cables' nodes."""
-        slopes = self._cables[0].copy()
-        slopes[..., 2] += self.energy.law.weight * MIDDLES[1]
-        return slopes
-
-    @cached_property
-    def _hessian(self) -> tuple[csc_array, Factor]:
-        blocks = self.energy.blocks(self.x)
-        shape = (len(self.x), 3 * self.energy.rigging.count)
-        diagonal = np.broadcast_to(self.energy.diagonal + LEAST_STIFFNESS, shape)
-        rigging = self.energy.rigging
-        return rigging.matrix(blocks, diagonal), rigging.factor(blocks, diagonal)
-
-    def _times_hessian(self, nodes: Array) -> Array:
-        """Return H times displacements (S, nodes, 3, o)."""
-        flat = nodes.reshape(-1, nodes.shape[-1])
-        return np.asarray(self._hessian[0] @ flat).reshape(nodes.shape)
-
-    def gradients_of_tensions(self, cables: Index) -> Gradients:
-        """Return the gradients of the tensions of some cables (o,) [N/m], [N/N]."""
-        along, shorter = self._tensions, self._cables[1]
-        seeds = np.zeros((*self.x.shape, len(cables)))
-        nodes = self.energy.rigging.nodes[cables]
-        for i, row in enumerate(nodes.T):  # the four nodes of a cable
-            seeds[:, row, :, np.arange(len(cables))] += np.moveaxis(along[:, cables, i], 1, 0)
-        found = self._adjoint(seeds)
-        found.cable[:, np.arange(len(cables)), cables] -= shorter[:, cables]
-        return found
-
-    def gradients_of_points(self, points: Index) -> Gradients:
-        """Return the gradients of points' coordinates, o = 3 for each of them, in order."""
-        seeds = np.zeros((*self.x.shape, 3 * len(points)))
-        nodes = np.repeat(self.energy.rigging.points[points], 3)
-        axes = np.tile(np.arange(3), len(points))
-        seeds[:, nodes, axes, np.arange(3 * len(points))] = 1.0
-        return self._adjoint(seeds)
-
-    def blocks(self, count: int, each: int) -> Iterator[Index]:
-        """Give the indices of ``count`` items, each of them ``each`` outputs, in blocks."""
-        size = max(1, BLOCK // each)
-        for first in range(0, count, size):
-            yield np.arange(first, min(first + size, count))
-
-    def _adjoint(self, seeds: Array) -> Gradients:
-        rigging, drones = self.energy.rigging, self.energy.rigging.drones
-        found = self._hessian[1].solve(seeds)
-        along, _ = self._cables
-        cable = np.einsum("snaio,snai->son", found[:, rigging.nodes], along)
-        soft = rigging.free[:drones]
-        force = np.moveaxis(found[:, :drones], 3, 1)
-        position = np.where(soft, self.energy.stiffness, 0.0)[:, None] * force
-        if not np.all(soft):  # a drone that is held moves its node itself
-            direct = (seeds - self._times_hessian(found))[:, :drones]
-            position = np.where(soft[:, None], position, np.moveaxis(direct, 3, 1))
-        return Gradients(cable, position, force)
-
-    def to(self, cable: Array, position: Array, force: Array) -> tuple[Array, Array]:
-        """Return the changes of nodes (o, nodes, 3) [m] and tensions (o, n) [N] of one sample.
-
-        Parameters
-        ----------
-        cable: (o, n) [m], changes of the lengths.
-        position, force: (o, 2n, 3) [m], [N], changes of set points and forces on drones.
-        """
-        rigging, drones = self.energy.rigging, self.energy.rigging.drones
-        along, shorter = self._cables
-        soft = rigging.free[:drones, None]
-        held = np.zeros((len(cable), *self.x.shape[1:]))
-        held[:, :drones] = np.where(soft, 0.0, position)
-        stiffness = np.where(soft, self.energy.stiffness[:, None], 0.0)
-        pushed = np.zeros(held.shape)
-        pushed[:, :drones] = np.where(soft, stiffness * position + force, 0.0)
-        add_at_nodes(pushed, rigging.nodes, cable[..., None, None] * along)
-        columns = np.moveaxis(held, 0, 2)[None]
-        right = np.moveaxis(pushed, 0, 2)[None] - self._times_hessian(columns)
-        moved = np.moveaxis((columns + self._hessian[1].solve(right))[0], 2, 0)
-        tensions = np.einsum("snai,nai->sn", moved[:, rigging.nodes], self._tensions[0])
-        return moved, tensions - shorter * cable
+    @classmethod
+    def of(cls, energy: HitchEnergy, x: Array) -> Gradients:
+        """Return the derivatives of one sample that has settled at nodes x (1, nodes, 3) [m]."""
+        law, nodes, cables = energy.law, energy.nodes, np.arange(len(energy.nodes))
+        found, count = energy.linear(x), len(cables) + 3 * len(energy.points)
+        seeds = np.zeros((*x.shape, count))  # outputs by nodes
+        slopes = found.tensions[0].reshape(-1, 4, 3).copy()
+        slopes[:, 1:3, 2] += 0.5 * law.weight  # tensions are those in the edges' middles
+        for k in range(4):
+            seeds[0, nodes[:, k], :, cables] += slopes[:, k]
+        for k, node in enumerate(energy.points):
+            seeds[0, node, :, len(cables) + 3 * k : len(cables) + 3 * k + 3] = np.eye(3)
+        matrix = energy.matrix(found.forces)
+        y = energy.solved(matrix, seeds)
+        direct = (seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)).reshape(y.shape)
+        y, direct = np.moveaxis(y[0], -1, 0), np.moveaxis(direct[0], -1, 0)
+        cable = np.einsum("onai,nai->on", y[:, nodes], found.pulls[0].reshape(-1, 4, 3))
+        cable[cables, cables] -= found.softness[0]
+        force, soft = y[:, : energy.drones], energy.stiffness[:, None]
+        position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
+        return cls(cable[..., None], position, force)
 
 
 SAMPLES = 25
@@ -257,8 +168,8 @@ REMAINDER = 2.0
 for what is beyond it."""
 
 
-Corner = tuple[float, Array, Array, Array]
-"""Half width of a range, and the errors of cables, positions and forces that reach its end."""
+Corner = tuple[Array, Array, Array]
+"""Errors of cables (n, 1), positions and forces (2n, 3) that reach the end of a range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -390,105 +301,62 @@ def _range(
     motion: Motion, settled: Settled, i: int, errors: Errors, conditions: Conditions
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
-    response = _response(motion, settled, i, conditions)
-    layout = motion.team.layout
-    worst: list[Corner] = []
-    tensions, halves, ellipsoids = [], [], []
-    for cables in response.blocks(layout.robots, 1):
-        rows = response.gradients_of_tensions(cables)
-        half = _halves(rows, errors)
-        tensions.append(half)
-        worst += _corners(rows, half, errors)
-    corners, worst = _widest(worst), []
-    for points in response.blocks(layout.points, 3):
-        rows = response.gradients_of_points(points)
-        half = _halves(rows, errors)
-        halves.append(half.reshape(-1, 3))
-        ellipsoids.append(_ellipsoids(rows, errors))
-        worst += _corners(rows, half, errors)
-    corners += _widest(worst)
-    pulled, moved = _remainders(motion, settled, i, conditions, response, corners)
-    found = (np.concatenate(parts) for parts in (tensions, halves, ellipsoids))
-    tension, vertex, ellipsoid = found
-    return tension, pulled, vertex, moved, ellipsoid
-
-
-def _widest(corners: list[Corner]) -> list[Corner]:
-    return sorted(corners, key=lambda corner: -corner[0])[:CORNERS]
-
-
-def _response(motion: Motion, settled: Settled, i: int, conditions: Conditions) -> Response:
-    states = hitched_states(motion, settled.t[i : i + 1])
-    given = states.positions, states.vertices, states.tensions, states.cable_forces
-    energy, _ = energy_of(motion, conditions, *given, *_errors_of(motion, conditions))
-    clasps = settled.vertices[i : i + 1, motion.team.layout.clasps]
-    return Response(energy, np.concatenate([settled.drones[i : i + 1], clasps], axis=1))
-
-
-def _errors_of(motion: Motion, conditions: Conditions) -> tuple[Array, Array, Array]:
-    """Return the lengths, offsets and forces of conditions that are the same at all times."""
-    team = motion.team
-    return (
-        conditions.lengths(team)[None],
-        conditions.errors("offsets", team)[None],
-        conditions.errors("forces", team)[None],
-    )
+    energy, _ = energy_of(motion, conditions, samples_of(motion, settled.t[i], conditions)[1])
+    clasps = settled.vertices[i, motion.team.layout.clasps]
+    rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None])
+    halves, n = _halves(rows, errors), motion.team.robots
+    widest = [*np.argsort(-halves[:n])[:CORNERS], *n + np.argsort(-halves[n:])[:CORNERS]]
+    corners = [_corner(rows, int(o), errors) for o in widest]
+    pulled, moved = _remainders(motion, settled, i, conditions, energy.law.least[0], rows, corners)
+    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, _ellipsoids(rows, n, errors)
 
 
 def _kinds(rows: Gradients, errors: Errors) -> tuple[tuple[Array, ErrorSize], ...]:
     """Return the gradients (o, items, 1 or 3) for every kind of error, and its size."""
-    sizes = errors.cable, errors.position, errors.force
-    parts = rows.cable[0, ..., None], rows.position[0], rows.force[0]
-    return tuple(zip(parts, sizes, strict=True))
+    return (rows.cable, errors.cable), (rows.position, errors.position), (rows.force, errors.force)
+
+
+def _spread(rows: Gradients, errors: Errors) -> Array:
+    """Return the standard deviations (o,) of outputs."""
+    kinds = _kinds(rows, errors)
+    squares = sum(np.sum((size.deviation * row) ** 2, axis=(1, 2)) for row, size in kinds)
+    return np.asarray(np.sqrt(squares))
 
 
 def _halves(rows: Gradients, errors: Errors) -> Array:
     """Return the half widths (o,) of the ranges of outputs."""
-    bound: Array = np.zeros(rows.cable.shape[1])
-    square: Array = np.zeros(rows.cable.shape[1])
-    for row, size in _kinds(rows, errors):
-        lengths = np.linalg.norm(row, axis=-1)
-        bound += size.bound * np.sum(lengths, axis=-1)
-        square += (size.deviation * lengths**2 * size.deviation).sum(axis=-1)
-    return bound + DEVIATIONS * np.sqrt(square)
-
-
-def _corners(rows: Gradients, halves: Array, errors: Errors) -> list[Corner]:
-    """Return, of the widest ranges, the half width and the errors that reach its end."""
     kinds = _kinds(rows, errors)
-    spread = np.sqrt(sum(np.sum((size.deviation * row) ** 2, axis=(1, 2)) for row, size in kinds))
-    corners = []
-    for o in np.argsort(-halves)[:CORNERS]:
-        parts = []
-        for row, size in kinds:
-            lengths = np.linalg.norm(row[o], axis=-1, keepdims=True)
-            at_bound = size.bound * row[o] / np.where(lengths > 0.0, lengths, 1.0)
-            normal = DEVIATIONS * size.deviation**2 * row[o] / (spread[o] or 1.0)
-            parts.append(at_bound + normal)
-        corners.append((float(halves[o]), parts[0][..., 0], parts[1], parts[2]))
-    return corners
+    bounds = sum(size.bound * np.sum(length(row), axis=-1) for row, size in kinds)
+    return np.asarray(bounds + DEVIATIONS * _spread(rows, errors))
 
 
-def _ellipsoids(rows: Gradients, errors: Errors) -> Array:
+def _corner(rows: Gradients, o: int, errors: Errors) -> Corner:
+    """Return the errors that reach the end of an output's range."""
+    one = Gradients(rows.cable[o : o + 1], rows.position[o : o + 1], rows.force[o : o + 1])
+    spread = float(_spread(one, errors)[0]) or 1.0
+    cable, position, force = (
+        size.bound * unit(row[0]) + DEVIATIONS * size.deviation**2 * row[0] / spread
+        for row, size in _kinds(one, errors)
+    )
+    return cable, position, force
+
+
+def _ellipsoids(rows: Gradients, n: int, errors: Errors) -> Array:
     """Return (points, 3, 3) [m²] ellipsoids that hold all displacements of points.
 
     The sum of ellipsoids ``E_j`` lies within ``(Σ √tr E_j) Σ E_j/√tr E_j``, of all such the one
     with the least sum of squared axes. Every bound is one of them, all deviations are another.
     """
-    count = rows.cable.shape[1] // 3
-    total, weighted = np.zeros(count), np.zeros((count, 3, 3))
-    spread = np.zeros((count, 3, 3))
+    shapes, spread = [], np.zeros((1, 1, 1, 1))
     for row, size in _kinds(rows, errors):
-        J = row.reshape(count, 3, *row.shape[1:])  # (points, 3, items, 1 or 3)
+        J = row[n:].reshape(-1, 3, *row.shape[1:])  # (points, 3, items, 1 or 3)
         squares = np.einsum("pijc,pkjc->pjik", J, J)
-        roots = np.sqrt(np.trace(squares, axis1=-2, axis2=-1))
-        total += size.bound * np.sum(roots, axis=-1)
-        share = size.bound * np.where(roots > 0.0, 1.0 / np.where(roots > 0.0, roots, 1.0), 0.0)
-        weighted += np.einsum("pj,pjik->pik", share, squares)
-        spread += (DEVIATIONS * size.deviation) ** 2 * np.sum(squares, axis=1)
-    root = np.sqrt(np.trace(spread, axis1=-2, axis2=-1))
-    weighted += spread / np.where(root > 0.0, root, 1.0)[:, None, None]
-    return np.asarray((total + root)[:, None, None] * weighted)
+        shapes.append(size.bound**2 * squares)
+        spread = spread + (DEVIATIONS * size.deviation) ** 2 * np.sum(squares, 1, keepdims=True)
+    each = np.concatenate([*shapes, spread], axis=1)
+    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))
+    shares = np.sum(roots, axis=1, keepdims=True) / np.where(roots > 0.0, roots, np.inf)
+    return np.asarray(np.sum(shares[..., None, None] * each, axis=1))
 
 
 def _remainders(
@@ -496,22 +364,27 @@ def _remainders(
     settled: Settled,
     i: int,
     conditions: Conditions,
-    response: Response,
+    least: Array,
+    rows: Gradients,
     corners: list[Corner],
 ) -> tuple[float, float]:
     """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER."""
-    both = [(sign * c, sign * p, sign * f) for _, c, p, f in corners for sign in (1.0, -1.0)]
+    both = [(sign * c, sign * p, sign * f) for c, p, f in corners for sign in (1.0, -1.0)]
     cable, position, force = (np.stack(part) for part in zip(*both, strict=True))
-    lengths, offsets, forces = _errors_of(motion, conditions)
-    added = {"cable_length": lengths + cable, "offsets": offsets + position}
-    wrong = replace(conditions, **added, forces=forces + force, friction=0.0)
+    team = motion.team
+    added = {
+        "cable_length": conditions.lengths(team) + cable[..., 0],
+        "offsets": conditions.errors("offsets", team) + position,
+        "forces": conditions.errors("forces", team) + force,
+    }
     try:
-        found = settle_motion(motion, settled.t[i], wrong)
+        found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **added))
     except InfeasibleError:  # so far from where it was that first order says nothing
         return np.inf, np.inf
-    moved, pulled = response.to(cable, position, force)
-    expected = np.maximum(settled.tensions[i] + pulled, response.energy.law.least)
-    vertices = settled.vertices[i] + moved[:, response.energy.rigging.points]
-    apart = np.linalg.norm(found.vertices - vertices, axis=-1)
+    sides = zip((rows.cable, rows.position, rows.force), (cable, position, force), strict=True)
+    change = sum(np.einsum("ojc,sjc->so", row, error) for row, error in sides)
+    pulled, moved = np.split(np.asarray(change), [team.robots], axis=1)
+    expected = np.maximum(settled.tensions[i] + pulled, least)
+    vertices = settled.vertices[i] + moved.reshape(len(both), -1, 3)
     tension = float(np.max(np.abs(found.tensions - expected)))
-    return REMAINDER * tension, REMAINDER * float(np.max(apart))
+    return REMAINDER * tension, REMAINDER * float(np.max(length(found.vertices - vertices)))

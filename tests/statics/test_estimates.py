@@ -9,8 +9,10 @@ import pytest
 from synthetic_flight import recorded, shaken
 
 from hitchopt.errors import InputError
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
 from hitchopt.statics.calibrate import estimate_team
+from hitchopt.statics.friction import COSINES, IN_SPACE, TURNS, friction_pulls
 from hitchopt.statics.recordings import compare
 
 POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
@@ -170,3 +172,23 @@ def test_the_comparison_is_the_distance_to_the_plan() -> None:
     np.testing.assert_array_equal(found.moving, (between.t > 2.0) & (between.t < 8.0))
     whole, rest, moving = found.spreads(found.vertices)[0]
     assert rest.mean < moving.largest <= whole.largest
+
+
+def test_friction_is_coulombs_in_space() -> None:
+    """Against vectors: it opposes one surface's velocity over the other's, swapped or reversed."""
+    random = np.random.default_rng(7)
+    for turn in np.radians([20.0, 52.0, 88.0, 119.0]):
+        c, space = np.interp(turn, TURNS, COSINES), np.interp(turn, TURNS, IN_SPACE)
+        frame = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        along_a, along_b = frame[0], c * frame[0] + np.sqrt(1.0 - c**2) * frame[1]
+        assert along_a @ along_b == pytest.approx(c)
+        for rates in random.normal(size=(20, 2)):
+            over = unit(rates[0] * along_a - rates[1] * along_b)
+            on_a, on_b = -turn * space * over, turn * space * over
+            # Where friction pulls a cable back, its leg is pulled the harder by as much.
+            expected = [-on_a @ along_a, -on_b @ along_b]
+            turns = np.full(2, turn)
+            np.testing.assert_allclose(friction_pulls(turns, rates), expected)
+            np.testing.assert_allclose(friction_pulls(turns, rates[::-1]), expected[::-1])
+            np.testing.assert_allclose(friction_pulls(turns, -rates), np.negative(expected))
+            np.testing.assert_allclose(friction_pulls(turns, 7.0 * rates), expected)
