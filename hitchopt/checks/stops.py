@@ -244,16 +244,23 @@ class _Kept:
             fine &= formula(spans).value * (1.0 + SLACK) <= limit(spans)
         return fine
 
-    def keep(self, phases: ClockPhases, owners: int, halvings: int = HALVINGS) -> Flags:
-        """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits.
+    def seems(self, phases: ClockPhases, owners: int) -> Flags:
+        """Return (owners,) whether items that lead somewhere keep limits at samples."""
+        part = np.repeat(phases.duration / SAMPLES, SAMPLES)
+        middles = part * np.tile(0.5 + np.arange(SAMPLES), len(phases))
+        jets = advanced(np.repeat(phases.jets, SAMPLES, axis=0), middles)
+        piece = np.searchsorted(self.breaks, jets[:, 0], side="right") - 1
+        flown = np.flatnonzero((piece >= 0) & (piece < len(self.breaks) - 1))
+        row, item = np.repeat(flown, len(self._leading)), np.tile(self._leading, len(flown))
+        cells = ClockPhases(np.repeat(phases.owner, SAMPLES), jets, np.zeros(len(jets)))
+        kept = np.ones(owners, dtype=np.bool_)
+        for batch in np.array_split(np.arange(len(row)), len(row) // BATCH + 1):
+            points = self.over.flown(self, cells.taken(row[batch]), piece[row[batch]], item[batch])
+            kept[points.cells.owner[~self._keeps(points)]] = False
+        return kept
 
-        Of no halvings, whether they seem to: items that lead somewhere do, at samples.
-        """
-        if not halvings:
-            part = np.repeat(phases.duration / SAMPLES, SAMPLES)
-            begins = part * np.tile(np.arange(float(SAMPLES)), len(phases))
-            jets = advanced(np.repeat(phases.jets, SAMPLES, axis=0), begins)
-            phases = ClockPhases(np.repeat(phases.owner, SAMPLES), jets, part)
+    def keep(self, phases: ClockPhases, owners: int) -> Flags:
+        """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
         cells, piece = phases.cut(self.breaks, 0.0)
         flown = (piece >= 0) & (piece < len(self.breaks) - 1)
         cells, piece = cells.taken(flown), piece[flown]
@@ -264,21 +271,14 @@ class _Kept:
             row = np.arange(first, min(first + count, len(piece)))
             row = row[kept[cells.owner[row]]]
             where, item = np.nonzero(~self._quick(cells.taken(row), piece[row]))
-            if not halvings:
-                leading = np.isin(item, self._leading)
-                where, item = where[leading], item[leading]
             spans = self.over.flown(self, cells.taken(row[where]), piece[row[where]], item)
-            for _ in range(halvings + 1):
-                broken = ~self._keeps(spans.middles())
-                kept[spans.cells.owner[broken]] = False
-                if not halvings:
-                    break
+            kept[spans.cells.owner[~self._keeps(spans.middles())]] = False
+            for _ in range(HALVINGS + 1):
                 spans = spans.chosen(kept[spans.cells.owner])
-                spans = spans.chosen(~self._keeps(spans)).halved()
                 if not len(spans):
                     break
-            else:
-                kept[spans.cells.owner] = False
+                spans = spans.chosen(~self._keeps(spans)).halved()
+            kept[spans.cells.owner] = False
         return kept
 
 
@@ -314,10 +314,15 @@ class ClockLimits(_Kept):
         self._spare = np.minimum(left / team.mass, limits.acceleration)
         """(pieces, drones), acceleration that a drone can have in any direction."""
 
-    def keep(self, phases: ClockPhases, owners: int, halvings: int = HALVINGS) -> Flags:
+    def seems(self, phases: ClockPhases, owners: int) -> Flags:
         """Return (owners,) the same of drones and of what is carried."""
-        kept = super().keep(phases, owners, halvings)
-        return kept if self.inertia is None else kept & self.inertia.keep(phases, owners, halvings)
+        kept = super().seems(phases, owners)
+        return kept if self.inertia is None else kept & self.inertia.seems(phases, owners)
+
+    def keep(self, phases: ClockPhases, owners: int) -> Flags:
+        """Return (owners,) the same of drones and of what is carried."""
+        kept = super().keep(phases, owners)
+        return kept if self.inertia is None else kept & self.inertia.keep(phases, owners)
 
     def allowed(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
         """Return (cells, drones) whether norms show that limits are kept, turning left out."""
@@ -461,12 +466,10 @@ def stop_table(
         np.log((SLOWEST if slow else LONGEST) / SHORTEST) / np.log(STEP)
     )
     low = np.zeros(len(starts), np.intp)
-    high = np.where(
-        limits.keep(stop_phases(starts, np.array(SHORTEST)), len(starts), 0), 0, len(tried) - 1
-    )
+    high = np.where(limits.seems(stop_phases(starts, tried[:1]), len(starts)), 0, len(tried) - 1)
     while np.any(low < high):
         middle = (low + high) // 2
-        seems = limits.keep(stop_phases(starts, tried[middle]), len(starts), 0)
+        seems = limits.seems(stop_phases(starts, tried[middle]), len(starts))
         low, high = (
             np.where(seems, low, np.minimum(middle + 1, high)),
             np.where(seems, middle, high),
