@@ -179,11 +179,17 @@ class OnClock(Spans):
 class FlownDrones(OnClock, Drones):
     """Spans of drones on a clock."""
 
+    @cached_property
+    def acceleration(self) -> Enclosed:
+        """The second derivative of the position by time."""
+        (_, squared, slope, _), (v, a, *_) = self.clock, self.vectors
+        return squared * a + slope * v
+
     def moved(self, order: int) -> Enclosed:
         """Return the second or third derivative of the position by time."""
-        (s, squared, slope, jerk), (v, a, j, *_) = self.clock, self.vectors
         if order == 2:
-            return squared * a + slope * v
+            return self.acceleration
+        (s, squared, slope, jerk), (v, a, j, *_) = self.clock, self.vectors
         return s * squared * j + s * slope * 3.0 * a + jerk * v
 
     @cached_property
