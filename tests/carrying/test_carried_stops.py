@@ -48,11 +48,7 @@ def random_stops(motion: Motion, seed: int, count: int) -> tuple[Array, Array]:
 
 
 def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
-    cells, pieces = clock.cut(inertia.breaks)
-    flown = pieces < len(inertia.breaks) - 1
-    found = np.ones(1, dtype=np.bool_)
-    inertia.look(cells.taken(flown), pieces[flown], found)
-    return bool(found[0])
+    return bool(inertia.keep(clock, 1)[0])
 
 
 @pytest.mark.slow
