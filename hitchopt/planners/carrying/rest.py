@@ -14,6 +14,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import (
     ClaspLoads,
@@ -73,11 +74,8 @@ class HeldHitch:
     @property
     def support_width(self) -> float:
         """Distance [m] of the centre of mass to the nearest edge of the supports, from above."""
-        onward = np.roll(self.places, -1, axis=0) - self.places
-        inward = np.stack([onward[:, 1], -onward[:, 0]], axis=-1)
-        inward /= np.linalg.norm(inward, axis=-1, keepdims=True)
-        away = self.body.centre_of_mass[:2] - self.places[:, :2]
-        return float(np.min(np.sum(inward * away, axis=-1)))
+        _, reach = _sides(self.places[:, :2] - self.body.centre_of_mass[:2])
+        return float(np.min(reach))
 
     def drones(
         self,
@@ -226,10 +224,7 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     shapes = _shapes(robots)  # (shapes, n, 2)
     places = (shapes[:, None] * SHRINKS[:, None, None] * size) @ frame.T + centre
     inside = -np.max(rim.clearance(places)[0], axis=-1)
-    onward = np.roll(places, -1, axis=-2) - places
-    outward = np.stack([-onward[..., 1], onward[..., 0]], axis=-1)
-    outward /= np.linalg.norm(outward, axis=-1, keepdims=True)  # of clockwise edges
-    offsets = np.sum(outward * places, axis=-1)
+    outward, offsets = _sides(places)
     width = np.min(offsets - outward @ centre, axis=-1)
     inset = np.minimum(inside, INSET)
     if body.stem is not None:
@@ -321,22 +316,20 @@ class HoldPolygons:
         axes = np.linalg.eigh(away.T @ away)[1]
         stretch = np.stack([np.sqrt(STRETCHES), 1.0 / np.sqrt(STRETCHES)], axis=-1)
         found = [_off(away @ (axes * each) @ axes.T, centre, sections, gap) for each in stretch]
-        around = min(found, key=lambda each: float(np.max(_edge_lengths(each))))
+        around = min(found, key=lambda each: float(np.max(length(np.roll(each, -1, 0) - each))))
         return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(closed).vertices)
 
 
-def _edge_lengths(polygon: Array) -> Array:
-    """Return the lengths (n,) [m] of a polygon's edges."""
-    lengths: Array = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=-1)
-    return lengths
+def _sides(polygon: Array) -> tuple[Array, Array]:
+    """Return outward normals (…, n, 2) of a clockwise polygon's edges, and their offsets [m]."""
+    onward = np.roll(polygon, -1, axis=-2) - polygon
+    outward = unit(np.stack([-onward[..., 1], onward[..., 0]], axis=-1))
+    return outward, np.sum(outward * polygon, axis=-1)
 
 
 def _off(away: Array, centre: Array, sections: tuple[Section, ...], gap: float) -> Array:
     """Return vertices (n, 2) [m] about a centre, enlarged until edges keep off sections."""
-    onward = np.roll(away, -1, axis=0) - away
-    outward = np.stack([-onward[:, 1], onward[:, 0]], axis=-1)
-    outward /= np.linalg.norm(outward, axis=-1, keepdims=True)  # of clockwise edges
-    reach = np.sum(outward * away, axis=-1)
+    outward, reach = _sides(away)
     needed = [each.support(outward) + gap - outward @ centre for each in sections]
     enlarged: Array = float(np.max(np.max(needed, axis=0) / reach)) * away
     return enlarged
