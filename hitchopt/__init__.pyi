@@ -71,7 +71,7 @@ from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
-from hitchopt.requirements import (
+from hitchopt.hitch.requirements import (
     Arena as Arena,
     Limits as Limits,
     Prism as Prism,

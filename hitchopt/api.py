@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress, time_limit
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import (
     DronesStart,
     Problem,
@@ -32,7 +33,6 @@ from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.motion.asked import check_asked
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
-from hitchopt.requirements import Arena, Limits, Separation
 from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage
 from hitchopt.steps.step_keys import keys_of

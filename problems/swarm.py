@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-from hitchopt.requirements import Separation
+from hitchopt.hitch.requirements import Separation
 
 Array = NDArray[np.float64]
 

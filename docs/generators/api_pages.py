@@ -17,7 +17,7 @@ GROUPS = {
         "Problems and steps",
         ("hitchopt.mission", "hitchopt.steps", "hitchopt.planners"),
     ),
-    "requirements": ("Requirements", ("hitchopt.requirements", "hitchopt.objects")),
+    "requirements": ("Requirements", ("hitchopt.hitch.requirements", "hitchopt.objects")),
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
     "fits": ("Fits", ("hitchopt.statics.fit", "hitchopt.holding")),

@@ -297,7 +297,7 @@ def fit(
     metres unless a drawing states its unit.
     """
     from hitchopt.hitch import Quadrotor
-    from hitchopt.requirements import Limits
+    from hitchopt.hitch.requirements import Limits
     from hitchopt.statics.files import fit_as_json, save_fit
     from hitchopt.statics.fit import fit as fitted
     from hitchopt.values import positive

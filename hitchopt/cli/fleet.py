@@ -139,7 +139,7 @@ def lint(path: Path, *, relative: bool, **limits: float | None) -> None:
     """
     from hitchopt.exports.lint import Rules
     from hitchopt.exports.lint import lint as linted
-    from hitchopt.requirements import Separation
+    from hitchopt.hitch.requirements import Separation
     from hitchopt.values import positive
 
     given = {key: positive(f"--{key}", x) for key, x in limits.items() if x is not None}

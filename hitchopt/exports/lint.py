@@ -37,7 +37,7 @@ from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS
 from hitchopt.exports.options import HOMES
 from hitchopt.exports.reading import MANIFEST, read_manifest
 from hitchopt.exports.verification import drone_check
-from hitchopt.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed

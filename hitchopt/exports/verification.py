@@ -20,8 +20,8 @@ from hitchopt.errors import FileError, Violation
 from hitchopt.exports.recording import Recording, lasted
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.hitch import Swarm
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import JOINT, Motion
-from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splitting import merged_breaks, on_breaks
 from hitchopt.values import Array

@@ -21,8 +21,8 @@ from hitchopt.hitch.forces import (
     shortening,
 )
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Team
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.values import Array, as_array, coordinate, instance
 from hitchopt.values.units import HEIGHT, check_unit
 

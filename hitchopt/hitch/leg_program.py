@@ -24,8 +24,8 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.parts import CROSSING, SEPARATION, Parts, end_combinations
+from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.hitch.team import Team
-from hitchopt.requirements import Arena, Requirements
 from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import reference_margin
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 RESOLUTION = 1e-7

@@ -18,10 +18,10 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, OneLine, Violation
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.holding.wraps import Wraps, wraps_around
 from hitchopt.objects import Section
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array, Indices
 
 PASSES = 4

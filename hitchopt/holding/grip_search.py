@@ -17,11 +17,11 @@ from scipy.optimize import minimize
 
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import TIE
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.holding.capacity import Capacity, largest_mass
 from hitchopt.holding.grip import NO_GRIP, Grip, broken_limit_of, grip_margins
 from hitchopt.objects import Section
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 STEP = 1e-6

@@ -26,11 +26,11 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, fitting_polygon
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import quick_split
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.retarget_path import MovingState, RetargetPath, turning_slowly
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import before, beside_objects, cut, followed, resting
 from hitchopt.plan import Plan
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.trajectory.search import rough_bounds

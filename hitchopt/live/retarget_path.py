@@ -19,11 +19,11 @@ import numpy as np
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.requirements import Limits
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph import jets
 from hitchopt.planners.timing.flight import Flight
-from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 

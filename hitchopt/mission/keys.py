@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import ConfigDict, Field, create_model, model_validator
 
 from hitchopt.hitch import Quadrotor
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
-from hitchopt.requirements import Limits, Separation
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.step_keys import (
     LEGS_TEXT,

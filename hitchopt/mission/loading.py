@@ -12,7 +12,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from hitchopt.errors import FileError, InputError, one_or_all
+from hitchopt.geometry.drawings import object_outline
 from hitchopt.hitch import Quadrotor, Swarm, Team
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.mission.keys import (
     STEP_KINDS,
     ObjectKeys,
@@ -31,8 +33,6 @@ from hitchopt.mission.problem import (
     fitting_start,
 )
 from hitchopt.objects import Rim, Section, SolidObject
-from hitchopt.outlines.outline_file import object_outline
-from hitchopt.requirements import Arena, Limits, Prism, Separation
 from hitchopt.steps import Step
 from hitchopt.steps.step_keys import Keys
 from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, plain, read_text

@@ -12,9 +12,16 @@ from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import FAR_OFF, fitting_polygon
+from hitchopt.hitch.requirements import (
+    Arena,
+    Limits,
+    Prism,
+    Requirements,
+    Separation,
+    check_requirements,
+)
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation, check_requirements
 from hitchopt.steps import STEPS, FollowVertex, Step
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import Stage

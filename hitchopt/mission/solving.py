@@ -30,11 +30,11 @@ from hitchopt.errors import (
 )
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.requirements import Prism, Requirements
 from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.requirements import Prism, Requirements
 from hitchopt.steps import Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,

@@ -16,10 +16,10 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 TOLERANCE = 1e-9

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects.placing import poses_of
-from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, joined
 
 JOINT = 1e-6

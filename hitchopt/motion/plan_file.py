@@ -19,6 +19,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.asked import asked_of, check_asked, objects_at_first
 from hitchopt.motion.motion import (
     FURTHER,
@@ -32,7 +33,6 @@ from hitchopt.motion.motion import (
 )
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
-from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import finite, positive

@@ -14,8 +14,8 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.legs import reference_margin, split_slack
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Section
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array, Indices
 
 DIRECTIONS = 240

@@ -14,14 +14,14 @@ from scipy.spatial import ConvexHull, QhullError
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.drawings import object_outline, outline_of_geometry
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Quadrotor
 from hitchopt.holding.capacity import Capacity, rest_capacity
 from hitchopt.holding.grip import Grip, largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
 from hitchopt.objects import Section
-from hitchopt.outlines.outline_file import object_outline, outline_of_geometry
 from hitchopt.planners.carrying.rest import ROOM, HoldPolygons
-from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
 from hitchopt.values import Array, instance, not_negative, points, positive, whole
 

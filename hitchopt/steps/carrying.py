@@ -12,10 +12,10 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import TOUCH, footing, poses_of, surface_below
-from hitchopt.requirements import Requirements
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
     Holding,

@@ -16,6 +16,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_program import LegTask
 from hitchopt.hitch.legs import reference_margin
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
@@ -25,7 +26,6 @@ from hitchopt.planners.forming.stages import Stage
 from hitchopt.planners.morph.path import RigidPath
 from hitchopt.planners.timing.demands import loads_at_rest
 from hitchopt.planners.timing.flight import Flight, fly, turning_stretch
-from hitchopt.requirements import Requirements
 from hitchopt.steps.step import Situation, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

@@ -17,6 +17,7 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, Motion, Phase, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of, stacked_on
@@ -29,7 +30,6 @@ from hitchopt.planners.carrying.moves import (
 )
 from hitchopt.planners.carrying.rest import ROOM, HeldHitch
 from hitchopt.planners.timing.flight import check_duration, needed_stretch
-from hitchopt.requirements import Requirements
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import Holding, Situation, Step, StepPlan, StepTask
 from hitchopt.steps.step_keys import RolledLegs

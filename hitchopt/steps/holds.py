@@ -13,6 +13,7 @@ from hitchopt.checks.cables import LENGTH_LIMIT as LIMIT
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.hitch import cable_slack
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.carrying.grip import GrippedHitch
 from hitchopt.planners.carrying.grip_polygon import (
@@ -23,7 +24,6 @@ from hitchopt.planners.carrying.grip_polygon import (
 )
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, separation_ratios
 from hitchopt.planners.carrying.rest import EASED, EMPTY, HeldHitch, broken_at, rest_capacity
-from hitchopt.requirements import Limits, Requirements
 from hitchopt.steps.certified_motions import checked
 from hitchopt.steps.held_moves import (
     LIFT_SPEED,

@@ -62,10 +62,10 @@ from hitchopt.values import MAX_COORDINATE, Array, finite, flag, positive, seque
 from hitchopt.values.units import warn_of_unit
 
 if TYPE_CHECKING:
+    from hitchopt.hitch.requirements import Requirements
     from hitchopt.motion.motion import Motion
     from hitchopt.planners.morph.actions import Action, Flying
     from hitchopt.planners.timing.flight import Flight
-    from hitchopt.requirements import Requirements
     from hitchopt.steps.certified_motions import Certified
     from hitchopt.steps.route_choice import End, Route
 

@@ -16,6 +16,7 @@ from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Viol
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners import Planner
 from hitchopt.planners.morph.actions import Action
@@ -24,7 +25,6 @@ from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath, shapes_along
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
 from hitchopt.planners.timing.profile import flight_estimate
-from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import (
     Certified,
     certificate_at_rest,

@@ -16,9 +16,9 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import SolidObject
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.requirements import Requirements
 from hitchopt.steps.step_keys import keys_of, slack_split
 from hitchopt.values import Array
 

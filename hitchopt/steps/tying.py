@@ -49,9 +49,9 @@ from hitchopt.steps.step_keys import (
 from hitchopt.values import Array, instance
 
 if TYPE_CHECKING:
+    from hitchopt.hitch.requirements import Requirements
     from hitchopt.motion.motion import Motion
     from hitchopt.planners.forming.stages import Stage
-    from hitchopt.requirements import Requirements
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""

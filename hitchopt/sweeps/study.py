@@ -480,7 +480,7 @@ def _with_outlines(problem: dict[str, Plain], folder: Path) -> dict[str, Plain]:
 
 
 def _outline(path: Path) -> Plain:
-    from hitchopt.outlines.outline_file import object_outline  # heavy: readers of drawings
+    from hitchopt.geometry.drawings import object_outline  # heavy: readers of drawings
 
     found: Plain = object_outline(path).tolist()
     return found

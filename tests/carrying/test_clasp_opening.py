@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import brentq
 
 import hitchopt as ho
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.carrying.grip_polygon import check_opens, grip_left
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding.grip import largest_tension
 from hitchopt.holding.grip_search import best_grip
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.carrying.grip import GrippedHitch
 from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 NINE = np.array(

@@ -15,11 +15,11 @@ from problem_edits import edited
 import hitchopt as ho
 from hitchopt.checks.certify import certify
 from hitchopt.checks.clearance import OBJECT_CLEARANCE
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.objects.placing import footing
 from hitchopt.planners.carrying.grip_polygon import grip_polygons
 from hitchopt.planners.carrying.rest import rest_polygons
-from hitchopt.requirements import Requirements
 
 
 def tray(robots: int, mass: float, length: float, radius: float = 0.45) -> dict[str, Any]:

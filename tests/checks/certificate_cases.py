@@ -19,8 +19,8 @@ from hitchopt.hitch.forces import (
     leg_vectors,
     sag_factors,
 )
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.plan_file import EARLIER_STATES
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

@@ -9,8 +9,8 @@ from certificate_cases import fitted, smooth_step
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

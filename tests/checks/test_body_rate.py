@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from hitchopt.checks import Check, certify
 from hitchopt.checks.drones import BODY_RATE as RULE
 from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import states_at
-from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

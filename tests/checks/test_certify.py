@@ -21,8 +21,8 @@ from hypothesis import strategies as st
 
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.motion.motion import Motion
-from hitchopt.requirements import Arena, Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.search import ABSOLUTE
 

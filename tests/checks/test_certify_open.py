@@ -10,8 +10,8 @@ from open_chain_cases import bent, chain_motion, random_chain
 
 from hitchopt.checks import certify
 from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Arena, Separation
 from hitchopt.motion.motion import Motion
-from hitchopt.requirements import Arena, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 

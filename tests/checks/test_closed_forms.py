@@ -11,8 +11,8 @@ from certificate_sampling import sampled
 from hitchopt.checks import CertificateError, certify
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Quadrotor, Team
+from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.motion.motion import Motion
-from hitchopt.requirements import Arena, Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 TRIANGLE = np.array([[3.0, 1.0], [2.6, 2.5], [3.4, 2.5]])

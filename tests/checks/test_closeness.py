@@ -9,8 +9,8 @@ from hitchopt.checks import certify
 from hitchopt.checks.closeness import closeness
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 

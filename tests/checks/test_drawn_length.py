@@ -5,10 +5,10 @@ import pytest
 from test_interlacing import FEW, motion_of, stages_of
 
 from hitchopt.checks import certify
+from hitchopt.hitch.requirements import Limits
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.stages import Stage
 from hitchopt.planners.forming.turns import straight
-from hitchopt.requirements import Limits
 
 
 @pytest.mark.parametrize("n", FEW)

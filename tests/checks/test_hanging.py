@@ -18,8 +18,8 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.segments import differences
 from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.states import states_at
-from hitchopt.requirements import Arena
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 CLOSE = 6e-3

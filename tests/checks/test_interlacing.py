@@ -13,12 +13,12 @@ import hitchopt as ho
 from hitchopt.checks.crossings import chord_crossings, entered
 from hitchopt.checks.story import INTERLACING
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import Stage, tied, undone
 from hitchopt.planners.forming.turns import straight, swap
-from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.steps.certified_motions import staged
 from hitchopt.trajectory import PiecewisePolynomial
 

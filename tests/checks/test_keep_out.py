@@ -11,8 +11,8 @@ from hitchopt.checks import certify
 from hitchopt.checks.clearance import KEEP_OUT
 from hitchopt.errors import InputError
 from hitchopt.hitch import Swarm
+from hitchopt.hitch.requirements import Limits, Prism, Requirements
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Limits, Prism, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 
 OUTLINE = np.array([[1.0, -0.5], [0.2, 0.4], [0.9, 1.3], [2.1, 0.6]])

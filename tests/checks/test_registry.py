@@ -14,8 +14,8 @@ from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.certificate import describe
 from hitchopt.checks.registry import REPORTS, RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule, Finder, Finding, ReportRule
+from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
-from hitchopt.requirements import Arena
 
 
 def test_every_rule_has_a_name_of_its_own_and_some_state() -> None:

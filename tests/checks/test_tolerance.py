@@ -10,7 +10,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.checks.certificate import TOLERANCE, Check
-from hitchopt.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import certificate_at_rest
 
 TEAM = ho.Team(3, 2.4)

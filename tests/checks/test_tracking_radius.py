@@ -20,10 +20,10 @@ from hitchopt.checks.hanging import moved_by
 from hitchopt.checks.tracking import Ellipsoid
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import read_problem
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

@@ -18,10 +18,10 @@ from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.exports.verification import FLOWN
 from hitchopt.hitch import Quadrotor, Swarm
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion, Phase, joined_motions
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]

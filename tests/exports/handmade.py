@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]

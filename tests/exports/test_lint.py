@@ -21,7 +21,7 @@ from hitchopt.exports.format import ERROR, NOTE, WARNING
 from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
 from hitchopt.exports.formats.mavsdk import COLUMNS
 from hitchopt.exports.lint import Report, Rules, lint
-from hitchopt.requirements import Separation
+from hitchopt.hitch.requirements import Separation
 
 
 def report(path: Path, rules: Rules | None = None, *, relative: bool = False) -> Report:

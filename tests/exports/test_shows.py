@@ -29,9 +29,9 @@ from hitchopt.exports.formats.skybrush import (
 )
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Swarm
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import states_at
-from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 MOTIONS = pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 import hitchopt as ho
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding.grip import broken_limit_of, grip_margins, largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
 from hitchopt.holding.wraps import wraps_around
 from hitchopt.planners.carrying.grip import balanced, contacts_of
 from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])

@@ -13,9 +13,9 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.lost import DELAY, LETTING_GO, Reactions, free_fall, reacting, survivable
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.requirements import Requirements
 from hitchopt.simulation.task import read_task
 from hitchopt.trajectory import PiecewisePolynomial
 

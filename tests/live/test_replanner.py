@@ -11,9 +11,9 @@ import pytest
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Phase
 from hitchopt.plan import Plan
-from hitchopt.requirements import Requirements
 from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

@@ -5,7 +5,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.errors import Violation
-from hitchopt.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import certificate_at_rest, check_at_rest, seems_to_rest
 
 TEAM = ho.Team(3, 2.4)

@@ -10,9 +10,9 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
-from hitchopt.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])

@@ -5,7 +5,7 @@ import numpy as np
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements
 
 FREE = Requirements(ho.Limits(), ho.Separation(), None)
 SQUARE = regular_polygon(4, 1.2, np.pi / 4)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assigned
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
@@ -27,7 +28,6 @@ from hitchopt.planners.forming.turns import (
     straight,
 )
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.requirements import Limits, Separation
 from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from hitchopt.api import separate
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import SeparationTask
-from hitchopt.requirements import Requirements
 from problems.swarm import antipodal_circle, random_crowd
 
 search = import_module("hitchopt.planners.separation.separate")

@@ -9,13 +9,13 @@ import hitchopt as ho
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.leg_program import LegTask
 from hitchopt.hitch.legs import level_margin_bound, split_slack
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import STEEPEST, rolled_more
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise import knots as search_task
 from hitchopt.planners.optimise import program as ipopt_steps
 from hitchopt.planners.optimise.knots import Effort, KnotPath
 from hitchopt.planners.optimise.program import MorphProgram
-from hitchopt.requirements import Requirements
 
 N = 40
 CABLE = 2.0

@@ -7,10 +7,10 @@ import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
 from hitchopt.hitch.legs import reference_margin
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph, blended
 from hitchopt.planners.morph.path import RigidPath, ShapePath, shapes_along
-from hitchopt.requirements import Requirements
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 KEPT = Requirements(Limits(), Separation(), None)

@@ -9,6 +9,7 @@ from optimise_cases import FREE, OCTAGON, PENTAGON, SQUARE, ends
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath
@@ -17,7 +18,6 @@ from hitchopt.planners.optimise.guesses import (
 )
 from hitchopt.planners.optimise.search import Candidate, OptimisedMorph
 from hitchopt.planners.timing.flight import Flight, fly
-from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon
 
 

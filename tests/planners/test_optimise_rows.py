@@ -9,6 +9,7 @@ from optimise_cases import ends
 
 import hitchopt as ho
 from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.optimise import program as ipopt_steps
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.knots import (
@@ -20,7 +21,6 @@ from hitchopt.planners.optimise.program import MorphProgram, build_program, solv
 from hitchopt.planners.optimise.rows import (
     Program,
 )
-from hitchopt.requirements import Requirements
 from problems.random_morph import random_convex_polygon
 
 

@@ -8,6 +8,7 @@ import pytest
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners import Planner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
@@ -16,7 +17,6 @@ from hitchopt.planners.morph.actions import ActionFlight, move_vertex
 from hitchopt.planners.morph.morph import BlendedMorph, StraightMorph
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.planners.timing.flight import Flight
-from hitchopt.requirements import Requirements
 
 ASKED = Requirements()
 TEAM = Team(4, [2.4, 2.5, 2.45, 2.4])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import Separated, SeparationTask, Tether, separate
-from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
 POST = Prism([[-0.2, -0.25], [-0.2, 0.25], [0.3, 0.25], [0.3, -0.25]], -1.0, 9.0)

@@ -13,6 +13,7 @@ from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.leg_program import QuadraticProgram
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import SeparationTask
 from hitchopt.planners.separation.planes import (
     hull_points,
@@ -20,7 +21,6 @@ from hitchopt.planners.separation.planes import (
 from hitchopt.planners.separation.program import Solver
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.timing.ramps import fastest_ramps
-from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 
 PILLAR = Prism([[-0.3, -0.4], [-0.3, 0.4], [0.5, 0.4], [0.5, -0.4]], 0.0, 9.0)
 

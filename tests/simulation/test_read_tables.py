@@ -12,9 +12,9 @@ from hitchopt.errors import FileError
 from hitchopt.exports.setpoints import HEADER, write_setpoints, write_vertices
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.states import states_at
-from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.simulation.task import Task, read_tables
 from hitchopt.trajectory import PiecewisePolynomial
 

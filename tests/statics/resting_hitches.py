@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt import ConvexArc, Hitch, Motion, Phase, Quadrotor, Team, regular_polygon
-from hitchopt.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.statics.settle import Conditions, Settled, settle_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon

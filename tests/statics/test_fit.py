@@ -13,8 +13,8 @@ from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding.capacity import rest_capacity
-from hitchopt.requirements import Requirements
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
 from hitchopt.statics.fit import FitTask
 

@@ -9,9 +9,9 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Quadrotor, Team
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import Section, SolidObject
-from hitchopt.requirements import Limits, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 ORDER = 9

@@ -24,8 +24,8 @@ from hitchopt.checks import certify
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.closeness import closeness
 from hitchopt.hitch import Swarm
+from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.view.painter import MOST, chosen_shots

@@ -51,7 +51,7 @@ from hitchopt.exports.reading import read_columns, read_text
 from hitchopt.exports.recording import recording_of_curves
 from hitchopt.exports.reference_frame import AXES
 from hitchopt.exports.refit import Kind, Scale, best_breaks, fitted
-from hitchopt.requirements import Separation
+from hitchopt.hitch.requirements import Separation
 from hitchopt.storage.files import Writer
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial

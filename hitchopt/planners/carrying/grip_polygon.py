@@ -9,6 +9,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding.capacity import EASED, Capacity
 from hitchopt.holding.grip import largest_tension
 from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
@@ -16,7 +17,6 @@ from hitchopt.holding.wraps import wraps_around
 from hitchopt.objects import Section, SolidObject
 from hitchopt.planners.carrying.grip import balanced, contacts_of
 from hitchopt.planners.carrying.rest import HoldPolygons
-from hitchopt.requirements import Requirements
 from hitchopt.values import Array
 
 FACTOR = 1.5

@@ -15,9 +15,9 @@ import numpy as np
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Separation
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.timing.flight import Flight
-from hitchopt.requirements import Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -25,6 +25,7 @@ from hitchopt.hitch.forces import (
     leg_vectors,
     sag_factors,
 )
+from hitchopt.hitch.requirements import Limits
 from hitchopt.holding.capacity import Capacity
 from hitchopt.motion.loads import Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy
@@ -32,7 +33,6 @@ from hitchopt.motion.states import thrusts_of
 from hitchopt.objects import Section, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.moves import SHARE, Move, courses
-from hitchopt.requirements import Limits
 from hitchopt.values import Array
 
 GENTLE = 0.4

@@ -20,13 +20,13 @@ from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import Stage
 from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
 from hitchopt.planners.separation import SeparationTask, Tether, separate
 from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
-from hitchopt.requirements import Requirements, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

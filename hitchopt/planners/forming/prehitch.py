@@ -20,6 +20,7 @@ from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.requirements import Separation
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.turns import (
     APART,
@@ -28,7 +29,6 @@ from hitchopt.planners.forming.turns import (
     smallest_separation,
     stops,
 )
-from hitchopt.requirements import Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

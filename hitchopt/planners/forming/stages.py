@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Limits
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import PreHitch, clasps_drawn_out
 from hitchopt.planners.forming.turns import swap, tightened
-from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

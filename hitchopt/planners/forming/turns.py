@@ -23,8 +23,8 @@ from itertools import pairwise
 import numpy as np
 
 from hitchopt.hitch import Team
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
-from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 

@@ -18,6 +18,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.jets import polynomials_through
 from hitchopt.planners.morph.legs import with_legs_clear, worst_place
 from hitchopt.planners.morph.morph import SHORTEST_LEG, check_loads, check_shapes
@@ -30,7 +31,6 @@ from hitchopt.planners.morph.path import (
     shapes_along,
 )
 from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, MOVES, Flight, fly, moving
-from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
 

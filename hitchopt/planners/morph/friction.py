@@ -26,13 +26,13 @@ from scipy.interpolate import BSpline, make_interp_spline
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import chord_pull, sag_factors
+from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.model.evaluation import slipping_drones
 from hitchopt.model.series import JET
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph import jets
 from hitchopt.planners.timing.flight import needed_stretch
-from hitchopt.requirements import Limits, Separation
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks
 from hitchopt.values import Array

@@ -13,9 +13,9 @@ from scipy.interpolate import make_interp_spline
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import reference_margin, split_slack
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import flight_estimate, grid_demands
-from hitchopt.requirements import Limits, Requirements
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splitting import on_breaks
 from hitchopt.values import Array

@@ -13,12 +13,12 @@ from scipy.interpolate import make_interp_spline
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.flight import GRID, Flight, fly, timing_demands
 from hitchopt.planners.timing.profile import path_grid
-from hitchopt.requirements import Limits, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -18,9 +18,9 @@ from hitchopt.hitch.forces import (
     leg_vectors,
     sag_factors,
 )
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.path import LegLaw, ShapePath, shapes_of
 from hitchopt.planners.timing.flight import Flight
-from hitchopt.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 

@@ -13,8 +13,8 @@ from scipy import sparse
 
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.hitch.parts import SEPARATION, Parts, end_combinations
+from hitchopt.hitch.requirements import Separation
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
-from hitchopt.requirements import Separation
 from hitchopt.values import Array, Indices
 
 BETWEEN = 0.35

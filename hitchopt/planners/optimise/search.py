@@ -15,6 +15,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.leg_program import LegTask
 from hitchopt.hitch.legs import reference_margin, reference_margins
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import CLEAR, leg_task_of
 from hitchopt.planners.morph.morph import check_shapes_at, exterior_angles
 from hitchopt.planners.morph.path import ShapePath, Shapes, shapes_along
@@ -24,7 +25,6 @@ from hitchopt.planners.optimise.program import farthest, iterates
 from hitchopt.planners.timing.clock import WarpError
 from hitchopt.planners.timing.flight import Flight
 from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_demands
-from hitchopt.requirements import Requirements
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
-from hitchopt.requirements import Prism
+from hitchopt.hitch.requirements import Prism
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 

@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import dijkstra
 
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import GOLDEN, TIE, unit
+from hitchopt.hitch.requirements import Prism
 from hitchopt.planners.separation.task import SeparationTask
-from hitchopt.requirements import Prism
 from hitchopt.values import Array
 
 STAND_OFF = 1.25

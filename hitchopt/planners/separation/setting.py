@@ -11,10 +11,10 @@ from scipy.interpolate import BSpline
 
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import tied_order
+from hitchopt.hitch.requirements import Arena
 from hitchopt.planners.separation.routes import Routes, routes_around
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.planners.timing.ramps import fastest_ramps
-from hitchopt.requirements import Arena
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

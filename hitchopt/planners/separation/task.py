@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, per_robot, positive
 

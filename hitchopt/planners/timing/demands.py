@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.requirements import Limits
 from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.morph.path import Path
-from hitchopt.requirements import Limits
 from hitchopt.values import Array
 
 LIMIT_SHARE = 0.999

@@ -24,6 +24,7 @@ from hitchopt.hitch.forces import (
     sag_factors,
     taut_forces,
 )
+from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained, polynomials_through
 from hitchopt.planners.morph.path import Path, path_jets
 from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
@@ -34,7 +35,6 @@ from hitchopt.planners.timing.profile import (
     fastest_profile,
     path_grid,
 )
-from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
 

@@ -17,9 +17,9 @@ from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 
 from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import Path
 from hitchopt.planners.timing.demands import Demands
-from hitchopt.requirements import Limits
 from hitchopt.values import Array
 
 RAYS = 64

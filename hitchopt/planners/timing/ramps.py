@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
+from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained
-from hitchopt.requirements import Limits
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array

@@ -12,7 +12,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.outlines.outline_file import FLATNESS, outline_of_geometry, read_outline
+from hitchopt.geometry.drawings import FLATNESS, outline_of_geometry, read_outline
 from hitchopt.values import Array
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {size}viewBox="0 0 400 300">{shape}</svg>'

@@ -1,1 +1,0 @@
-"""Outlines of objects, read from drawings. It knows no hitch."""
