@@ -54,7 +54,17 @@ def name_of(page: Path) -> str:
 RUNNABLE = [page for page in PAGES if any(b.language in RUN for b in blocks(text_of(page)))]
 
 
-@pytest.mark.parametrize("page", RUNNABLE, ids=name_of)
+LONG = {"carry.md", "fit.md", "look_at_a_plan.md", "sweep.md"}
+"""Pages whose blocks take longest."""
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=name_of(page))
+        for page in RUNNABLE
+    ],
+)
 def test_blocks_print_what_is_shown(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -6,7 +6,7 @@ import dataclasses
 import inspect
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
@@ -38,6 +38,7 @@ VALUES = st.recursive(
 
 
 @given(st.lists(VALUES, max_size=8))
+@settings(max_examples=30)
 def test_no_value_makes_it_longer(values: list[object]) -> None:
     names = [f"field_{i}" for i in range(len(values))]
     kind = dataclasses.make_dataclass("Record", names, bases=(OneLine,))

@@ -32,6 +32,7 @@ CLOCKS = ("deadline", "derandomize", "parent", None)
 ALLOWED = (("deadline", "None"), ("derandomize", "True"))
 
 
+@pytest.mark.slow
 def test_property_tests_know_no_clock_and_try_the_same_examples() -> None:
     """By the profile of ``conftest``, which no test may override."""
     assert settings.default is not None
@@ -49,6 +50,7 @@ def test_property_tests_know_no_clock_and_try_the_same_examples() -> None:
     assert overridden == []
 
 
+@pytest.mark.slow
 def test_planning_imports_no_matplotlib_and_users_get_toppra_whole() -> None:
     code = """
 import sys, hitchopt as ho

@@ -81,6 +81,7 @@ def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> Non
         np.testing.assert_allclose(poses[1], poses[0], rtol=0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_object_that_jumps_is_found() -> None:
     motion = aborts_of().motion
     poses = motion.object_poses.coefficients.copy()

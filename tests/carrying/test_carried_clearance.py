@@ -82,6 +82,7 @@ def test_the_ground_is_an_obstacle(floor: float | None) -> None:
     assert worst <= np.min(heights(motion, z))
 
 
+@pytest.mark.slow
 def test_an_object_is_lifted_and_goes_straight_up() -> None:
     """The ground that it has stood on may touch it until it moves level."""
     worst, motion = clearance(lifted([*AT, 0.8], by=0.02))

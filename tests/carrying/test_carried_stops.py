@@ -132,6 +132,7 @@ def slipping(motion: Motion, jets: Array) -> float:
     return float(np.max(1.5 * load / slip))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "friction", "items", "measure"),
     [

@@ -253,6 +253,7 @@ def test_equilibrium_counts_what_is_carried(motion: Motion) -> None:
     assert not check.holds
 
 
+@pytest.mark.slow
 def test_six_hold_a_tray_by_rolled_legs_that_cross() -> None:
     """Legs of one cable pass each other; with a load they would touch at the least roll."""
     x, y = 0.3, -0.2

@@ -76,6 +76,7 @@ def test_legs_pull_with_weight_and_inertia(name: str) -> None:
     assert np.all((extra > 0.1 * cables) & (extra < cables))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OBJECTS)
 def test_edges_move_the_object(name: str) -> None:
     motion = plan(name).motion

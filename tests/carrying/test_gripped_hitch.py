@@ -115,6 +115,7 @@ def test_edges_that_touch_first_pull_little(grasped: Motion) -> None:
     assert 1.3 * pushed / np.min(T) > 1.0 * 0.05 * 9.81
 
 
+@pytest.mark.slow
 def test_what_edges_push_along_at_any_tension_is_refused() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"edges push it along.*objects.stone.friction"):
         ho.solve(problem(0.012, 1.0))

@@ -172,6 +172,7 @@ REFUSED: list[tuple[dict[str, Any], list[str]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("problem", "texts"), REFUSED, ids=[texts[-1] for _, texts in REFUSED])
 def test_what_cannot_be_held_is_refused_with_what_to_change(
     problem: dict[str, Any], texts: list[str]
@@ -243,6 +244,7 @@ def test_cables_around_an_object_keep_off_the_ground(height: float) -> None:
         assert lowest == pytest.approx(height - 0.045, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plan_below_the_ground_is_not_certified() -> None:
     motion = tray_of_four()
     bodies = motion.requirements.objects

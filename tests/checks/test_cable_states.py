@@ -51,6 +51,7 @@ def claimed(motion: Motion, i: int, state: CableState) -> Motion:
     return replace(motion, phases=(*phases[:i], replace(phases[i], state=state), *phases[i + 1 :]))
 
 
+@pytest.mark.slow
 def test_phases_may_end_within_pieces() -> None:
     """A piece counts to the phase of its middle, as phases of blended steps end where they do."""
     motion = motion_of("tie_carry_untie")
@@ -102,6 +103,7 @@ def index_of(motion: Motion, name: str) -> int:
     return [phase.name for phase in motion.phases].index(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TYING)
 def test_renaming_every_phase_changes_no_figure(name: str) -> None:
     motion = motion_of(name)
@@ -134,6 +136,7 @@ def test_phases_do_not_swallow_their_neighbours(first: str, state: CableState) -
     assert set(refused(merged(motion, index, index + 2, state))[1:]) == {"p0", "p1", "p2"}
 
 
+@pytest.mark.slow
 def test_what_is_at_full_length_is_not_being_tightened() -> None:
     """Whatever the plan says of legs and tensions, and wherever it puts the clasps."""
     motion = motion_of("tie_carry_untie")
@@ -218,6 +221,7 @@ def as_before(path: Path, motion: Motion, change: Callable[[dict[str, Any]], obj
     return read
 
 
+@pytest.mark.slow
 def test_a_flag_in_the_file_frees_no_hitch(tmp_path: Path) -> None:
     motion = motion_of("tie_carry_untie")
     read = as_before(tmp_path / "plan.npz", motion, lambda entry: entry.update(formed=False))

@@ -23,6 +23,7 @@ def bodies(seed: int, ends: tuple[int, int], kind: str) -> tuple[np.ndarray, np.
     return a, b
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     seed=st.integers(0, 10_000),

@@ -11,6 +11,7 @@ from hitchopt.planners.forming.stages import Stage
 from hitchopt.planners.forming.turns import straight
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", FEW)
 def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
     hitch, stages = stages_of(n)

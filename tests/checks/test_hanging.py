@@ -26,6 +26,7 @@ CLOSE = 6e-3
 """[m] What bounds may leave: links of cables, and the search's tolerance."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_no_sample_of_a_drone_or_the_ground_is_closer_to_a_cable(seed: int) -> None:
     team, drones = random_flight(seed)
@@ -135,6 +136,7 @@ def test_before_it_is_halved_an_enclosure_of_thrusts_holds_as_well() -> None:
     assert np.max(off) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("told", [-0.3, 5.0])
 def test_no_leg_pulls_where_there_is_none(told: float) -> None:
     """Whatever a plan says that cables are under while they hang free."""

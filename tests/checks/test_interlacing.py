@@ -230,6 +230,7 @@ def test_a_chord_that_runs_into_anothers_end_is_not_told() -> None:
     assert not np.any(met.certain)
 
 
+@pytest.mark.slow
 def test_tilted_axes_keep_drones_off_their_neighbours_cables_where_edges_are_in_line() -> None:
     """As rope simulations found: for many robots turning must be tilted; chords do not see it."""
     level = motion_of(*stages_of(30, SwapSettings(tilt=0.0)))

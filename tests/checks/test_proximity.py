@@ -21,6 +21,7 @@ from hitchopt.trajectory.search import worst
 FAR = 10**12
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(
     seed=st.integers(0, 10_000),
@@ -80,6 +81,7 @@ def test_the_margin_is_taken_off_and_no_distance_is_negative() -> None:
     assert smallest(Moving(breaks, corners, margin=0.7)).worst == 0.0
 
 
+@pytest.mark.slow
 def test_bodies_that_fly_across_each_other_within_one_piece() -> None:
     """Slow spacing against fast motion: 60 bodies of 1 m spacing crossing 60 others in 1 s."""
     rng = np.random.default_rng(3)
@@ -102,6 +104,7 @@ def test_bodies_that_fly_across_each_other_within_one_piece() -> None:
     assert found.worst == pytest.approx(best, rel=5e-3)  # samples are 1 cm apart
 
 
+@pytest.mark.slow
 def test_forty_unequal_robots_against_samples() -> None:
     motion = random_motion(40, 21)
     found = sampled(motion, np.linspace(0.0, 4.0, 201))

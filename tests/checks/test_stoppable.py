@@ -141,6 +141,7 @@ def longest_found(motion: Motion, spacing: float = 0.01, count: int = 60) -> flo
     return float(np.max(np.minimum(rests, motion.duration) - starts))
 
 
+@pytest.mark.slow
 def test_the_report_is_within_a_quarter_of_the_longest_that_a_finer_search_finds() -> None:
     motion = motion_of()
     reported = certify(motion)["stoppable"]

@@ -80,6 +80,7 @@ def test_drones_may_start_on_a_wall_and_touching() -> None:
         ho.separate(ho.SwarmProblem(ho.Swarm(2), closer, goal))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 @pytest.mark.parametrize("limits", [{"speed": 1e-6}, {"acceleration": 1e-9}])
 def test_the_slowest_limits_are_planned(limits: dict[str, float]) -> None:

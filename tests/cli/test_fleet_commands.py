@@ -62,6 +62,7 @@ def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
     assert "version: 9" in Path("bag/metadata.yaml").read_text()
 
 
+@pytest.mark.slow
 def test_a_lost_limit_ends_with_3_and_what_would_do(
     plan: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -69,6 +69,7 @@ def test_refusals_are_objects_too(place: Path) -> None:
     assert sorted(path.name for path in place.iterdir()) == ["out"]
 
 
+@pytest.mark.slow
 def test_quiet_and_verbose_calls() -> None:
     quiet = run("solve", TRIANGLE, "-o", "out", "--rate", "5", "-q", code=0)
     assert quiet.output == ""
@@ -78,6 +79,7 @@ def test_quiet_and_verbose_calls() -> None:
     assert " s  separation, 0 of " in verbose.stderr
 
 
+@pytest.mark.slow
 def test_a_solve_says_what_to_do_next() -> None:
     assert run("solve", TRIANGLE, "-o", "my out", "--rate", "5").stderr.splitlines() == [
         "next: look at my out/summary.png",
@@ -88,6 +90,7 @@ def test_a_solve_says_what_to_do_next() -> None:
     assert drum.stderr.splitlines()[-1] == "      hitchopt export out --format csv"
 
 
+@pytest.mark.slow
 def test_standard_input_is_a_file() -> None:
     run("solve", "-", "--rate", "5", given=TRIANGLE.read_text(encoding="utf-8"), code=0)
     assert Path("stdin/plan.npz").exists()

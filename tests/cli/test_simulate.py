@@ -81,6 +81,7 @@ def test_a_campaign_reports_its_success_rate(solved: Path, tmp_path: Path) -> No
     assert settings["perturbations"]["downwash"] is True
 
 
+@pytest.mark.slow
 def test_a_flight_that_fails_ends_with_3_and_the_failure(
     solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,7 +56,20 @@ def least_duration(path: Path) -> float:
     return float(total)
 
 
-@pytest.mark.parametrize("path", GOOD, ids=lambda path: path.stem)
+LONG = {
+    "carry_box", "carry_tray", "form_thirty_gon", "form_with_friction", "grip_drum",
+    "past_a_star_tip", "roll_32_gon", "tie_carry_untie", "weight_form_and_carry",
+}  # fmt: skip
+"""Problems that take longest."""
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=pytest.mark.slow if path.stem in LONG else (), id=path.stem)
+        for path in GOOD
+    ],
+)
 def test_good_problems_are_certified(path: Path, place: Path) -> None:
     result = run("solve", path, "--rate", "5", code=0)
     assert result.stdout.splitlines()[-1] == f"certified; the plan is in {path.stem}"
@@ -181,6 +194,7 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
     assert not Path("other").exists()
 
 
+@pytest.mark.slow
 def test_the_directory_tells_the_last_solve(place: Path) -> None:
     solved()
     (place / "out" / "mine.txt").write_text("precious")

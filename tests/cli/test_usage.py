@@ -104,6 +104,7 @@ def test_what_is_in_the_way_is_told(place: Path) -> None:
         assert "error: out/plan.npz: " in refused("view", "out")  # nothing is served
 
 
+@pytest.mark.slow
 def test_a_bad_file_in_a_process_of_its_own(place: Path) -> None:
     bad = next(path for path in BAD if path.stem == "several_faults")
     done = started("-m", "hitchopt", "solve", str(bad))
@@ -250,6 +251,7 @@ def test_signals_wait_until_pydantic_has_built_a_model() -> None:
     assert (end.value.code, len(built)) == (130, 1)
 
 
+@pytest.mark.slow
 def test_signals_while_writing_and_after_the_command(place: Path) -> None:
     done = started("-c", WRITING.format(file=str(TRIANGLE)))
     assert (done.returncode, done.stderr) == (143, "")

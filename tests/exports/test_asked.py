@@ -190,6 +190,7 @@ def test_plans_ask_what_their_problems_do(name: str) -> None:
     check_asked(asked_of(motion), motion)
 
 
+@pytest.mark.slow
 def test_plans_made_in_python_and_their_aborts_are_read_again(
     tied: ho.Plan, tmp_path: Path
 ) -> None:

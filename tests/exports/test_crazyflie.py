@@ -147,6 +147,7 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     assert not again.given
 
 
+@pytest.mark.slow
 def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
     motion = long_plan()
     parts = exported(motion, "crazyswarm2", tmp_path)

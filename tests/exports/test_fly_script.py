@@ -67,6 +67,7 @@ def test_no_setpoint_jumps_through_all_parts(
             assert apart < 1e-5  # the plan ends on the floor: landing moves nobody
 
 
+@pytest.mark.slow
 def test_started_in_the_air_without_its_option_nothing_jumps_either(
     parts: tuple[Export, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,6 +51,7 @@ def flown(motion: Motion, held: Motion, loop: PositionLoop, t: np.ndarray) -> np
     return places
 
 
+@pytest.mark.slow
 def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
     loop = PositionLoop.of(plan.motion.team, None, None)
     held = held_tension(plan.motion, loop)

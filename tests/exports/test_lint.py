@@ -44,6 +44,7 @@ def polys(folder: Path, *drones: tuple[list[float], list[list[float]]], frame: s
         write_poly_csv(folder / f"d{i}.csv", np.array(durations), powers, frame)
 
 
+@pytest.mark.slow
 def test_a_cut_export_is_linted_part_by_part(tmp_path: Path) -> None:
     parts = exported(long_plan(), "crazyswarm2", tmp_path)
     found = lint(tmp_path)

@@ -133,6 +133,7 @@ def place(entry: dict[str, Any], landing: float, start: Array, t: float) -> Arra
     return np.asarray(np.maximum(here, [-np.inf, -np.inf, 0.0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [swarm_plan(), crossing()], ids=["swarm", "crossing"])
 def test_returns_keep_drones_apart(motion: Motion, tmp_path: Path) -> None:
     exported(motion, "skybrush", tmp_path)

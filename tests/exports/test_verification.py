@@ -51,6 +51,7 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(motion: Motion) -> 
         assert flown_checks(motion)[check.name].worst == pytest.approx(planned.worst, rel=3e-4)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.integers(0, 1000))
 def test_samples_never_beat_the_bounds(seed: int) -> None:
@@ -82,6 +83,7 @@ def test_what_is_lost_is_reported() -> None:
     assert {"separation", "cable_length"} <= {check.name for check in verdict.lost}
 
 
+@pytest.mark.slow
 def test_windows_of_any_size_say_the_same() -> None:
     motion = hitch_plan()
     names = motion.team.drone_names

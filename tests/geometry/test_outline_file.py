@@ -54,6 +54,7 @@ def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     assert ho.Section(outline).area == pytest.approx(math.pi * 0.04, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_dxf_lines_are_joined_and_converted(tmp_path: Path) -> None:
     ezdxf = import_module("ezdxf")
     for units, scale in ((4, 1e-3), (0, 1.0), (1, 0.0254)):

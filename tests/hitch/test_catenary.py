@@ -37,6 +37,7 @@ def slope(c: Catenary, mu: float) -> float:
     return around / (step * float(c.across))
 
 
+@pytest.mark.slow
 @given(SPANS)
 @settings(max_examples=60)
 def test_a_cable_is_as_long_as_it_is(case: tuple[float, float, float]) -> None:

@@ -71,6 +71,7 @@ def test_spread_is_balanced_where_balanced_will_do() -> None:
     )
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(3, 8), st.floats(-3.0, 3.0), st.integers(0, 7))
 @settings(max_examples=15)
 def test_moving_turning_renumbering_and_mirroring_move_the_legs_along(

@@ -79,6 +79,7 @@ def test_a_thousand_robots_are_rolled_in_linear_time() -> None:
     assert np.min(np.linalg.norm(aside, axis=1)) >= 0.15 - 1e-6
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(3, 6))
 @settings(max_examples=10)
 def test_legs_with_weight_are_split_for_their_distances_in_space(seed: int, n: int) -> None:
@@ -166,6 +167,7 @@ def mirrored(team: Team, polygon: Array) -> tuple[Team, Array]:
     return image, polygon[::-1] * [-1.0, 1.0]
 
 
+@pytest.mark.slow
 def test_weights_that_one_sense_of_roll_does_not_clear_get_the_other_one() -> None:
     image = mirrored(LOADED, np.array(UNEVEN))
     one, other = Hitch.spread(LOADED, UNEVEN), Hitch.spread(*image)

@@ -157,6 +157,7 @@ def task(section: ho.Section, n: int, cable: float, tension: float = 1.3) -> Gri
     return GripTask(section, n, cable, tension, SIMULATED_FRICTION, STEEP, ho.Quadrotor())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("section", "n", "cable"), [(DISC, 3, 1.6), (BOX, 4, 0.95)])
 def test_the_best_grip_keeps_every_limit_and_no_tried_one_is_better(
     section: ho.Section, n: int, cable: float
@@ -269,6 +270,7 @@ def test_level_pulls_are_limited_by_tilt() -> None:
     assert largest_tension(STEEP, ho.Quadrotor())[0] > 1.5
 
 
+@pytest.mark.slow
 def test_a_refused_grip_by_three_cables_is_not_told_to_use_three() -> None:
     for n, told in ((3, False), (5, True)):
         task = GripTask(
@@ -282,6 +284,7 @@ def test_a_refused_grip_by_three_cables_is_not_told_to_use_three() -> None:
         assert "another length" in remedy
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 def test_grips_that_cannot_be_balanced_are_left_out() -> None:
     rng = np.random.default_rng(6)

@@ -46,6 +46,7 @@ class Linear:
         return error, self.seen[max(len(self.seen) - 1 - DELAYED, 0)]
 
 
+@pytest.mark.slow
 def test_a_constant_error_is_taken_away_while_vertices_move() -> None:
     plan = plan_of()
     off = np.array([[0.01, -0.06, -0.1], [0.01, 0.0, -0.12], [-0.01, 0.0, -0.09]])

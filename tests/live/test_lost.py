@@ -65,6 +65,7 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
     np.testing.assert_allclose(energy, energy[0])
 
 
+@pytest.mark.slow
 def test_a_flown_reaction_is_the_plan_and_then_lets_go(tmp_path: Path) -> None:
     plan, found = plan_of(2.4), reactions_of(2.4).found("r2", TIME)
     task = read_task(plan.save(tmp_path))
@@ -131,6 +132,7 @@ def hovering(altitude: float) -> Motion:
     return Motion.single(team, Requirements(), drones, [phase])
 
 
+@pytest.mark.slow
 def test_no_drone_carries_two() -> None:
     """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
     low = survivable(hovering(1.6))
@@ -144,6 +146,7 @@ def test_no_drone_carries_two() -> None:
         Reactions(hovering(2.2)).found("q0", 1.0)
 
 
+@pytest.mark.slow
 def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
     motion = ho.solve(PROBLEMS / "swarms/head_on.yaml").motion
     found = survivable(motion)

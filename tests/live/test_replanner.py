@@ -92,6 +92,7 @@ def test_every_kind_of_goal_is_reached_from_a_moving_state(kind: str) -> None:
     np.testing.assert_allclose(end[:, 2], height, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_whole_plan_is_certified_and_comes_back_from_its_file(tmp_path: Path) -> None:
     replanner = steered()
     answer = replanner.retarget(TRIANGLE * 0.98, at=moving(replanner))

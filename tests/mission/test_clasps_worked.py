@@ -87,6 +87,7 @@ def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
     np.testing.assert_allclose(ends[2], ends[1], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
     plan = solved([{"settle": {"seconds": 18}}], team={"cable_density": 0.01})
     assert plan.duration == 18.0
@@ -94,6 +95,7 @@ def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None
     assert verify.main([str(tmp_path)]) == 0
 
 
+@pytest.mark.slow
 def test_limits_make_swings_smaller_or_slower() -> None:
     free = solved([{"settle": {}}])
     slow = solved([{"settle": {}}], limits={"speed": 0.2})
@@ -111,6 +113,7 @@ def test_limits_make_swings_smaller_or_slower() -> None:
         solved([{"settle": {"seconds": 2}}], limits={"speed": 0.2})
 
 
+@pytest.mark.slow
 def test_form_says_where_limits_leave_no_room_for_it() -> None:
     plan = solved(form(), tied=False, limits={"tilt_deg": 25.2})
     assert "limits leave no room" in plan.phases[-1].remark

@@ -31,6 +31,7 @@ json_data = st.recursive(
 )
 
 
+@pytest.mark.slow
 @given(json_data)
 @settings(max_examples=60)
 def test_json_is_yaml(data: Any) -> None:

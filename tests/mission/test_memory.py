@@ -84,6 +84,7 @@ PROBLEMS: dict[str, ho.Problem | ho.SwarmProblem] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_plans_from_memory_are_those_planned_anew_to_the_last_bit(
     name: str, monkeypatch: pytest.MonkeyPatch
@@ -132,6 +133,7 @@ def planned(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return asked
 
 
+@pytest.mark.slow
 def test_after_an_edit_only_what_it_changes_is_planned(planned: list[int]) -> None:
     ho.solve(mission(0.3))
     assert planned == [0, 1, 2, 4]

@@ -133,6 +133,7 @@ def test_an_outline_is_checked_through_all_steps() -> None:
         mission(inward, inward)
 
 
+@pytest.mark.slow
 def test_remarks_are_kept_in_the_file_and_shown_in_the_table(tmp_path: Path) -> None:
     polygon = ConvexPolygon([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     start = ho.Hitch.balanced(ho.Team(4, 2.0), polygon)

@@ -68,6 +68,7 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
         assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes() -> None:
     """Vertices of a square that turns by half a circle meet in the middle if they go straight."""
     square = ho.regular_polygon(4, 1.2, math.pi / 4.0)
@@ -86,6 +87,7 @@ def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes() -> None:
     assert plans(edited(data, longer.change.edits))
 
 
+@pytest.mark.slow
 def test_what_is_too_heavy_is_made_lighter_or_pulled_harder() -> None:
     hold: list[dict[str, Any]] = [{"hold": {"seconds": 1.0}}]
     polygon = ho.regular_polygon(3, 1.0).vertices.tolist()
@@ -100,6 +102,7 @@ def test_what_is_too_heavy_is_made_lighter_or_pulled_harder() -> None:
         assert plans(edited(data, suggestion.change.edits))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", ["drones_too_close", "paper_experiment_1"])
 def test_cables_a_little_shorter_than_suggested_do_not_do(stem: str) -> None:
     data = mapping(CASES[stem])
@@ -109,6 +112,7 @@ def test_cables_a_little_shorter_than_suggested_do_not_do(stem: str) -> None:
     assert not plans(edited(data, [Edit("team.cable_length", 0.985 * change.new)]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stem", "key", "needed"),
     [

@@ -25,6 +25,7 @@ def _problem(start: Any, step: Any) -> ho.Problem:
     return ho.Problem(TEAM, start, (step,))
 
 
+@pytest.mark.slow
 def test_form_takes_points_and_plans_what_it_plans_of_an_outline() -> None:
     start = ho.DronesStart(Q, R)
     plans = [

@@ -77,6 +77,7 @@ def test_problems_are_planned_and_samples_keep_what_is_certified(path: Path) -> 
     np.testing.assert_allclose(state.positions[-1], problem.goal, atol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
 def test_infeasible_problems_say_what_binds(path: Path) -> None:
     VALIDATOR.validate(read_yaml(path))
@@ -160,6 +161,7 @@ def test_drones_may_rest_on_the_floor() -> None:
     assert certificate["arena"].worst == 0.0
 
 
+@pytest.mark.slow
 def test_the_duration_that_is_told_will_do() -> None:
     data = {**full(), "duration": 2.0}
     told = re.compile(r"allow (?:at least )?([0-9.e+]+) s")
@@ -213,6 +215,7 @@ def distance_to_disc(points: np.ndarray, radius: float, low: float, high: float)
     return found
 
 
+@pytest.mark.slow
 def test_drones_stay_off_objects_by_samples(tmp_path: Path) -> None:
     problem = any_problem_from_dict(past_objects())
     plan = ho.solve(problem)

@@ -109,6 +109,7 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
 
 
+@pytest.mark.slow
 def test_fixed_is_the_identity_even_where_that_is_a_detour() -> None:
     plan = forming(LINES[[1, 2, 0]], (LINES * [-1, 1, 1])[[1, 2, 0]], assign="fixed")
     assignment = plan.motion.assignment

@@ -26,6 +26,7 @@ def rolled(edge: float, turn: float = 0.0) -> ho.Hitch:
     return ho.Hitch.spread(ho.Team(N, CABLE), polygon)
 
 
+@pytest.mark.slow
 def test_drones_of_a_cable_pass_one_another_where_its_legs_are_rolled() -> None:
     """On the way the edge is half as long as the cable: in one plane both would be at one place."""
     start = rolled(1.3)

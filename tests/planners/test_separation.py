@@ -78,6 +78,7 @@ def assert_kept(task: SeparationTask, found: Separated, samples: int = 1500) -> 
         assert curves.duration == pytest.approx(task.duration, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "slower"), [(2, 1.1), (6, 1.1), (24, 1.25)])
 def test_a_circle_is_crossed_nearly_as_fast_as_alone(n: int, slower: float) -> None:
     task = circle(n, 2.0)
@@ -271,6 +272,7 @@ def changed(task: SeparationTask, change: dict[str, object]) -> SeparationTask:
     return replace(task, requirements=requirements, **own)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "constraint", "where", "words"),
     [
@@ -298,6 +300,7 @@ def test_what_cannot_be_is_told_with_names_and_time(
     assert value < limit if violation.sense == "min" else value > limit
 
 
+@pytest.mark.slow
 def test_a_duration_that_would_do_is_offered() -> None:
     task = row(4)
     fast = separate(task)

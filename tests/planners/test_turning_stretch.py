@@ -55,6 +55,7 @@ def test_a_limit_that_does_not_bind_changes_nothing(name: str) -> None:
     np.testing.assert_array_equal(plan.motion.drones.coefficients, free.motion.drones.coefficients)
 
 
+@pytest.mark.slow
 def test_less_jerk_is_faster_than_flying_the_same_more_slowly() -> None:
     """Thrusts turn with the jerk, so a long flight need not lose its speed."""
     free, plan = solved("transport", None), solved("transport", 40.0)

@@ -174,6 +174,7 @@ def rest(settings: Settings, seconds: float = 2.0, **of_drones: float | bool) ->
     return offsets
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("body", "stiffness"), [("rigid", 4.0), ("point", 12.0)])
 def test_ropes_whose_weight_setpoints_do_not_hold_pull_drones_down(
     body: str, stiffness: float
@@ -192,6 +193,7 @@ def test_a_steady_wind_moves_every_drone_by_its_force_over_the_stiffness() -> No
     np.testing.assert_allclose(shift, np.tile(force / 6.0, (4, 1)), atol=2e-4)
 
 
+@pytest.mark.slow
 def test_integral_action_brings_drones_back_whatever_pulls_at_them() -> None:
     before, after = (rest(Settings(body="point", integral=True), seconds) for seconds in (0.1, 8.0))
     assert np.all(before[:, 2] < -0.01)

@@ -113,6 +113,7 @@ def test_a_tray_is_lifted_by_its_rim(lifted: Simulation) -> None:
     assert lifted.run.placed == tray.placed
 
 
+@pytest.mark.slow
 def test_an_object_that_was_not_to_be_moved_is_misplaced_and_caught(lifted: Simulation) -> None:
     cargo = lifted.flight.task.cargo
     standing = replace(

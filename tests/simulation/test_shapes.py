@@ -286,6 +286,7 @@ def test_simulated_cables_are_as_long_as_planned(n: int) -> None:
     assert flight.longer > 0.015  # without which they would be as much too short
 
 
+@pytest.mark.slow
 def test_lengths_are_told_of_a_hitch_that_is_left() -> None:
     task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
     simulation = simulate(task, Settings(body="point", pull_test=False))
@@ -306,6 +307,7 @@ def test_no_hitch_no_additional_length() -> None:
     np.testing.assert_array_equal(bend_lengths(task, DIAMETER, 0.03), np.zeros(3))
 
 
+@pytest.mark.slow
 def test_what_grips_bends_around_its_object_and_farther_at_clasps(tmp_path: Path) -> None:
     """Cables of a drum's grip follow the path that their thickness makes of the plan's lines."""
     polygon = 0.56 * np.array([[1.0, 0.0], [-0.5, -np.sqrt(0.75)], [-0.5, np.sqrt(0.75)]])

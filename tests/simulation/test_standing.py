@@ -81,6 +81,7 @@ def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:
     assert np.max(np.abs(first.drones - other.drones)) > 1e-3
 
 
+@pytest.mark.slow
 def test_a_chain_holds_at_its_clasps() -> None:
     team = Team(3, 2.4, topology="open", tension=0.5, cable_density=0.01)
     points = [[1.0, 0.0], [1.8, 1.2], [3.2, 1.3], [4.0, 0.0]]

@@ -49,6 +49,7 @@ def pulled(world: World, force: float, steps: int) -> None:
         check_valid(world, 0.25)
 
 
+@pytest.mark.slow
 def test_ropes_that_become_firmer_do_not_jerk() -> None:
     """What they have yielded under their tension is not to pull at once when steps are refined."""
     ropes = Ropes(np.array([1.5, 1.5]), 0.01, 0.1, ACCURATE)
@@ -103,6 +104,7 @@ def test_numbers_that_explode_end_the_run_and_leave_no_file(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_a_rope_picked_up_from_the_ground_is_valid_since_its_lengths_answer_faster() -> None:
     drones, lifted = np.array([[0.0, 0.0, 0.03], [0.6, 0.0, 0.03]]), []
     for loose in (False, True):

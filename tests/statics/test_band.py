@@ -24,6 +24,7 @@ def triangle(density: float = 0.0) -> ho.Hitch:
     return regular_hitch(3, TENSION, quadrotor=drones, cable_density=density)
 
 
+@pytest.mark.slow
 @given(seeds, st.integers(3, 6), st.sampled_from(["closed", "open"]), st.sampled_from([0.0, 0.006]))
 @settings(max_examples=10)
 def test_bands_hold_the_place_without_friction_and_grow_with_friction(

@@ -71,12 +71,14 @@ def test_without_noise_stiffness_and_friction_are_exact(
     assert abs(found.friction.value - friction) < max(found.friction.error, 1e-3)
 
 
+@pytest.mark.slow
 def test_a_steady_wind_is_no_stiffness() -> None:
     task, recording = recorded(*hitches(), K, DENSITY, wind=(0.05, -0.08))
     found = estimate_team(recording, task, DENSITY)
     np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.02)
 
 
+@pytest.mark.slow
 def test_cable_lengths_are_legs_edges_and_arcs() -> None:
     task, recording = recorded(*hitches(), K, DENSITY)
     at_rest = replace(recording, t=recording.t[:30])
@@ -95,6 +97,7 @@ def test_cable_lengths_are_legs_edges_and_arcs() -> None:
         assert found.lengths[k].value == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_moving_turning_and_renaming_the_flight_changes_no_estimate() -> None:
     task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
     noisy = shaken(recording, 1e-3, 4)
@@ -122,6 +125,7 @@ def test_moving_turning_and_renaming_the_flight_changes_no_estimate() -> None:
         assert abs(a.value - b.value) < 0.05 * a.error
 
 
+@pytest.mark.slow
 def test_standard_errors_are_those_of_repeated_flights() -> None:
     """Over flights with noise of 1.5 mm, deviations are about as large as the stated errors."""
     task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
@@ -135,6 +139,7 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
     assert np.max(np.abs(scores)) > 0.2  # they are no vacuous bounds
 
 
+@pytest.mark.slow
 def test_what_a_recording_does_not_determine_is_said() -> None:
     first, second = hitches()
     task, recording = recorded(first, second, K, 0.0)
@@ -154,6 +159,7 @@ def test_what_a_recording_does_not_determine_is_said() -> None:
         estimate_team(unseen, task, DENSITY)
 
 
+@pytest.mark.slow
 def test_the_comparison_is_the_distance_to_the_plan() -> None:
     task, recording = recorded(*hitches(), K, DENSITY)
     between = replace(

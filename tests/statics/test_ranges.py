@@ -36,6 +36,7 @@ def gradients(hitch: ho.Hitch, conditions: Conditions) -> Gradients:
     return Gradients.of(energy, np.concatenate([found.drones, clasps], axis=1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topology", ["closed", "open"])
 @pytest.mark.parametrize("held", [False, True])
 def test_gradients_are_those_of_settled_hitches(topology: str, held: bool) -> None:
@@ -80,6 +81,7 @@ def drawn(
     return found
 
 
+@pytest.mark.slow
 @given(seeds, st.integers(3, 6), st.sampled_from(["closed", "open"]), st.sampled_from([0.0, 0.01]))
 @settings(max_examples=12)
 def test_sampled_hitches_stay_within_bounds(
@@ -119,6 +121,7 @@ def test_ends_of_ranges_are_reached() -> None:
         assert span[1] >= high >= span[1] - 3.0 * found.tension_remainders[0] - 1e-9
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_those_of_samples() -> None:
     hitch, rng = random_hitch(5, 4), np.random.default_rng(1)
     errors = Errors(ErrorSize(deviation=0.002), ErrorSize(deviation=0.003))
@@ -173,6 +176,7 @@ def test_slack_is_found_where_a_range_reaches_nothing() -> None:
     assert np.min(corners.tensions) == 0.0
 
 
+@pytest.mark.slow
 def test_hundreds_of_robots_have_ranges() -> None:
     errors = Errors(force=ErrorSize(0.001))
     found = ranges(regular_hitch(200), errors, stiffness=4.75, cable_density=0.005)

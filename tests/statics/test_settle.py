@@ -408,6 +408,7 @@ def test_hitches_whose_drones_are_far_too_near_find_a_rest(
     assert bool(found.slack_cables or found.loose_clasps) == (inward > 0.4)
 
 
+@pytest.mark.slow
 def test_a_drone_that_comes_to_its_vertex_is_named() -> None:
     hitch = regular_hitch(5)
     legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]

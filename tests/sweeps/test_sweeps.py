@@ -66,6 +66,7 @@ def scheduler() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
+@pytest.mark.slow
 def test_a_sweep_is_the_same_with_two_workers_and_none(tmp_path: Path, scheduler: str) -> None:
     counts: list[Any] = []
     rows = ho.run_sweep(STUDY, tmp_path / "two", scheduler=scheduler, progress=counts.append)
@@ -161,6 +162,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
     assert list(load_sweep(tmp_path)["digest"]) == ["a"]
 
 
+@pytest.mark.slow
 def test_what_rows_come_to(tmp_path: Path) -> None:
     rows = written(STUDY, tmp_path)
     found = summary(rows, 7)
@@ -178,6 +180,7 @@ def test_what_rows_come_to(tmp_path: Path) -> None:
         column_of(rows, "team.tensoin")
 
 
+@pytest.mark.slow
 def test_the_command_reports_draws_and_goes_on(tmp_path: Path) -> None:
     place = tmp_path / "out"
     written(STUDY, place)

@@ -63,7 +63,17 @@ def told(lie: Lie, path: Path) -> set[str]:
         return {REFUSED}
 
 
-@pytest.mark.parametrize("name", ["unlike", *PLANS])
+LONG = ("carry", "grip")
+"""Plans that take long to be verified."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in LONG else ())
+        for name in ("unlike", *PLANS)
+    ],
+)
 def test_plans_that_tell_none_are_proven(name: str, tmp_path: Path) -> None:
     honest = Lie(name, "the truth", lambda *_: None, "")
     assert not told(honest, tmp_path / "plan.npz")

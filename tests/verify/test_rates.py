@@ -61,6 +61,7 @@ def test_values_and_slopes_stay_within_their_bounds(formula: str, width: float) 
             assert np.median(found.reach / np.maximum(far, 1e-9)) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [0.1, 0.01])
 def test_hanging_cables_move_no_farther_than_told(
     width: float, monkeypatch: pytest.MonkeyPatch

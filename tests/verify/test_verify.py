@@ -48,6 +48,7 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
     assert found.keys() <= OWN
 
 
+@pytest.mark.slow
 def test_the_script_needs_numpy_alone(tmp_path: Path) -> None:
     saved("triangle", tmp_path)
     script = tmp_path / "second_opinion.py"
@@ -86,6 +87,7 @@ def test_the_command_ends_with_3_where_a_limit_is_broken(tmp_path: Path) -> None
     assert CliRunner().invoke(main, ["verify", str(tmp_path)]).exit_code == 2
 
 
+@pytest.mark.slow
 def test_solve_verifies_where_asked(tmp_path: Path) -> None:
     problem = str(PROBLEMS / "triangle.yaml")
     run = CliRunner().invoke(main, ["solve", problem, "-o", str(tmp_path / "out"), "--verify"])
@@ -93,6 +95,7 @@ def test_solve_verifies_where_asked(tmp_path: Path) -> None:
     assert "proven: every limit holds at all times" in run.output
 
 
+@pytest.mark.slow
 def test_a_spent_budget_proves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     saved("triangle", tmp_path)
     monkeypatch.setattr(second, "BUDGET", 100)

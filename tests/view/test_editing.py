@@ -245,6 +245,7 @@ CLOSE = TEXT.replace("cable_length: [2.4, 2.5, 2.4]", "cable_length: [1.9, 1.9, 
 """A problem that cannot be met: legs too short for the drones to keep apart."""
 
 
+@pytest.mark.slow
 def test_a_problem_that_cannot_be_met_is_shown_with_a_change(tmp_path: Path) -> None:
     file = tmp_path / "problem.yaml"
     file.write_text(CLOSE)
@@ -263,6 +264,7 @@ def test_a_problem_that_cannot_be_met_is_shown_with_a_change(tmp_path: Path) -> 
     editing.close()
 
 
+@pytest.mark.slow
 def test_the_command_saves_the_page_of_a_problem_or_says_why_not(tmp_path: Path) -> None:
     file, page = tmp_path / "problem.yaml", tmp_path / "plan.html"
     file.write_text(CLOSE)

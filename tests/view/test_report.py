@@ -80,6 +80,7 @@ def test_no_text_ends_its_script_and_nothing_is_fetched(tmp_path: Path) -> None:
     assert not re.search(r"<(link|img|iframe)\b|\b(src|href)=[\"']", page.split("<script>")[0])
 
 
+@pytest.mark.slow
 def test_report_of_a_directory_has_problem_and_digests(tmp_path: Path) -> None:
     problem = Path(__file__).parents[2] / "problems" / "triangle.yaml"
     out = tmp_path / "out"
@@ -99,6 +100,7 @@ def test_report_of_a_directory_has_problem_and_digests(tmp_path: Path) -> None:
     assert not (out / "report.html").exists()  # it would tell of another solve
 
 
+@pytest.mark.slow
 def test_thirty_seconds_of_24_drones_take_3_megabytes_at_most(tmp_path: Path) -> None:
     motion = make_motion(12).slowed(30.0 / 3.1)
     path = Plan(motion, made_certificate()).report(tmp_path)
