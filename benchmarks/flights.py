@@ -2,8 +2,10 @@
 
 Usage: python -m benchmarks flights [--runs N] [--seed S] [--preset NAME] [--friction MU ...]
                                     [--formed N ...] [--processes P]
+                                    [--irregular SEED ... [--ways WAY ...]]
 
-Plans know the friction of the ropes. Each is flown perturbed, with consecutive seeds.
+Plans know the friction of the ropes. Each is flown perturbed, with consecutive seeds. With
+``--irregular`` hitches that settle after they are formed are compared with those that do not.
 """
 
 from __future__ import annotations
@@ -102,8 +104,43 @@ def errors(runs: Sequence[Run]) -> tuple[str, str]:
     )  # type: ignore[return-value]
 
 
+WAYS = {"settled": (0.1, "auto"), "left": (0.1, False), "without friction": (0.0, False)}
+"""Friction, and what ``form`` does about it in the end."""
+
+CALM = {"noise": 0.01, "velocity_noise": 0.03, "wind": 0.05}
+"""Noise and gusts alone."""
+
+
+def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
+    """Return the problem of a hitch with 3 to 6 robots and an irregular outline."""
+    random = np.random.default_rng(seed)
+    problem = tied(3 + seed % 4, friction)
+    form, hold = problem["mission"][0]["form"], problem["mission"][1]["hold"]
+    points = np.array(form["polygon"]) * random.uniform(0.9, 1.15)
+    angle = random.uniform(0.0, 2.0 * np.pi)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    points = points @ turn + random.normal(0.0, 0.04, points.shape)
+    form |= {"polygon": points.round(4).tolist(), "settle": settle}
+    problem["team"]["tension"] = round(float(random.uniform(0.5, 0.7)), 3)
+    hold["seconds"] = 2.0
+    return problem
+
+
+def resting(job: tuple[int, str]) -> tuple[object, ...]:
+    """Return the row of one flight: where its vertices are in the last second of rest."""
+    seed, way = job
+    plan = ho.solve(ho.problem_from_dict(irregular(seed, *WAYS[way])))
+    flown = ho.simulate(
+        plan, preset="accurate", pull_test=False, seed=seed, perturbations=dict(CALM)
+    )
+    last = flown.errors.t > flown.errors.t[-1] - 1.0
+    level = flown.errors.without_sag[last]
+    each = ", ".join(f"{100.0 * value:.1f}" for value in np.nanmean(level, axis=0))
+    return seed, 3 + seed % 4, way, f"{100.0 * np.nanmean(level):.1f}", each
+
+
 def main() -> None:
-    """Print and write both tables."""
+    """Print and write the tables."""
     options = parser(__doc__)
     options.add_argument("--runs", type=int, default=10)
     options.add_argument("--seed", type=int, default=1000)
@@ -111,9 +148,19 @@ def main() -> None:
     options.add_argument("--friction", type=float, nargs="*", default=[0.1, 0.3])
     options.add_argument("--formed", type=int, nargs="*", default=[3, 4, 6])
     options.add_argument("--processes", type=int, default=1)
+    options.add_argument("--irregular", type=int, nargs="*", default=[], metavar="SEED")
+    options.add_argument("--ways", nargs="*", choices=WAYS, default=list(WAYS))
     given = options.parse_args()
     table = Table(given.output / "flights.md", "Flights", LIMITATIONS, ("mujoco",))
     table.note(f"preset {given.preset}, seeds from {given.seed} on")
+    if given.irregular:
+        note = "Irregular hitches tied in calm (noise, gusts), accurate preset: level distances"
+        table.section(f"{note} in the last second", "seed", "n", "way", "mean [cm]", "each [cm]")
+        with ProcessPoolExecutor(given.processes) as pool:
+            jobs = [(seed, way) for seed in given.irregular for way in given.ways]
+            for row in pool.map(resting, jobs):
+                table.row(*row)
+        return
     flown = partial(
         fly, runs=given.runs, seed=given.seed, preset=given.preset, processes=given.processes
     )
