@@ -64,6 +64,9 @@ phase does so by rounding: polynomials cannot follow so short a phase."""
 ALIKE = 1e-9
 """[N] Legs that pull with tensions of a smaller difference do not lean."""
 
+STILL = 1e-6
+"""[m] Legs whose lengths differ by less on a piece do not slide."""
+
 USUAL = "ask later, for a smaller rate, or plan with limits.reserve below 1"
 
 Change = Callable[[Array, float], ClockPhases | None]
@@ -351,13 +354,20 @@ class _Search:
 
     @cached_property
     def leaning(self) -> Array:
-        """Begins and ends (m, 2) [s] of the pieces on which a leg leans against friction."""
+        """Begins and ends (m, 2) [s] of the pieces on which a leg leans as cables slide.
+
+        Where drones swing to work the clasps legs lean, but no cable slides in the plan: that may
+        be flown backward. A run of pieces on which legs lean counts whole.
+        """
         motion, breaks = self.motion, self.motion.drones.breaks
         if motion.leg_tensions is None:
             return np.zeros((0, 2))
         pulls = motion.pulls.coefficients
         apart = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)
         leans = np.max(apart, axis=-1) > ALIKE
+        slides = np.max(np.ptp(motion.legs.coefficients, axis=-1), axis=(1, 2)) > STILL
+        runs = np.cumsum(leans & ~np.concatenate([[False], leans[:-1]]))
+        leans &= np.isin(runs, runs[leans & slides])
         found: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
         return found
 

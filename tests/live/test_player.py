@@ -135,6 +135,15 @@ def test_where_legs_lean_there_is_no_way_back() -> None:
         player.seek(0.2)
 
 
+def test_drones_that_swing_about_their_places_can_go_back() -> None:
+    team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
+    plan = ho.Mission(team, ho.Hitch.spread(team, TRIANGLE, 1.2)).settle().solve()
+    player = Player(plan, 5.0)
+    player.back()
+    last = ran(player, 8.0)[-1]
+    assert (last.time, last.rate) == (0.0, 0.0)
+
+
 @pytest.mark.parametrize(
     ("call", "key"),
     [
