@@ -104,11 +104,19 @@ def errors(runs: Sequence[Run]) -> tuple[str, str]:
     )  # type: ignore[return-value]
 
 
-WAYS = {"settled": (0.1, "auto"), "left": (0.1, False), "without friction": (0.0, False)}
-"""Friction, and what ``form`` does about it in the end."""
+WAYS = {
+    "settled": (0.1, "auto", False),
+    "settled, then corrected": (0.1, "auto", True),
+    "left": (0.1, False, False),
+    "without friction": (0.0, False, False),
+}
+"""Friction, what ``form`` does about it in the end, and whether ``ho.Feedback`` corrects."""
 
 CALM = {"noise": 0.01, "velocity_noise": 0.03, "wind": 0.05}
 """Noise and gusts alone."""
+
+SEEN = {"vertex_noise": 0.01, "vertex_delay": 0.05}
+"""Error [m] and age [s] of the vertices that corrections know."""
 
 
 def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
@@ -129,9 +137,15 @@ def irregular(seed: int, friction: float, settle: object) -> dict[str, Any]:
 def resting(job: tuple[int, str]) -> tuple[object, ...]:
     """Return the row of one flight: where its vertices are in the last second of rest."""
     seed, way = job
-    plan = ho.solve(ho.problem_from_dict(irregular(seed, *WAYS[way])))
+    friction, settle, feedback = WAYS[way]
+    plan = ho.solve(ho.problem_from_dict(irregular(seed, friction, settle)))
     flown = ho.simulate(
-        plan, preset="accurate", pull_test=False, seed=seed, perturbations=dict(CALM)
+        plan,
+        preset="accurate",
+        pull_test=False,
+        seed=seed,
+        feedback=feedback,
+        perturbations=CALM | SEEN,
     )
     last = flown.errors.t > flown.errors.t[-1] - 1.0
     level = flown.errors.without_sag[last]
