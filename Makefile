@@ -16,11 +16,11 @@ film: demo $(VENV)/.filmed
 
 # What a change needs, in some three minutes; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" --durations=20
 
 # The tests that take seconds each, marked slow.
 test-slow: $(VENV)/.tested
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow --durations=20
 
 test-all: test test-slow
 
