@@ -347,6 +347,9 @@ SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 REFUSED = 0.5
 """Factor of a share that breaks a limit to the next one tried: certificates take time."""
 
+WHOLE = 0.99
+"""Share of the friction from which on all of it counts as used."""
+
 NO_ROOM = "legs do not lean against friction: limits leave no room for it"
 
 LONGER = 1.5
@@ -418,13 +421,15 @@ def worked(
         found = settling(rest, share)
         if found is None:
             break
-        motion, words = found.motion, f"drones swing by up to {math.degrees(found.turned):.2g}°"
+        leaning, used = found
+        motion = leaning.motion
+        words = f"drones swing by up to {math.degrees(leaning.turned):.2g}°"
         curves = motion.drones, motion.vertices, motion.pulls
         factor = needed_stretch(motion.team, limits, *curves)
         if factor > 1.0 and seconds is None and factor <= LONGER:
             motion = motion.slowed(factor)
-        if share < 1.0:
-            words += f" ({share:.0%} of what would do: limits leave room for no more)"
+        if used < WHOLE:
+            words += f" (at least {used:.0%} of what would do: legs have room for no more)"
         judged = certified(remarked(motion, words))
         if judged.certificate.certified:
             return judged

@@ -103,12 +103,13 @@ USED = 0.98
 """Share of the friction that is used, which leaves room for interpolation."""
 
 
-def settling(rest: Motion, share: float) -> Leaning | None:
+def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
     """Return a hitch at rest whose drones swing until clasps have no memory of how it was formed.
 
     Legs lean as friction fully used would have them hold the vertices, ``P = T e^{± μ θ}``, to one
     side and the other by turns, farthest at first and by less and less, as iron is demagnetised.
-    Vertices, legs' lengths and edges' tensions stay. None where no leg can lean by SMALLEST.
+    Vertices, legs' lengths and edges' tensions stay. With it comes the share of the friction that
+    is used where legs can bear the least. None where no leg can lean by SMALLEST.
 
     Parameters
     ----------
@@ -122,14 +123,17 @@ def settling(rest: Motion, share: float) -> Leaning | None:
     most = friction * clasps.wrapped
     for _ in range(ROUNDS):  # legs that close in on each other wrap less
         most = friction * (clasps.upright + np.nan_to_num(clasps.angles(-most)))
-    most *= share * np.minimum(clasps.bearable(most), clasps.bearable(-most))[..., None]
+    borne = share * np.minimum(clasps.bearable(most), clasps.bearable(-most))
+    most *= borne[..., None]
     decay = np.linspace(1.0, 0.0, count, endpoint=False) * (-1.0) ** np.arange(count)
     decay = np.concatenate([[0.0], decay[:-1], [0.0]])
     still = np.zeros(most.shape[1:])
     ends = [(1, still), (2, still)]
     curve = make_interp_spline(times, decay[:, None, None] * most, k=5, bc_type=(ends, ends))  # type: ignore[arg-type]
     found = _leaned(rest, PiecewisePolynomial.from_spline(curve))
-    return None if found is None or found.turned < SMALLEST else found
+    if found is None or found.turned < SMALLEST:
+        return None
+    return found, float(np.min(borne))
 
 
 def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
