@@ -183,7 +183,8 @@ class Aborts:
         for rest, start, duration in sorted(options):
             if duration > 0.0 and (rest < latest + APART * FARTHER**tries or tries == TRIES):
                 continue
-            if landing and self._around(rest) == (True, np.inf):
+            # A stop takes half of its duration of plan time.
+            if landing and self._around(start + 0.5 * duration) == (True, np.inf):
                 continue
             latest = rest
             found = self._stop(float(start), float(duration))
