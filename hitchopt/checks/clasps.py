@@ -32,7 +32,7 @@ from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, lowered, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, stacked, vector
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
 from hitchopt.trajectory.search import ABSOLUTE, worst
 from hitchopt.values import Array
 
@@ -42,11 +42,8 @@ LIMIT = 5e-3
 NEAR = 0.02 * LIMIT
 """How close to an attained value the residual is bounded where time is short."""
 
-SIGNS = np.array([1.0, 1.0, 1.0, -1.0])[:, None]
+SIGNS = 1.0, 1.0, 1.0, -1.0
 """The last of the parts at a clasp arrives there; the others leave it."""
-
-LEGS = np.array([1.0, 0.0, 1.0, 0.0])[:, None]
-"""Which of the parts are legs."""
 
 BACKWARD = -180.0
 """[deg] The smallest angle there is; also that of an edge without direction."""
@@ -119,14 +116,19 @@ class Clasps(MotionSpans):
         return {name: Enclosed(self.read(table)) for name, table in forces.items()}
 
     @cached_property
-    def pulls(self) -> Enclosed:
-        """The pulls (spans, 4) along q̂_k, u_k, r̂_{k-1} and u_{k-1} [N]."""
-        tension = _each(self._sizes["parts"])
-        if "halves" not in self._sizes:
-            return tension
-        halves = _each(self._sizes["halves"])
-        found: Enclosed = chord_pull(tension, halves, self.level)
-        return found + halves * LEGS * self.ways[2]
+    def pulls(self) -> list[Enclosed]:
+        """The pulls along q̂_k, u_k, r̂_{k-1} and u_{k-1} [N]."""
+        tensions, halves = self._sizes["parts"], self._sizes.get("halves")
+        if halves is None:
+            return [tensions[i] for i in range(4)]
+        found = []
+        for i, way in enumerate(self.ways):
+            if i % 2 == 0:
+                pull = chord_pull(tensions[i], halves[i], way.level.dot(way.level), way[2])
+            else:
+                pull = chord_pull(tensions[i], halves[i], self.edge_squares[i // 2])
+            found.append(pull)
+        return found
 
     @cached_property
     def tensions(self) -> Enclosed:
@@ -139,56 +141,58 @@ class Clasps(MotionSpans):
         return "weights" in clasp_forces(motion)
 
     @cached_property
-    def ways(self) -> Enclosed:
-        """Chords (spans, 4) of leg and edge ahead and of those behind [m]; the last one arrives."""
+    def ways(self) -> tuple[Enclosed, ...]:
+        """Chords of the leg and the edge ahead and of those behind [m]; the last one arrives."""
         motion, layout = self.source, self.source.team.layout
         ahead, behind = layout.ahead[self.item], layout.behind[self.item]
         legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
         each = (legs, 2 * ahead), (leaving, ahead), (legs, 2 * behind + 1), (arriving, behind)
-        return Enclosed(np.stack(same_degree(*(self.read(*part) for part in each)), 1), self.noise)
+        return tuple(Enclosed(self.read(*part), self.noise) for part in each)
 
     @cached_property
-    def others(self) -> Enclosed:
-        """Lengths (spans, 2) of the other legs of the cables ahead and behind [m]."""
+    def others(self) -> list[Enclosed]:
+        """Lengths of the other legs of the cables ahead and behind [m]."""
         layout = self.source.team.layout
         # A drone at a chain's end has no leg, wherever a plan has it.
         legs = leg_vectors(self.source) * layout.has_leg.reshape(-1, 1, 1)
         others = 2 * layout.ahead[self.item] + 1, 2 * layout.behind[self.item]
-        return Enclosed(self.read(legs, np.stack(others, axis=-1)), self.noise).norm
+        return [Enclosed(self.read(legs, other), self.noise).norm for other in others]
 
     @cached_property
-    def level(self) -> Enclosed:
-        """Squared lengths (spans, 4) of the chords as seen from above [m²].
+    def edge_squares(self) -> list[Enclosed]:
+        """Squared lengths of the edges ahead and behind as seen from above [m²].
 
-        An edge that is wrapped around something counts whole: what legs leave of its cable.
+        One that is wrapped around something counts whole: what legs leave of its cable.
         """
-        team, ways = self.source.team, self.ways
+        team = self.source.team
         if self.source.contacts is None:
-            return ways.level.dot(ways.level)
-        cables = np.stack([team.layout.ahead[self.item], team.layout.behind[self.item]], axis=-1)
-        legs, whole = (
-            ways.part(slice(0, 4, 2)),
-            Enclosed(team.cable_length[cables][..., None, None]),
-        )
-        edges = whole - legs.norm - self.others
-        squares = legs.level.dot(legs.level), edges * edges
-        return stacked([squares[i % 2].part(i // 2) for i in range(4)])
+            return [edge.level.dot(edge.level) for edge in (self.ways[1], self.ways[3])]
+        found = []
+        for i, cable in enumerate((team.layout.ahead, team.layout.behind)):
+            whole = Enclosed(team.cable_length[cable[self.item]][:, None, None])
+            edge = whole - self.ways[2 * i].norm - self.others[i]
+            found.append(edge * edge)
+        return found
 
     @cached_property
-    def along(self) -> Enclosed:
-        """Directions (spans, 4) q̂_k, u_k, r̂_{k-1} and u_{k-1}."""
-        return self.ways.direction
+    def along(self) -> tuple[Enclosed, ...]:
+        """Directions q̂_k, u_k, r̂_{k-1} and u_{k-1}."""
+        vectors = np.stack(same_degree(*(way.c for way in self.ways)), axis=1)
+        found = Enclosed(vectors, self.ways[0].r).direction  # of all four at a time
+        radius = np.broadcast_to(found.r, found.c.shape[:-2])
+        return tuple(Enclosed(found.c[:, i], radius[:, i]) for i in range(4))
 
     @cached_property
-    def forces(self) -> Enclosed:
+    def forces(self) -> tuple[Enclosed, ...]:
         """Forces [N] of leg and edge ahead and of those behind; the last edge leads backward."""
-        return self.along * (self.pulls * SIGNS)
+        each = zip(self.along, self.pulls, SIGNS, strict=True)
+        return tuple(along * (sign * pull) for along, pull, sign in each)
 
     @cached_property
     def carried(self) -> tuple[Enclosed, Enclosed]:
         """[N] What the clasp carries of the cable ahead and of that behind."""
         rows, sizes = self._sizes["weights"], self.others
-        return rows[0] - rows[1] * sizes.part(0), rows[2] - rows[3] * sizes.part(1)
+        return rows[0] - rows[1] * sizes[0], rows[2] - rows[3] * sizes[1]
 
     @cached_property
     def pressed(self) -> Enclosed | None:
@@ -200,7 +204,7 @@ class Clasps(MotionSpans):
     @cached_property
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and what objects add."""
-        found = self.forces.sum()
+        found = self.forces[0] + self.forces[1] + self.forces[2] + self.forces[3]
         if self.weighed(self.source):
             found = found - (self.carried[0] + self.carried[1]).upward()
         return found if self.pressed is None else found + self.pressed
@@ -211,13 +215,8 @@ class Clasps(MotionSpans):
 
         ``W^k`` is the weight on itself and half of the clasp's load.
         """
-        found = self.carried[0].upward() - self.forces.part(slice(2)).sum()
+        found = self.carried[0].upward() - (self.forces[0] + self.forces[1])
         return found if self.pressed is None else found - 0.5 * self.pressed
-
-
-def _each(parts: Enclosed) -> Enclosed:
-    """Return components as the scalars (spans, parts)."""
-    return Enclosed(parts.c[:, :, None], np.asarray(parts.r)[..., None])
 
 
 @shared
@@ -252,9 +251,10 @@ def _lifted(spans: Clasps) -> Bound:
 
     The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
     """
-    signs = zip(range(4), (1.0, 1.0, -1.0, 1.0), strict=True)
-    parts = [spans.contact.dot(spans.along.part(i)) * sign for i, sign in signs]
-    return largest_of([over(part, spans.tensions) for part in parts])
+    pressed = zip(spans.along, (1.0, 1.0, -1.0, 1.0), strict=True)
+    return largest_of(
+        [over(spans.contact.dot(along) * sign, spans.tensions) for along, sign in pressed]
+    )
 
 
 def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:

@@ -336,18 +336,18 @@ def tilt(spans: Drones) -> Bound:
     return Bound(np.minimum(np.where(most < 90.0, most, wide), UPSIDE_DOWN), x)
 
 
-def turning_rate(spans: Drones) -> Bound:
+def _turning(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
     found, known = spans.turning.norm_above, np.isfinite(spans.thrust.inverse_norm.r)
     return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
 
 
-def rate_norm(spans: Drones | Points, order: int) -> Bound:
+def _norm(spans: Drones | Points, order: int) -> Bound:
     """Return the norm of a derivative of the position by time."""
     return spans.moved(order).norm_above
 
 
-FASTEST = Searched(Drones, partial(rate_norm, order=1), "max", 0.0)
+FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
 
 
 def _rate_rule(
@@ -362,7 +362,7 @@ def _rate_rule(
         limit: float = getattr(motion.requirements.limits.planned, name)
         return limit
 
-    find = Searched(over, partial(rate_norm, order=order), "max", 0.0)
+    find = Searched(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
     finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
     return CheckRule(
@@ -376,13 +376,13 @@ JERK = _rate_rule("jerk", "m/s³", 3)
 VERTEX_SPEED = _rate_rule("vertex_speed", "m/s", 1, Points)
 
 
-def thrust_used(spans: Drones) -> Bound:
+def _used(spans: Drones) -> Bound:
     """Return the thrust over the drone's ``max_thrust``."""
     thrust = spans.thrust.norm_above
     return Bound(thrust.value / spans.source.team.max_thrust[spans.item], thrust.x)
 
 
-USED_THRUST = Searched(Drones, thrust_used, "max", share=lambda motion: motion.team.max_thrust)
+USED_THRUST = Searched(Drones, _used, "max", share=lambda motion: motion.team.max_thrust)
 
 THRUST = CheckRule(
     "thrust",
@@ -418,7 +418,7 @@ BODY_RATE = CheckRule(
     lambda motion: (
         None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
     ),
-    (Finder(Searched(Drones, turning_rate, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
+    (Finder(Searched(Drones, _turning, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
     ease=Ease.TIME,
     derivative=3,
@@ -527,7 +527,7 @@ def largest_rate(
 
 def largest_static_thrust(motion: Motion) -> float:
     """Return the largest thrust at rest over ``max_thrust``, for all t."""
-    return worst(Hovering.of(motion), thrust_used, "max").worst
+    return worst(Hovering.of(motion), _used, "max").worst
 
 
 def largest_static_tilt(motion: Motion) -> float:

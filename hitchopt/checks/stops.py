@@ -1,15 +1,15 @@
 """Stops of the common clock, and the report ``stoppable``: how long until all drones rest.
 
 With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock makes the acceleration
-``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``; the force of a cable depends on the
-place alone, and changes s times as fast. With these, drones on a clock are spans like all others,
-and the formulas of the checks hold of them. What is carried is pulled along by forces that fit the
-plan's own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay within
-what checks ``equilibrium``, ``support`` and ``grip`` leave of their limits.
+``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``, and the thrust ``m (a + g ẑ)`` less
+the cable's force, which depends on the place alone. What is carried is pulled along by forces that
+fit the plan's own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay
+within what checks ``equilibrium``, ``support`` and ``grip`` leave of their limits.
 
-On a cell, a phase of constant s̈ within one piece, norms bound the sums: ``s² |D²x| + |ṡ| |Dx|`` and
-the like. Where that does not do, s and ṡ are taken for their chords over plan time, and cells are
-halved until the formulas decide.
+On a cell, a phase of constant s̈ within one piece, norms bound them: ``s² |D²x| + |ṡ| |Dx|`` and
+the like. Where that does not do, curves are taken for their chords by time, off them by an eighth
+of the square of the cell's length times ``s² |D⁴x| + |ṡ| |D³x|`` and the like; the formulas are
+enclosed, and cells halved until that decides.
 
 A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
 shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
@@ -18,21 +18,22 @@ running on, until a stop can begin; a plan that ends at rest has reached rest th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Any, Self
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks import clasps, support
-from hitchopt.checks.drones import Drones, Hovering, rate_norm, thrust_used, tilt, turning_rate
+from hitchopt.checks.drones import Hovering
 from hitchopt.checks.gripping import heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
-from hitchopt.checks.spans import Spans, derivative_margin
-from hitchopt.checks.tables import concatenated
+from hitchopt.checks.spans import derivative_margin
 from hitchopt.errors import check_time
+from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.loads import centre_path, held_pieces, supports_of
 from hitchopt.motion.motion import HoldBy, Motion
@@ -41,22 +42,19 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 4
+HALVINGS = 7
 """Halvings of a cell in which a bound is decided; what is undecided then counts as broken."""
 
 BATCH = 20_000
 """Pairs of a cell and a drone that are looked at in one go."""
 
 ORDER = 8
-"""Degree in which forces of cables are written; what that loses is in their radius."""
-
-SAMPLES = 4
-"""Number of parts of a phase, at the middles of which samples are taken."""
+"""Degree in which forces at rest are written; what that loses is in their radius."""
 
 SLACK = 1e-9
 """Relative margin for the clock's rounding."""
@@ -65,14 +63,23 @@ SHORTEST, LONGEST, SLOWEST = 0.1, 2.5, 20.0
 """[s] Durations of stops: the shortest and longest that are tried, and the longest with a reserve
 or something that is carried, which allow no shorter ones."""
 
-STEP, STEPS = 1.1, (0, 1, 2, 4)
-"""Ratio of neighbouring durations, and which are tried after the shortest that points allow."""
-
 SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
 """[s] Distances of stops, also while steering, and how many there are at most."""
 
+BISECTIONS = 6
+"""Bisections of the logarithm of the least duration that samples allow."""
+
+LONGER = (1.02, 1.1, 1.2, 1.6)
+"""Multiples of that which are tried."""
+
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
+
+STEP = 0.02
+"""[s] Distance of samples of the plan."""
+
+SHARES = np.arange(4) / 3.0
+"""Shares of the phases of a stop at which samples are taken."""
 
 SWITCH = 5.0 / 12.0
 """Plan time over duration at which a stop's jerk changes its sign."""
@@ -82,6 +89,9 @@ TINY = 1e-12
 
 ROWS = 5
 """Number of coordinates of a carried path; those that it does not have are zero."""
+
+EVEN = 0.01
+"""Least share of a sum of two numbers that one of them is taken for."""
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
@@ -99,193 +109,142 @@ start_phases = partial(stop_phases, rate=0.0)
 """Phases that lead from rest back to rate 1, as stops do."""
 
 
-class OnClock(Spans):
-    """Spans of which each lies within one phase of a clock."""
+V = TypeVar("V", Array, Enclosed)
 
-    kept: _Kept
+
+def _acceleration(s: V, slope: V, v: V, a: V) -> V:
+    return s * s * a + slope * v
+
+
+def _jerk(s: V, slope: V, jerk: V, v: V, a: V, j: V) -> V:
+    return s * s * s * j + s * slope * 3.0 * a + jerk * v
+
+
+@dataclass(frozen=True, eq=False)
+class _Spans:
+    """Cells of clocks within one piece of the plan, and an item (a drone, a path) each."""
+
     cells: ClockPhases
+    piece: Indices
+    item: Indices
 
-    @classmethod
-    def flown(cls, kept: _Kept, cells: ClockPhases, piece: Indices, item: Indices) -> Self:
-        """Return the spans of items (spans,) in pieces while clocks pass their cells."""
-        breaks = kept.breaks
-        begin = breaks[piece]
-        times = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
-        x = np.sort(np.clip((times - begin) / (breaks[piece + 1] - begin), 0.0, 1.0), axis=0)
-        made = cls(kept.motion, breaks, piece, item, *x)
-        made.kept, made.cells, made.points = kept, cells, not np.any(cells.duration)
-        return made
+    def taken(self, index: Flags | Indices) -> _Spans:
+        return _Spans(self.cells.taken(index), self.piece[index], self.item[index])
 
-    def chosen(self, index: Flags) -> Self:
-        """Return the chosen spans."""
-        return self.flown(self.kept, self.cells.taken(index), self.piece[index], self.item[index])
-
-    def middles(self) -> Self:
-        """Return the points at their mid times."""
-        jets = advanced(self.cells.jets, 0.5 * self.cells.duration)
-        cells = ClockPhases(self.cells.owner, jets, np.zeros(len(jets)))
-        return self.flown(self.kept, cells, self.piece, self.item)
-
-    def halved(self) -> Self:
-        """Return all first halves by time, then all second ones."""
+    def halves(self) -> _Spans:
         half = 0.5 * self.cells.duration
         jets = np.concatenate([self.cells.jets, advanced(self.cells.jets, half)])
         cells = ClockPhases(np.tile(self.cells.owner, 2), jets, np.tile(half, 2))
-        piece, item = np.tile(self.piece, 2), np.tile(self.item, 2)
-        return self.flown(self.kept, cells, piece, item)
+        return _Spans(cells, np.tile(self.piece, 2), np.tile(self.item, 2))
 
     @cached_property
-    def clock(self) -> tuple[Enclosed, ...]:
-        """The rate s, s², ṡ and s̈ over plan time.
+    def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+        """The rate and its two derivatives."""
+        (s, a, j), t = self.cells.jets.T[1:], self.cells.duration
+        rate = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
+        s, a, j = (Enclosed(np.stack(each, axis=-1)[:, None]) for each in rate)
+        return s, a, j
 
-        By plan time the second derivative of s is ``s̈/s² - ṡ²/s³``, that of s² is ``2 s̈/s`` and
-        that of ṡ is ``-ṡ s̈/s³``: an eighth of it times the square of the span bounds what is
-        between a curve and its chord.
-        """
-        ends, t = np.stack([self.cells.jets, self.cells.ends]), self.cells.duration
-        ends = np.where(ends[0, :, :1] > ends[1, :, :1], ends[::-1], ends)
-        _, s, a, j = np.moveaxis(ends, -1, 0)
-        if self.points:
-            return tuple(Enclosed(each[0, :, None, None]) for each in (s, s * s, a, j))
-        rate, slope = self.cells.jets[:, 1:3].T
-        control = np.abs([s[0], s[1], rate + 0.5 * t * slope])  # of one sign
-        low, high, steep = (
-            np.min(control, axis=0),
-            np.max(control, axis=0),
-            np.max(np.abs(a), axis=0),
+
+class _Curves:
+    """Vectors that are polynomials of plan time, several of each item, on all pieces.
+
+    Parameters
+    ----------
+    breaks: (pieces + 1,) [s]
+    vectors: (pieces, items) each, by the share of the piece.
+    """
+
+    def __init__(self, breaks: Array, vectors: Sequence[Enclosed]) -> None:
+        self.breaks = breaks
+        order, h = max(each.degree for each in vectors), np.diff(breaks)[:, None]
+        self._rows = np.cumsum([0, *(each.c.shape[2] for each in vectors)]).tolist()
+        self._c = np.concatenate([bernstein.elevate(each.c, order) for each in vectors], axis=2)
+        self._margins = np.stack([np.broadcast_to(each.r, self._c.shape[:2]) for each in vectors])
+        slopes = [Enclosed(bernstein.differentiate(each.c)) for each in vectors]
+        bends = [Enclosed(bernstein.differentiate(each.c)) for each in slopes]
+        self._slopes = np.stack([each.size / h for each in slopes])
+        self._bends = np.stack([each.size / h**2 for each in bends])
+        self.sizes = np.stack([each.size + each.r for each in vectors]) * (1.0 + SLACK)
+        """(vectors, pieces, items), bounds of norms."""
+
+    @classmethod
+    def of(cls, path: PiecewisePolynomial, count: int) -> _Curves:
+        """Return the first derivatives of paths (items, d)."""
+        return cls(
+            path.breaks,
+            [
+                Enclosed(path.differentiated(k).coefficients, derivative_margin(path, k))
+                for k in range(1, count + 1)
+            ],
         )
-        eighth, jerk = (ends[1, :, 0] - ends[0, :, 0]) ** 2 / 8.0, np.abs(j[0])
-        with np.errstate(all="ignore"):
-            bends = jerk / low**2 + steep**2 / low**3, 2.0 * jerk / low, steep * jerk / low**3
-        spreads = high - low, high**2 - low**2, np.abs(a[1] - a[0])
-        each = zip((s, s * s, a), bends, spreads, strict=True)
-        chords = [
-            Enclosed(f.T[:, None], np.fmin(eighth * bend, spread) * (1.0 + SLACK))
-            for f, bend, spread in each
-        ]
-        return chords[0], chords[1], chords[2], Enclosed(j[0][:, None, None])
 
-    @cached_property
-    def vectors(self) -> list[Enclosed]:
-        """Derivatives by plan time, and what else there is a table of: their chords."""
-        at, kept, (low, high) = (self.piece, self.item), self.kept, self._ends
-        places = low[:, None] if self.points else np.stack([low, high], axis=-1)
-        weights = bernstein.basis(places, bernstein.degree(kept.table))
-        rows = np.split(kept.table[at] @ np.swapaxes(weights, 1, 2), len(kept.margins), axis=1)
-        off = (1.0 + SLACK) / 8.0 * (high - low) ** 2 * kept.bends[:, *at] + kept.margins[:, *at]
-        return [Enclosed(c, r) for c, r in zip(rows, off, strict=True)]
+    def along(self, spans: _Spans) -> list[Enclosed]:
+        """Return the vectors by time: chords, and how far curves are off them."""
+        begin, at = self.breaks[spans.piece], (spans.piece, spans.item)
+        times = np.stack([spans.cells.jets[:, 0], spans.cells.ends[:, 0]], axis=-1)
+        x = (times - begin[:, None]) / (self.breaks[spans.piece + 1] - begin)[:, None]
+        weights = bernstein.basis(np.clip(x, 0.0, 1.0), bernstein.degree(self._c))
+        ends = self._c[at] @ np.swapaxes(weights, 1, 2)
+        s, slope, eighth = *(each.size for each in spans.clock[:2]), spans.cells.duration**2 / 8.0
+        curved = s * s * self._bends[:, *at] + slope * self._slopes[:, *at]
+        off = eighth * (1.0 + SLACK) * curved + self._margins[:, *at]
+        rows = pairwise(self._rows)
+        return [Enclosed(ends[:, slice(*row)], r) for row, r in zip(rows, off, strict=True)]
 
 
-class FlownDrones(OnClock, Drones):
-    """Spans of drones on a clock."""
-
-    @cached_property
-    def acceleration(self) -> Enclosed:
-        """The second derivative of the position by time."""
-        (_, squared, slope, _), (v, a, *_) = self.clock, self.vectors
-        return squared * a + slope * v
-
-    def moved(self, order: int) -> Enclosed:
-        """Return the second or third derivative of the position by time."""
-        if order == 2:
-            return self.acceleration
-        (s, squared, slope, jerk), (v, a, j, *_) = self.clock, self.vectors
-        return s * squared * j + s * slope * 3.0 * a + jerk * v
-
-    @cached_property
-    def load(self) -> Enclosed:
-        """[N] The force of the cable on the drone, its sign changed."""
-        return self.vectors[3]
-
-    @cached_property
-    def load_rate(self) -> Enclosed:
-        """[N/s] The derivative of the load by time."""
-        return self.clock[0] * self.vectors[4]
+Judged = tuple[Flags, Flags]
+"""Whether limits are broken, and whether all are shown to be kept (spans,)."""
 
 
-Judged = tuple[Callable[[Any], Bound], Callable[[Any], Array | float]]
-"""A formula of spans on a clock, and its limit on each of them."""
+def _within(value: Enclosed, measure: Callable[[Array], Array], limit: Array | float) -> Judged:
+    """Judge a convex measure, no more than a ball's radius larger within it than at its middle."""
+    sizes = measure(value.c)
+    broken = ~(np.maximum(sizes[:, 0], sizes[:, -1]) <= limit)
+    fine: Flags = np.max(sizes, axis=1) * (1.0 + SLACK) + value.r <= limit
+    return broken, fine
+
+
+def _turning(thrust: Enclosed, rate: Enclosed, limit: float) -> Judged:
+    """Judge the turning rate ``f × ḟ / f²``."""
+    across = thrust.cross(rate)
+    sizes, most = (column_lengths(each.c)[:, [0, -1]] for each in (thrust, across))
+    least = thrust.norm_below.value
+    fine: Flags = across.norm_above.value * (1.0 + SLACK) <= limit * least**2
+    return ~np.all(most <= limit * sizes**2, axis=1), fine
 
 
 class _Kept:
     """Items that limit what a clock may do."""
 
-    over: type[OnClock]
-    formulas: list[Judged]
+    _curves: _Curves
 
-    def __init__(
-        self, motion: Motion, part: PiecewisePolynomial, orders: int, further: list[Enclosed]
-    ) -> None:
-        self.motion, self.breaks = motion, part.breaks
-        vectors = [
-            Enclosed(part.differentiated(k).coefficients, derivative_margin(part, k))
-            for k in range(1, orders + 1)
-        ]
-        self.sizes = np.stack([each.size + each.r for each in vectors]) * (1.0 + SLACK)
-        """(orders, pieces, items), bounds of the norms of derivatives by plan time."""
-        self.table = concatenated([each.c for each in (*vectors, *further)], axis=2)
-        self.margins = np.stack([each.r for each in (*vectors, *further)])
-        bends = [
-            bernstein.differentiate(bernstein.differentiate(each.c))
-            for each in (*vectors, *further)
-        ]
-        self.bends = np.stack([Enclosed(each).size for each in bends])
-        self._leading = np.unique(np.argmax(self.sizes, axis=2))
-
-    def allowed(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
-        """Return (cells, items) whether norms of a clock's rates show that limits are kept."""
+    def _quick(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
+        """Return (cells, items) whether norms show that limits are kept."""
         raise NotImplementedError
 
-    def _quick(self, cells: ClockPhases, piece: Indices) -> Flags:
-        begin, end = cells.jets, cells.ends
-        middle = begin[:, 1] + 0.5 * cells.duration * begin[:, 2]
-        s = np.max(np.abs([begin[:, 1], middle, end[:, 1]]), axis=0)
-        slope, jerk = np.maximum(np.abs(begin[:, 2]), np.abs(end[:, 2])), np.abs(begin[:, 3])
-        return self.allowed(s[:, None], slope[:, None], jerk[:, None], piece)
+    def _judged(self, spans: _Spans) -> Judged:
+        raise NotImplementedError
 
-    def _keeps(self, spans: OnClock) -> Flags:
-        """Return (spans,) whether all limits are kept on the whole of each."""
-        fine = np.ones(len(spans), dtype=np.bool_)
-        for formula, limit in self.formulas:
-            fine &= formula(spans).value * (1.0 + SLACK) <= limit(spans)
-        return fine
-
-    def seems(self, phases: ClockPhases, owners: int) -> Flags:
-        """Return (owners,) whether items that lead somewhere keep limits at samples."""
-        part = np.repeat(phases.duration / SAMPLES, SAMPLES)
-        middles = part * np.tile(0.5 + np.arange(SAMPLES), len(phases))
-        jets = advanced(np.repeat(phases.jets, SAMPLES, axis=0), middles)
-        piece = np.searchsorted(self.breaks, jets[:, 0], side="right") - 1
-        flown = np.flatnonzero((piece >= 0) & (piece < len(self.breaks) - 1))
-        row, item = np.repeat(flown, len(self._leading)), np.tile(self._leading, len(flown))
-        cells = ClockPhases(np.repeat(phases.owner, SAMPLES), jets, np.zeros(len(jets)))
-        kept = np.ones(owners, dtype=np.bool_)
-        for batch in np.array_split(np.arange(len(row)), len(row) // BATCH + 1):
-            points = self.over.flown(self, cells.taken(row[batch]), piece[row[batch]], item[batch])
-            kept[points.cells.owner[~self._keeps(points)]] = False
-        return kept
-
-    def keep(self, phases: ClockPhases, owners: int) -> Flags:
-        """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
-        cells, piece = phases.cut(self.breaks, 0.0)
-        flown = (piece >= 0) & (piece < len(self.breaks) - 1)
-        cells, piece = cells.taken(flown), piece[flown]
-        kept = np.ones(owners, dtype=np.bool_)
-        count = max(1, BATCH // self.sizes.shape[2])
+    def look(self, cells: ClockPhases, piece: Indices, kept: Flags) -> None:
+        """Set ``kept`` (owners,) to False where cells, in pieces, are not shown to keep limits."""
+        count = max(1, BATCH // self._curves.sizes.shape[2])
         for first in range(0, len(piece), count):
             check_time()
             row = np.arange(first, min(first + count, len(piece)))
             row = row[kept[cells.owner[row]]]
-            where, item = np.nonzero(~self._quick(cells.taken(row), piece[row]))
-            spans = self.over.flown(self, cells.taken(row[where]), piece[row[where]], item)
-            kept[spans.cells.owner[~self._keeps(spans.middles())]] = False
+            whole = _Spans(cells.taken(row), piece[row], row)
+            s, slope, jerk = (each.size[:, None] for each in whole.clock)
+            where, item = np.nonzero(~self._quick(s, slope, jerk, piece[row]))
+            spans = _Spans(whole.cells.taken(where), piece[row[where]], item)
             for _ in range(HALVINGS + 1):
-                spans = spans.chosen(kept[spans.cells.owner])
-                if not len(spans):
+                if not len(spans.piece):
                     break
-                spans = spans.chosen(~self._keeps(spans)).halved()
-            kept[spans.cells.owner] = False
-        return kept
+                broken, fine = self._judged(spans)
+                kept[spans.cells.owner[broken]] = False
+                spans = spans.taken(np.flatnonzero(~fine & kept[spans.cells.owner])).halves()
+            else:
+                kept[spans.cells.owner] = False
 
 
 class ClockLimits(_Kept):
@@ -294,67 +253,77 @@ class ClockLimits(_Kept):
     Attributes
     ----------
     reserved: whether the plan leaves something of them, so that stops can begin anywhere.
+    sizes: (3, pieces, drones), bounds of the derivatives' norms by plan time.
     inertia: what is carried; None where nothing is.
     """
 
-    over = FlownDrones
-
     def __init__(self, motion: Motion) -> None:
-        team, limits = motion.team, motion.requirements.limits
-        names = ["load"] if limits.body_rate is None else ["load", "load_rate"]
-        loads = [_hovering(motion, name) for name in names if team.has_cables]
-        super().__init__(motion, motion.drones, 3, loads)
-        self.reserved, self.inertia = limits.reserve < 1.0, CarriedInertia.of(motion)
-        rates = (2, limits.acceleration), (3, limits.jerk)
-        self.formulas = [
-            *((partial(rate_norm, order=k), partial(_constant, limit)) for k, limit in rates),
-            (thrust_used, partial(_constant, 1.0)),
-            (tilt, partial(_constant, np.degrees(limits.tilt))),
-        ]
+        self.motion, drones, limits = motion, motion.drones, motion.requirements.limits
+        self.breaks, self.reserved = drones.breaks, limits.reserve < 1.0
+        self._curves = _Curves.of(drones, 3)
+        self.sizes = self._curves.sizes
+        forces = [_hovering(motion, lambda spans: spans.thrust)]
         if limits.body_rate is not None:
-            self.formulas.append((turning_rate, partial(_constant, np.degrees(limits.body_rate))))
-        force = _hovering(motion, "thrust")
-        level = np.hypot(force.c[..., 0, :], force.c[..., 1, :])
-        beyond = level * np.cos(limits.tilt) - force.c[..., 2, :] * np.sin(limits.tilt)
-        left = np.minimum(team.max_thrust - force.size, -np.max(beyond, axis=-1)) - force.r
-        self._spare = np.minimum(left / team.mass, limits.acceleration)
+            turned = motion.team.has_cables
+            rate = _hovering(motion, lambda spans: spans.load_rate) if turned else 0.0 * forces[0]
+            forces.append(rate)
+        self._forces = _Curves(self.breaks, forces)
+        team, beyond = motion.team, np.max(self._beyond(forces[0].c), axis=-1) + forces[0].r
+        self._spare = np.minimum(team.max_thrust - self._forces.sizes[0], -beyond) / team.mass
         """(pieces, drones), acceleration that a drone can have in any direction."""
-
-    def seems(self, phases: ClockPhases, owners: int) -> Flags:
-        """Return (owners,) the same of drones and of what is carried."""
-        kept = super().seems(phases, owners)
-        return kept if self.inertia is None else kept & self.inertia.seems(phases, owners)
+        self.inertia = CarriedInertia.of(motion)
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
-        """Return (owners,) the same of drones and of what is carried."""
-        kept = super().keep(phases, owners)
-        return kept if self.inertia is None else kept & self.inertia.keep(phases, owners)
+        """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
+        cells, piece = phases.cut(self.breaks, 0.0)
+        flown = (piece >= 0) & (piece < len(self.breaks) - 1)
+        cells, piece = cells.taken(flown), piece[flown]
+        kept = np.ones(owners, dtype=np.bool_)
+        for each in (self.inertia, self):
+            if each is not None:
+                each.look(cells, piece, kept)
+        return kept
 
-    def allowed(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
-        """Return (cells, drones) whether norms show that limits are kept, turning left out."""
+    def _quick(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
         limits, (v, a, j) = self.motion.requirements.limits, self.sizes[:, piece]
-        fine: Flags = s * s * a + slope * v <= self._spare[piece]
-        fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
-        return fine & (limits.body_rate is None)
+        spare = np.minimum(self._spare[piece], limits.acceleration)
+        fine: Flags = _acceleration(s, slope, v, a) <= spare
+        fine &= _jerk(s, slope, jerk, v, a, j) <= limits.jerk
+        return fine & (limits.body_rate is None)  # of turning no quick bound comes close
+
+    def _judged(self, spans: _Spans) -> Judged:
+        limits, team = self.motion.requirements.limits, self.motion.team
+        (s, slope, jerk), (v, a, j) = spans.clock, self._curves.along(spans)
+        acceleration, jerk = _acceleration(s, slope, v, a), _jerk(s, slope, jerk, v, a, j)
+        found = [_within(acceleration, column_lengths, limits.acceleration)]
+        found.append(_within(jerk, column_lengths, limits.jerk))
+        spare = self._spare[spans.piece, spans.item]
+        if limits.body_rate is not None or not np.all(acceleration.norm_above.value <= spare):
+            mass = team.mass[spans.item, None]
+            force, *rate = self._forces.along(spans)
+            thrust = acceleration * mass + force
+            found.append(_within(thrust, column_lengths, team.max_thrust[spans.item]))
+            found.append(_within(thrust, self._beyond, 0.0))
+            if limits.body_rate is not None:
+                found.append(_turning(thrust, jerk * mass + s * rate[0], limits.body_rate))
+        broken, fine = zip(*found, strict=True)
+        return np.any(broken, axis=0), np.all(fine, axis=0)
+
+    def _beyond(self, force: Array) -> Array:
+        """Return how far forces (…, 3, m) are beyond the cone of the tilt."""
+        tilt = self.motion.requirements.limits.tilt
+        level = np.hypot(force[..., 0, :], force[..., 1, :])
+        beyond: Array = level * np.cos(tilt) - force[..., 2, :] * np.sin(tilt)
+        return beyond
 
 
-def _constant(limit: float, _: OnClock) -> float:
-    return limit
-
-
-def _hovering(motion: Motion, name: str) -> Enclosed:
-    """Return a property of hovering drones, (pieces, drones) in one degree."""
-    found = [getattr(spans, name).reduced(ORDER) for spans in Hovering.of(motion)]
+def _hovering(motion: Motion, value: Callable[[Hovering], Enclosed]) -> Enclosed:
+    """Return a vector of every drone where it hovers, (pieces, drones)."""
+    found = [value(spans).reduced(ORDER) for spans in Hovering.of(motion)]
     order, shape = max(each.degree for each in found), (motion.drones.pieces, motion.team.drones)
     c = np.concatenate([bernstein.elevate(each.c, order) for each in found])
     r = np.concatenate([np.broadcast_to(each.r, len(each.c)) for each in found])
     return Enclosed(c.reshape(*shape, *c.shape[1:]), r.reshape(shape))
-
-
-def _added(spans: OnClock) -> Bound:
-    """Return the size of the acceleration that a clock adds to the plan's own."""
-    (_, squared, slope, _), (v, a) = spans.clock, spans.vectors
-    return ((squared - 1.0) * a + slope * v).norm_above
 
 
 class CarriedInertia(_Kept):
@@ -365,8 +334,6 @@ class CarriedInertia(_Kept):
     parts: of the motion, on which something is carried, as of ``carried_paths``.
     """
 
-    over = OnClock
-
     def __init__(self, motion: Motion, parts: list[tuple[slice, Array, Array]]) -> None:
         items = max(path.shape[1] for _, path, _ in parts)
         order = max(bernstein.degree(path) for _, path, _ in parts)
@@ -376,9 +343,9 @@ class CarriedInertia(_Kept):
             count, known = path.shape[1], np.all(np.isfinite(path), axis=(2, 3))
             paths[run, :count] = np.nan_to_num(bernstein.elevate(path, order))
             self.slack[run, :count] = np.where(known, np.maximum(slack, 0.0), 0.0)
-        self.paths = PiecewisePolynomial(motion.drones.breaks, paths)
-        super().__init__(motion, self.paths, 2, [])
-        self.formulas = [(_added, lambda spans: self.slack[spans.piece, spans.item])]
+        self.breaks = motion.drones.breaks
+        self.paths = PiecewisePolynomial(self.breaks, paths)
+        self._curves = _Curves.of(self.paths, 2)
         self._spans = np.array([self.breaks[[run.start, run.stop]] for run, _, _ in parts])
 
     @classmethod
@@ -406,12 +373,15 @@ class CarriedInertia(_Kept):
         over = max(1.0, float(np.max(added / slack, initial=0.0)))
         return float(np.sqrt(1.0 - 1.0 / over))
 
-    def allowed(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
-        """Return (cells, paths) whether norms show that the slack is kept."""
-        del jerk
-        v, a = self.sizes[:, piece]
+    def _quick(self, s: Array, slope: Array, _: Array, piece: Indices) -> Flags:
+        v, a = self._curves.sizes[:, piece]
         found: Flags = np.maximum(s * s, 1.0) * a + slope * v <= self.slack[piece]
         return found
+
+    def _judged(self, spans: _Spans) -> Judged:
+        (s, slope, _), (v, a) = spans.clock, self._curves.along(spans)
+        added = _acceleration(s, slope, v, a) - a
+        return _within(added, column_lengths, self.slack[spans.piece, spans.item])
 
 
 @dataclass(frozen=True, eq=False)
@@ -457,9 +427,9 @@ def stop_table(
 ) -> StopTable:
     """Return stops that keep all limits of a motion, ``spacing`` [s] from each other.
 
-    Each has the shortest duration that points allow, or is a little longer where that is not shown
-    to keep all limits. The end counts as rest only if the drones rest there. ``limits`` are those
-    of the motion, where they are known.
+    How long each has to take at least is read off samples; that and a little more is then shown to
+    keep all limits, or longer ones where it is not. The end counts as rest only if the drones rest
+    there. ``limits`` are those of the motion, where they are known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
@@ -467,27 +437,62 @@ def stop_table(
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
-    slow = limits.inertia is not None or limits.reserved
-    tried = SHORTEST * STEP ** np.arange(
-        np.log((SLOWEST if slow else LONGEST) / SHORTEST) / np.log(STEP)
-    )
-    low = np.zeros(len(starts), np.intp)
-    high = np.where(limits.seems(stop_phases(starts, tried[:1]), len(starts)), 0, len(tried) - 1)
-    while np.any(low < high):
-        middle = (low + high) // 2
-        seems = limits.seems(stop_phases(starts, tried[middle]), len(starts))
-        low, high = (
-            np.where(seems, low, np.minimum(middle + 1, high)),
-            np.where(seems, middle, high),
-        )
+    least = _least(limits, starts)
     durations = np.full(len(starts), np.inf)
-    for more in STEPS:
-        longer = tried[np.minimum(low + more, len(tried) - 1)]
-        useful = limits.reserved | (longer < LATEST * (rest - starts))
+    for factor in LONGER:
+        tried = factor * least
+        useful = limits.reserved | (tried < LATEST * (rest - starts))
         left = np.flatnonzero(np.isinf(durations) & useful)
-        left = left[_shown(limits, starts[left], longer[left])]
-        durations[left] = longer[left]
+        left = left[_shown(limits, starts[left], tried[left])]
+        durations[left] = tried[left]
     return StopTable(rest, starts, durations)
+
+
+def _least(limits: ClockLimits, starts: Array) -> Array:
+    """Return durations (m,) [s] of stops below which samples break a limit."""
+    slow = limits.inertia is not None or limits.reserved
+    low = np.full(len(starts), np.log(SHORTEST))
+    high = np.full(len(starts), np.log(SLOWEST if slow else LONGEST))
+    keep = _sampled(limits)
+    shortest = keep(stop_phases(starts, np.exp(low)))
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        kept = keep(stop_phases(starts, np.exp(middle)))
+        high, low = np.where(kept, middle, high), np.where(kept, low, middle)
+    return np.where(shortest, SHORTEST, np.exp(high))
+
+
+def _sampled(limits: ClockLimits) -> Callable[[ClockPhases], Flags]:
+    """Return whether stops keep accelerations, jerks and balances about samples.
+
+    Of the drones that lead, and of what is carried, at equal distances of plan time.
+    """
+    drones, most = limits.motion.drones, limits.motion.requirements.limits
+    count = int(min(np.ceil(drones.duration / STEP), 3 * STARTS)) + 1
+    times = np.linspace(drones.breaks[0], drones.breaks[-1], count)
+    leading = drones.coefficients[:, np.unique(np.argmax(limits.sizes, axis=2))]
+    jets = np.stack([drones.alike(leading).at(times, k) for k in (1, 2, 3)], axis=1)
+    if (inertia := limits.inertia) is not None:
+        paths = np.stack([inertia.paths.at(times, k) for k in (1, 2)], axis=1)
+        slack = inertia.slack[np.searchsorted(drones.breaks[1:-1], times, side="right")]
+
+    def keep(stops: ClockPhases) -> Flags:
+        there = advanced(stops.jets[:, None], stops.duration[:, None] * SHARES)
+        time, s, a, j = np.moveaxis(there.reshape(-1, 2 * len(SHARES), 4), -1, 0)
+        s, a, j = (each[..., None, None] for each in (s, a, j))
+        node = np.rint((time - times[0]) / (times[1] - times[0])).astype(np.intp)
+        flown, node = node < count, np.minimum(node, count - 1)
+        x1, x2, x3 = np.moveaxis(jets[node], 2, 0)
+        each = [(_acceleration(s, a, x1, x2), most.acceleration)]
+        each.append((_jerk(s, a, j, x1, x2, x3), most.jerk))
+        if inertia is not None:
+            x1, x2 = np.moveaxis(paths[node], 2, 0)
+            each.append((_acceleration(s, a, x1, x2) - x2, slack[node]))
+        fine = [np.all(np.linalg.norm(x, axis=-1) <= limit, axis=-1) for x, limit in each]
+        kept: Flags = np.all(np.all(fine, axis=0) | ~flown, axis=1)
+        return kept
+
+    return keep
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
@@ -541,9 +546,14 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Arra
     mass = body.mass * supports.shares
     moving = body.mass * height * np.linalg.norm(supports.gains, axis=-1)
     moving *= 1.0 + heading_error(Enclosed(pose[:, 3:]))[:, None]
-    # Both add up in z: |a + b|² is at most 2 (a² + b²).
-    twice = np.sqrt(2.0)
-    factors = np.stack([mass, mass, twice * mass, *[twice * moving] * 2], axis=2)
+    # Both add up in z: |a + b|² <= a² / f + b² / (1 - f).
+    speeds = [np.abs(bernstein.differentiate(part)) for part in (places[:, :, 2], centre[:, :2])]
+    upward = mass * np.max(speeds[0], axis=-1)
+    moved = moving * np.max(speeds[1], axis=(1, 2))[:, None]
+    total = upward + moved
+    share = np.divide(upward, total, out=np.full_like(total, 0.5), where=total > 0.0)
+    share = np.clip(share, EVEN, 1.0 - EVEN)
+    factors = np.stack([mass, mass, mass / np.sqrt(share), *[moving / np.sqrt(1.0 - share)] * 2], 2)
     rows = [places, np.broadcast_to(centre[:, None, :2], (*mass.shape, 2, order + 1))]
     loads = factors[..., None] * np.concatenate(rows, axis=2)
     points = np.zeros((len(mass), mass.shape[1] + 1, ROWS, order + 1))

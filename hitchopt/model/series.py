@@ -172,11 +172,8 @@ def _times(a: Any, b: Any, product: Bilinear = lambda a, b: a * b) -> Any:
 
 
 def _sum(terms: list[Any]) -> Any:
-    found: Any = 0.0
-    for term in terms:
-        if not _is_zero(term):
-            found = term if _is_zero(found) else found + term
-    return found
+    terms = [term for term in terms if not _is_zero(term)]
+    return sum(terms[1:], terms[0]) if terms else 0.0
 
 
 def _is_array(value: Any) -> bool:

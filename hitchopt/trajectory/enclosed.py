@@ -12,7 +12,6 @@ Norms and directions are no polynomials. A low interpolant w of 1/|y| is, and th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -116,11 +115,6 @@ class Enclosed:
         """Return chosen spans, the leading axis of the arrays."""
         r = np.broadcast_to(self.r, self.c.shape[:-2])
         return Enclosed(self.c[index], r[index])
-
-    def part(self, index: int | slice) -> Enclosed:
-        """Return some items of the last leading axis."""
-        r = np.broadcast_to(self.r, self.c.shape[:-2])
-        return Enclosed(self.c[..., index, :, :], r[..., index])
 
     def widened(self, radius: Array | float) -> Enclosed:
         """Return the same with a larger ball."""
@@ -339,21 +333,16 @@ def _error(a: Enclosed, b: Enclosed) -> Array:
     Nothing times a factor without a bound is nothing.
     """
     x, y = a.size, b.size
+    error: Array = EPS * (x * y)
     with np.errstate(invalid="ignore"):
-        error: Array = x * (EPS * y + b.r) + a.r * (y + b.r)
-        if math.isnan(np.add.reduce(error, axis=None)):
-            parts = (EPS * x, y), (x, b.r), (a.r, y), (a.r, b.r)
-            known = [np.where((p == 0.0) | (q == 0.0), 0.0, p * q) for p, q in parts]
-            error = known[0] + known[1] + known[2] + known[3]
+        for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
+            if isinstance(radius, float) and radius == 0.0:
+                continue
+            part = size * radius
+            if math.isnan(np.sum(part)):
+                part = np.where((np.asarray(size) == 0.0) | (radius == 0.0), 0.0, part)
+            error = error + part
     return error
-
-
-def stacked(parts: Sequence[Enclosed]) -> Enclosed:
-    """Return values (spans,) as those of a new last leading axis (spans, parts)."""
-    order = max(part.degree for part in parts)
-    c = np.stack([bernstein.elevate(part.c, order) for part in parts], axis=1)
-    r = [np.broadcast_to(part.r, part.c.shape[:-2]) for part in parts]
-    return Enclosed(c, np.stack(r, axis=1))
 
 
 def vector(*parts: Enclosed) -> Enclosed:

@@ -48,7 +48,11 @@ def random_stops(motion: Motion, seed: int, count: int) -> tuple[Array, Array]:
 
 
 def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
-    return bool(inertia.keep(clock, 1)[0])
+    cells, pieces = clock.cut(inertia.breaks)
+    flown = pieces < len(inertia.breaks) - 1
+    found = np.ones(1, dtype=np.bool_)
+    inertia.look(cells.taken(flown), pieces[flown], found)
+    return bool(found[0])
 
 
 @pytest.mark.slow

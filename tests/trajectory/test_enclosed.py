@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Enclosed, Interval, largest_of, stacked, vector
+from hitchopt.trajectory.enclosed import Enclosed, Interval, largest_of, vector
 
 Array = np.ndarray
 Formula = Callable[[Enclosed, Enclosed], Enclosed]
@@ -159,16 +159,3 @@ def test_the_largest_of_bounds_is_told_with_its_place() -> None:
     found = largest_of([a, b], 4.5)
     assert found.value.tolist() == [4.5, 9.0]
     assert found.x.tolist() == [0.0, 1.0]
-
-
-def test_parts_of_a_stack_are_what_was_stacked() -> None:
-    rng = np.random.default_rng(3)
-    parts = [Enclosed(rng.normal(size=(5, 3, order + 1)), 0.1 * order) for order in (2, 0, 3)]
-    whole = stacked(parts)
-    for i, part in enumerate(parts):
-        found = whole.part(i)
-        np.testing.assert_allclose(found.c, bernstein.elevate(part.c, 3))
-        np.testing.assert_array_equal(found.r, part.r)
-    total = parts[0] + parts[1] + parts[2]
-    np.testing.assert_allclose(whole.sum().c, total.c, atol=1e-14)
-    np.testing.assert_allclose(whole.sum().r, total.r)
