@@ -82,6 +82,17 @@ def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> Non
 
 
 @pytest.mark.slow
+def test_a_stop_that_takes_until_after_the_end_rests_within_the_plan() -> None:
+    aborts = Aborts(ending_in_the_air().motion)
+    end = aborts.motion.duration
+    table = replace(aborts.stops, starts=np.array([end - 0.2]), durations=np.array([0.3]))
+    vars(aborts)["stops"] = table
+    rests = [stop.time for stop in aborts.stopped(end - 0.25, landing=True)]
+    assert rests
+    assert max(rests) <= end
+
+
+@pytest.mark.slow
 def test_an_object_that_jumps_is_found() -> None:
     motion = aborts_of().motion
     poses = motion.object_poses.coefficients.copy()
