@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from free_cases import free_motion, through
+from plans import planned
 
-import hitchopt as ho
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.crossings import chord_crossings
 from hitchopt.checks.registry import RULES
@@ -21,21 +21,13 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.trajectory import PiecewisePolynomial
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 TYING = ("tie_carry_untie", "form_triangle")
 CABLES = tuple(state for state in CableState if state is not CableState.NONE)
 
 
 @cache
-def motion_of(name: str) -> Motion:
-    motion = ho.solve(PROBLEMS / f"{name}.yaml").motion
-    assert isinstance(motion, Motion)
-    return motion
-
-
-@cache
 def certificate_of(name: str) -> Certificate:
-    return certify(motion_of(name))
+    return certify(planned(name).motion)
 
 
 def renamed(motion: Motion, names: list[str]) -> Motion:
@@ -52,7 +44,7 @@ def claimed(motion: Motion, i: int, state: CableState) -> Motion:
 @pytest.mark.slow
 def test_phases_may_end_within_pieces() -> None:
     """A piece counts to the phase of its middle, as phases of blended steps end where they do."""
-    motion = motion_of("tie_carry_untie")
+    motion = planned("tie_carry_untie").motion
     phases = list(motion.phases)
     i = next(i for i, p in enumerate(phases) if p.state is phases[i + 1].state)
     joint = phases[i].end
@@ -104,7 +96,7 @@ def index_of(motion: Motion, name: str) -> int:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TYING)
 def test_renaming_every_phase_changes_no_figure(name: str) -> None:
-    motion = motion_of(name)
+    motion = planned(name).motion
     for names in (["take-off"], ["hold", "swap 1", "parked", "tighten"]):
         assert certify(renamed(motion, names)).to_dict() == certificate_of(name).to_dict()
 
@@ -112,7 +104,7 @@ def test_renaming_every_phase_changes_no_figure(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TYING)
 def test_every_other_state_fails(name: str) -> None:
-    motion = motion_of(name)
+    motion = planned(name).motion
     assert certificate_of(name).certified
     for i, phase in enumerate(motion.phases):
         for state in set(CABLES) - {phase.state}:
@@ -128,7 +120,7 @@ def test_every_other_state_fails(name: str) -> None:
     ],
 )
 def test_phases_do_not_swallow_their_neighbours(first: str, state: CableState) -> None:
-    motion = motion_of("tie_carry_untie")
+    motion = planned("tie_carry_untie").motion
     index = index_of(motion, first)
     assert motion.phases[index_of(motion, "swap 1") + 2].name == "tighten"
     assert set(refused(merged(motion, index, index + 2, state))[1:]) == {"p0", "p1", "p2"}
@@ -137,7 +129,7 @@ def test_phases_do_not_swallow_their_neighbours(first: str, state: CableState) -
 @pytest.mark.slow
 def test_what_is_at_full_length_is_not_being_tightened() -> None:
     """Whatever the plan says of legs and tensions, and wherever it puts the clasps."""
-    motion = motion_of("tie_carry_untie")
+    motion = planned("tie_carry_untie").motion
     tighten, loosen = index_of(motion, "tighten"), index_of(motion, "loosen")
     whole = merged(motion, tighten, loosen, CableState.TIGHTENING)
     assert set(refused(whole)[1:]) == {"cable 0", "cable 1", "cable 2"}
@@ -150,7 +142,7 @@ def test_what_is_at_full_length_is_not_being_tightened() -> None:
 
 
 def test_drones_with_cables_on_the_ground_do_not_fly_sideways() -> None:
-    motion = motion_of("form_triangle")
+    motion = planned("form_triangle").motion
     where = refused(merged(motion, 0, 1, CableState.GROUND))
     assert set(where[1:]) == {"cable 0", "cable 1", "cable 2"}
 
@@ -170,7 +162,7 @@ def test_cables_on_the_ground_reach_it(height: float, state: CableState) -> None
 
 def test_a_clasp_turns_about_a_point_at_rest() -> None:
     """Swaps whose pairs wander by two millimetres as they turn."""
-    motion = motion_of("form_triangle")
+    motion = planned("form_triangle").motion
     swap = index_of(motion, "swap 1")
     run = motion.phase_of_piece
     c = motion.drones.coefficients.copy()
@@ -187,7 +179,7 @@ def test_a_clasp_turns_about_a_point_at_rest() -> None:
 
 
 def test_no_leg_and_no_tension_without_a_hitch() -> None:
-    motion = motion_of("form_triangle")
+    motion = planned("form_triangle").motion
     tighten = np.flatnonzero(motion.phase_of_piece == index_of(motion, "tighten"))
     for part in ("legs", "tensions"):
         given: PiecewisePolynomial = getattr(motion, part)
@@ -203,7 +195,7 @@ def test_no_leg_and_no_tension_without_a_hitch() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("state", [CableState.FREE, CableState.GROUND])
 def test_a_word_in_the_file_frees_no_hitch(tmp_path: Path, state: CableState) -> None:
-    motion = motion_of("tie_carry_untie")
+    motion = planned("tie_carry_untie").motion
     path = tmp_path / "plan.npz"
     write_plan(path, motion)
     with np.load(path) as file:
