@@ -1,17 +1,36 @@
 """What holds for all tests: no memory of plans, and property tests that depend on no clock."""
 
 import os
+import shutil
+import tempfile
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from plans import FOLDER, digest
 
-# No test gets what another one has planned.
+# No test gets what another one has planned, but for those that ask ``plans`` for it.
 os.environ["HITCHOPT_MEMORY"] = "off"
 
 # A busy machine is no failure, and every run tries the same examples.
 settings.register_profile("hitchopt", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("hitchopt")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Name the folder of shared plans; those of another package go."""
+    if FOLDER in os.environ:  # a worker's, from its controller
+        return
+    if os.environ.get("CI"):
+        os.environ[FOLDER] = tempfile.mkdtemp()
+        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(FOLDER)))
+        return
+    kept = config.rootpath / ".pytest_cache" / "plans"
+    here = kept / digest()
+    for other in kept.glob("*"):
+        if other != here:
+            shutil.rmtree(other, ignore_errors=True)
+    os.environ[FOLDER] = str(here)
 
 
 @pytest.fixture

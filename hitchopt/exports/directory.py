@@ -106,7 +106,7 @@ def refuse_mixture(directory: Path) -> None:
     except (OSError, ValueError, AttributeError) as error:
         words = f"{path}: cannot be read: {error}; was a save killed? solve again"
         raise FileError(words) from error
-    if named not in (None, found):  # earlier versions named none
+    if named != found:
         raise FileError(f"{path}: is of another {PLAN} than the one beside it; solve again")
 
 

@@ -37,19 +37,11 @@ from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import finite, positive
 
-EARLIER_STATES = {
-    **dict.fromkeys(("parked", "take-off", "land"), CableState.GROUND),
-    **dict.fromkeys(("swap 1", "swap 2", "unswap 1", "unswap 2"), CableState.CLASPING),
-    **dict.fromkeys(("tighten", "loosen"), CableState.TIGHTENING),
-}
-"""States of phases without a hitch by their names, for plan files from before states were stored;
-all others hang free."""
-
 
 def read_phase(
     entry: dict[str, Any], robots: int, objects: Collection[str], *, alone: bool
 ) -> Phase:
-    """Return a phase as it is stored; older files have ``formed`` in place of a state.
+    """Return a phase as it is stored.
 
     Parameters
     ----------
@@ -58,30 +50,24 @@ def read_phase(
     alone: whether the drones carry no cables.
     """
     given = dict(entry)
-    formed, state = given.pop("formed", None), given.pop("state", None)
     hold = _hold(given.pop("hold", None), robots, objects)
     phase = Phase(**given)
-    for value, kinds, words in (
-        (phase.name, {str}, "with a name"),
-        (phase.step, {int}, "with a step's index"),
-        (phase.remark, {str}, "with a remark in words"),
-        (formed, {bool, type(None)}, "formed as true or false"),
+    for value, kind, words in (
+        (phase.name, str, "with a name"),
+        (phase.step, int, "with a step's index"),
+        (phase.remark, str, "with a remark in words"),
     ):
-        if type(value) not in kinds:
+        if type(value) is not kind:
             raise InputError("phases", value, words, "do not edit them")
     allowed = [each for each in CableState if (each is CableState.NONE) is alone]
-    if state is None:
-        state = EARLIER_STATES.get(phase.name, CableState.FREE)
-        if formed is not False:
-            state = CableState.HITCHED
-    elif formed is not None or state not in allowed:
-        words = f"one of {', '.join(allowed)}, without formed"
-        raise InputError("phases.state", state, words, "do not edit them")
+    if entry["state"] not in allowed:
+        words = f"one of {', '.join(allowed)}"
+        raise InputError("phases.state", entry["state"], words, "do not edit them")
     return replace(
         phase,
         start=finite("phases.start", phase.start),
         end=finite("phases.end", phase.end),
-        state=CableState(state),
+        state=CableState(entry["state"]),
         tension=_tension_range(phase.tension),
         hold=hold,
     )
@@ -265,7 +251,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         Limits(**settings["limits"]),
         Separation(**settings["separation"]),
         None if settings["arena"] is None else Arena(**settings["arena"]),
-        tuple(Prism(**entry) for entry in settings.get("keep_out", ())),
+        tuple(Prism(**entry) for entry in settings["keep_out"]),
         {name: _object(**entry) for name, entry in settings.get(OBJECTS, {}).items()},
     )
     given = settings["team"]
@@ -289,8 +275,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         words = f"one after the other from 0 to {motion.duration:g} s"
         raise InputError("phases", spans, words, "do not edit them")
     _check_objects(motion)
-    if "asked" in settings:  # all files but those of earlier versions
-        check_asked(settings["asked"], motion)
+    check_asked(settings["asked"], motion)
     return motion
 
 
@@ -311,7 +296,7 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
-    """Return the kinds of quadrotors; older files say nothing of their controllers."""
+    """Return the kinds of quadrotors, whose controllers are the defaults where none are stored."""
     columns = {name: arrays[name].tolist() for name in PER_KIND}
     if PER_CONTROLLER[0] in arrays:
         columns |= {name: arrays[name].tolist() for name in PER_CONTROLLER}

@@ -9,7 +9,6 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.motion.plan_file import EARLIER_STATES
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -18,22 +17,15 @@ Array = NDArray[np.float64]
 def free_motion(
     team: Team,
     drones: PiecewisePolynomial,
-    names: tuple[str, ...] = ("approach",),
+    *states: CableState,
     arena: Arena | None = None,
-    formed: tuple[bool, ...] = (),
 ) -> Motion:
-    """Phases of those names, one per piece (the last name for all that follow)."""
-    named = [*names, *[names[-1]] * (drones.pieces - len(names))]
-    hitched = [*formed, *[False] * (drones.pieces - len(formed))]
-    states = [
-        CableState.HITCHED if there else EARLIER_STATES.get(name, CableState.FREE)
-        for name, there in zip(named, hitched, strict=True)
-    ]
+    """Phases in those states, one per piece (the last one for all that follow); else free."""
+    last = states[-1] if states else CableState.FREE
+    all_states = [*states, *[last] * (drones.pieces - len(states))]
     phases = tuple(
-        Phase(name, 0, float(a), float(b), state=state)
-        for name, a, b, state in zip(
-            named, drones.breaks[:-1], drones.breaks[1:], states, strict=True
-        )
+        Phase("approach", 0, float(a), float(b), state=state)
+        for a, b, state in zip(drones.breaks[:-1], drones.breaks[1:], all_states, strict=True)
     )
     constant = PiecewisePolynomial.constant
     n = team.robots

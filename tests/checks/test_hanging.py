@@ -19,6 +19,7 @@ from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.segments import differences
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena
+from hitchopt.motion.motion import CableState
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
@@ -62,11 +63,10 @@ def test_the_ground_is_the_arenas_floor(seed: int) -> None:
     assert lower.bound == pytest.approx(found.bound + 0.8, abs=2e-3)
 
 
-@pytest.mark.parametrize("name", ["take-off", "land"])
-def test_cables_on_the_ground_are_looked_at_from_above(name: str) -> None:
+def test_cables_on_the_ground_are_looked_at_from_above() -> None:
     """They lie between their drones: a drone right above one is at distance zero."""
     team, drones = random_flight(3)
-    motion = free_motion(team, drones, (name,))
+    motion = free_motion(team, drones, CableState.GROUND)
     t = np.linspace(0.0, motion.duration, 1501)
     places = drones.at(t)[..., :2]
     ends = places.reshape(len(t), 4, 2, 2)
@@ -99,7 +99,7 @@ def test_spans_and_crossings_against_samples(seed: int) -> None:
     apart = applied(CROSSING, motion)
     assert np.min(gaps) - 2e-3 <= apart.worst <= np.min(gaps) + 1e-9
     neighbours = ((j - i) == 1) | ((j - i) == 3)
-    clasping = applied(CROSSING, free_motion(team, drones, ("swap 1",)))
+    clasping = applied(CROSSING, free_motion(team, drones, CableState.CLASPING))
     assert clasping.worst <= np.min(gaps[:, ~neighbours]) + 1e-9
     assert clasping.worst >= np.min(gaps[:, ~neighbours]) - 2e-3
 

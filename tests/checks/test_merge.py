@@ -1,16 +1,15 @@
 """A certificate from those of the parts, against one that looks at the whole anew."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify, merged
 from hitchopt.motion.motion import Motion, joined_motions
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 
 
@@ -93,7 +92,7 @@ def test_one_part_that_breaks_a_limit_breaks_the_whole(parts: list[Motion]) -> N
 
 
 def test_a_mission_is_certified_as_if_looked_at_as_a_whole() -> None:
-    plan = ho.solve(PROBLEMS / "blended.yaml")
+    plan = planned("blended")
     assert plan.certificate["tracking_radius"].gamma == 1.0
     anew = certify(plan.motion)
     assert [c.name for c in plan.certificate.checks] == [c.name for c in anew.checks]

@@ -17,6 +17,8 @@ from hitchopt.checks.rule import CheckRule, Finder, Finding, ReportRule
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 
+HITCHED, FREE = CableState.HITCHED, CableState.FREE
+
 
 def test_every_rule_has_a_name_of_its_own_and_some_state() -> None:
     assert list(RULE_OF) == [rule.name for rule in RULES]
@@ -56,7 +58,7 @@ def test_a_new_rule_needs_only_a_finder() -> None:
         return Finding(float(motion.drones.breaks[0]), 1.0, ("q0",))
 
     team, drones = random_flight(2, pieces=5)
-    motion = free_motion(team, drones, formed=(True, False, True, True, False))
+    motion = free_motion(team, drones, *(HITCHED, FREE, HITCHED, HITCHED, FREE))
     rule = CheckRule("start", "s", "max", 1e-3, (Finder(find, HITCHED_STATE),))
     check = rule.check(motion)
     assert looked_at == [(drones.breaks[0], 1e-3), (drones.breaks[2], 1e-3)]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from certificate_cases import applied, moving, still, with_parts
 from numpy.typing import NDArray
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -26,7 +26,6 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 Array = NDArray[np.float64]
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 DENSITY = 0.008
 SQUARE = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
 
@@ -34,15 +33,8 @@ SQUARE = [[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]]
 check = partial(applied, RULE)
 
 
-def plan_of(name: str) -> Motion:
-    motion = ho.solve(PROBLEMS / name).motion
-    assert isinstance(motion, Motion)
-    return motion
-
-
-@cache
 def triangle() -> Motion:
-    return plan_of("triangle.yaml")
+    return planned("triangle").motion
 
 
 @cache

@@ -12,6 +12,7 @@ from adversary import attack
 from certificate_cases import random_motion, still
 from free_cases import free_motion, random_flight
 from numpy.typing import NDArray
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify
@@ -22,7 +23,6 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm
-from hitchopt.mission.loading import read_problem
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
@@ -115,7 +115,7 @@ def test_no_adversary_beats_it_and_it_is_tight_for_random_hitches(n: int, seed: 
     ],
 )
 def test_no_adversary_beats_it_and_it_is_tight_for_plans(stem: str, count: int) -> None:
-    motion = ho.solve(read_problem(f"problems/{stem}.yaml")).motion
+    motion = planned(stem).motion
     radius, found = radius_of(motion).bound, attack(motion, count=count).radius
     assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
 

@@ -127,6 +127,7 @@ LIES: dict[str, tuple[str, Callable[[dict[str, Any], dict[str, Any]], None]]] = 
     ),
     "nothing asked": ("asked", setting("asked", to={})),
     "no mapping": ("asked", setting("asked", to=[])),
+    "not a word": ("asked", lambda settings, _: settings.pop("asked")),
 }
 
 

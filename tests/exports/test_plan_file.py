@@ -166,11 +166,6 @@ def _phase(key: str, value: object, settings: dict[str, Any]) -> None:
     settings["phases"][0][key] = value
 
 
-def formed_yes(settings: dict[str, Any]) -> None:
-    settings["phases"][0]["formed"] = "yes"
-    del settings["phases"][0]["state"]
-
-
 def without(name: str) -> Callable[[dict[str, Any]], None]:
     def change(arrays: dict[str, Any]) -> None:
         arrays.pop(name)
@@ -230,8 +225,6 @@ LIES: dict[str, tuple[Callable[[dict[str, Any]], Any], str]] = {
         f"a range {x!r}": (resettled(partial(_phase, "tension", x)), "tension")
         for x in ([0.8, 0.3], [0.0, 0.8], [0.3], "0.3", [0.3, True], [0.3, 1e999], {"min": 0.3})
     },
-    "a flag that contradicts": (resettled(lambda s: s["phases"][0].update(formed=False)), "state"),
-    "formed in words": (resettled(formed_yes), "formed"),
     "phases back": (spans((0.0, 1.0), (1.0, 0.0), (0.0, 1.0)), r"phases = \["),
     "phases with a gap": (spans((0.0, 0.5), (0.6, 1.0)), r"phases = \["),
     "phases that overlap": (spans((0.0, 0.6), (0.5, 1.0)), r"phases = \["),

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -22,12 +23,10 @@ from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
-
 
 @cache
 def aborts_of(stem: str) -> Aborts:
-    return Aborts(ho.solve(PROBLEMS / f"{stem}.yaml").motion)
+    return Aborts(planned(stem).motion)
 
 
 def check_abort(aborts: Aborts, time: float, how: str) -> Abort:
@@ -103,7 +102,7 @@ def test_wrong_arguments_are_named() -> None:
 
 
 def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> None:
-    plan = ho.solve(PROBLEMS / "triangle.yaml")
+    plan = planned("triangle")
     plan.save(tmp_path, rate=10.0)
     done = CliRunner().invoke(main, ["abort", str(tmp_path), "--how", "hold", "--every", "1"])
     assert done.exit_code == 0, done.output
@@ -125,7 +124,7 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
 
 
 def test_a_table_is_read_back_certified(tmp_path: Path) -> None:
-    plan = ho.solve(PROBLEMS / "swarms/head_on.yaml")
+    plan = planned("swarms/head_on")
     plan.save(tmp_path)
     assert read_aborts(tmp_path, plan.motion) is None
     table = abort_table(plan.motion, "land", 1.5)
@@ -147,7 +146,7 @@ def test_a_table_is_read_back_certified(tmp_path: Path) -> None:
 
 def test_the_abort_key_flies_the_saved_table(tmp_path: Path) -> None:
     """A table with one entry, which none would plan by itself, is the one that is taken."""
-    plan = ho.solve(PROBLEMS / "swarms/head_on.yaml")
+    plan = planned("swarms/head_on")
     plan.save(tmp_path)
     table = abort_table(plan.motion, "land", 1.5)
     save_aborts(tmp_path, replace(table, entries=table.entries[1:2]))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -19,7 +20,6 @@ from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.simulation.task import read_task
 from hitchopt.trajectory import PiecewisePolynomial
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 TIME = 0.8
 
 
@@ -148,7 +148,7 @@ def test_no_drone_carries_two() -> None:
 
 @pytest.mark.slow
 def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
-    motion = ho.solve(PROBLEMS / "swarms/head_on.yaml").motion
+    motion = planned("swarms/head_on").motion
     found = survivable(motion)
     assert found.share == 1.0
     assert found.check.method == "sampled"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from plans import planned
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
@@ -81,7 +82,7 @@ def hitched() -> Motion:
 
 def formed() -> Motion:
     """A hitch being formed of cables with weight: hanging, tightened, hitched."""
-    return ho.solve("problems/form_hanging_to_the_floor.yaml").motion
+    return planned("form_hanging_to_the_floor").motion
 
 
 @pytest.mark.parametrize("plan", [hitched, formed])

@@ -8,14 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from plans import PROBLEMS, planned
 from verify_lies import LIES, REFUSED, Lie
 
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.mission.loading import parse_problem
 from hitchopt.motion.plan_file import write_plan
-
-PROBLEMS = Path(__file__).parents[2] / "problems"
 
 PLANS = {
     "morph": "triangle",
@@ -46,7 +45,7 @@ mission:
 def plan(name: str) -> ho.Plan:
     if name == "unlike":
         return ho.solve(parse_problem(UNLIKE, "unlike.yaml", PROBLEMS))
-    return ho.solve(PROBLEMS / f"{PLANS[name]}.yaml")
+    return planned(PLANS[name])
 
 
 def told(lie: Lie, path: Path) -> set[str]:

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 SCRIPT = Path(second.__file__)
 
 QUICK = ("triangle", "open_chain", "friction", "weight_hexagon", "form_square", "swarms/circle_6")
@@ -26,7 +26,7 @@ REPORTED = {"tracking_radius", "stoppable"}
 
 
 def saved(name: str, folder: Path) -> ho.Plan:
-    plan = ho.solve(PROBLEMS / f"{name}.yaml")
+    plan = planned(name)
     plan.save(folder, rate=10.0)
     return plan
 

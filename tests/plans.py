@@ -1,0 +1,46 @@
+"""Plans of this repository's problems, each solved once for all tests of a package as it is.
+
+Workers share them as files in the folder that ``conftest`` names: below ``.pytest_cache`` by the
+contents of package and problems, so that tests of an unchanged package plan nothing twice; a
+temporary one in CI.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import pickle
+from functools import cache
+from pathlib import Path
+
+import hitchopt as ho
+
+ROOT = Path(__file__).parents[1]
+PROBLEMS = ROOT / "problems"
+FOLDER = "HITCHOPT_TESTED_PLANS"
+
+
+@cache
+def planned(name: str) -> ho.Plan:
+    """Return the plan of ``problems/NAME.yaml``."""
+    path = Path(os.environ[FOLDER]) / f"{name.replace('/', '.')}.pickle"
+    if path.exists():
+        found = pickle.loads(path.read_bytes())
+        assert isinstance(found, ho.Plan)
+        return found
+    plan = ho.solve(PROBLEMS / f"{name}.yaml")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    own = path.with_suffix(f".{os.getpid()}")
+    own.write_bytes(pickle.dumps(plan))
+    own.replace(path)
+    return plan
+
+
+def digest() -> str:
+    """Return what tells this package and these problems from others."""
+    found = hashlib.sha256()
+    for folder in ("hitchopt", "problems"):
+        for path in sorted((ROOT / folder).rglob("*")):
+            if path.suffix in {".py", ".yaml", ".svg", ".dxf", ".csv", ".json"}:
+                found.update(path.read_bytes())
+    return found.hexdigest()[:16]
