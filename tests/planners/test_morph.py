@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
-from hitchopt.hitch.legs import reference_margin
+from hitchopt.geometry import regular_polygon
+from hitchopt.hitch.leg_program import LegTask
+from hitchopt.hitch.legs import level_margin_bound, reference_margin, split_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph, blended
@@ -130,3 +132,15 @@ def test_legs_make_way_where_an_end_stands_at_its_limit() -> None:
     linear = ShapePath.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
     assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0
+
+
+@pytest.mark.parametrize("n", [12, 20, 28, 36])
+def test_no_level_legs_have_a_larger_margin_than_their_bound(n: int) -> None:
+    team = Team(n, 2.0)
+    for stretch in (1.0, 1.1):
+        polygon = regular_polygon(n, 1.3).vertices * [1.0, stretch]
+        task = LegTask(
+            team, Requirements(), polygon[None], np.full((1, n), 0.3), 0.15, 1.5, roll=None
+        )
+        bound = level_margin_bound(task)
+        assert split_slack(task).margin <= bound * (1.0 + 1e-9)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,6 @@ from hitchopt.planners.forming.turns import (
     Turns,
     rise_that_clears,
     smallest_separation,
-    stops,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -165,12 +164,9 @@ def _shortfall(measures: Measures, separation: Separation) -> float:
 
 def _drawing_shortfall(pre: PreHitch, hitch: Hitch) -> float:
     """Return the relative violation on the way out to the hitch."""
-    places = stops(pre.drones, hitch.drones, pre.separation)
-    worst = 1.0 / smallest_separation(places, pre.separation) - 1.0
-    for drones in places[:-1]:
-        points = clasp_places(pre.turns, pre.scale, hitch, drones)
-        worst = max(worst, largest_reach(hitch.team, drones, points) - 1.0)
-    return worst
+    worst = 1.0 / smallest_separation(pre.drones, hitch.drones, pre.separation)
+    points = clasp_places(pre.turns, pre.scale, hitch, pre.drones)
+    return max(worst, largest_reach(hitch.team, pre.drones, points)) - 1.0
 
 
 def _turns(
@@ -299,30 +295,25 @@ SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 def clasps_drawn_out(
-    turns: Turns, scale: float, hitch: Hitch, flights: Sequence[PiecewisePolynomial]
-) -> list[PiecewisePolynomial]:
+    turns: Turns, scale: float, hitch: Hitch, flight: PiecewisePolynomial
+) -> PiecewisePolynomial:
     """Return where the clasps may lie (points, 3) [m] while the drones fly out.
 
-    They move along with the drones, between places that all cables reach around at the ends of
-    every flight. Lengths are convex: cables that reach at both ends of a straight flight reach in
+    They move along with the drones, between places that all cables reach around at both ends of
+    the flight. Lengths are convex: cables that reach at both ends of a straight flight reach in
     between.
     """
-    here, found = clasp_places(turns, scale, hitch, turns.drones(np.asarray(0.0))), []
-    for i, flight in enumerate(flights):
-        start, end = flight.coefficients[0, ..., 0], flight.coefficients[-1, ..., -1]
-        last = i == len(flights) - 1
-        there = hitch.vertices if last else clasp_places(turns, scale, hitch, end)
-        gone = flight.coefficients - start[..., None]
-        farthest = int(np.argmax(np.linalg.norm(end - start, axis=1)))
-        whole = (end - start)[farthest]
-        size = float(whole @ whole)
-        s = np.einsum("d,pdm->pm", whole, gone[:, farthest]) / size if size > 0.0 else np.ones(1)
-        s = np.clip(s, 0.0, 1.0)[..., None, None, :]
-        points = here[..., None] * (1.0 - s) + there[..., None] * s
-        shape = (flight.pieces, *points.shape[-3:])
-        found.append(PiecewisePolynomial(flight.breaks, np.broadcast_to(points, shape)))
-        here = there
-    return found
+    here = clasp_places(turns, scale, hitch, turns.drones(np.asarray(0.0)))
+    start, end = flight.coefficients[0, ..., 0], flight.coefficients[-1, ..., -1]
+    gone = flight.coefficients - start[..., None]
+    farthest = int(np.argmax(np.linalg.norm(end - start, axis=1)))
+    whole = (end - start)[farthest]
+    size = float(whole @ whole)
+    s = np.einsum("d,pdm->pm", whole, gone[:, farthest]) / size if size > 0.0 else np.ones(1)
+    s = np.clip(s, 0.0, 1.0)[..., None, None, :]
+    points = here[..., None] * (1.0 - s) + hitch.vertices[..., None] * s
+    shape = (flight.pieces, *points.shape[-3:])
+    return PiecewisePolynomial(flight.breaks, np.broadcast_to(points, shape))
 
 
 def clasp_places(turns: Turns, scale: float, hitch: Hitch, drones: Array) -> Array:

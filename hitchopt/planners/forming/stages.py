@@ -12,7 +12,7 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.motion.motion import CableState
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import PreHitch, clasps_drawn_out
-from hitchopt.planners.forming.turns import swap, tightened
+from hitchopt.planners.forming.turns import straight, swap
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -34,17 +34,13 @@ def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) ->
     team = hitch.team
     legs = float(np.max(hitch.legs))
     shorter = (1.0 - pre.share) * legs  # no drone goes farther, whatever the polygon
-    flights = tightened(team, limits, pre.separation, pre.drones, hitch.drones, shorter)
+    out = straight(team, limits, pre.drones, hitch.drones, shorter)
+    points = clasps_drawn_out(pre.turns, pre.scale, hitch, out)
     rest = PiecewisePolynomial.constant([0.0, rise_seconds(team)], hitch.drones)
     return [
         Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds), CableState.CLASPING),
         Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds), CableState.CLASPING),
-        *(
-            Stage("tighten", flight, CableState.TIGHTENING, points=points)
-            for flight, points in zip(
-                flights, clasps_drawn_out(pre.turns, pre.scale, hitch, flights), strict=True
-            )
-        ),
+        Stage("tighten", out, CableState.TIGHTENING, points=points),
         Stage("tension", rest, CableState.HITCHED, SMOOTH[None]),
     ]
 

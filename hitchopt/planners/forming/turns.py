@@ -8,17 +8,13 @@ t along the chord, w normal to it. The axis of turning is the outward normal of 
 upward by an angle τ, so that the upper drone passes inside and the lower one outside: it would fly
 into the loop of its neighbour's hanging cable else, where edges are nearly in line.
 
-Out to the hitch drones fly on straight lines, all on one clock, or one of every cable after the
-other: where legs are long for their edge, the two drones of a cable pass each other on the line,
-and may come too close at the same pace.
+Out to the hitch drones fly on straight lines, all on one clock.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -26,7 +22,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 APART = 1.05
 """Separation [1] of a pair while it turns."""
@@ -163,9 +159,6 @@ PROBES = 9
 CLOSEST_PROBES = 41
 """Number of places at which distances are measured; the certificate bounds all of the flight."""
 
-CLEAR = 1.01
-"""Smallest separation [1] at these places."""
-
 
 def straight(
     team: Team, limits: Limits, start: Array, end: Array, least: float = 0.0
@@ -189,54 +182,10 @@ def straight(
     return PiecewisePolynomial(clock.breaks, curves)
 
 
-def tightened(
-    team: Team, limits: Limits, separation: Separation, start: Array, end: Array, least: float = 0.0
-) -> list[PiecewisePolynomial]:
-    """Return the flights (2n, 3) [m] out to the hitch: one if drones keep apart on it, else two.
-
-    Parameters
-    ----------
-    start, end: (2n, 3) [m]
-    least: see ``straight``.
-    """
-    return [straight(team, limits, a, b, least) for a, b in pairwise(stops(start, end, separation))]
-
-
-def stops(start: Array, end: Array, separation: Separation) -> list[Array]:
-    """Return the places (2n, 3) [m] where drones rest on their way to the hitch, ends included."""
-    closest = smallest_separation([start, end], separation)
-    if closest < CLEAR:
-        first = _first_movers(start, end, separation)
-        middle = start.copy()
-        middle[first] = end[first]
-        if smallest_separation([start, middle, end], separation) > closest:
-            return [start, middle, end]
-    return [start, end]
-
-
-def _first_movers(start: Array, end: Array, separation: Separation) -> Indices:
-    """Return for every cable the drone that goes first while the other waits, (n,)."""
-    share = np.linspace(0.0, 1.0, CLOSEST_PROBES)[:, None, None]
-    paths = (start + share * (end - start)) * separation.scale
-    waiting, there = start * separation.scale, end * separation.scale
-    apart = []
-    for mover in (0, 1):
-        going, other = paths[:, mover::2], paths[:, 1 - mover :: 2]
-        out = np.linalg.norm(going - waiting[1 - mover :: 2], axis=-1)
-        after = np.linalg.norm(other - there[mover::2], axis=-1)
-        apart.append(np.min(np.minimum(out, after), axis=0))
-    second_is_better = apart[1] > apart[0]
-    movers: Indices = 2 * np.arange(len(second_is_better)) + second_is_better
-    return movers
-
-
-def smallest_separation(places: Sequence[Array], separation: Separation) -> float:
+def smallest_separation(start: Array, end: Array, separation: Separation) -> float:
     """Return the smallest separation of drones at probes on the lines between places (2n, 3)."""
     from scipy.spatial import cKDTree
 
-    smallest = np.inf
-    for start, end in pairwise(places):
-        for share in np.linspace(0.0, 1.0, CLOSEST_PROBES):
-            there = (start + share * (end - start)) * separation.scale
-            smallest = min(smallest, float(np.min(cKDTree(there).query(there, k=[2])[0])))
-    return smallest
+    shares = np.linspace(0.0, 1.0, CLOSEST_PROBES)
+    places = ((start + share * (end - start)) * separation.scale for share in shares)
+    return min(float(np.min(cKDTree(there).query(there, k=[2])[0])) for there in places)

@@ -12,14 +12,13 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.morph.jets import polynomials_through
+from hitchopt.planners.morph.jets import polynomials_through, quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear, worst_place
 from hitchopt.planners.morph.morph import SHORTEST_LEG, check_loads, check_shapes
 from hitchopt.planners.morph.path import (
@@ -219,8 +218,6 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
     coefficients = np.empty((len(gaps), places.shape[1], 6))
-    still = np.zeros(places.shape[1])
-    rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
     for first, last in pairwise(bounds):
         span = slice(first, last)
         if resting[first]:
@@ -228,7 +225,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
             continue
         knots = times[first : last + 1]
         met = places[first : last + 1]
-        spline = make_interp_spline(knots - knots[0], met, k=5, bc_type=(rest, rest))  # type: ignore[arg-type]
+        spline = quintic_spline(knots - knots[0], met, (1, 2))
         coefficients[span] = PiecewisePolynomial.from_spline(spline).coefficients
         coefficients[span, :, 0] = places[first:last]
         coefficients[span, :, -1] = places[first + 1 : last + 1]

@@ -21,17 +21,18 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline
 
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.forces import chord_pull, sag_factors
+from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.model.evaluation import slipping_drones
 from hitchopt.model.series import JET
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph import jets
+from hitchopt.planners.morph.path import cable_along
 from hitchopt.planners.timing.flight import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splitting import on_breaks
@@ -127,9 +128,7 @@ def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
     most *= borne[..., None]
     decay = np.linspace(1.0, 0.0, count, endpoint=False) * (-1.0) ** np.arange(count)
     decay = np.concatenate([[0.0], decay[:-1], [0.0]])
-    still = np.zeros(most.shape[1:])
-    ends = [(1, still), (2, still)]
-    curve = make_interp_spline(times, decay[:, None, None] * most, k=5, bc_type=(ends, ends))  # type: ignore[arg-type]
+    curve = jets.quintic_spline(times, decay[:, None, None] * most, (1, 2))
     found = _leaned(rest, PiecewisePolynomial.from_spline(curve))
     if found is None or found.turned < SMALLEST:
         return None
@@ -178,11 +177,7 @@ def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -
     """
     if team.cable_density == 0.0:
         return None
-    level = jets.product(chords[:, :, 0], chords[:, :, 0])
-    level += jets.product(chords[:, :, 1], chords[:, :, 1])
-    factors = sag_factors(team, 1.0) * jets.reciprocal(jets.product(tensions, tensions))
-    sag = jets.product(factors[:, :, None], level.reshape(lengths.shape))
-    return lengths + jets.product(sag, lengths)
+    return cable_along(team, chords, np.repeat(tensions, 2, axis=1)).reshape(lengths.shape)
 
 
 def _refined(breaks: Array, longest: float) -> Array:

@@ -1,10 +1,11 @@
-"""Arithmetic of jets: values with their derivatives by one parameter, order last."""
+"""Arithmetic of jets, values with their derivatives by one parameter, and curves through them."""
 
 from __future__ import annotations
 
 from math import comb
 
 import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -65,3 +66,16 @@ def polynomials_through(breaks: Array, jets: Array) -> PiecewisePolynomial:
     """Return the polynomials with jets (J, *shape, m) at breaks (J,), of degree 2m - 1."""
     orders = np.moveaxis(jets, -1, 0)
     return PiecewisePolynomial.hermite(breaks, orders[:, :-1], orders[:, 1:])
+
+
+def quintic_spline(s: Array, values: Array, still: tuple[int, int]) -> BSpline:
+    """Return the quintic spline through values (J, *shape) at s (J,), some derivatives zero.
+
+    Parameters
+    ----------
+    still: orders of the two derivatives that are zero at both ends: of rest (1, 2), of a natural
+        spline (3, 4).
+    """
+    none = np.zeros(values.shape[1:])
+    ends = [(order, none) for order in still]  # the stubs know of one condition an end
+    return make_interp_spline(s, values, k=5, bc_type=(ends, ends))  # type: ignore[arg-type]

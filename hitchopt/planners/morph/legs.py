@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements
+from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import flight_estimate, grid_demands
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -26,9 +24,6 @@ PROBES = 65
 ROUNDS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.002), (33, 1.01))
 """Numbers of points of the path at which leg lengths are chosen, and the margins of distances and
 legs there."""
-
-FINEST = (65, 1.005)
-"""A last round, for paths of which few cables are to slide: there is no other route for them."""
 
 CLEAR = 1.0 + 0.5 * (LIMIT_MARGIN - 1.0)
 """Factor on the limits that a law's distances must satisfy at all probes: half of what LIMIT_MARGIN
@@ -49,8 +44,8 @@ def with_legs_clear(
 ) -> ShapePath:
     """Return the path with legs such that distances hold on all of it.
 
-    The path's own law is used where its distances hold. Else legs that are rolled at an end are
-    rolled more half way; else leg lengths are chosen at knots, all at once, nearest to that law's.
+    The path's own law is used where its distances hold. Else leg lengths are chosen at knots, all
+    at once, nearest to that law's.
     Where none is found the path is returned as it is, for the certificate to report what it breaks.
 
     Parameters
@@ -60,35 +55,27 @@ def with_legs_clear(
     """
     if legs_clear(path, requirements):
         return path
-    rounds = (*ROUNDS, FINEST) if few else ROUNDS
-    laws = _laws_nearby(path, requirements, rounds, at_rest)
-    for found in chain(rolled_more(path), laws):
+    for found in _laws_nearby(path, requirements, at_rest):
         for law in (_few_sliding(path, found), found) if few else (found,):
             if legs_clear(law, requirements):
                 return law
     return path
 
 
-def _laws_nearby(
-    path: ShapePath,
-    requirements: Requirements,
-    rounds: Sequence[tuple[int, float]],
-    at_rest: bool,
-) -> Iterator[ShapePath]:
+def _laws_nearby(path: ShapePath, requirements: Requirements, at_rest: bool) -> Iterator[ShapePath]:
     """Yield the path with other laws of the legs, closer to their limits from round to round.
 
     Ends early where no leg lengths at the knots are clear.
     """
-    for count, margin in rounds:
+    for count, margin in ROUNDS:
         task = _task_at(path, requirements, count, margin)
         found = split_slack(replace(task, shortest_leg=margin * requirements.limits.leg))
         if found.margin < CLEAR:
             return
         fractions = found.q_legs / task.slack
-        still = np.zeros(fractions.shape[1])
-        rest = [(1, still), (2, still)]  # the stubs know of one condition an end, scipy of any
-        ends, s = (rest, rest) if at_rest else None, np.linspace(0.0, 1.0, count)
-        spline = make_interp_spline(s, fractions, k=5, bc_type=ends)  # type: ignore[arg-type]
+        s = np.linspace(0.0, 1.0, count)
+        rest = quintic_spline(s, fractions, (1, 2)) if at_rest else None
+        spline = rest or make_interp_spline(s, fractions, k=5)
         law = LegLaw.of_fractions(PiecewisePolynomial.from_spline(spline))
         yield replace(path, legs=law)
 
@@ -157,73 +144,35 @@ def worst_place(path: ShapePath, requirements: Requirements) -> float:
 
 DEGREE = 3
 
-RAISES = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0))
-"""[rad] Rolls that are added half way, tried in turn."""
-
-STEEPEST = math.radians(60.0)
-"""[rad] Largest roll tried, up to which clasps hold in simulated ropes."""
-
-ROLL_DEGREE = 2
-
-
-def rolled_more(path: ShapePath) -> Iterator[ShapePath]:
-    """Yield the path with its legs rolled more half way; none where they are not rolled at all."""
-    roll = path.roll
-    if roll is None:
-        return
-    c = roll.coefficients
-    order = max(ROLL_DEGREE, bernstein.degree(c))
-    sense = np.sign(c[..., 0] + c[..., -1])[..., None]
-    lower, upper = roll.breaks[:-1], roll.breaks[1:]
-    rise = bernstein.restrict(np.array([0.0, 2.0, 0.0]), lower, upper)[:, None]  # 4 s (1 - s)
-    own, more = bernstein.elevate(c, order), bernstein.elevate(rise, order)
-    for angle in RAISES:
-        if float(np.max(np.abs(own))) + angle > STEEPEST:
-            return
-        yield replace(path, roll=PiecewisePolynomial(roll.breaks, own + angle * sense * more))
-
-
-DEGREE = 3
-
-HELPS = 0.9
-"""Largest share of the fastest drone's start and stop that may be left for a slide to be tried."""
-
 SHARES = (1.0, 0.75, 0.5)
 """Shares of the slide that leaves drones the least to do: it costs speed in between."""
-
-SMALLER = 0.4
-"""Factor on the best share: where that breaks a distance, one that slides less may not."""
 
 GAIN = 0.995
 """Largest share of the path's own estimate that another one may take to be worth flying."""
 
 
 def leading(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
-    """Yield paths of the same vertices with a shorter estimate, the best first; mostly none.
+    """Yield a path of the same vertices with a shorter estimate; mostly none.
 
     Vertices have a limit of speed, drones one of acceleration besides. Cables that slide while
     their vertices speed up leave the drones behind for a while: the vertices are at full speed
     earlier. The slide is a cubic of s that is zero at both ends; its slopes there leave the two
     drones of each cable the least to do.
-    Neither their distances nor their durations are verified here.
+    Neither its distances nor its duration are verified here.
     """
     if path.legs.length.pieces > 1:
         return
-    slopes, left = _slopes(path, limits)
-    if left > HELPS:
-        return
-    paths = {_slid(path, share * slopes): share for share in SHARES}
-    slid = min(paths, key=lambda slid: flight_estimate(slid, limits))
-    if flight_estimate(slid, limits) < GAIN * flight_estimate(path, limits):
-        yield slid
-        yield _slid(path, SMALLER * paths[slid] * slopes)
+    slopes = _slopes(path, limits)
+    slid = (_slid(path, share * slopes) for share in SHARES)
+    best = min(slid, key=lambda each: flight_estimate(each, limits))
+    if flight_estimate(best, limits) < GAIN * flight_estimate(path, limits):
+        yield best
 
 
-def _slopes(path: ShapePath, limits: Limits) -> tuple[Array, float]:
+def _slopes(path: ShapePath, limits: Limits) -> Array:
     """Return the slides' slopes (2, n) [m] at s = 0 and 1 that slow the drones most there.
 
-    Also the fastest drone's share of its speed that they leave. A drone's derivative by s is linear
-    in its leg's, which moves it along the leg.
+    A drone's derivative by s is linear in its leg's, which moves it along the leg.
     """
     ends, n = np.array([0.0, 1.0]), path.team.robots
     usual = grid_demands(path, limits).drones[[0, -1], ..., 1].reshape(2, n, 2, -1)
@@ -231,9 +180,7 @@ def _slopes(path: ShapePath, limits: Limits) -> tuple[Array, float]:
     along = slid.positions[..., 1].reshape(2, n, 2, -1) - usual
     size = np.sum(along**2, axis=(2, 3))
     slopes: Array = -np.sum(usual * along, axis=(2, 3)) / np.where(size > 0.0, size, np.inf)
-    fastest = np.max(length(usual))
-    led = np.max(length(usual + slopes[..., None, None] * along))
-    return slopes, float(led / fastest) if fastest > 0.0 else math.inf
+    return slopes
 
 
 def _slid(path: ShapePath, slopes: Array) -> ShapePath:

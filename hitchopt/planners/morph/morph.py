@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
+from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.flight import GRID, Flight, fly, timing_demands
@@ -212,16 +212,14 @@ def blended(hitches: Sequence[Hitch]) -> BlendedPath:
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=1)
     s = np.append(0.0, np.cumsum(np.maximum(steps, SAME)))
     s = s / s[-1]
-    vertices = _spline(s, np.stack([hitch.vertices for hitch in hitches]))
-    fractions = _spline(s, np.stack([hitch.fractions for hitch in hitches]))
-    rolls = np.stack([hitch.roll for hitch in hitches])
-    path = ShapePath(
-        hitches[0].team,
-        vertices,
-        LegLaw.of_fractions(fractions),
-        roll=_spline(s, rolls) if np.any(rolls) else None,
+    vertices, fractions, roll = (
+        PiecewisePolynomial.from_spline(quintic_spline(s, np.stack(values), (3, 4)))
+        for values in zip(*((h.vertices, h.fractions, h.roll) for h in hitches), strict=True)
     )
-    return BlendedPath(path, s)
+    rolled = roll if np.any(roll.coefficients) else None
+    return BlendedPath(
+        ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions), roll=rolled), s
+    )
 
 
 def check_turns(blend: BlendedPath) -> None:
@@ -244,28 +242,15 @@ def passing_times(path: ShapePath, s: Array, flight: Flight) -> Array:
     """
     t = np.linspace(0.0, flight.duration, FINE)
     fine = np.linspace(0.0, 1.0, FINE)
+    flown = flight.legs.at(t)
     gone_by_s = _gone(path.vertices.at(fine), path.legs.share.at(fine))
-    gone_by_t = _gone(flight.vertices.at(t), _fractions(flight, t))
+    gone_by_t = _gone(flight.vertices.at(t), flown[..., 0] / np.sum(flown, axis=-1))
     share = np.interp(s, fine, gone_by_s / gone_by_s[-1])
     times: Array = np.interp(share, gone_by_t / gone_by_t[-1], t)
     return times
-
-
-def _fractions(flight: Flight, t: Array) -> Array:
-    legs = flight.legs.at(t)
-    fractions: Array = legs[..., 0] / np.sum(legs, axis=-1)
-    return fractions
 
 
 def _gone(vertices: Array, fractions: Array) -> Array:
     """Return (J,): distance covered so far in all coordinates together."""
     rows = np.concatenate([vertices.reshape(len(vertices), -1), fractions], axis=1)
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
-
-
-def _spline(s: Array, values: Array) -> PiecewisePolynomial:
-    """Return the natural quintic spline through ``values`` (J, *shape), J at least 3."""
-    none = np.zeros(values.shape[1:])
-    free = [(3, none), (4, none)]  # the stubs know of one condition an end, scipy of any
-    spline = make_interp_spline(s, values, k=5, bc_type=(free, free))  # type: ignore[arg-type]
-    return PiecewisePolynomial.from_spline(spline)

@@ -8,8 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.forces import cable_slack_of
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.forces import cable_slack_of, sag_factors
 from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.model.series import JET
 from hitchopt.planners.morph import jets
@@ -112,7 +112,7 @@ class ShapePath:
             tensions = self.tensions.jet(s, count)
         roll = None if self.roll is None else self.roll.jet(s, count)
         edges = self.team.layout.edges(vertices, axis=1)
-        slack = -_cable_along(self.team, edges, tensions)
+        slack = -cable_along(self.team, edges, tensions)
         slack[..., 0] += self.team.cable_length
         wanted, orders = self.legs.q_legs(s, slack), np.moveaxis(slack, -1, 0)
         q_legs = self.team.layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders)
@@ -136,16 +136,18 @@ def roll_between(
     return PiecewisePolynomial(np.array([0.0, 1.0]), (start.roll[:, None] + change)[None])
 
 
-def _cable_along(team: Team, edges: Array, tensions: Array) -> Array:
-    """Return the jets (J, n, m) [m] of the lengths of cable along edges (J, n, 3, m) [m]."""
-    squares = jets.product(edges, edges)
-    chords = jets.square_root(np.sum(squares, axis=2))
+def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
+    """Return the jets (J, k, m) [m] of the lengths of cable along chords (J, k, 3, m) [m].
+
+    By ``hitch.forces.cable_of``, for tensions (J, k, m) [N].
+    """
+    squares = jets.product(chords, chords)
+    lengths = jets.square_root(np.sum(squares, axis=2))
     if team.cable_density == 0.0:
-        return chords
-    weight = GRAVITY * team.cable_density
-    factors = weight * weight / 24.0 * jets.reciprocal(jets.product(tensions, tensions))
+        return lengths
+    factors = sag_factors(team, 1.0) * jets.reciprocal(jets.product(tensions, tensions))
     level = np.sum(squares[:, :, :2], axis=2)
-    return chords + jets.product(factors, jets.product(chords, level))
+    return lengths + jets.product(factors, jets.product(lengths, level))
 
 
 @dataclass(frozen=True, eq=False)

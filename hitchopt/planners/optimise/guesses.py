@@ -40,14 +40,6 @@ def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, 
     return found
 
 
-def widened(polygons: Array, share: float) -> Array:
-    """Return polygons (J, n, 2) scaled about their middles: at the ends by 1, half way by more."""
-    rise = np.sin(np.pi * np.linspace(0.0, 1.0, len(polygons))) ** 2
-    middles = polygons.mean(axis=1, keepdims=True)
-    wide: Array = middles + (1.0 + share * rise)[:, None, None] * (polygons - middles)
-    return wide
-
-
 def mean_turn(first: ConvexPolygon, last: ConvexPolygon) -> float:
     """Return by how much the edges turn on average, in (-π, π], counter-clockwise [rad].
 

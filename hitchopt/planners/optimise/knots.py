@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -207,17 +207,6 @@ STATIC_SHARE = 0.97
 RAMP = 2.0
 """Number of knots in which the margin rises from that of an end: a jump would bend the path."""
 
-SMALL = 3000
-"""Number of a program's rows that do not count towards a search's work: n = 6 or so, or 20 at the
-knots alone."""
-
-WORK = 1.5e6
-"""Rows that count times iterations of IPOPT, for all programs of a search: some 30 s. Hard morphs
-of 12 robots take as much, to turn a regular 100-gon takes 1.8e5."""
-
-FEWEST_ITERATIONS = 3
-"""Least number of iterations that is worth building a program for."""
-
 Judge = Callable[[ShapePath], Flight | None]
 """Flies a path and verifies all of the time: the flight if it satisfies every limit, else None."""
 
@@ -232,48 +221,16 @@ class SolverStep:
     parts: number of parts of a step between knots at whose ends distances are enforced as well; 1
         for at the knots alone.
     fastest: minimise the time, not the energy.
-    multipliers: estimate those of the rows before the first iteration, which takes as long as one;
-        else they start at zero, as suits a start where few rows bind.
-    near: share of its stride that the step is expected to go: pairs that are farther apart than
-        they can come in that get no row.
     """
 
     stride: float
     parts: int = 1
     fastest: bool = False
-    multipliers: bool = True
-    near: float = 1.0
 
     @property
     def reach(self) -> float:
         """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
-        return 2.0 * math.sqrt(2.0) * self.near * self.stride + 0.02
-
-
-@dataclass
-class Effort:
-    """How much work a search may still do, so that large teams without a route say so soon.
-
-    Attributes
-    ----------
-    left: rows beyond SMALL times iterations of programs.
-    """
-
-    left: float
-
-    def iterations(self, rows: int, most: int) -> int:
-        """Return after how many iterations, at most ``most``, a program is given up; 0: at once."""
-        if rows <= SMALL:
-            return most
-        allowed = int(self.left // (rows - SMALL))
-        if allowed < FEWEST_ITERATIONS:
-            self.left = 0.0  # others of the search are as large
-            return 0
-        return min(most, allowed)
-
-    def spend(self, rows: int, iterations: int) -> None:
-        """Take what a program has done off what is left."""
-        self.left -= float(max(0, rows - SMALL) * iterations)
+        return 2.0 * math.sqrt(2.0) * self.stride + 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,7 +244,6 @@ class Search:
     tension: smallest and largest [N] where tensions may change on the path, or None.
     end_margins: how many times their limits the first and last hitch exceed their distances.
     margin: how many times their limits distances are enforced at the knots.
-    effort: of all its programs together.
     """
 
     requirements: Requirements
@@ -295,7 +251,6 @@ class Search:
     tension: tuple[float, float] | None
     end_margins: tuple[float, float]
     margin: float = 1.02
-    effort: Effort = field(default_factory=lambda: Effort(WORK))
 
     def margins(self, steps: int, places: Array) -> Array:
         """Return (K,): the margin at places (K,) of a path, in steps from its start.

@@ -26,14 +26,7 @@ from hitchopt.errors import check_time, time_left
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY
 from hitchopt.model.planar import planar, planar_bends, planar_slopes
-from hitchopt.planners.optimise.knots import (
-    SMALL,
-    Effort,
-    KnotPath,
-    Search,
-    SolverStep,
-    variable_bounds,
-)
+from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep, variable_bounds
 from hitchopt.planners.optimise.rows import Draft, Expression, Program, Symbols, keep_apart
 from hitchopt.values import Array, Indices
 
@@ -73,13 +66,11 @@ class MorphProgram:
     program: its variables start with those of the inner knots.
     path: around which it is, to read the solution.
     iterations: after which it is given up.
-    multipliers: whether they are estimated first.
     """
 
     program: Program
     path: KnotPath
     iterations: int
-    multipliers: bool
 
 
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
@@ -127,7 +118,7 @@ def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProg
 
         draft.cost(energy_cost)
     iterations = FASTEST_ITERATIONS if step.fastest else ITERATIONS
-    return MorphProgram(draft.program(), path, iterations, step.multipliers)
+    return MorphProgram(draft.program(), path, iterations)
 
 
 def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX, ca.MX]:
@@ -337,6 +328,9 @@ LEAST_TIME = 1e-3
 SETTLED = 0.3
 """Share of its stride: a step of the optimiser that moves no vertex by more is the last one."""
 
+SMALL = 3000
+"""Largest number of rows of programs whose solvers are stored: n = 6 or so."""
+
 STORED = 8
 """Number of solvers that are stored: a search needs one or two for a team."""
 
@@ -355,51 +349,33 @@ def iterates(
     ends where a step fails, or after one that moves no vertex by ``settled`` times its stride.
     """
     for _ in range(most):
-        if search.effort.left <= 0.0:
-            return
-        moved = solve_program(build_program(path, search, step), search.effort)
+        moved = solve_program(build_program(path, search, step))
         if moved is None:
             return
-        far = farthest(moved, path)
+        far = float(np.max(np.abs(moved.polygons - path.polygons)))
         path = moved
         yield path
         if far < settled * step.stride:
             return
 
 
-def farthest(path: KnotPath, other: KnotPath) -> float:
-    """Return by how much the paths' vertices differ at most along an axis, at any knot [m]."""
-    return float(np.max(np.abs(path.polygons - other.polygons)))
-
-
-def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPath | None:
+def solve_program(program: MorphProgram) -> KnotPath | None:
     """Return the path that IPOPT finds, or None where it does not converge.
 
     The solver's status proves no more than that: distances are measured on the path.
-
-    Parameters
-    ----------
-    program: what is solved.
-    effort: what may be spent on it, and is taken off; None for whatever it needs.
     """
     numbers = program.program.numbers
-    rows = len(numbers["lbg"])
-    effort = effort or Effort(math.inf)
-    iterations = effort.iterations(rows, program.iterations)
-    if iterations == 0:
-        return None
-    key = (iterations, program.multipliers, program.program.structure)
+    key = (program.iterations, program.program.structure)
     solver = _SOLVERS.pop(key, None) if math.isinf(time_left()) else None
-    solver = solver or _new_solver(program.program, iterations, program.multipliers)
+    solver = solver or _new_solver(program.program, program.iterations)
     with answered_later():
         solution = solver(**numbers)
     check_time()  # what has been cut short is no solution
     stats = solver.stats()
-    effort.spend(rows, stats["iter_count"])
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not stats["success"] or not np.all(np.isfinite(x)):
         return None
-    if rows <= SMALL and math.isinf(time_left()):
+    if len(numbers["lbg"]) <= SMALL and math.isinf(time_left()):
         _SOLVERS[key] = solver
         if len(_SOLVERS) > STORED:
             _SOLVERS.popitem(last=False)
@@ -409,7 +385,7 @@ def solve_program(program: MorphProgram, effort: Effort | None = None) -> KnotPa
     return program.path.with_table(table)
 
 
-def _new_solver(program: Program, iterations: int, multipliers: bool) -> ca.Function:
+def _new_solver(program: Program, iterations: int) -> ca.Function:
     """Return IPOPT with a program's expressions, for as long as there is time."""
     left = time_left()
     options: dict[str, int | float | str] = {
@@ -419,7 +395,6 @@ def _new_solver(program: Program, iterations: int, multipliers: bool) -> ca.Func
         "tol": TOLERANCE,
         "mu_strategy": "adaptive",
         **LINEAR_SOLVER,
-        **({} if multipliers else {"constr_mult_init_max": 0.0}),
         **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     }
     return ca.nlpsol(

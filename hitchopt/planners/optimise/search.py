@@ -19,16 +19,16 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import CLEAR, leg_task_of
 from hitchopt.planners.morph.morph import check_shapes_at, exterior_angles
 from hitchopt.planners.morph.path import ShapePath, Shapes, shapes_along
-from hitchopt.planners.optimise.guesses import guesses, widened
+from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
-from hitchopt.planners.optimise.program import farthest, iterates
+from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.clock import WarpError
 from hitchopt.planners.timing.flight import Flight
 from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_demands
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
-ROUNDS = ((1, 4, 1.02), (1, 8, 1.03), (2, 4, 1.02), (2, 8, 1.05))
+ROUNDS = ((1, 8, 1.03), (2, 8, 1.05))
 """Rounds of refinement until a path is clear and the judge accepts it: how many times the first
 knots' steps, parts of every step at whose ends distances are enforced, how many times their
 limits."""
@@ -42,13 +42,6 @@ LATER_STRIDE = 0.12
 FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
 """Largest numbers of steps from a guess, in a round, and towards a faster path."""
 
-NEXT = 0.25
-"""Share of its stride: a faster path whose vertices are that near to a guess is next to it."""
-
-SURE = 0.999
-"""Factor on the estimate of a faster path below which that of its guess is flown in its place:
-estimates that differ by less may mistake which of two flights is the shorter one."""
-
 STILL = 0.15
 """Share of its stride: a step that moves no vertex by more will not clear a path either."""
 
@@ -57,9 +50,6 @@ LENGTH = 0.9
 
 FEWEST_KNOTS, MOST_KNOTS = 8, 16
 """Bounds of the number of steps between the first knots."""
-
-WIDER = 0.25
-"""Share by which guesses are widened half way where none has led to a path as it is."""
 
 HOPELESS = 1.3
 """Factor on the duration of the fastest path found: slower guesses are not optimised."""
@@ -113,97 +103,39 @@ class OptimisedMorph:
     @property
     def problem(self) -> list[KnotPath]:
         """Paths that the search starts from: hitches everywhere, if possible not in one heap."""
-        whole = self._paths(self.guesses)
+        named = self.guesses.items()
+        paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
+        whole = [path for path in paths if sound(path)]
         return loose(whole, self.requirements) or whole
 
     def solve(self) -> list[Candidate]:
         """Return the paths found, the fastest first."""
-        if not self.guesses or not all(
-            level_enough(hitch, self.requirements) for hitch in (self.start, self.end)
-        ):
-            return []
         margins = end_margins(self.start, self.end, self.requirements)
-        search = Search(self.requirements, self.judge, self.tension, margins)
-        # With wider polygons half way, legs have more room to pass one another.
-        bent = [name for name in self.guesses if name != "straight"]
-        wide = {name: widened(self.guesses[name], WIDER) for name in bent}
-        return searched(self.problem, search) or searched(self._paths(wide), search)
-
-    def _paths(self, polygons: dict[str, Array]) -> list[KnotPath]:
-        paths = (
-            KnotPath.through(name, self.start, self.end, each) for name, each in polygons.items()
-        )
-        return [path for path in paths if sound(path)]
+        return searched(self.problem, Search(self.requirements, self.judge, self.tension, margins))
 
 
 def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     """Return the paths found from the given first ones, the fastest first.
 
-    Those that take the least time as they are come first; the others have to be near them. Guesses
-    that are one would come to the same: another of them is tried only where one led nowhere.
+    Those that take the least time as they are come first, edges that turn before whole polygons
+    where guesses are one: others that come to the same path are given up.
     """
     found: list[Candidate] = []
     seen: list[KnotPath] = []
     fastest = np.inf
-    groups = _alike(paths)
-    firsts = [group[0].resampled(_steps(group[0]) + 1) for group in groups]
-    direct = _quickened(firsts[0], search) if len(firsts) == 1 else None
-    if direct is not None:
-        return [direct]
-    estimates = _estimates(firsts, search)
+    firsts = [path.resampled(_steps(path) + 1) for path in reversed(paths)]
+    estimates = [estimate(path, search.requirements) for path in firsts]
     for k in np.argsort(estimates, kind="stable"):
         if estimates[k] > HOPELESS * fastest:
             break
-        others = (path.resampled(_steps(path) + 1) for path in groups[k][1:])
-        settling = (_settled(knots, search, seen) for knots in chain([firsts[k]], others))
-        settled = next((path for path in settling if path is not None), None)
-        if settled is None:
-            continue
-        if found and estimate(settled, search.requirements) > WORSE * fastest:
+        settled = _settled(firsts[k], search, seen)
+        if settled is None or estimate(settled, search.requirements) > WORSE * fastest:
             continue
         refined = _refined(settled, search)
         if refined is not None:
             found.append(refined)
             fastest = min(fastest, refined.flight.duration)
     return sorted(found, key=lambda candidate: candidate.flight.duration)
-
-
-def _alike(paths: Sequence[KnotPath]) -> list[list[KnotPath]]:
-    """Return the paths in groups of one each, the last ones first: edges that turn stay convex."""
-    groups: list[list[KnotPath]] = []
-    for path in reversed(paths):
-        group = next((group for group in groups if same(path, group[0])), None)
-        if group is None:
-            groups.append([path])
-        else:
-            group.append(path)
-    return groups
-
-
-def _estimates(paths: Sequence[KnotPath], search: Search) -> list[float]:
-    """Return estimates of the paths' durations [s] to order them by; a single one needs none."""
-    if len(paths) == 1:
-        return [0.0]
-    return [estimate(path, search.requirements) for path in paths]
-
-
-def _quickened(guess: KnotPath, search: Search) -> Candidate | None:
-    """Return the faster path next to a guess that is clear, with its flight; None if there is none.
-
-    Where one step of the optimiser leads farther away, the path of least energy comes first.
-    """
-    if not clear(guess, search):
-        return None
-    _, parts, margin = ROUNDS[0]
-    closer = replace(search, margin=margin)
-    step = SolverStep(LATER_STRIDE, parts, fastest=True, multipliers=False, near=NEXT)
-    faster = next(iterates(guess, closer, step, 1), None)
-    if faster is None or farthest(faster, guess) >= NEXT * step.stride:
-        return None
-    if not clear(faster, search):
-        return None
-    by_step, as_it_is = _estimates([faster, guess], search)
-    return _flown([guess] if as_it_is < SURE * by_step else [faster, guess], search)
 
 
 def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
@@ -239,7 +171,7 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
         quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
         faster = [moved for moved in quicker if clear(moved, search)]
         choices = [*faster, path]
-        best = choices[int(np.argmin(_estimates(choices, search)))]
+        best = min(choices, key=lambda each: estimate(each, search.requirements))
         found = _flown(dict.fromkeys([best, path]), search)
         if found is not None:
             return found
@@ -270,10 +202,6 @@ SHARPEST_LOSS = 0.1
 
 WIDEST = 1.05
 """Largest margin of any round; larger ones need not be told apart."""
-
-LEVEL_ENOUGH = 0.95
-"""Share of its limits that a rolled hitch's distances must exceed without roll: the rows nearest to
-the ends leave knots no room to be off by more."""
 
 BELOW = 1.0 - 1e-4
 """Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
@@ -341,17 +269,6 @@ def end_margins(start: Hitch, end: Hitch, requirements: Requirements) -> tuple[f
     )
     first, last = BELOW * _margins(start.team, requirements, polygons, q_legs, roll)
     return float(first), float(last)
-
-
-def level_enough(hitch: Hitch, requirements: Requirements) -> bool:
-    """Return whether a hitch keeps distances, or nearly so, without its roll.
-
-    The optimiser's program has legs in the plane, so that no path of it ends at one that does not.
-    """
-    if not np.any(hitch.roll):
-        return True
-    polygon, q_legs = hitch.polygon.vertices[None], hitch.q_legs[None]
-    return bool(_margins(hitch.team, requirements, polygon, q_legs, None)[0] > LEVEL_ENOUGH)
 
 
 def _margins(

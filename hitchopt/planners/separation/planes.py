@@ -8,7 +8,7 @@ is the normal of the plane with the widest gap that holds on the whole piece.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations, combinations_with_replacement
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,9 @@ from hitchopt.hitch.requirements import Prism
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
-BATCH = 4096
-"""Number of hulls whose nearest points are computed at once, which bounds the memory."""
-
-FLAT = 1e-12
-"""Sine of the angle below which two edges of a triangle count as parallel: all of it is then as
-near to its edges."""
+FLAT = 1e-10
+"""Squared sine of the angle below which two edges of a triangle count as parallel: all of it is
+then as near to its edges."""
 
 LEVEL = 1e-6
 """Largest upward component of a normal that counts as level."""
@@ -120,69 +117,36 @@ def planes_between(scaled: Array, pairs: ClosePieces) -> Planes:
 def hull_points(differences: Array) -> Array:
     """Return the points nearest to the origin of the hulls of (m, 3, k) points, as (m, 3).
 
-    The nearest point lies on a vertex, an edge or a triangle of the points, or it is the origin.
-    All of them are solved in closed form, and the nearest solution is taken. Where several are
-    equally near they are the same point, as a hull is convex, so a tie changes nothing.
+    The nearest point is a point, on an edge or on a triangle of them, or it is the origin. All of
+    these are solved in closed form. Where several are equally near they are the same point, as a
+    hull is convex, so a tie changes nothing.
     """
-    m, _, k = differences.shape
-    if m > BATCH:
-        parts = [hull_points(differences[i : i + BATCH]) for i in range(0, m, BATCH)]
-        return np.concatenate(parts)
     points = np.ascontiguousarray(differences.transpose(1, 2, 0))  # (3, k, m)
-    weights = np.concatenate([_of_edges(points), _of_triangles(points)], axis=1)
-    corners = _corners(k)
-    origin = points[:, corners[:, 0]]
-    candidates = origin.copy()
-    for weight, corner in zip(weights, corners[:, 1:].T, strict=True):
-        candidates += weight * (points[:, corner] - origin)
-    rows = np.arange(m)
-    nearest = candidates[:, np.argmin(_dot(candidates, candidates), axis=0), rows]
+    nearest, least = points[:, 0], _dot(points[:, 0], points[:, 0])
+    for size in (1, 2, 3):
+        for corners in combinations(range(points.shape[1]), size):
+            start, *others = (points[:, corner] for corner in corners)
+            candidate, inside = _of_simplex(start, [other - start for other in others])
+            squared = _dot(candidate, candidate)
+            nearer = inside & (squared < least)
+            nearest, least = np.where(nearer, candidate, nearest), np.where(nearer, squared, least)
     # A plane through the nearest point bounds the hull unless the origin is within.
     products = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
-    outside = products > 0.5 * _dot(nearest, nearest)
-    return np.where(outside, nearest, 0.0).T
+    return np.where(products > 0.5 * least, nearest, 0.0).T
 
 
-def _corners(k: int) -> Indices:
-    """Return (edges and triangles, 3): indices of their points; edges repeat the first one."""
-    pairs = [(i, j, i) for i, j in combinations_with_replacement(range(k), 2) if i < j or k == 1]
-    return np.array([*pairs, *combinations(range(k), 3)], dtype=np.intp)
-
-
-def _of_edges(points: Array) -> Array:
-    """Return (2, edges, m): weights of their other ends in the points nearest to the origin."""
-    k = points.shape[1]
-    first, second, _ = _corners(k)[: max(k * (k - 1) // 2, 1)].T
-    start = points[:, first]
-    edge = points[:, second] - start
-    size = _dot(edge, edge)
-    share = np.divide(-_dot(start, edge), size, out=np.zeros_like(size), where=size > 0.0)
-    share = np.clip(share, 0.0, 1.0)
-    return np.stack([share, np.zeros_like(share)])
-
-
-def _of_triangles(points: Array) -> Array:
-    """Return (2, triangles, m): weights of the second and third corners likewise.
-
-    Zero, so the first corner, where the nearest point is not inside the triangle: it is on an edge.
-    """
-    k = points.shape[1]
-    first, second, third = _corners(k)[max(k * (k - 1) // 2, 1) :].T
-    start = points[:, first]
-    u, v = points[:, second] - start, points[:, third] - start
-    normal = _cross(u, v)
-    area = _dot(normal, normal)
-    weights = np.stack([_dot(_cross(v, start), normal), _dot(_cross(start, u), normal)])
-    inside = np.all(weights > 0.0, axis=0) & (np.sum(weights, axis=0) < area)
-    inside &= area > FLAT**2 * _dot(u, u) * _dot(v, v)
-    return np.divide(weights, area, out=np.zeros_like(weights), where=inside)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return cross products of vectors along the first axis."""
-    return np.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+def _of_simplex(start: Array, edges: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the points (3, m) nearest to the origin of lines or planes, and which are inside."""
+    if not edges:
+        return start, np.ones(start.shape[1], dtype=np.bool_)
+    a, b, c = (_dot(edges[i], edges[j]) for i, j in ((0, 0), (0, -1), (-1, -1)))
+    u, v = -_dot(edges[0], start), -_dot(edges[-1], start)
+    size, parts = (a, [u]) if len(edges) == 1 else (a * c - b * b, [u * c - v * b, v * a - u * b])
+    solid = size > (0.0 if len(edges) == 1 else FLAT * a * c)
+    weights = [np.divide(part, size, out=np.zeros_like(size), where=solid) for part in parts]
+    inside = solid & np.all([weight > 0.0 for weight in weights], axis=0)
+    found = start + sum(weight * edge for weight, edge in zip(weights, edges, strict=True))
+    return found, inside & (sum(weights) < 1.0)
 
 
 def _dot(a: Array, b: Array) -> Array:

@@ -25,7 +25,7 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.errors import HitchoptError, check_time
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.planners.morph.jets import chained, chained_rates
+from hitchopt.planners.morph.jets import chained, chained_rates, quintic_spline
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
 from hitchopt.planners.timing.profile import SpeedProfile
 from hitchopt.values import Array, Indices
@@ -91,8 +91,7 @@ def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
     """
     at_knots = profile.mean(knots, ramp)
     at_knots[0], at_knots[-1] = 0.0, 1.0
-    rest = [(1, 0.0), (2, 0.0)]  # the stubs know of one condition an end, scipy of any
-    progress = make_interp_spline(knots, at_knots, k=5, bc_type=(rest, rest))  # type: ignore[arg-type]
+    progress = quintic_spline(knots, at_knots, (1, 2))
     return Clock(knots, progress, make_interp_spline(knots, np.ones(len(knots)), k=3))
 
 

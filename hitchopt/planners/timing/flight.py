@@ -7,7 +7,7 @@ meet the path's jets at every break are then slowed until their limits hold betw
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.forces import (
     cable_force_rates,
     cable_forces,
     cable_of,
     sag_factors,
-    taut_forces,
 )
 from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained, polynomials_through
@@ -36,7 +35,7 @@ from hitchopt.planners.timing.profile import (
     path_grid,
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 MOVES = 1e-9
 """[m] Distance from its first place within which a drone or vertex counts as at rest."""
@@ -118,10 +117,6 @@ SHORTEST_FLIGHT = 0.05
 above their rounding."""
 
 
-GENTLER = 1.005
-"""Stretch for the sake of the body rate above which a flight with less jerk is tried as well."""
-
-
 @lru_cache(maxsize=1)
 def timing_demands(path: Path, limits: Limits) -> Demands:
     """Return the demands of a path on toppra's grid; those of the last path are stored."""
@@ -142,23 +137,11 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     InfeasibleError: ``duration`` is shorter than the limits allow.
     TimingError, WarpError: no timing was found.
     """
-    flight, slower = _timed(path, limits, limits)
-    if limits.body_rate is not None and GENTLER < slower < math.inf:
-        # Thrusts turn with the jerk: with less of it, speed and acceleration need not suffer.
-        gentle = _timed(path, replace(limits, jerk=limits.jerk / slower**3), limits)
-        flight, slower = min(
-            (flight, slower), gentle, key=lambda timed: timed[0].duration * timed[1]
-        )
-    fastest = slower * flight.duration
-    if duration is None:
-        return flight.lasting(max(fastest, SHORTEST_FLIGHT))
-    check_duration(duration, fastest)
-    return flight.lasting(duration)
-
-
-def _timed(path: Path, aimed: Limits, limits: Limits) -> tuple[Flight, float]:
-    """Return a flight timed for limits ``aimed`` at, and how much slower it keeps ``limits``."""
-    demands = timing_demands(path, aimed)
+    demands, aimed = timing_demands(path, limits), limits
+    if limits.body_rate is not None:  # thrusts turn with the jerk, and are least at rest
+        least = float(np.min(length(demands.loads) / demands.mass))
+        aimed = replace(limits, jerk=min(limits.jerk, limits.body_rate * least))
+        demands = replace(demands, limits=aimed)
     profile = fastest_profile(path_grid(GRID), demands)
     ramp = max(acceleration_ramp(profile, demands), SHORTEST_RAMP * profile.duration)
     finer = 1
@@ -169,7 +152,11 @@ def _timed(path: Path, aimed: Limits, limits: Limits) -> tuple[Flight, float]:
             break
         finer *= 2
     curves = (flight.drones, flight.vertices, flight.pulls)
-    return flight, needed_stretch(path.team, limits, *curves)
+    fastest = needed_stretch(path.team, limits, *curves) * flight.duration
+    if duration is None:
+        return flight.lasting(max(fastest, SHORTEST_FLIGHT))
+    check_duration(duration, fastest)
+    return flight.lasting(duration)
 
 
 def _polynomials(path: Path, clock: Clock) -> Flight:
@@ -265,20 +252,18 @@ def _graded(t: Array, widths: Array) -> Array:
     return np.minimum(left, right)
 
 
-SPANS = 8
-"""Number of spans of a piece on which its rates are enclosed: within about 0.1 %."""
+SPANS, ENCLOSING = 8, 8
+"""Spans of a piece whose coefficients enclose rates, within about 0.1 %, and how many each has:
+those of the drones' septic pieces."""
 
-ENCLOSING = 8
-"""Number of coefficients on a span: those of the drones' septic pieces."""
-
-CHUNK = 20_000
+CHUNK = 60_000
 """Number of coefficients of drones that are processed in one go."""
 
-FIRST = 64
-"""Number of pieces that are looked at closely at a time, those of the largest bounds first."""
+SLOWEST = 1e6
+"""Largest stretch that is tried."""
 
-LOOSE = 1.001
-"""Factor on what whole pieces need of a flight: on their spans it is no more."""
+PRECISION = 1e-4
+"""Relative precision of a stretch."""
 
 
 def needed_stretch(
@@ -298,98 +283,20 @@ def needed_stretch(
     drones, vertices: of shapes (2n, 3) and (n, 3) [m], on common breaks.
     pulls: of shape (2n,) [N], of the cables on the drones.
     """
-
-    def of_vertices(piece: Indices, vertex: Indices, spans: int) -> Array:
-        """Return the factors (k,) that some vertices need on some pieces."""
-        rates = length(_rates(vertices, piece, vertex, 1, spans))
-        slower: Array = np.max(rates, axis=0) / (FINAL_SHARE * limits.vertex_speed)
-        return slower
-
-    def of_drones(piece: Indices, drone: Indices, spans: int) -> Array:
-        """Return the factors (k,) that some drones need on some pieces."""
-        inner = np.linspace(0.0, 1.0, spans * ENCLOSING)
-        ends = team.layout.pulled_to[drone]
-        x, p, pull = (
-            np.moveaxis(
-                part.coefficients[piece, item] @ bernstein.basis(inner, part.degree).T, -1, 0
-            )
-            for part, item in ((drones, drone), (vertices, ends), (pulls, drone))
-        )
-        mass = team.mass[drone]
-        loads = np.broadcast_to(mass[:, None] * np.array([0.0, 0.0, GRAVITY]), x.shape)
+    factor, still = 1e-12, np.zeros(0)
+    for some in _chunks(team, drones):
+        rates = length(_on_spans(vertices, some, 1))
+        fastest = float(np.max(rates, initial=0.0)) / (FINAL_SHARE * limits.vertex_speed)
+        jets = np.stack([_on_spans(drones, some, order) for order in range(4)], axis=-1)
+        pull = np.zeros(jets.shape[:-1])
         if team.has_cables:
-            loads = loads - taut_forces(x - p, pull, 0.5 * GRAVITY * team.cable_density)
-        jets = [x, *(_rates(drones, piece, drone, order, spans) for order in (1, 2, 3))]
-        still, most = np.zeros(len(inner)), team.max_thrust[drone]
-        jet = np.stack(jets, axis=-1)
-        return Demands(jet, still, loads, mass, most, limits, FINAL_SHARE).stretches()
-
-    factor = _largest(vertices.coefficients.shape[:2], of_vertices, 1e-12)
-    factor = _largest(drones.coefficients.shape[:2], of_drones, factor)
+            places, values = (_on_spans(part, some) for part in (vertices, pulls))
+            pull = cable_forces(team, jets[..., 0], places, values, np.ones(team.robots))
+        loads = loads_at_rest(team, pull)
+        given = (still, loads, team.mass, team.max_thrust, limits, FINAL_SHARE)
+        factor = max(factor, fastest, float(np.max(Demands(jets, *given).stretches())))
     taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
     return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), factor)
-
-
-def _largest(
-    shape: tuple[int, ...], needed: Callable[[Indices, Indices, int], Array], known: float
-) -> float:
-    """Return the largest factor, ``known`` at least, of all items on pieces: (pieces, items).
-
-    Those are looked at closely that may decide by what they need on whole pieces.
-
-    Parameters
-    ----------
-    needed: returns the factors (k,) of pieces (k,) of items (k,) by a number of spans.
-    """
-
-    def factors(some: Indices, spans: int) -> Array:
-        size = max(1, CHUNK // (spans * ENCLOSING))
-        parts = [some[first : first + size] for first in range(0, len(some), size)]
-        return np.concatenate([needed(*np.divmod(part, shape[1]), spans) for part in parts])
-
-    bounds = LOOSE * factors(np.arange(math.prod(shape)), 1)
-    left = np.argsort(-bounds)
-    while len(left := left[bounds[left] > known]):
-        known, left = max(known, float(np.max(factors(left[:FIRST], SPANS)))), left[FIRST:]
-    return known
-
-
-def _rates(
-    part: PiecewisePolynomial, piece: Indices, item: Indices, order: int, spans: int
-) -> Array:
-    """Return the coefficients (spans · ENCLOSING, k, 3) of a derivative by time of some items.
-
-    On each of the spans of their pieces in turn.
-    """
-    c = part.coefficients[piece, item]
-    for _ in range(order):
-        c = bernstein.differentiate(c)
-    c = c / part.durations[piece, None, None] ** order
-    return np.moveaxis(c @ _on_spans(bernstein.degree(c), spans).T, -1, 0)
-
-
-@lru_cache
-def _on_spans(order: int, spans: int) -> Array:
-    """(spans · ENCLOSING, order + 1): maps coefficients on a piece to those on its spans."""
-    same = bernstein.elevate(np.eye(order + 1), ENCLOSING - 1)[:, None]
-    starts = np.arange(spans) / spans
-    rows: Array = bernstein.restrict(same, starts, starts + 1.0 / spans)
-    rows = rows.reshape(order + 1, -1).T
-    rows.setflags(write=False)
-    return rows
-
-
-SAMPLES = 33
-"""Number of samples of a piece, ends included: a rate errs by 1e-3 of its change on the piece."""
-
-TURNING_CHUNK = 60_000
-"""Number of samples of drones that are processed in one go."""
-
-SLOWEST = 1e6
-"""Largest stretch that is tried."""
-
-PRECISION = 1e-4
-"""Relative precision of a stretch."""
 
 
 def turning_stretch(
@@ -409,10 +316,11 @@ def turning_stretch(
     """
     if limit is None:
         return least
-    size, factor = max(1, TURNING_CHUNK // (SAMPLES * team.drones)), least
-    chunks = [slice(first, first + size) for first in range(0, curves[0].pieces, size)]
+    factor = least
     while math.isfinite(factor):
-        fastest = max(_turning_rate(team, curves, chunk, factor) for chunk in chunks)
+        fastest = max(
+            _turning_rate(team, curves, some, factor) for some in _chunks(team, curves[0])
+        )
         if fastest <= LIMIT_SHARE * limit:
             break
         slower = (1.0 + PRECISION) * (fastest / (LIMIT_SHARE * limit)) ** (1.0 / 3.0)
@@ -424,30 +332,51 @@ def _turning_rate(
     team: Team, curves: Sequence[PiecewisePolynomial], pieces: slice, stretch: float
 ) -> float:
     """Return the largest turning rate [rad/s] of thrusts on pieces of a flight, slowed."""
-    values, rates, second, third = (
-        [_sampled(part, pieces, order) for part in curves[: 1 if order > 1 else None]]
-        for order in range(4)
-    )
-    pull = pulled = np.zeros_like(values[0])
+    values, rates = ([_on_spans(part, pieces, order) for part in curves] for order in (0, 1))
+    second, third = (_on_spans(curves[0], pieces, order) for order in (2, 3))
+    pull = pulled = np.zeros_like(second)
     if team.has_cables:
-        pull, pulled = (
-            cable_forces(team, *values),
-            cable_force_rates(team, tuple(values), tuple(rates)),
-        )
+        pull = cable_forces(team, *values)
+        pulled = cable_force_rates(team, tuple(values), tuple(rates))
     mass = team.mass[:, None]
-    thrust = mass * second[0] / stretch**2 + loads_at_rest(team, pull)
-    rate = mass * third[0] / stretch**3 - pulled / stretch
+    thrust = mass * second / stretch**2 + loads_at_rest(team, pull)
+    rate = mass * third / stretch**3 - pulled / stretch
     squared = dot(thrust, thrust)
     if not np.all(squared > 0.0):
         return math.inf
     return float(np.max(length(np.cross(thrust, rate)) / squared))
 
 
-def _sampled(part: PiecewisePolynomial, pieces: slice, order: int) -> Array:
-    """Return a derivative by time at SAMPLES places on each of the pieces, (…, *shape)."""
+def _chunks(team: Team, drones: PiecewisePolynomial) -> Iterator[slice]:
+    """Yield pieces of a flight that are few enough to be processed in one go."""
+    size = max(1, CHUNK // (SPANS * ENCLOSING * team.drones))
+    return (slice(first, first + size) for first in range(0, drones.pieces, size))
+
+
+def _on_spans(part: PiecewisePolynomial, pieces: slice, order: int = 0) -> Array:
+    """Return what encloses a derivative by time: (pieces · SPANS · ENCLOSING, *shape).
+
+    Its coefficients on the spans of pieces, or values at as many places where it has more.
+    """
     c = part.coefficients[pieces]
-    rows = bernstein.derivative_basis(np.linspace(0.0, 1.0, SAMPLES), bernstein.degree(c), order)
-    found = np.moveaxis(c @ rows.T, -1, 1)
+    found = np.moveaxis(c @ _span_rows(bernstein.degree(c), order).T, -1, 1)
     h = part.durations[pieces].reshape(-1, *(1,) * (found.ndim - 1))
     values: Array = (found / h**order).reshape(-1, *part.shape)
     return values
+
+
+@lru_cache
+def _span_rows(degree: int, order: int) -> Array:
+    """(SPANS · ENCLOSING, degree + 1): maps coefficients on a piece to those on its spans."""
+    c = np.eye(degree + 1)
+    for _ in range(order):
+        c = bernstein.differentiate(c)
+    starts = np.arange(SPANS) / SPANS
+    if order == 0 or bernstein.degree(c) >= ENCLOSING:
+        places = starts[:, None] + np.linspace(0.0, 1.0 / SPANS, ENCLOSING)
+        rows = (c @ bernstein.basis(places.ravel(), bernstein.degree(c)).T).T
+    else:
+        same = bernstein.elevate(c, ENCLOSING - 1)[:, None]
+        rows = bernstein.restrict(same, starts, starts + 1.0 / SPANS).reshape(degree + 1, -1).T
+    rows.setflags(write=False)
+    return rows
