@@ -1,60 +1,55 @@
-"""A hitch that grips a section: edges wrapped around it, clasps in balance, legs and drones.
+"""A hitch that grips a section, seen from above: wrapped edges, clasps in balance, drones.
 
 Clasps are outside of the section. At clasp k the edges' unit vectors ``b_{k-1}``, arriving, and
-``a_k``, leaving, pull with ``V_k = λ T (b_{k-1} - a_k)``, λ the tension of edges over that of legs.
-Both legs close a triangle with it: ``T q̂_k = V/2 + h m`` and ``T r̂_{k-1} = V/2 - h m``, ``h² = T² -
-|V|²/4``, m along ``b_{k-1} + a_k``. So ``cos(β_legs/2) = λ cos(β_edges/2)``, and for λ = 1 legs
-lie along the neighbours' tangents. A weight tilts edges and legs alike: clasps rise by ``z_k``
-above the plane of contact, so that they carry its force and moments together.
+``a_k``, leaving, pull with ``V_k = T (b_{k-1} - a_k)``; with one tension everywhere legs lie along
+the neighbours' edges, ``q̂_k = b_{k-1}`` and ``r̂_{k-1} = -a_k``.
+
+``best_grip`` looks for the polygon that grips hardest within all limits. The search is local, by
+sequential quadratic programs (SLSQP) from several polygons: failure does not prove that there is
+no grip. What it returns is measured anew.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
-from hitchopt.errors import InfeasibleError, OneLine, Violation
+from hitchopt.errors import InfeasibleError, OneLine, Violation, check_time
 from hitchopt.geometry.segments import differences, shortest_offset
-from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
+from hitchopt.holding.capacity import Capacity
 from hitchopt.holding.wraps import Wraps, wraps_around
 from hitchopt.objects import Section
-from hitchopt.values import Array, Indices
-
-PASSES = 4
-"""Times that the clasps' heights are computed: the last one moves them by less than 1e-6 m."""
+from hitchopt.values import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Grip(OneLine):
-    """Hitches that grip one section with one tension, with any leading axes.
+    """Hitches that grip one section with one tension, as seen from above, with any leading axes.
 
     Attributes
     ----------
     section: about its own origin.
-    tension: of every leg at its clasp [N].
+    tension: of every cable [N].
     clasp_friction: coefficient of cables on each other.
-    weight: what is lifted [N]; 0 before it leaves its support.
-    ratio: λ, tension of edges over that of legs.
-    wraps: the edges, seen from above.
-    vertices: (…, n, 3) [m], clasps above the plane of contact.
+    wraps: the edges.
+    vertices: (…, n, 2) [m], clasps.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``; negative where the cable is too short.
-    leg_directions: (…, n, 2, 3), unit vectors from ``p_k`` to ``q_k`` and from ``p_{k+1}`` to
-        ``r_k``.
     """
 
     section: Section
     tension: float
     clasp_friction: float
-    weight: float
-    ratio: float
     wraps: Wraps
     vertices: Array
     legs: Array
-    leg_directions: Array
 
     @classmethod
     def of(
@@ -63,49 +58,25 @@ class Grip(OneLine):
         vertices: Array,
         cable_length: float,
         tension: float,
-        *,
         clasp_friction: float = 0.0,
-        weight: float = 0.0,
-        ratio: float = 1.0,
     ) -> Grip:
-        """Return the grip with vertices (…, n, 2) [m] and what is left of cables in equal legs.
-
-        Raises
-        ------
-        InfeasibleError: edges too acute or pulling too hard for any direction of the legs.
-        """
+        """Return the grip with vertices (…, n, 2) [m] and what is left of cables in equal legs."""
         wraps = wraps_around(section, vertices)
-        z = _heights(section, vertices, wraps, ratio * tension, weight)
-        arriving, leaving, rises = _tilted(wraps, z)
-        pull = ratio * (arriving - leaving)  # of edges on the clasp, over the legs' tension
-        squared = 1.0 - 0.25 * dot(pull, pull)
-        if not np.all(squared > 0.0):
-            raise _too_acute(wraps, ratio, tension)
-        across = unit(arriving + leaving)
-        across -= unit(pull) * dot(across, unit(pull))[..., None]
-        aside = np.sqrt(squared)[..., None] * unit(across)
-        q, r = 0.5 * pull + aside, np.roll(0.5 * pull - aside, -1, axis=-2)
-        edges = wraps.arcs + rises[..., 0] + np.roll(rises[..., 1], -1, axis=-1)
-        legs = np.repeat(0.5 * (cable_length - edges)[..., None], 2, axis=-1)
-        return cls(
-            section, tension, clasp_friction, weight, ratio, wraps,
-            np.concatenate([vertices, z[..., None]], axis=-1),
-            legs, np.stack([q, r], axis=-2),
-        )  # fmt: skip
+        legs = np.repeat(0.5 * (cable_length - wraps.lengths)[..., None], 2, axis=-1)
+        return cls(section, tension, clasp_friction, wraps, vertices, legs)
+
+    @property
+    def leg_directions(self) -> Array:
+        """(…, n, 2, 2): unit vectors from ``p_k`` to ``q_k`` and from ``p_{k+1}`` to ``r_k``."""
+        arriving, leaving = np.roll(self.wraps.arriving, 1, axis=-2), self.wraps.leaving
+        return np.stack([arriving, -np.roll(leaving, -1, axis=-2)], axis=-2)
 
     @property
     def drones(self) -> Array:
-        """(…, n, 2, 3) [m]: ``q_k`` and ``r_k``, above the plane of contact."""
+        """(…, n, 2, 2) [m]: ``q_k`` and ``r_k``."""
         ends = np.stack([self.vertices, np.roll(self.vertices, -1, axis=-2)], axis=-2)
         drones: Array = ends + self.legs[..., None] * self.leg_directions
         return drones
-
-    @property
-    def clasp_wraps(self) -> Array:
-        """(…, n) [rad]: angles by which cables bend at every clasp, means of edges' and legs'."""
-        q, r = self.leg_directions[..., 0, :], np.roll(self.leg_directions[..., 1, :], 1, axis=-2)
-        legs = np.arccos(np.clip(dot(q, r), -1.0, 1.0))
-        return 0.5 * (legs + self.wraps.clasp_angles)
 
     @property
     def slip_factors(self) -> Array:
@@ -113,7 +84,8 @@ class Grip(OneLine):
 
         The object slips under ``μ`` times their sum.
         """
-        worst = np.maximum(self.clasp_wraps, np.roll(self.clasp_wraps, -1, axis=-1))
+        bent = self.wraps.clasp_angles
+        worst = np.maximum(bent, np.roll(bent, -1, axis=-1))
         least = self.tension * np.exp(-self.clasp_friction * worst)
         factors: Array = least * self.wraps.angles
         return factors
@@ -125,171 +97,137 @@ class Grip(OneLine):
 
     @property
     def pulls(self) -> Array:
-        """(…, n, 3) [N]: forces ``V_k`` of the clasps on object and cables, outward."""
-        q, r = self.leg_directions[..., 0, :], np.roll(self.leg_directions[..., 1, :], 1, axis=-2)
-        pulls: Array = self.tension * (q + r)
+        """(…, n, 2) [N]: forces ``V_k`` of the clasps on object and cables, outward."""
+        pulls: Array = self.tension * (
+            np.roll(self.wraps.arriving, 1, axis=-2) - self.wraps.leaving
+        )
         return pulls
 
     @property
-    def level_imbalance(self) -> Array:
+    def imbalance(self) -> Array:
         """(…, 3): level force [N] and upright moment [N m] that clasps put on the section."""
-        arms = self.vertices[..., :2] - self.section.centroid
-        force = self.pulls[..., :2]
-        moment = arms[..., 0] * force[..., 1] - arms[..., 1] * force[..., 0]
-        both = np.concatenate([force, moment[..., None]], axis=-1)
+        arms = self.vertices - self.section.centroid
+        moment = arms[..., 0] * self.pulls[..., 1] - arms[..., 1] * self.pulls[..., 0]
+        both = np.concatenate([self.pulls, moment[..., None]], axis=-1)
         return np.asarray(np.sum(both, axis=-2))
-
-    def thrusts(self, mass: float, gravity: float) -> Array:
-        """Return the thrust (…, n, 2, 3) [N] of drones of a mass [kg] at rest."""
-        thrusts: Array = self.tension * self.leg_directions + mass * gravity * np.array([0, 0, 1.0])
-        return thrusts
-
-
-def _tilted(wraps: Wraps, z: Array) -> tuple[Array, Array, Array]:
-    """Return the edges at clasps of heights (…, n) [m] above the section's plane of contact.
-
-    Returns
-    -------
-    arriving, leaving: (…, n, 3) unit vectors of edges k-1 and k at ``p_k``.
-    lengths: (…, n, 2) [m], of tangents k and k-1 there.
-    """
-    behind, ahead = wraps.at_clasps
-    level = np.roll(wraps.arriving, 1, axis=-2) * behind[..., None]
-    arriving = np.concatenate([level, z[..., None]], axis=-1)
-    leaving = np.concatenate([wraps.leaving * ahead[..., None], -z[..., None]], axis=-1)
-    return unit(arriving), unit(leaving), np.stack([length(leaving), length(arriving)], axis=-1)
-
-
-def _heights(
-    section: Section, vertices: Array, wraps: Wraps, tension: float, weight: float
-) -> Array:
-    """Return the heights (…, n) [m] at which clasps carry a weight, as evenly as moments allow.
-
-    Clasp k carries ``f_k = T z_k (1/t + 1/t')``, t and t' its tangents; its level pull at ``z_k``
-    turns the object as well. Of all ``f`` with that sum and no moment about level axes the nearest
-    to equal ones is taken.
-    """
-    z = np.zeros(vertices.shape[:-1])
-    if weight == 0.0:
-        return z
-    arms = vertices - section.centroid
-    equal = np.full_like(z, weight / vertices.shape[-2])
-    wanted = np.array([weight, 0.0, 0.0])
-    for _ in range(PASSES):
-        arriving, leaving, tangents = _tilted(wraps, z)
-        rate = tension * np.sum(1.0 / tangents, axis=-1)
-        level = tension * (arriving - leaving)[..., :2]
-        turning = arms - level / rate[..., None]
-        rows = np.stack([np.ones(z.shape), turning[..., 0], turning[..., 1]], axis=-2)
-        short = wanted - np.einsum("...ij,...j->...i", rows, equal)
-        forces = equal + np.einsum("...ij,...j->...i", np.linalg.pinv(rows), short)
-        z = forces / rate
-    return z
-
-
-def _too_acute(wraps: Wraps, ratio: float, tension: float) -> InfeasibleError:
-    """Return the refusal of clasps whose edges pull with more than their legs can."""
-    pulls = 2.0 * ratio * np.cos(0.5 * wraps.clasp_angles).reshape(-1, wraps.angles.shape[-1])
-    worst = int(np.argmax(np.max(pulls, axis=0)))
-    remedy = "move clasps nearer to the section, raise the tension, or lower weight or friction"
-    most, place = tension * float(np.max(pulls)), (f"p{worst}",)
-    broken = Violation("equilibrium", most, 2.0 * tension, "max", "N", place, "", remedy)
-    return InfeasibleError([broken])
 
 
 LEAST_GAP = 0.02
 """[m] Least distance of a clasp to the section: two ropes bend around each other there."""
 
-DECIMALS = 9
-"""Decimals that are told of a value."""
+STEP = 1e-6
+"""[m] Step of central differences of margins."""
 
-NO_GRIP = "use cables of another length, or a larger section, or rest it on a rim"
-"""What to do where no grip was found."""
+KEPT = 0.05
+"""Margin of all distances, over their limits: lifting moves drones by less."""
+
+BALANCED = 1e-6
+"""Largest level force on the section over the tension, and moment over tension and size."""
+
+SCREENING, ITERATIONS = 12, 60
+"""Most quadratic programs from every start, and from those that come farthest with these."""
+
+FINALISTS = 2
+"""Starts that are followed to the end."""
+
+ALL, SMALLEST = 36, 6
+"""Every quadratic program contains so many margins of a kind, or else its smallest ones, whose
+slopes jump where two are equal."""
+
+OFFSETS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
+"""Distances of every other starting vertex to the section, and of those between, over its mean
+radius; the first pair where they do not alternate."""
+
+TURNS = 3
+"""Starting polygons, turned by equal parts of their symmetry, besides those that face sides."""
+
+PLACES = 12
+"""Decimal places of centroids: what rounding leaves of none is none."""
 
 
-def grip_margins(grip: Grip, requirements: Requirements, kind: Quadrotor) -> dict[str, Array]:
-    """Return by how much (…, items) a grip keeps each limit: ratio minus 1, not negative if kept.
+@dataclass(frozen=True, eq=False)
+class GripTask:
+    """A grip to be found.
 
-    Keys are names of the certificate's checks, and ``gap``, the distance of clasps to the section.
+    Attributes
+    ----------
+    section: to be gripped.
+    robots: number n of cables.
+    cable_length: of all cables [m].
+    tension: of all legs [N].
+    clasp_friction: coefficient of cables on each other.
+    requirements: limits and distances.
+    kind: of all drones.
     """
-    separation, limits = requirements.separation, requirements.limits
-    shape = grip.vertices.shape[:-2]
-    n = grip.vertices.shape[-2]
-    drones = grip.drones.reshape(*shape, 2 * n, 3)
-    thrusts = grip.thrusts(kind.mass, GRAVITY).reshape(*shape, 2 * n, 3)
-    tilt = np.arctan2(length(thrusts[..., :2]), thrusts[..., 2])
-    parts, clasp, cable = _straight_parts(grip)
-    one, two = np.triu_indices(2 * n, 1)
-    apart = length((drones[..., one, :] - drones[..., two, :]) * separation.scale)
-    # Own tangents count, as the own edge of any hitch does; own legs do not.
-    robot, leg = np.arange(2 * n) // 2, np.arange(4 * n) % 4 % 3 == 0
-    near = np.argwhere((robot[:, None] != cable) | ~leg)
-    gaps = _distances(drones[..., near[:, :1], :], parts[..., near[:, 1], :, :])
-    i, j = np.triu_indices(4 * n, 1)
-    free = (
-        (clasp[i] == clasp[j]) | ~(leg[i] | leg[j]) | ((cable[i] == cable[j]) & ~(leg[i] & leg[j]))
-    )
-    i, j = i[~free], j[~free]
-    crossing = _distances(parts[..., i, :, :], parts[..., j, :, :])
-    section = grip.section
-    found = {
-        "separation": apart,
-        "cable_clearance": gaps / separation.cable if separation.cable else gaps + 1.0,
-        "crossing": crossing / separation.crossing if separation.crossing else crossing + 1.0,
-        "keep_out": section.clearance(drones[..., :2])[0] / separation.radius,
-        "legs": grip.legs.reshape(*shape, 2 * n) / limits.leg,
-        "gap": section.clearance(grip.vertices[..., :2])[0] / LEAST_GAP,
-        "tilt": 2.0 - tilt / limits.tilt,
-        "thrust": 2.0 - length(thrusts) / kind.max_thrust,
-    }
-    return {name: ratio - 1.0 for name, ratio in found.items()}
 
+    section: Section
+    robots: int
+    cable_length: float
+    tension: float
+    clasp_friction: float
+    requirements: Requirements
+    kind: Quadrotor
 
-def broken_limit_of(
-    name: str, margin: float, requirements: Requirements, kind: Quadrotor
-) -> Violation:
-    """Return the violation of a limit by a margin of ``grip_margins``, its value as it is."""
-    separation, limits = requirements.separation, requirements.limits
-    least = {
-        "separation": (1.0, "ratio"),
-        "cable_clearance": (separation.cable, "m"),
-        "crossing": (separation.crossing, "m"),
-        "keep_out": (separation.radius, "m"),
-        "legs": (limits.leg, "m"),
-        "gap": (LEAST_GAP, "m"),
-    }
-    if name in least:
-        limit, unit = least[name]
-        value = round(limit * (1.0 + margin), DECIMALS)
-        return Violation(name, value, limit, "min", unit, (), "", NO_GRIP)
-    limit, unit = {
-        "tilt": (math.degrees(limits.tilt), "deg"),
-        "thrust": (kind.max_thrust, "N"),
-    }[name]
-    value = round(limit * (1.0 - margin), DECIMALS)
-    return Violation(name, value, limit, "max", unit, (), "", NO_GRIP)
+    def grip(self, vertices: Array) -> Grip:
+        """Return the grip with vertices (…, n, 2) [m]."""
+        return Grip.of(self.section, vertices, self.cable_length, self.tension, self.clasp_friction)
 
+    def distances(self, grip: Grip) -> dict[str, Array]:
+        """Return by how much (…, items) a grip keeps each distance: ratio minus 1.
 
-def _straight_parts(grip: Grip) -> tuple[Array, Indices, Indices]:
-    """Return ends (…, 4 n, 2, 3) [m] of q-legs, tangents and r-legs, their clasps and cables."""
-    wraps, vertices, drones = grip.wraps, grip.vertices, grip.drones
-    n = vertices.shape[-2]
-    contacts = np.concatenate([wraps.contacts, np.zeros((*wraps.contacts.shape[:-1], 1))], axis=-1)
-    onward = np.roll(vertices, -1, axis=-2)
-    ends = [
-        (vertices, drones[..., 0, :]),
-        (vertices, contacts[..., 0, :]),
-        (contacts[..., 1, :], onward),
-        (onward, drones[..., 1, :]),
-    ]
-    parts = np.stack([np.stack(pair, axis=-2) for pair in ends], axis=-3)
-    k = np.arange(n)[:, None]
-    clasps = ((k + [0, 0, 1, 1]) % n).ravel()
-    return parts.reshape(*parts.shape[:-4], 4 * n, 2, 3), clasps, np.repeat(np.arange(n), 4)
+        Keys are names of the certificate's checks, and ``gap``, of clasps to the section.
+        """
+        separation, n = self.requirements.separation, self.robots
+        shape = grip.vertices.shape[:-2]
+        drones = grip.drones.reshape(*shape, 2 * n, 2)
+        onward, contacts = np.roll(grip.vertices, -1, axis=-2), grip.wraps.contacts
+        k = np.arange(n)
+        ends = [  # q-legs, both tangents, r-legs of all cables
+            (grip.vertices, grip.drones[..., 0, :]),
+            (grip.vertices, contacts[..., 0, :]),
+            (contacts[..., 1, :], onward),
+            (onward, grip.drones[..., 1, :]),
+        ]
+        parts = np.concatenate([np.stack(pair, axis=-2) for pair in ends], axis=-3)
+        cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
+        leg = np.repeat([True, False, False, True], n)
+        one, two = np.triu_indices(2 * n, 1)
+        apart = length(drones[..., one, :] - drones[..., two, :])
+        # Own tangents count, as the own edge of any hitch does; own legs do not.
+        near = np.argwhere((np.arange(2 * n)[:, None] // 2 != cable) | ~leg)
+        gaps = _distances(drones[..., near[:, :1], :], parts[..., near[:, 1], :, :])
+        i, j = np.triu_indices(4 * n, 1)
+        both, own = leg[i] & leg[j], cable[i] == cable[j]
+        counts = (clasp[i] != clasp[j]) & (leg[i] | leg[j]) & (both | ~own)
+        crossing = _distances(parts[..., i[counts], :, :], parts[..., j[counts], :, :])
+        clear = self.section.clearance
+        found = {
+            "separation": apart / (2.0 * separation.radius),
+            "cable_clearance": gaps / separation.cable if separation.cable else gaps + 1.0,
+            "crossing": crossing / separation.crossing if separation.crossing else crossing + 1.0,
+            "keep_out": clear(drones)[0] / separation.radius,
+            "legs": grip.legs.reshape(*shape, 2 * n) / self.requirements.limits.leg,
+            "gap": clear(grip.vertices)[0] / LEAST_GAP,
+        }
+        return {name: ratio - 1.0 for name, ratio in found.items()}
+
+    def shortest(self, grip: Grip) -> tuple[float, str]:
+        """Return the smallest of all distances' margins, and whose it is."""
+        return min((float(np.min(each)), name) for name, each in self.distances(grip).items())
+
+    def merit(self, grip: Grip) -> float:
+        """Return the slip load over friction [N] of a grip within all limits, or what it lacks."""
+        scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
+        unbalanced = float(np.max(np.abs(grip.imbalance) / scale)) - BALANCED
+        loose = -float(np.min(grip.wraps.angles))
+        lacking = max(-self.shortest(grip)[0], unbalanced, 0.0)
+        if lacking > 0.0 or loose >= 0.0:
+            return -lacking - max(loose, 0.0)
+        return float(grip.slip_load(1.0))
 
 
 def _distances(first: Array, second: Array) -> Array:
-    """Return distances (…) [m] of points or segments (…, 1 or 2, 3) to segments (…, 2, 3)."""
+    """Return distances (…) [m] of points or segments (…, 1 or 2, 2) to segments (…, 2, 2)."""
     return length(shortest_offset(differences(first, second)))
 
 
@@ -299,3 +237,161 @@ def largest_tension(requirements: Requirements, kind: Quadrotor) -> tuple[float,
     by_tilt = weight * math.tan(requirements.limits.tilt)
     by_thrust = math.sqrt(max(kind.max_thrust**2 - weight**2, 0.0))
     return (by_tilt, "tilt") if by_tilt <= by_thrust else (by_thrust, "thrust")
+
+
+def grip_capacity(task: GripTask, grip: Grip, friction: float, factor: float) -> Capacity:
+    """Return the largest mass [kg] that a grip lifts, by friction and thrust, and what binds.
+
+    Every leg lifts the same share w of the weight and pulls with the tension T all the same, so
+    that thrust is ``√(T² - w² + (m g + w)²)``.
+
+    Parameters
+    ----------
+    friction: coefficient between cables and object.
+    factor: least slip load over load.
+    """
+    weight, legs = GRAVITY * task.kind.mass, 2.0 * task.robots
+    spare = task.kind.max_thrust**2 - task.tension**2 - weight**2
+    loads = {
+        "grip": float(grip.slip_load(friction)) / factor,
+        "thrust": legs * max(spare, 0.0) / (2.0 * weight),
+    }
+    binding = min(loads, key=lambda name: loads[name])
+    return Capacity(loads[binding] / GRAVITY, binding)
+
+
+def best_grip(task: GripTask) -> Grip:
+    """Return the grip whose slip load is largest, within all limits, before it lifts anything.
+
+    It is searched about the section's centroid: where the outline has its origin does not matter.
+
+    Raises
+    ------
+    InfeasibleError: none was found; the violation is that of the nearest one.
+    """
+    centre = np.round(task.section.centroid, PLACES)
+    outline = task.section.outline
+    given = task
+    if outline is not None and np.any(centre):
+        task = replace(task, section=Section(outline - centre))
+    starts = _starts(task)
+    for iterations, kept in ((SCREENING, FINALISTS), (ITERATIONS, 1)):
+        found = [_refined(task, start, iterations) for start in starts]
+        grips = [task.grip(each) for each in found if _turns_once(each)]
+        ranked = sorted(grips, key=task.merit, reverse=True)[:kept]
+        starts = [each.vertices for each in ranked]
+    if not ranked or task.merit(ranked[0]) <= 0.0:
+        raise _no_grip(task, ranked)
+    return given.grip(ranked[0].vertices + centre)
+
+
+def _turns_once(vertices: Array) -> bool:
+    """Return whether a polygon (n, 2) turns right at all vertices, once around in all."""
+    onward = np.roll(vertices, -1, axis=0) - vertices
+    before = np.roll(onward, 1, axis=0)
+    right = before[:, 1] * onward[:, 0] - before[:, 0] * onward[:, 1]
+    turns = np.arctan2(right, np.sum(before * onward, axis=1))
+    return bool(np.all(turns > 0.0) and np.sum(turns) < 3.0 * math.pi)
+
+
+def _starts(task: GripTask) -> list[Array]:
+    """Return polygons (n, 2) [m] around the section: turned evenly, and facing its sides."""
+    core, n = task.section.core, task.robots
+    symmetry = 2.0 * math.pi / n
+    sides = np.roll(core, -1, axis=0) - core
+    facing = np.arctan2(sides[:, 0], -sides[:, 1])[np.argsort(-np.hypot(*sides.T), kind="stable")]
+    even = 0.5 * math.pi - symmetry * np.arange(TURNS) / TURNS
+    turns = even[:1] if len(core) == 1 else np.append(facing[:SMALLEST], even)
+    _, first = np.unique(np.round(turns % symmetry, 6) % symmetry, return_index=True)
+    centre, size = task.section.centroid, math.sqrt(task.section.area / math.pi)
+    found = []
+    for turn in turns[np.sort(first)]:
+        angles = turn - symmetry * np.arange(n)
+        out = np.column_stack([np.cos(angles), np.sin(angles)])
+        on_rays = np.linspace(0.0, 3.0, 601)[:, None, None] * task.section.circumradius * out
+        gaps = task.section.clearance(centre + on_rays)[0]
+        for pair in OFFSETS if n % 2 == 0 else OFFSETS[:1]:
+            first = np.argmax(gaps >= size * np.resize(pair, n), axis=0)
+            found.append(centre + on_rays[first, np.arange(n)])
+    return found
+
+
+def _refined(task: GripTask, start: Array, iterations: int) -> Array:
+    """Return the vertices (n, 2) [m] that sequential quadratic programs reach from a polygon."""
+    values = _program(task, start)
+    known: dict[bytes, tuple[Array, Array]] = {}
+
+    def at(x: Array) -> tuple[Array, Array]:
+        """Return values (rows,) at vertices x (2 n,) [m], and their slopes by differences."""
+        if x.tobytes() not in known:
+            moves = STEP * np.eye(x.size)
+            both = values(np.stack([x + moves, x - moves]))
+            known.clear()
+            known[x.tobytes()] = values(x), ((both[0] - both[1]) / (2.0 * STEP)).T
+        return known[x.tobytes()]
+
+    check_time()
+    rows = [("eq", slice(1, 4), 0.0), ("ineq", slice(4, None), KEPT)]
+    constraints: list[Any] = [
+        {
+            "type": kind,
+            "fun": lambda x, part=part, least=least: at(x)[0][part] - least,
+            "jac": lambda x, part=part: at(x)[1][part],
+        }
+        for kind, part, least in rows
+    ]
+    options: Any = {"maxiter": iterations, "ftol": 1e-7}
+
+    def lost(x: Array) -> float:
+        return -float(at(x)[0][0])
+
+    def steepest(x: Array) -> Array:
+        slope: Array = -at(x)[1][0]
+        return slope
+
+    found = minimize(
+        lost, start.ravel(), jac=steepest, method="SLSQP", constraints=constraints, options=options
+    )
+    return np.asarray(found.x).reshape(start.shape)
+
+
+def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
+    """Return slip load, imbalances and smallest margins (…, rows), by vertices (…, 2 n) [m].
+
+    A disc has no moment, however it is gripped, and all turned grips of it are equal: there the
+    third imbalance is how far vertices turn from where they start.
+    """
+    turning = None
+    if len(task.section.core) == 1:
+        x, y = (start - task.section.centroid).T
+        turning = np.column_stack([-y, x]).ravel() / math.hypot(*x, *y)
+
+    def values(x: Array) -> Array:
+        grip = task.grip(x.reshape(*x.shape[:-1], *start.shape))
+        kept = [
+            each
+            if each.shape[-1] <= ALL
+            else np.sort(np.partition(each, SMALLEST - 1)[..., :SMALLEST])
+            for each in (*task.distances(grip).values(), grip.wraps.angles)
+        ]
+        goal = grip.slip_load(1.0)[..., None] / task.tension
+        unbalanced = grip.imbalance / task.tension
+        if turning is not None:
+            unbalanced[..., 2] = (x - start.ravel()) @ turning
+        return np.concatenate([goal, unbalanced, *kept], axis=-1)
+
+    return values
+
+
+def _no_grip(task: GripTask, nearest: list[Grip]) -> InfeasibleError:
+    """Return the refusal: what the nearest grip breaks most, or that it does not wrap."""
+    name, ratio = "grip", 0.0
+    for grip in nearest:
+        margin, worst = task.shortest(grip)
+        if margin < 0.0:
+            name, ratio = worst, 1.0 + margin
+    remedy = "use cables of another length, or a larger section, or rest it on a rim"
+    if task.robots > 3:
+        remedy = f"use three cables; or {remedy}"
+    note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
+    return InfeasibleError([Violation(name, ratio, 1.0, "min", "ratio", (), "", remedy)], note)

@@ -83,23 +83,6 @@ class Wraps:
         behind = np.roll(self.arriving, 1, axis=-2)
         return math.pi - np.abs(_turn(behind, self.leaving))
 
-    def least_turns(self, section: Section) -> Array:
-        """Return (…) [rad]: by how much edges turn at least before they meet another corner.
-
-        Straight edges do not count.
-
-        Parameters
-        ----------
-        section: a polygon, which they are around.
-        """
-        core = section.core
-        sides = np.stack([core - np.roll(core, 1, axis=0), np.roll(core, -1, axis=0) - core])
-        met = np.moveaxis(sides[:, self.bends.corners], 0, -2)  # (…, n, 2 contacts, 2 sides, 2)
-        parts = np.stack([self.leaving, self.arriving], axis=-2)[..., None, :]
-        turns = np.min(np.abs(_turn(met, parts)), axis=(-1, -2))
-        least: Array = np.min(np.where(self.bends.touching, turns, math.inf), axis=-1)
-        return least
-
 
 def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) -> Wraps:
     """Return the taut edges of a clockwise polygon around a section.

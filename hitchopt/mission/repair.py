@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -29,20 +29,21 @@ from hitchopt.errors import (
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.hitch import balanced_legs, fitting_polygon
-from hitchopt.holding.capacity import EASED
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.solving import solve_problem
 from hitchopt.steps import Step
+from hitchopt.steps.holds import EASED
 from hitchopt.steps.route_choice import split_hitch
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,
+    Edited,
     Knob,
-    StepEdit,
     eased,
     outline_scaled,
     points_scaled,
 )
+from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
 from hitchopt.steps.step_keys import RolledLegs, SlackSplit
 from hitchopt.values import Array
 
@@ -66,28 +67,6 @@ FAR = 4.0
 
 ENOUGH = 3
 """Most suggestions: more would not be read."""
-
-
-@dataclass(frozen=True)
-class Edit(OneLine):
-    """What to write into a problem file.
-
-    Attributes
-    ----------
-    key: path of the key, such as ``team.cable_length`` or ``mission[0].morph.polygon``.
-    value: number, word, list or mapping, in the file's units.
-    """
-
-    key: str
-    value: object
-
-
-@dataclass(frozen=True, eq=False)
-class Edited:
-    """A problem with another value, and how a file says so."""
-
-    problem: Problem
-    edits: tuple[Edit, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,6 +126,13 @@ class Suggestion(OneLine):
         return {**change, "duration": self.duration, "edits": edits, "message": str(self)}
 
 
+Verdict = Suggestion | frozenset[str]
+"""A suggestion if a change is planned and certified, else the constraints that bind, if known."""
+
+Judge = Callable[[Change | None], Verdict | None]
+"""Gives the verdict of a change; None where there is no change, or no time for it."""
+
+
 def find_suggestions(
     problem: Problem,
     error: InfeasibleError,
@@ -166,60 +152,32 @@ def find_suggestions(
         limit within which this is called.
     progress: called with what is being tried now.
     """
-    end, broken = time.monotonic() + budget, broken_constraints(error)
-    thorough, judge = (_Judge(end, progress, optimiser=each) for each in (True, False))
-    likely = [knob for knob in _likely(problem, error.violations) if broken <= knob.covers]
-    longer = [knob for knob in likely if error.note and knob.lasts]  # as long as a route takes
-    known = _suggested(thorough(change_of(knob, knob.least)) for knob in longer)
-    found = [
-        *known,
-        *_suggested(map(judge, spread_changes(problem, error))),
-        *_smallest([knob for knob in likely if not (known and knob.lasts)], judge),
-    ]
-    if not found and broken <= {"arena"}:
-        found = _smallest(list(_walls(problem, error.violations, together=True)), judge)
-    if not found and error.note:  # the optimiser was needed and may be needed still
-        found = _smallest(likely, thorough)
-    return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
+    end = time.monotonic() + budget
 
-
-Verdict = Suggestion | frozenset[str]
-"""A suggestion if a change is planned and certified, else the constraints that bind, if known."""
-
-
-@dataclass(frozen=True)
-class _Judge:
-    """Plans changed problems until a time on the monotonic clock [s]."""
-
-    end: float
-    progress: Progress | None
-    optimiser: bool
-
-    @property
-    def over(self) -> bool:
-        """Whether no further plan is to be begun."""
-        return time.monotonic() >= self.end or time_left() <= 0.0
-
-    def __call__(self, change: Change | None) -> Verdict | None:
-        """Return the verdict; None where there is no change, or no time for it."""
-        if change is None or self.over:
+    def judged(change: Change | None, *, optimiser: bool = False) -> Verdict | None:
+        if change is None or time.monotonic() >= end or time_left() <= 0.0:
             return None
-        if self.progress is not None:
-            self.progress(f"trying {change}")
+        if progress is not None:
+            progress(f"trying {change}")
         try:
-            found = solve_problem(change.problem, optimiser=self.optimiser)
-        except InfeasibleError as error:
-            return broken_constraints(error)
+            found = solve_problem(change.problem, optimiser=optimiser)
+        except InfeasibleError as refusal:
+            return broken_constraints(refusal)
         except (HitchoptError, TimeIsUp):  # no timing found, or no time: larger changes may do
             return frozenset()
         return Suggestion(change, found.motion.duration)
 
+    broken = broken_constraints(error)
+    knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
+    spread = map(judged, spread_changes(problem, error))
+    found = [verdict for verdict in spread if isinstance(verdict, Suggestion)]
+    found += _smallest(knobs, judged)
+    if not found and error.note:  # the optimiser was needed and may be needed still
+        found = _smallest(knobs, partial(judged, optimiser=True))
+    return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
 
-def _suggested(verdicts: Iterable[Verdict | None]) -> list[Suggestion]:
-    return [verdict for verdict in verdicts if isinstance(verdict, Suggestion)]
 
-
-def _smallest(knobs: Sequence[Knob], judge: _Judge) -> list[Suggestion]:
+def _smallest(knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
     """Return the smallest changes of the knobs of which the smallest sizes do.
 
     Sizes that are known to be needed come first: they may be enough. Then all knobs are tried with
@@ -227,7 +185,7 @@ def _smallest(knobs: Sequence[Knob], judge: _Judge) -> list[Suggestion]:
     """
     found: list[Suggestion] = []
     failed: dict[int, float] = {}
-    done: set[int | str] = set()  # knobs, and families of them
+    done: set[int] = set()
     sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
     tries = [(0.0 if size == knobs[i].least else size, i, size) for i, size in sizes]
     last = 0.0
@@ -236,14 +194,12 @@ def _smallest(knobs: Sequence[Knob], judge: _Judge) -> list[Suggestion]:
         if turn > last and (len(found) >= ENOUGH or last >= FAR * smallest):
             break
         last, knob = turn, knobs[i]
-        if i in done or knob.family in done:
+        if i in done:
             continue
         verdict = judge(change_of(knob, size))
         if isinstance(verdict, Suggestion):
             found.append(_narrowed(knob, failed.get(i, knob.least), size, verdict, judge))
             done.add(i)
-            if knob.family:
-                done.add(knob.family)
         # Where other things are broken beyond the least, larger changes would break them the more.
         elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
             done.add(i)
@@ -263,15 +219,16 @@ def _sizes(knob: Knob) -> list[float]:
 
 
 def _narrowed(
-    knob: Knob, failed: float, size: float, found: Suggestion, judge: _Judge
+    knob: Knob, failed: float, size: float, found: Suggestion, judge: Judge
 ) -> Suggestion:
     """Return the smallest change between a size that failed and one that did, by bisection."""
-    while size - failed > RESOLUTION * (1.0 + size) and not judge.over:
+    while size - failed > RESOLUTION * (1.0 + size):
         middle = 0.5 * (failed + size)
         change = change_of(knob, middle)
-        if change is None:
+        same = change is not None and change.new == found.change.new  # rounded to it
+        verdict = found if same else judge(change)
+        if verdict is None:  # no change, or no time
             break
-        verdict = found if change.new == found.change.new else judge(change)  # rounded to the same
         if isinstance(verdict, Suggestion):
             size, found = middle, verdict
         else:
@@ -293,7 +250,7 @@ def change_of(knob: Knob, size: float) -> Change | None:
     except InputError:
         return None
     said = knob.key, knob.words, knob.old, new, knob.unit, (new - knob.old) / extent
-    return Change(*said, edited.problem, edited.edits)
+    return Change(*said, edited.changed, edited.edits)
 
 
 def tidy(value: float, sign: int, scale: float) -> float:
@@ -315,7 +272,7 @@ def _name(violation: Violation) -> str:
     return PLAN_DURATION if whole_plan else violation.constraint
 
 
-def _needed(violations: Sequence[Violation], name: str) -> float:
+def _needed(violations: Iterable[Violation], name: str) -> float:
     """Return the size by which a limit, or a step's duration, has to be raised at the least."""
     pairs = [(v.value, v.limit) for v in violations if _name(v) == name]
     if name == "duration":
@@ -343,121 +300,123 @@ BALANCE = frozenset({"equilibrium", "keep_out"})
 ROUGHEST, STEEPEST = 1.0, 80.0
 """Largest coefficient of friction, and largest tilt [deg] suggested."""
 
-MOST_NAMED = 3
-"""Most single cables tried, those that the broken limits name first."""
+LIMITS = {
+    "speed": ("m/s", "speed"),
+    "acceleration": ("m/s²", "acceleration"),
+    "jerk": ("m/s³", "jerk"),
+    "vertex_speed": ("m/s", "vertex_speed"),
+    "duration": ("s", PLAN_DURATION),
+    "tilt_deg": ("deg", "tilt"),
+    "body_rate_deg": ("deg/s", "body_rate"),
+}
+"""Limits that may be raised, with their units and checks."""
 
 
-def _likely(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     """Yield the knobs of a problem; distances that are there for safety stay as they are."""
     yield from _starts(problem)
     yield from _team(problem, violations)
     yield from _objects(problem, violations)
-    yield from _limits(problem, violations)
+    for name, (unit, check) in LIMITS.items():
+        if getattr(problem.limits, name.removesuffix("_deg")) is None:
+            continue
+        covers = {check} if check == PLAN_DURATION else TIMES | {check}
+        knob = _limit(problem, name, unit, covers)
+        most = STEEPEST / knob.old - 1.0 if name == "tilt_deg" else math.inf
+        if most > 0.0:
+            yield replace(knob, least=_needed(violations, check), most=most)
+    yield replace(_limit(problem, "leg", "m", {"legs"}), sign=-1)
     for i, step in enumerate(problem.mission):
-        own = _needed([v for v in violations if f"step {i} " in v.when], "duration")
+        own = _needed((v for v in violations if f"step {i} " in v.when), "duration")
         for knob in step.knobs():
+
+            def put(new: float, i: int = i, put: Callable[[float], Edited] = knob.put) -> Edited:
+                return _with_step(problem, i, put(new))
+
             key = f"mission[{i}].{step.name}.{knob.key}"
-            put = partial(_put_in_step, problem, i, knob.put)
             yield replace(knob, key=key, put=put, least=own if "duration" in knob.covers else 0.0)
     yield from _walls(problem, violations)
-
-
-def _put_in_step(
-    problem: Problem, i: int, put: Callable[[float], StepEdit], value: float
-) -> Edited:
-    return with_step_edit(problem, i, put(value))
 
 
 def _starts(problem: Problem) -> Iterator[Knob]:
     """Yield drones on free cables that start farther apart, or closer together."""
     start = problem.start
-    if isinstance(start, DronesStart):
-        middles = 0.5 * (start.q + start.r)[:, :2]
-        arms = 0.5 * (start.r - start.q)[:, :2]
+    if not isinstance(start, DronesStart):
+        return
+    middles, arms = 0.5 * (start.q + start.r)[:, :2], 0.5 * (start.r - start.q)[:, :2]
 
-        def apart(factor: float) -> Edited:
-            moved = points_scaled(middles, factor, np.mean(middles, axis=0)) - middles
-            return _starting(problem, start, moved, moved)
+    def placed(middle: float, arm: float) -> Edited:
+        """Return the start with middles apart and arms as long by factors."""
+        centres = points_scaled(middles, middle, np.mean(middles, axis=0))
+        places = {"q": start.q.copy(), "r": start.r.copy()}
+        for sign, place in zip((-1.0, 1.0), places.values(), strict=True):
+            place[:, :2] = np.round(centres + sign * arm * arms, DECIMALS)
+        edits = tuple(Edit(f"start.drones.{name}", p.tolist()) for name, p in places.items())
+        return Edited(replace(problem, start=DronesStart(**places)), edits)
 
-        def drawn(factor: float) -> Edited:
-            return _starting(problem, start, (1.0 - factor) * arms, (factor - 1.0) * arms)
-
-        key, words = "start.drones", "two drones of a robot"
-        yield Knob(key, 1.0, "times", apart, 1, TOO_CLOSE, "robots from their middle")
-        yield Knob(key, 1.0, "times", drawn, -1, frozenset({"span"}), words)
-
-
-def _starting(problem: Problem, start: DronesStart, q: Array, r: Array) -> Edited:
-    """Return the problem with the start's drones moved by q and r (n, 2) [m]."""
-    places = {}
-    for name, offset in (("q", q), ("r", r)):
-        places[name] = getattr(start, name).copy()
-        places[name][:, :2] = np.round(places[name][:, :2] + offset, DECIMALS)
-    edits = tuple(Edit(f"start.drones.{name}", places[name].tolist()) for name in places)
-    return Edited(replace(problem, start=DronesStart(**places)), edits)
+    key, words = "start.drones", "two drones of a robot"
+    apart, drawn = (lambda factor: placed(factor, 1.0)), (lambda factor: placed(1.0, factor))
+    yield Knob(key, 1.0, "times", apart, 1, TOO_CLOSE, "robots from their middle")
+    yield Knob(key, 1.0, "times", drawn, -1, frozenset({"span"}), words)
 
 
 def _team(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
-    """Yield cables, of single robots that are named and of all, the outlines, and forces."""
+    """Yield cables, of a single robot that is named and of all, the outlines, and forces."""
     team = problem.team
-    for knob in _single(problem, "cable_length", "m", "one cable", violations):
-        yield replace(knob, covers=SPACE)
-    length = replace(_every(problem, "cable_length", "m"), words="all cables")
-    yield replace(length, covers=SPACE)
-    yield replace(length, sign=-1, covers=TOO_CLOSE | {"arena"})
+    length, tension = _values(problem, "cable_length", "m"), _values(problem, "tension", "N")
+    yield from _single(problem, "cable_length", "m", SPACE, violations)
+    yield replace(length, words="all cables", covers=SPACE)
+    yield replace(length, words="all cables", sign=-1, covers=TOO_CLOSE | {"arena"})
     put = partial(with_outlines_scaled, problem)
     larger = Knob("polygon", 1.0, "times", put, 1, TOO_CLOSE, "scale of all polygons")
     yield replace(larger, sign=-1, covers=SPACE | RATES | TIMES | {"arena"})
     yield larger
     if np.ptp(team.tension) > 0.0:
-        for knob in _single(problem, "tension", "N", "one tension", violations):
-            # Tensions that differ turn legs, so that an odd one may be what brings drones together.
-            yield replace(knob, sign=-1, covers=FORCES | SPACE | {"crossing"})
-    tension = _every(problem, "tension", "N")
+        # Tensions that differ turn legs, so that an odd one may be what brings drones together.
+        covers = FORCES | SPACE | {"crossing"}
+        for knob in _single(problem, "tension", "N", covers, violations):
+            yield replace(knob, sign=-1)
     yield replace(tension, sign=-1, covers=FORCES)
     yield replace(tension, covers=HEAVY, least=_needed(violations, "load"))
     if np.any(team.load > 0.0):
-        load = _every(problem, "load", "kg")
-        yield replace(load, sign=-1, covers=HEAVY | FORCES | TOO_CLOSE)
-    thrust = replace(_every(problem, "max_thrust", "N"), covers=TIMES | {"thrust"}, relaxes=True)
-    same = thrust.unit == "N"
-    yield replace(thrust, key="team.quadrotor.max_thrust" if same else "team.quadrotor")
+        covers = HEAVY | FORCES | TOO_CLOSE
+        yield replace(_values(problem, "load", "kg"), sign=-1, covers=covers)
+    thrust = _values(problem, "max_thrust", "N")
+    key = "team.quadrotor.max_thrust" if thrust.unit == "N" else "team.quadrotor"
+    yield replace(thrust, key=key, covers=TIMES | {"thrust"}, relaxes=True)
 
 
-def team_values(problem: Problem, name: str) -> Array:
+def _team_values(problem: Problem, name: str) -> Array:
     """Return cable lengths [m], tensions [N], largest thrusts [N] or loads [kg], (n,) or clasps."""
-    if name == "max_thrust":
-        return np.array([kind.max_thrust for kind in problem.team.quadrotor])
-    values: Array = getattr(problem.team, name)
+    team = problem.team
+    values: Array = team.max_thrust[::2] if name == "max_thrust" else getattr(team, name)
     return values
 
 
 def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
-    """Return the problem with other ``team_values``."""
+    """Return the problem with other ``_team_values``."""
     rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
     changed: dict[str, Any] = {name: np.array(rounded)}
     if name == "max_thrust":
         pairs = zip(problem.team.quadrotor, rounded, strict=True)
         kinds = tuple(replace(kind, max_thrust=value) for kind, value in pairs)
-        name, changed, rounded = "quadrotor", {"quadrotor": kinds}, list(map(_as_written, kinds))
-    team = replace(problem.team, **changed)
+        name, changed = "quadrotor", {"quadrotor": kinds}
+        rounded = [  # mass and thrust, and whatever else is not its default
+            {
+                key: value
+                for key, value in vars(kind).items()
+                if key in ("mass", "max_thrust") or value != getattr(Quadrotor, key)
+            }
+            for kind in kinds
+        ]
     same = all(value == rounded[0] for value in rounded)
     edit = Edit(f"team.{name}", rounded[0] if same else rounded)
-    return Edited(replace(problem, team=team), (edit,))
+    return Edited(replace(problem, team=replace(problem.team, **changed)), (edit,))
 
 
-def _as_written(kind: Quadrotor) -> dict[str, float | bool | None]:
-    """Return what a file says of a kind: mass, thrust, and whatever else is not its default."""
-    return {
-        name: value
-        for name, value in vars(kind).items()
-        if name in ("mass", "max_thrust") or value != getattr(Quadrotor, name)
-    }
-
-
-def _every(problem: Problem, name: str, unit: str) -> Knob:
+def _values(problem: Problem, name: str, unit: str) -> Knob:
     """Return the team's values as one knob: the value that all have, or a factor of them."""
-    values = team_values(problem, name)
+    values = _team_values(problem, name)
     same = bool(np.ptp(values) == 0.0)
     ratios = np.ones(len(values)) if same else values
     old, words = (float(values[0]), "") if same else (1.0, f"every {name}")
@@ -469,23 +428,19 @@ def _every(problem: Problem, name: str, unit: str) -> Knob:
 
 
 def _single(
-    problem: Problem, name: str, unit: str, words: str, violations: Sequence[Violation]
+    problem: Problem, name: str, unit: str, covers: frozenset[str], violations: Sequence[Violation]
 ) -> Iterator[Knob]:
-    """Yield the values of single robots that are named, as of q0, r-leg 2, cable 1."""
-    values = team_values(problem, name)
-    found = (
-        re.fullmatch(r"(?:q|r|q-leg |r-leg |cable |edge )(\d+)", name)
-        for violation in violations
-        for name in violation.where
-    )
-    named = dict.fromkeys(int(match[1]) for match in found if match)
-    for k in [k for k in named if k < len(values)][:MOST_NAMED]:
+    """Yield the value of the robot that is named first, as of q0, r-leg 2, cable 1."""
+    values, pattern = _team_values(problem, name), r"(?:q|r|q-leg |r-leg |cable |edge )(\d+)"
+    found = (re.fullmatch(pattern, each) for violation in violations for each in violation.where)
+    for k in [int(match[1]) for match in found if match][:1]:
 
         def put(new: float, k: int = k) -> Edited:
             changed = np.where(np.arange(len(values)) == k, new, values)
             return with_team_values(problem, name, changed)
 
-        yield Knob(f"team.{name}[{k}]", float(values[k]), unit, put, words=words, family=words)
+        words = "one cable" if name == "cable_length" else f"one {name}"
+        yield Knob(f"team.{name}[{k}]", float(values[k]), unit, put, covers=covers, words=words)
 
 
 def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
@@ -501,22 +456,23 @@ def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
         centre = outline.centroid
         start = replace(start, polygon=outline_scaled(outline, factor))
         edits.append(Edit("start.hitch.polygon", start.polygon.vertices.tolist()))
+    changed = replace(problem, start=start) if edits else problem
     steps: list[Step] = []
     for i, step in enumerate(problem.mission):
-        edit, centre = step.scaled(factor, centre)
-        steps.append(step if edit is None else replace(step, **edit.changes))
-        edits += [] if edit is None else [_in_step(problem, i, edit)]
-    return Edited(replace(problem, start=start, mission=tuple(steps)), tuple(edits))
+        edited, centre = step.scaled(factor, centre)
+        steps.append(edited.changed)
+        edits += [_in_step(problem, i, edit) for edit in edited.edits]
+    return Edited(replace(changed, mission=tuple(steps)), tuple(edits))
 
 
-def with_step_edit(problem: Problem, i: int, edit: StepEdit) -> Edited:
-    """Return the problem with another value in step i."""
-    mission = list(problem.mission)
-    mission[i] = replace(mission[i], **edit.changes)
-    return Edited(replace(problem, mission=tuple(mission)), (_in_step(problem, i, edit),))
+def _with_step(problem: Problem, i: int, edited: Edited) -> Edited:
+    """Return the problem with step i edited."""
+    mission = (*problem.mission[:i], edited.changed, *problem.mission[i + 1 :])
+    edits = tuple(_in_step(problem, i, edit) for edit in edited.edits)
+    return Edited(replace(problem, mission=mission), edits)
 
 
-def _in_step(problem: Problem, i: int, edit: StepEdit) -> Edit:
+def _in_step(problem: Problem, i: int, edit: Edit) -> Edit:
     return Edit(f"mission[{i}].{problem.mission[i].name}.{edit.key}", edit.value)
 
 
@@ -531,7 +487,7 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
             continue
 
         def put(key: str, value: float, name: str = name) -> Edited:
-            changes: Mapping[str, Any] = {key: value}
+            changes: dict[str, Any] = {key: value}
             objects = {**problem.objects, name: replace(problem.objects[name], **changes)}
             edits = (Edit(f"objects.{name}.{key}", value),)
             return Edited(replace(problem, objects=objects), edits)
@@ -546,77 +502,43 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
             yield replace(rough, most=ROUGHEST / body.friction - 1.0)
 
 
-LIMITS = {
-    "speed": ("m/s", "speed"),
-    "acceleration": ("m/s²", "acceleration"),
-    "jerk": ("m/s³", "jerk"),
-    "vertex_speed": ("m/s", "vertex_speed"),
-    "duration": ("s", PLAN_DURATION),
-    "tilt_deg": ("deg", "tilt"),
-    "body_rate_deg": ("deg/s", "body_rate"),
-}
-"""Limits that may be raised, with their units and checks."""
-
-
-def _limits(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
-    """Yield limits of motion raised, and the shortest leg lowered."""
-    for name, (unit, check) in LIMITS.items():
-        if getattr(problem.limits, name.removesuffix("_deg")) is None:
-            continue
-        covers = {check} if check == PLAN_DURATION else TIMES | {check}
-        knob = _bound(problem, f"limits.{name}", unit, covers)
-        most = STEEPEST / knob.old - 1.0 if name == "tilt_deg" else math.inf
-        if most > 0.0:
-            yield replace(knob, least=_needed(violations, check), most=most)
-    yield _bound(problem, "limits.leg", "m", {"legs"}, sign=-1)
-
-
-def _bound(problem: Problem, key: str, unit: str, covers: Iterable[str], sign: int = 1) -> Knob:
-    """Return the knob of a limit or a distance to keep, by its key in the file."""
-    section, name = key.split(".")
-    value = getattr(getattr(problem, section), name.removesuffix("_deg"))
+def _limit(problem: Problem, name: str, unit: str, covers: Iterable[str]) -> Knob:
+    """Return the knob of a limit, by its key in the file."""
+    value = getattr(problem.limits, name.removesuffix("_deg"))
     old = round(math.degrees(value), 9) if name.endswith("_deg") else float(value)
-    put = partial(with_bound, problem, key)
-    return Knob(key, old, unit, put, sign, frozenset(covers), relaxes=True)
+    put = partial(with_limit, problem, name)
+    return Knob(f"limits.{name}", old, unit, put, covers=frozenset(covers), relaxes=True)
 
 
-def with_bound(problem: Problem, key: str, value: float) -> Edited:
-    """Return the problem with another limit or distance to keep; key and unit are the file's."""
-    section, name = key.split(".")
+def with_limit(problem: Problem, name: str, value: float) -> Edited:
+    """Return the problem with another limit; name and unit are the file's."""
     angle = name.removesuffix("_deg")
-    changed = {name: value} if angle == name else {angle: math.radians(value)}
-    part: Any = replace(getattr(problem, section), **changed)
-    return Edited(replace(problem, **{section: part}), (Edit(key, value),))
+    changed = {angle: value if angle == name else math.radians(value)}
+    limits = replace(problem.limits, **changed)
+    return Edited(replace(problem, limits=limits), (Edit(f"limits.{name}", value),))
 
 
-def _walls(
-    problem: Problem, violations: Sequence[Violation], *, together: bool = False
-) -> Iterator[Knob]:
-    """Yield the arena's walls moved out, each alone or all together."""
+def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
+    """Yield the arena's walls moved out, each alone."""
     arena = problem.arena
     if arena is None:
         return
     beyond = max((-v.value for v in violations if v.constraint == "arena"), default=0.0)
-    sides = {"lower": -1, "upper": 1}
-    for axis in [range(3)] if together else range(3):
-        for side, sign in [("", 1)] if together else sides.items():
+    for axis in range(3):
+        extent = float((arena.upper - arena.lower)[axis])
+        for side, sign in (("lower", -1), ("upper", 1)):
 
-            def put(new: float, side: str = side, axis: Any = axis) -> Edited:
-                corners = {name: getattr(arena, name).copy() for name in sides}
-                for name in [side] if side else sides:
-                    place = new if side else np.round(corners[name] + sides[name] * new, 9)
-                    corners[name][axis] = place
+            def put(new: float, side: str = side, axis: int = axis) -> Edited:
+                corners = {name: getattr(arena, name).copy() for name in ("lower", "upper")}
+                corners[side][axis] = new
                 value = {name: corner.tolist() for name, corner in corners.items()}
                 edited = replace(problem, arena=replace(arena, **corners))
                 return Edited(edited, (Edit("arena", value),))
 
-            extent = float(np.min((arena.upper - arena.lower)[axis]))
-            old = float(getattr(arena, side)[axis]) if side else 0.0
-            key, words = f"arena.{side}[{axis}]", "one wall"
-            if together:
-                key, words = "arena", "every wall moved out"
-            knob = Knob(key, old, "m", put, sign, frozenset({"arena"}), words, extent)
-            yield replace(knob, least=beyond / extent, most=math.inf, relaxes=True)
+            key, old = f"arena.{side}[{axis}]", float(getattr(arena, side)[axis])
+            covers, least = frozenset({"arena"}), beyond / extent
+            knob = Knob(key, old, "m", put, sign, covers, "one wall", extent, least, relaxes=True)
+            yield knob
 
 
 def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]:
@@ -635,18 +557,19 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
     for i, step in enumerate(problem.mission):
         outline, legs = step.polygon_left(team, outline), getattr(step, "legs", None)
         if legs is not None:
-            edit = StepEdit("legs", "spread", {"legs": "spread"})
-            places.append((legs, outline, with_step_edit(problem, i, edit)))
+            spread: Any = {"legs": "spread"}
+            edited = Edited(replace(step, **spread), (Edit("legs", "spread"),))
+            places.append((legs, outline, _with_step(problem, i, edited)))
     for legs, shape, edited in places:
         sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
         if shape is None or sharing is None or (isinstance(sharing, str) and sharing == "spread"):
             continue
         try:
             given = balanced_legs(team, shape) if isinstance(sharing, str) else sharing
-            spread = split_hitch(team, shape, 0.0, "spread", problem.requirements).q_legs
+            best = split_hitch(team, shape, 0.0, "spread", problem.requirements).q_legs
         except InfeasibleError:  # no cable is left for any legs
             continue
-        relative = float(np.max(np.abs(spread - given) / team.cable_length))
+        relative = float(np.max(np.abs(best - given) / team.cable_length))
         words = legs if isinstance(legs, str) else "as given"
         said = edited.edits[0].key, "", words, "spread", "", relative
-        yield Change(*said, edited.problem, edited.edits)
+        yield Change(*said, edited.changed, edited.edits)

@@ -18,8 +18,7 @@ from hitchopt.geometry.drawings import object_outline, outline_of_geometry
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Quadrotor
 from hitchopt.holding.capacity import Capacity, rest_capacity
-from hitchopt.holding.grip import Grip, largest_tension
-from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity
+from hitchopt.holding.grip import Grip, GripTask, best_grip, grip_capacity, largest_tension
 from hitchopt.objects import Section
 from hitchopt.planners.carrying.rest import ROOM, HoldPolygons
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
@@ -170,7 +169,7 @@ class Holding(OneLine):
         if isinstance(self.grip, InfeasibleError):
             return self.cable_length
         section, gap = self.task.section, self.task.clearance + ROOM
-        closed, centre = self.grip.vertices[:, :2], section.centroid
+        closed, centre = self.grip.vertices, section.centroid
         around = HoldPolygons.with_short_edges(closed, centre, (section,), gap).around
         try:
             return shortest_cable(ConvexPolygon(around), self.task.requirements)

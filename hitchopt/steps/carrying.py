@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -23,10 +23,10 @@ from hitchopt.steps.step import (
     Situation,
     Stage,
     Step,
-    StepEdit,
     StepPlan,
     StepTask,
     eased,
+    step_edit,
 )
 from hitchopt.steps.step_keys import (
     Key,
@@ -45,6 +45,10 @@ if TYPE_CHECKING:
 
 AROUND_SPEED = 0.15
 """[m/s] Speed upright around an object."""
+
+SPREAD, MORE_ROLL = 1.03, 1.3
+"""Distances with which legs close below a rim, over those to be kept, since the motion takes some
+of them; and factor of the least roll."""
 
 OVER = 0.10
 """[m] Room between drones' lowest places and objects below, besides ``separation.radius``."""
@@ -198,11 +202,7 @@ class PullStep(Step):
         """Yield the tension, and what else repair may change."""
         yield from super().knobs()
         if self.tension is not None:
-
-            def put(value: float) -> StepEdit:
-                return StepEdit("tension", value, {"tension": value})
-
-            pull = Knob("tension", self.tension, "N", put)
+            pull = Knob("tension", self.tension, "N", partial(step_edit, self, "tension"))
             yield replace(pull, covers=BALANCE | {"load", "grip"})
             yield replace(
                 pull, sign=-1, covers=BALANCE | eased("tension") | eased("length") | {"crossing"}
@@ -258,9 +258,9 @@ class Grasp(PullStep):
     ) -> tuple[StepPlan, StepTask]:
         """Return the plan of closing below the rim, and the task of holding the object after it.
 
-        Legs end as near to the current fractions as limits allow, rolled as little; where the
-        hitch with its load hardly keeps a distance then, they are rolled more, or moved on. Where
-        it cannot hold the object so, they end balanced.
+        Legs end as near to the current fractions as limits allow, distances a little larger than
+        they have to be; rolled legs are rolled more, since a load brings them nearer to each
+        other. Where the hitch cannot hold the object so, legs end balanced.
 
         Parameters
         ----------
@@ -269,48 +269,33 @@ class Grasp(PullStep):
         """
         from hitchopt.planners.carrying.rest import HeldHitch
         from hitchopt.steps.held_moves import polygon_at, rolling_morph
-        from hitchopt.steps.holds import SPARE, check_rest, farther_legs
+        from hitchopt.steps.holds import check_held, spaced
+        from hitchopt.steps.route_choice import end_of_morph
 
         team, polygons = task.before.team, task.holding.polygons
         below = polygon_at(body, polygons.closed)
         free = task.within(slowly(without(task, self.object)), task.before)
         assert body.rim is not None
         places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
-
-        @cache  # refusals too: a morph that finds no route is not planned again
-        def closed(choice: str) -> tuple[StepPlan, StepTask] | InfeasibleError:
-            legs = RolledLegs("balanced") if choice == "balanced" else None
-            if choice == "farther":
-                near = closed("nearest")
-                if isinstance(near, InfeasibleError):
-                    return near
-                legs = farther_legs(task.hitch, near[1].hitch, task.requirements)
-            try:
-                plan = rolling_morph(self, Morph(below, legs), free)
-            except InfeasibleError as error:
-                return error
-            hitch = plan.after.hitch
-            assert hitch is not None
-            held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
-            holding = Holding(self.object, polygons, asked, held)
-            return plan, replace(task, before=replace(plan.after, holding=holding))
-
         refusal: InfeasibleError | None = None
-        for choice, spare in (
-            ("nearest", SPARE),
-            ("farther", 1.0),
-            ("balanced", 1.0),
-            ("nearest", 1.0),
-        ):
-            found = closed(choice)
+        for balanced in (False, True):
             try:
-                if isinstance(found, InfeasibleError):
-                    raise found
-                check_rest(found[1], spare)
+                legs = RolledLegs("balanced")
+                if not balanced:
+                    wide = spaced(free.requirements, SPREAD)
+                    near = end_of_morph(task.hitch, below, None, wide).hitch
+                    legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
+                plan = rolling_morph(self, Morph(below, legs), free)
+                hitch = plan.after.hitch
+                assert hitch is not None
+                held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
+                holding = Holding(self.object, polygons, asked, held)
+                here = replace(task, before=replace(plan.after, holding=holding))
+                check_held(here)
             except InfeasibleError as error:
-                refusal = error  # in the end what binds with legs as they are
+                refusal = refusal or error
             else:
-                return found
+                return plan, here
         assert refusal is not None
         raise refusal
 

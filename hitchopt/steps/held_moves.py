@@ -13,6 +13,7 @@ import numpy as np
 
 from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.gripping import GRIP
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch
@@ -21,13 +22,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, Motion, Phase, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of, stacked_on
-from hitchopt.planners.carrying.moves import (
-    Move,
-    SmoothLaw,
-    crossing_ratios,
-    held_flight,
-    separation_ratios,
-)
+from hitchopt.planners.carrying.moves import Move, SmoothLaw, held_flight
 from hitchopt.planners.carrying.rest import ROOM, HeldHitch
 from hitchopt.planners.timing.flight import check_duration, needed_stretch
 from hitchopt.steps.moving import Morph, Transport
@@ -311,12 +306,8 @@ LIFT_ACCELERATION = 0.3
 """[m/s²] The same where it is lifted or set down."""
 
 SLOWER = 1.5
-"""How much longer a move takes that is tried where a grip slips, cables do not balance, or edges do
-not bear weight and inertia."""
-
-NEAREST, APART = 1.001, 1.002
-"""Distances over those asked: the least one in curves, whose polynomials are nearer by up
-to 4e-4, and the least one at rest that inertia may lessen."""
+"""How much longer a move takes that is tried where a grip slips, cables do not balance, edges do
+not bear weight and inertia, or inertia brings drones or cables too close."""
 
 
 def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
@@ -353,33 +344,15 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
 
 def _longer(task: StepTask, move: Move) -> float:
     """Return how much longer a carried move has to take to keep all limits, by estimates."""
-    held, requirements = task.holding.held, task.requirements
+    held, limits = task.holding.held, task.requirements.limits
     assert held is not None
     try:
-        factor = needed_stretch(held.team, requirements.limits, *held_flight(held, move).parts)
+        factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
         if factor > 1.0:
             return factor if factor < math.inf else SLOWER  # at rest a limit itself is reached
-        ratios = (separation_ratios, crossing_ratios)
-        factor = max(_slower(ratio(held, move, requirements.separation)) for ratio in ratios)
-        if factor > 1.0:
-            return factor
         motion = held_motion(task, [move], "carry")
     except InfeasibleError:
         return SLOWER
-    checks = (rule.check(motion) for rule in (GRIP, QUICK_EQUILIBRIUM))
+    rules = (GRIP, QUICK_EQUILIBRIUM, RULE_OF["separation"], RULE_OF["crossing"])
+    checks = (rule.check(motion) for rule in rules)
     return 1.0 if all(check is None or check.holds for check in checks) else SLOWER
-
-
-def _slower(ratios: Array) -> float:
-    """Return how much longer a move has to take for inertia not to bring anything too close.
-
-    That lessens their distances in proportion to the acceleration, nearly.
-
-    Parameters
-    ----------
-    ratios: (samples,) distances over those asked, at rest first.
-    """
-    rest, least = float(ratios[0]), float(np.min(ratios))
-    if least >= NEAREST or rest < APART:
-        return 1.0
-    return math.sqrt((rest - least) / (rest - NEAREST))

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 
-from hitchopt.checks.cables import LENGTH_LIMIT as LIMIT
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.motion.motion import Motion
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.planners.carrying.grip import GrippedHitch
-from hitchopt.planners.carrying.grip_polygon import (
-    TENSIONS,
-    check_pull,
-    grip_left,
-    grip_suggestion,
-)
-from hitchopt.planners.carrying.moves import Move, SmoothLaw, separation_ratios
-from hitchopt.planners.carrying.rest import EASED, EMPTY, HeldHitch, broken_at, rest_capacity
+from hitchopt.planners.carrying.grip_polygon import check_pull, grip_left
+from hitchopt.planners.carrying.moves import Move, SmoothLaw
+from hitchopt.planners.carrying.rest import HeldHitch
 from hitchopt.steps.certified_motions import checked
 from hitchopt.steps.held_moves import (
     LIFT_SPEED,
@@ -42,20 +37,30 @@ from hitchopt.steps.held_moves import (
     transferred,
     within_limits,
 )
-from hitchopt.steps.route_choice import NO_ROOM, end_of_morph, remarked
+from hitchopt.steps.route_choice import NO_ROOM, remarked
 from hitchopt.steps.step import Step, StepPlan, StepTask
-from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
-LOOSE = (0.3, 0.4, 0.5, 0.7, 1.0)
+HALVINGS, EASED = 10, 0.95
+"""Halvings of the range of masses, and the share of the largest one at rest that is suggested:
+lifting and carrying pull at it too."""
+
+OTHER_TENSIONS = (1.25, 0.8, 1.5, 0.65)
+"""Tensions that are tried for a suggestion, over those asked."""
+
+WEIGHTY = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
+"""Limits at which less weight, or more of what bears it, is all that helps."""
+
+LOOSE = (0.3, 0.5, 1.0)
 """[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
 but the more their weight brings drones together."""
 
-LEANS = (0.9, 0.75, 0.6, 0.45, 0.3, 0.15)
+LEANS = (0.9, 0.6, 0.3, 0.0)
 """Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
 
-KEPT, NEAREST = 1.02, 1.0005
-"""Separation of drones that is kept while legs lean, or at all."""
+KEPT = ("separation", "cable_length")
+"""Checks that decide how a hitch closes or opens. Where edges meet other corners they sag otherwise
+at once, the more the less they are pulled."""
 
 LEFT = 0.5
 """Share of the weight below which has to be what a hitch that has opened still grips with."""
@@ -63,118 +68,86 @@ LEFT = 0.5
 PUSHED = 0.9
 """Share of friction with its support with which edges may push what stands."""
 
-SEAM = 0.8 * LIMIT
-"""Largest relative error of cable lengths where edges meet other corners."""
-
-APART = 1.15
-"""Distance of neighbouring drones while legs lean, over the least one."""
-
-WEIGHTY = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
-"""Limits at which less weight, or more of what bears it, is all that helps."""
-
-MORE_ROLL = 1.3
-"""Factor of the least roll with which legs without a load keep off each other, where a load brings
-them nearer."""
-
 TURNING = SmoothLaw(0.5 * PRELOAD)
 """How tensions change, and how legs turn to lean."""
 
-SPARE, SPREAD = 1.01, 1.03
-"""Distances of the hitch at rest, over those to be kept: those with which legs stay as they are,
-since the motion takes some of them, and those to which they are moved otherwise."""
 
+def check_held(task: StepTask, spare: float = 1.0) -> None:
+    """Raise InfeasibleError where the hitch does not hold the object at rest.
 
-def check_rest(task: StepTask, spare: float = 1.0) -> None:
-    """Raise InfeasibleError where the hitch does not hold the object by its rim at rest.
-
-    It names what to change: masses and tensions that statics allow at rest.
+    It names what to change: the mass and the tension with which the hold at rest is certified.
 
     Parameters
     ----------
-    spare: distances that the hitch keeps with the object on its clasps, over those to be kept; it
-        keeps those themselves as it rises to the rim and takes the weight.
+    spare: distances that the hitch keeps with the object's weight on it, over those to be kept;
+        where it holds by rest it keeps those themselves as it rises to the rim and takes the
+        weight.
     """
-    held, holding, requirements = task.holding.held, task.holding, task.requirements
-    assert isinstance(held, HeldHitch)
-    wide = replace(task, requirements=_spaced(requirements, spare))
-    words = f"with objects.{holding.name} on the clasps"
+    holding = task.holding
+    name = f"objects.{holding.name}"
+    words = f"with {name} off its support"
     try:
-        held.at_rest(holding.tension, held.body.mass)
-        checked(_bearing(wide), words)
-        words = f"as the clasps take objects.{holding.name}"
-        moves = rim_move(task, gap_below(requirements), 0.0), transferred(task, 0.0, 1.0)
-        checked(held_motion(task, moves, "lift"), words)
+        _check_bearing(replace(task, requirements=spaced(task.requirements, spare)))
+        if isinstance(holding.held, HeldHitch):
+            words = f"as the clasps take {name}"
+            moves = rim_move(task, gap_below(task.requirements), 0.0), transferred(task, 0.0, 1.0)
+            checked(held_motion(task, moves, "lift"), words)
     except InfeasibleError as error:
-        capacity = rest_capacity(held, holding.tension, requirements.limits)
-        lighter = EASED * min(capacity.mass, held.body.mass)
-        ways = [f"lower objects.{holding.name}.mass to {lighter:.3g} kg"] if lighter else []
-        ways += _other_tension(held, holding.tension, requirements.limits)
-        ways += ["use more robots, as hitchopt fit counts them"]
+        ways = _what_holds(task)
         told = []
         for each in error.violations:
             more = ["raise limits.tilt_deg"] if each.constraint == "tilt" else []
             more += [] if each.constraint in WEIGHTY else [each.remedy]
-            binds = f" ({capacity.binding} binds)" if each.constraint == "load" else ""
-            told.append(replace(each, when=words, remedy=", or ".join([*ways, *more]) + binds))
+            told.append(replace(each, when=words, remedy=", or ".join([*ways, *more])))
         raise InfeasibleError(told) from None
 
 
-def _bearing(task: StepTask) -> Motion:
-    """Return the motion of the hitch at rest with the object's weight on it."""
+def _check_bearing(task: StepTask) -> None:
+    """Raise InfeasibleError where the hitch breaks a limit at rest with the object's weight."""
+    held = task.holding.held
+    if isinstance(held, HeldHitch):  # without the rim, which bends legs that do not carry it
+        held.at_rest(task.holding.tension, held.body.mass)
     bearing = holding_otherwise(task, borne=True)
-    return held_motion(bearing, [resting_move(bearing, 1.0)], "hold")
+    checked(held_motion(bearing, [resting_move(bearing, 1.0)], "hold"))
 
 
-def check_grip(task: StepTask) -> None:
-    """Raise InfeasibleError where an object cannot be gripped at rest, with what to change."""
-    holding, team = task.holding, task.before.team
-    held = holding.held
-    assert isinstance(held, GrippedHitch)
-    words = f"with objects.{holding.name} off its support"
-    bends = False
+def _bears(task: StepTask) -> bool:
     try:
-        motion = _bearing(task)
-        bends = True  # of its own accord, to be refused by the certificate
-        checked(motion, words)
-    except InfeasibleError as error:
-        given = holding.name, held.body, held.closed, team, float(np.min(holding.tension))
-        capacity, remedies = grip_suggestion(*given, task.requirements)
-        told = []
-        for each in error.violations:
-            remedy = each.remedy
-            if capacity.mass < held.body.mass:
-                remedy = f"{remedies} ({capacity.binding} binds)"
-            elif bends and each.constraint in WEIGHTY:
-                remedy = "smooth the outline: edges come to bend otherwise as they take the weight"
-            told.append(replace(each, when=words, remedy=remedy))
-        raise InfeasibleError(told) from None
+        _check_bearing(task)
+    except InfeasibleError:
+        return False
+    return True
 
 
-def _other_tension(held: HeldHitch, asked: Array, limits: Limits) -> list[str]:
-    """Return the tension nearest to those asked (n,) [N] with which statics hold, in words."""
-    for value in sorted(TENSIONS, key=lambda value: abs(value - float(np.mean(asked)))):
-        pulls = np.full(held.team.robots, float(f"{value:.3g}"))
-        if not broken_at(held, held.body.mass, pulls, limits) and not broken_at(
-            held, 0.0, EMPTY * pulls, limits
-        ):
-            return [f"ask for a tension of {value:.3g} N"]
-    return []
+def _what_holds(task: StepTask) -> list[str]:
+    """Return in words with which mass, tension or team the object is held at rest."""
+    holding, requirements = task.holding, task.requirements
+    held = holding.held
+    assert held is not None
+
+    def weighing(mass: float) -> StepTask:
+        body = replace(held.body, mass=mass)
+        objects = {**requirements.objects, holding.name: body}
+        lighter = holding_otherwise(task, held=replace(held, body=body))
+        return replace(lighter, requirements=replace(requirements, objects=objects))
+
+    low, high = 0.0, held.body.mass
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _bears(weighing(middle)) else (low, middle)
+    ways = [f"lower objects.{holding.name}.mass to {EASED * low:.3g} kg"] if low else []
+    for factor in OTHER_TENSIONS:
+        value = float(f"{factor * float(np.mean(holding.tension)):.3g}")
+        if _bears(holding_otherwise(task, tension=np.full(held.team.robots, value))):
+            ways.append(f"ask for a tension of {value:g} N")
+            break
+    ways = ways or [f"lower objects.{holding.name}.mass", "raise the tension"]
+    if held.by is HoldBy.REST:
+        return [*ways, "use more robots, as hitchopt fit counts them"]
+    return [*ways, "use rougher cables, or give it a rim"]
 
 
-def farther_legs(start: Hitch, hitch: Hitch, requirements: Requirements) -> RolledLegs:
-    """Return legs that keep larger distances: rolled more, if they are rolled, or moved on.
-
-    Parameters
-    ----------
-    start, hitch: before and after closing.
-    """
-    if np.any(hitch.roll):
-        return RolledLegs(hitch.q_legs, MORE_ROLL * hitch.roll)
-    moved = end_of_morph(start, hitch.polygon, None, _spaced(requirements, SPREAD)).hitch
-    return RolledLegs(moved.q_legs, moved.roll)
-
-
-def _spaced(requirements: Requirements, factor: float) -> Requirements:
+def spaced(requirements: Requirements, factor: float) -> Requirements:
     """Return requirements with larger distances between drones and cables."""
     far = {key: factor * value for key, value in vars(requirements.separation).items()}
     return replace(requirements, separation=replace(requirements.separation, **far))
@@ -209,12 +182,10 @@ def grip_closed(step: Step, task: StepTask, tension: float | None) -> StepPlan:
         around.polygons.closed,
         float(body.centre_of_mass[2]),
         task.hitch.fractions,
-        APART * 2.0 * task.requirements.separation.radius,
     )
     here = holding_otherwise(task, tension=asked, held=held)
-    check_grip(here)
-    pulls = team.tension, asked
-    motion, _ = _passed(step, here, pulls, (0.0, 1.0), (math.inf, *reversed(LOOSE)))
+    check_held(here)
+    motion, _ = _passed(step, here, (team.tension, asked), (0.0, 1.0))
     return ended_holding(task, here.holding, motion, place_of(body))
 
 
@@ -228,7 +199,7 @@ def grip_opened(step: Step, task: StepTask) -> StepPlan:
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
     assert isinstance(held, GrippedHitch)
-    motion, moves = _passed(step, task, (holding.tension, team.tension), (1.0, 0.0), LOOSE)
+    motion, moves = _passed(step, task, (holding.tension, team.tension), (1.0, 0.0))
     _check_let_go(holding.name, held, moves)
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
     hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
@@ -238,14 +209,10 @@ def grip_opened(step: Step, task: StepTask) -> StepPlan:
 
 
 def _passed(
-    step: Step,
-    task: StepTask,
-    tension: tuple[Array, Array],
-    closed: tuple[float, float],
-    tried: Iterable[float],
+    step: Step, task: StepTask, tension: tuple[Array, Array], closed: tuple[float, float]
 ) -> tuple[Motion, list[Move]]:
     """Return the motion of ``_passing`` moves; it says how far legs lean against friction."""
-    moves = _passing(task, tension, closed, tried)
+    moves = _passing(step.name, task, tension, closed)
     motion = step.lasting(task, held_motion(task, moves, step.name))
     if motion.team.cable_friction:
         share = max(abs(end) for move in moves for end in move.lean)
@@ -255,46 +222,37 @@ def _passed(
 
 
 def _passing(
-    task: StepTask,
-    tension: tuple[Array, Array],
-    closed: tuple[float, float],
-    tried: Iterable[float],
+    step: str, task: StepTask, tension: tuple[Array, Array], closed: tuple[float, float]
 ) -> list[Move]:
-    """Return moves that close or open a hitch, the first at which all is as it has to be.
+    """Return moves that close or open a hitch, the first that satisfy the checks KEPT.
 
-    Drones stay apart, edges do not push what stands, and cables keep their lengths. Where drones
-    never stay apart, the first with all else is taken.
+    Cables pull as hard as while the object is held, or less: as little as possible where the hitch
+    opens. Legs lean against clasp friction as far as drones stay apart.
 
     Parameters
     ----------
-    tension: (n,) [N], before and after; that in between is no larger than while the object is held.
+    tension: (n,) [N], before and after.
     closed: how far the hitch is closed before and after.
-    tried: tensions in between [N].
 
     Raises
     ------
-    InfeasibleError: edges would push the object along its support at any of these tensions, or
-        cables would not keep their lengths.
+    InfeasibleError: none does, or edges would push the object along its support.
     """
     holding = task.holding
     held, name = holding.held, f"objects.{holding.name}"
     assert isinstance(held, GrippedHitch)
+    opening, largest = closed[0] > closed[1], float(np.max(holding.tension))
+    tried = LOOSE if opening else (math.inf, *reversed(LOOSE))
+    leans = LEANS if held.team.cable_friction else LEANS[-1:]
     most = PUSHED * held.body.friction * held.body.mass * GRAVITY
-    kept: list[Move] = []
-    refused: Violation | None = None
-    for value in dict.fromkeys(min(each, float(np.max(holding.tension))) for each in tried):
+    refused: InfeasibleError | None = None
+    for value, lean in product(dict.fromkeys(min(each, largest) for each in tried), leans):
         between = np.minimum(holding.tension, value)
-        push, seam = held.largest_push(between), held.largest_seam(between)
-        if push > most:
+        if (push := held.largest_push(between)) > most:
             remedy = f"give it more weight, raise {name}.friction, or give it a rim"
             when = "on its support, which its edges push it along as they close around it"
-            found = Violation("grip", push, most, "max", "N", (name,), when, remedy)
-            refused = refused or found
-            continue
-        if seam > SEAM:
-            remedy = "use lighter cables, smooth the outline, or make it rougher for its support"
-            when = "where edges come to meet other corners, and sag otherwise, as they close"
-            refused = Violation("cable_length", seam, SEAM, "max", "1", (name,), when, remedy)
+            broken = Violation("grip", push, most, "max", "N", (name,), when, remedy)
+            refused = InfeasibleError([broken])
             continue
         lax = holding_otherwise(task, tension=between)
         ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
@@ -302,13 +260,23 @@ def _passing(
             [changed_move(task, TURNING, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
             for p, q, at in ends
         )
-        moves = [*first, *_closing(lax, *closed), *last]
-        if all(_apart(task, move, NEAREST) for move in moves):
+        signed = -lean if opening else lean
+        try:
+            moves = [*first, *_leaning(lax, *closed, signed), *last]
+            motion = held_motion(task, moves, step)
+        except InfeasibleError as error:  # legs cannot lean so far
+            refused = refused or error
+            continue
+        for check in filter(None, (RULE_OF[each].check(motion) for each in KEPT)):
+            if not check.holds:
+                when = f"as the hitch {'opens' if opening else 'closes'} around {name}"
+                remedy = "use lighter cables or other lengths of them, or smooth the outline"
+                refused = refused or InfeasibleError([check.violation(when, remedy)])
+                break
+        else:
             return moves
-        kept = kept or moves
-    if not kept and refused is not None:
-        raise InfeasibleError([refused])
-    return kept
+    assert refused is not None
+    raise refused
 
 
 def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
@@ -328,24 +296,11 @@ def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
         raise InfeasibleError([broken])
 
 
-def _closing(task: StepTask, start: float, end: float) -> list[Move]:
-    """Return the moves that close or open a hitch; drones rest where edges come to touch.
-
-    Legs lean against clasp friction all the while, and are turned for that before and after: as far
-    as drones stay apart.
-    """
-    held = task.holding.held
-    assert isinstance(held, GrippedHitch)
-    sign = math.copysign(1.0, end - start)
-    for share in LEANS if held.team.cable_friction else ():
-        moves = list(_leaning(task, start, end, sign * share))
-        if all(_apart(task, move, KEPT) for move in moves):
-            return moves
-    return list(_leaning(task, start, end, 0.0))
-
-
 def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
-    """Yield the moves from one share of the path to the grip to another, legs leaning."""
+    """Yield the moves from one share of the path to the grip to another, legs leaning.
+
+    Legs are turned for that before and after; drones rest where edges come to touch.
+    """
     held = task.holding.held
     assert isinstance(held, GrippedHitch)
     if lean:
@@ -359,10 +314,3 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
         yield within_limits(task, changed_move(task, law, closed=(one, other), lean=(lean, lean)))
     if lean:
         yield changed_move(task, TURNING, closed=(end, end), lean=(lean, 0.0))
-
-
-def _apart(task: StepTask, move: Move, least: float) -> bool:
-    """Return whether drones keep that many times their separation at samples of a move."""
-    held = task.holding.held
-    assert held is not None
-    return bool(np.min(separation_ratios(held, move, task.requirements.separation)) >= least)

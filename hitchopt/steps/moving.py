@@ -16,11 +16,11 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.steps.step import (
     PLAN_DURATION,
+    Edited,
     Knob,
     Situation,
     Stage,
     Step,
-    StepEdit,
     StepPlan,
     StepTask,
     check_within,
@@ -29,6 +29,7 @@ from hitchopt.steps.step import (
     lasting_knobs,
     outline_edit,
     points_scaled,
+    step_edit,
 )
 from hitchopt.steps.step_keys import (
     LEGS_TEXT,
@@ -248,7 +249,7 @@ class Hold(HitchStep):
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the seconds."""
-        yield from lasting_knobs("seconds", self.seconds)
+        yield from lasting_knobs(self, "seconds")
 
 
 @dataclass(frozen=True)
@@ -299,7 +300,7 @@ class Settle(Step):
     def knobs(self) -> Iterator[Knob]:
         """Yield the seconds, where they are given."""
         if self.given_duration is not None:
-            yield from lasting_knobs("seconds", self.given_duration, longer=True)
+            yield from lasting_knobs(self, "seconds", longer=True)
 
 
 class TensionKeys(Keys):
@@ -392,9 +393,9 @@ class Morph(ShapeStep):
         planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
         return Route(planner, lambda flight: self.motion(task, flight, end.hitch))
 
-    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:  # noqa: ARG002
-        """Return the edit that scales the polygon about its centroid, which is the centre then."""
-        return outline_edit(self.polygon, factor), self.polygon.centroid
+    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
+        """Return the step with its polygon scaled about its centroid, which is the centre then."""
+        return outline_edit(self, factor)
 
 
 class MoveStep(ActionStep):
@@ -426,12 +427,12 @@ class MoveStep(ActionStep):
         """The key that tells where to, and its value."""
         return ("by", self.by) if self.to is None else ("to", self.to)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit | None, Array]:
-        """Return the edit that scales the place about ``centre``, or the offset."""
+    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:
+        """Return the step with its place scaled about ``centre``, or its offset."""
         key, value = self.moved_key
         about = np.zeros(2) if key == "by" else centre
         points = points_scaled(np.asarray(value), factor, about)
-        return StepEdit(key, points.tolist(), {key: points}), centre
+        return step_edit(self, key, points, points.tolist()), centre
 
 
 _PLACE = of_shape((2,), "a point [x, y]")
@@ -633,7 +634,7 @@ class FollowVertex(ActionStep):
     def knobs(self) -> Iterator[Knob]:
         """Yield the points' times."""
 
-        def put(factor: float) -> StepEdit:
+        def put(factor: float) -> Edited:
             return self._rewritten(points_scaled(times, factor, np.zeros(1)), points)
 
         times, points = self.path[:, 0], self.path[:, 1:]
@@ -643,14 +644,14 @@ class FollowVertex(ActionStep):
         yield longer
         yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))
 
-    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:
-        """Return the edit that scales the points about the centre."""
+    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:
+        """Return the step with its points scaled about the centre."""
         points = points_scaled(self.path[:, 1:], factor, centre)
         return self._rewritten(self.path[:, 0], points), centre
 
-    def _rewritten(self, times: Array, points: Array) -> StepEdit:
+    def _rewritten(self, times: Array, points: Array) -> Edited:
         path = np.column_stack([times, points])
-        return StepEdit("path", path.tolist(), {"path": path})
+        return step_edit(self, "path", path, path.tolist())
 
 
 def _turned(key: str, value: object) -> float:
@@ -711,9 +712,9 @@ class Transport(HitchStep):
             flight = fly(path, limits, self.duration)
         return task.ended(self.motion(task, flight, end), end)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[None, Array]:  # noqa: ARG002
-        """Return no edit, and the place that the hitch is carried to."""
-        return None, self.to[:2]
+    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
+        """Return the step as it is, and the place that the hitch is carried to."""
+        return Edited(self), self.to[:2]
 
 
 def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -45,20 +45,27 @@ def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
     return frozenset(rule.name for rule in RULES if rule.ease is Ease[by.upper()])
 
 
-@dataclass(frozen=True, eq=False)
-class StepEdit:
-    """One key of a step with another value.
+@dataclass(frozen=True)
+class Edit(OneLine):
+    """What to write into a problem file.
 
     Attributes
     ----------
-    key: within the step, as the file has it.
-    value: to write there, in the file's units.
-    changes: the record's fields with their new values.
+    key: path of the key, such as ``team.cable_length`` or ``mission[0].morph.polygon``; of a step's
+        own edits, within the step.
+    value: number, word, list or mapping, in the file's units.
     """
 
     key: str
     value: object
-    changes: Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Edited:
+    """A problem, or a step, with another value, and how a file says so."""
+
+    changed: Any
+    edits: tuple[Edit, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,20 +76,19 @@ class Knob:
     ----------
     key: as the file has it; of a step's number, within the step.
     old, unit: its value, and the unit of it; ``times`` for a factor.
-    put: gives the problem with another value; for a step's number, its edit.
+    put: gives the problem with another value; for a step's number, the step.
     sign: 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most.
     covers: constraints that it can repair; where others are broken too it is not tried.
     words: what it is, where the key does not tell.
     extent: what sizes are relative to [unit]; the old value unless given.
     least, most: sizes below are known not to do; sizes above make no sense.
     relaxes: it takes nothing away, so that no size can do where the largest does not.
-    family: the first one that does stands for all of this name, such as those of one cable.
     """
 
     key: str
     old: float
     unit: str
-    put: Callable[[float], Any]
+    put: Callable[[float], Edited]
     sign: int = 1
     covers: frozenset[str] = frozenset()
     words: str = ""
@@ -90,28 +96,25 @@ class Knob:
     least: float = 0.0
     most: float = math.inf
     relaxes: bool = False
-    family: str = ""
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:
             object.__setattr__(self, "most", min(self.most, 1.0 - LEAST_LEFT))
-
-    @property
-    def lasts(self) -> bool:
-        """Whether it gives a step the time that it is known to take at the least."""
-        return self.least > 0.0 and self.key.endswith(".duration")
 
 
 LEAST_LEFT = 0.1
 """Share of a quantity that is left where it is lowered the most."""
 
 
-def lasting_knobs(key: str, seconds: float, *, longer: bool = False) -> Iterator[Knob]:
+def step_edit(step: Step, key: str, value: Any, written: object = None) -> Edited:
+    """Return the step with another value of a key; a file has it as ``written``, or alike."""
+    changed = replace(step, **{key: value})
+    return Edited(changed, (Edit(key, value if written is None else written),))
+
+
+def lasting_knobs(step: Step, key: str, *, longer: bool = False) -> Iterator[Knob]:
     """Yield the knobs of a duration [s] of a step: shorter, and longer where that may help."""
-
-    def put(new: float) -> StepEdit:
-        return StepEdit(key, new, {key: new})
-
+    put, seconds = partial(step_edit, step, key), float(getattr(step, key))
     if longer:  # which takes nothing away
         yield Knob(key, seconds, "s", put, 1, frozenset({"duration"}), relaxes=True)
     yield Knob(key, seconds, "s", put, -1, frozenset({PLAN_DURATION}))
@@ -127,10 +130,10 @@ def outline_scaled(outline: Outline, factor: float) -> Outline:
     return type(outline)(points_scaled(outline.vertices, factor, outline.centroid))
 
 
-def outline_edit(outline: Outline, factor: float) -> StepEdit:
-    """Return the edit that scales a step's polygon about its centroid."""
-    scaled = outline_scaled(outline, factor)
-    return StepEdit("polygon", scaled.vertices.tolist(), {"polygon": scaled})
+def outline_edit(step: Any, factor: float) -> tuple[Edited, Array]:
+    """Return the step with its polygon scaled about its centroid, and that centroid."""
+    scaled = outline_scaled(step.polygon, factor)
+    return step_edit(step, "polygon", scaled, scaled.vertices.tolist()), step.polygon.centroid
 
 
 @dataclass(frozen=True, eq=False)
@@ -385,17 +388,17 @@ class Step(OneLine, ABC):
     def knobs(self) -> Iterator[Knob]:
         """Yield the numbers that repair may change."""
         if self.given_duration is not None:
-            yield from lasting_knobs("duration", self.given_duration, longer=True)
+            yield from lasting_knobs(self, "duration", longer=True)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit | None, Array]:  # noqa: ARG002
-        """Return the edit that scales the step's outline, and the centre of the outline after it.
+    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
+        """Return the step with its outline scaled, and the centre of the outline after it.
 
         Parameters
         ----------
         factor: of all outlines.
         centre: (2,) [m], about which the outline before the step is scaled.
         """
-        return None, centre
+        return Edited(self), centre
 
 
 def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> Outline:

@@ -16,9 +16,10 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
+    Edit,
+    Edited,
     Knob,
     Step,
-    StepEdit,
     StepPlan,
     StepTask,
     eased,
@@ -235,14 +236,16 @@ class Form(Step):
         yield from super().knobs()
         if self.swap.radius > SwapSettings.radius:
             covers = eased("length") | {"interlacing", "arena", "crossing"}
-            yield Knob("swap.radius", self.swap.radius, "m", self._with_radius, -1, covers)
 
-    def _with_radius(self, radius: float) -> StepEdit:
-        return StepEdit("swap.radius", radius, {"swap": replace(self.swap, radius=radius)})
+            def put(radius: float) -> Edited:
+                changed = replace(self, swap=replace(self.swap, radius=radius))
+                return Edited(changed, (Edit("swap.radius", radius),))
 
-    def scaled(self, factor: float, centre: Array) -> tuple[StepEdit, Array]:  # noqa: ARG002
-        """Return the edit that scales the polygon about its centroid, which is the centre then."""
-        return outline_edit(self.polygon, factor), self.polygon.centroid
+            yield Knob("swap.radius", self.swap.radius, "m", put, -1, covers)
+
+    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
+        """Return the step with its polygon scaled about its centroid, which is the centre then."""
+        return outline_edit(self, factor)
 
 
 def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:

@@ -8,13 +8,12 @@ import pytest
 from hitchopt.planners.carrying.grip import edge_ratios
 
 ANGLES = np.radians([130.0, 130.0, 130.0])
-LONG = np.ones(3)
 
 
 @pytest.mark.parametrize("friction", [0.15, 0.05, 0.0, -0.15])
 def test_ratios_are_those_of_a_capstan(friction: float) -> None:
     """Found another way: by bisection of what edges and legs enclose."""
-    ratio = edge_ratios(np.array([friction]), ANGLES[None], LONG[None], 0.0)
+    ratio = edge_ratios(np.array([friction]), ANGLES[None])
     low, high = 0.0, np.pi
     for _ in range(80):
         legs = 0.5 * (low + high)

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding.grip import largest_tension
-from hitchopt.holding.grip_search import best_grip
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.carrying.grip import GrippedHitch
-from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
-from hitchopt.planners.carrying.moves import Move, SmoothLaw
-from hitchopt.values import Array
 
 NINE = np.array(
     [
@@ -22,24 +15,6 @@ NINE = np.array(
     ]
 )
 """Two edges come to touch it long before the third does [m]."""
-
-
-TURNING = np.array(
-    [
-        *([0.137, -0.029], [0.093, 0.105], [-0.057, 0.128]),
-        *([-0.134, 0.041], [-0.117, -0.077], [0.013, -0.139]),
-    ]
-)
-"""About it the best grip by three cables hardly resists turning [m]."""
-
-
-SLOPING = np.array(
-    [
-        *([0.046, -0.164], [0.17, -0.011], [0.133, 0.106]),
-        *([-0.081, 0.15], [-0.169, 0.014], [-0.089, -0.145]),
-    ]
-)
-"""As slopes turn the best grip's clasps, two drones come too close [m]."""
 
 
 def problem(mass: float, friction: float, clasps: float = 0.0) -> ho.Problem:
@@ -59,37 +34,6 @@ def problem(mass: float, friction: float, clasps: float = 0.0) -> ho.Problem:
             ],
         }
     )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("outline", "length", "tension", "mass", "friction"),
-    [(TURNING, 1.99, 1.3, 0.138, 0.7), (SLOPING, 2.31, 1.0, 0.121, 0.79)],
-    ids=["turning", "sloping"],
-)
-def test_grips_are_taken_that_carry_the_weight(
-    outline: Array, length: float, tension: float, mass: float, friction: float
-) -> None:
-    """The largest slip load is that of another grip, which cannot."""
-    team, limits = ho.Team(3, length, tension=tension), Requirements(ho.Limits(tilt_deg=50))
-    stone = ho.SolidObject(ho.Section(outline=outline), 0.0, 0.3, mass=mass, friction=friction)
-    most, _ = largest_tension(limits, team.quadrotor[0])
-    best = best_grip(grip_task(stone, team, SEARCHED * most, limits)).vertices[:, :2]
-    closed = grip_polygons("stone", stone, team, limits, 0.08).closed
-    place, pulls = np.zeros(4), np.full((2, 3), tension)
-    taking = Move(place, place, pulls, (0.0, 1.0), (0.0, 0.0), SmoothLaw(1.0))
-
-    def apart(clasps: Array) -> float:
-        """The least distance of drones over their limit, where all clasps find their balance."""
-        hitch = GrippedHitch(team, stone, clasps, clasps, 0.15, np.full(3, 0.5))
-        try:
-            drones = hitch.curves(taking, np.linspace(0.0, taking.law.duration, 17))["drones"]
-        except ho.InfeasibleError:
-            return 0.0
-        away = np.linalg.norm((drones[:, :, None] - drones[:, None]) / [0.24, 0.24, 0.6], axis=-1)
-        return float(np.min(away[:, *np.triu_indices(6, 1)]))
-
-    assert apart(best) < 1.0 < apart(closed)
 
 
 @pytest.fixture(scope="module")

@@ -78,7 +78,7 @@ def test_inertia_does_not_bring_legs_together() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("robots", "mass", "length", "binding"),
-    [(3, 0.35, 2.2, "load"), (5, 0.8, 2.2, "load"), (6, 0.8, 2.2, "crossing")],
+    [(3, 0.35, 2.2, "load"), (5, 0.8, 2.2, "load"), (6, 0.8, 2.2, "equilibrium")],
 )
 def test_a_refused_hold_names_what_statics_allow(
     robots: int, mass: float, length: float, binding: str
@@ -91,7 +91,6 @@ def test_a_refused_hold_names_what_statics_allow(
     assert told
     assert float(told[1]) < mass
     assert "more robots" in violation.remedy
-    assert ("(load binds)" in violation.remedy) == (binding == "load")
 
 
 @pytest.mark.slow
@@ -141,7 +140,7 @@ SMALL = plans.drum()
 SMALL["start"]["hitch"]["polygon"] = [[1.7, 0.2], [1.1, -0.1464], [1.1, 0.5464]]
 SMALL["team"] |= {"cable_friction": 0.15, "cable_density": 0.0}
 REFUSED: list[tuple[dict[str, Any], list[str]]] = [
-    (plans.tray(mass=0.6), [r"lower objects.tray.mass to 0\.", "load binds"]),
+    (plans.tray(mass=0.6), ["load: ", r"lower objects.tray.mass to 0\."]),
     (plans.tray(rim={"circle": 0.12, "at": 0.25}), ["give objects.tray a wider rim"]),
     (plans.tray(rim=NO_RIM), [r"^objects\.tray\.rim = "]),
     (plans.tray(friction=0.0), [r"^objects\.tray\.friction = "]),
@@ -161,14 +160,14 @@ REFUSED: list[tuple[dict[str, Any], list[str]]] = [
     (steps_of(plans.tray(), {"enclose": {"object": "table"}}), ["false where it is held"]),
     (steps_of(plans.tray(), {"grasp": {"object": "tray", "tension": -1}}), ["greater than"]),
     ({**plans.drum(), "limits": {}}, ["need limits.tilt_deg of 51, above 45", "1.29 N or less"]),
-    (plans.drum(mass=0.13), [r"objects.drum.mass to 0\.1", r"a tension of 1\.", "grip binds"]),
+    (plans.drum(mass=0.13), [r"objects.drum.mass to 0\.1", r"a tension of 1\."]),
     (
         steps_of(RIMMED, DRUM, {"grasp": {"object": "drum", "by": "grip"}}),
         ["rest where the object has a rim"],
     ),
     (steps_of(plans.drum(), DRUM, {"grasp": {"object": "drum"}}), ["grasp it by: grip"]),
     # Six straight parts with 1.3 N each lift 7.8 N at most, were they upright.
-    (LOADED, [r"equilibrium.*raise the tension"]),
+    (LOADED, [r"equilibrium.*objects.drum.mass to"]),
 ]
 
 
@@ -260,33 +259,6 @@ def test_a_plan_below_the_ground_is_not_certified() -> None:
     higher = replace(requirements, arena=ho.Arena([-9.0, -9.0, 0.2], [9.0, 9.0, 9.0]))
     kept = certify(replace(motion, requirements=higher))["object_clearance"]
     assert kept.where == ("tray", "ground")  # not a cable
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("density", "friction"), [(0.01, 0.7), (0.005, 0.7), (0.01, 1.4)])
-def test_cables_that_sag_around_corners_are_refused_with_what_helps(
-    density: float, friction: float
-) -> None:
-    sides = [[-0.19428, -0.15542], [0.19428, -0.15542], [0.19428, 0.15542], [-0.19428, 0.15542]]
-    given = {
-        "team": {"robots": 3, "cable_length": 1.84, "tension": 1.0, "cable_density": density},
-        "limits": {"tilt_deg": 60},
-        "objects": {
-            "box": {"outline": sides, "mass": 0.049, "friction": friction, "at": [0, 0, 0]}
-        },
-        "start": {
-            "hitch": {"polygon": [[-0.12, -0.54], [-0.4, 0.37], [0.52, 0.16]], "altitude": 1.0}
-        },
-        "mission": [{"transport_object": {"object": "box", "to": [0.7, 0.9, 0], "tension": 1.3}}],
-    }
-    if (density, friction) != (0.01, 0.7):
-        assert solved(given).certificate.certified
-        return
-    (violation,) = refusal(given).violations
-    assert violation.constraint == "cable_length"
-    assert violation.where == ("objects.box",)
-    assert "lighter cables" in violation.remedy
-    assert "rougher" in violation.remedy
 
 
 @pytest.mark.parametrize("away", [0.0, 1.0, 5.0, -300.0])

@@ -202,7 +202,7 @@ def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
     factor = 0.83
     changed = with_outlines_scaled(problem_from_dict(data), factor)
     written = problem_from_dict(edited(data, changed.edits))
-    for problem in (changed.problem, written):
+    for problem in (changed.changed, written):
         before, after = outlines(problem_from_dict(data)), outlines(problem)
         for old, new in zip(before, after, strict=True):
             assert new.edge_lengths == pytest.approx(factor * old.edge_lengths, abs=1e-7)

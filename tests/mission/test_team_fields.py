@@ -105,22 +105,18 @@ def test_a_renumbered_team_has_every_field() -> None:
         ),
         (lambda p: repair.with_team_values(p, "tension", p.team.tension * 1.1), "tension"),
         (
-            lambda p: repair.with_team_values(
-                p, "max_thrust", 1.1 * repair.team_values(p, "max_thrust")
-            ),
+            lambda p: repair.with_team_values(p, "max_thrust", 1.1 * p.team.max_thrust[::2]),
             "quadrotor",
         ),
-        (lambda p: repair.with_bound(p, "limits.tilt_deg", 50.0), ""),
-        (lambda p: repair.with_bound(p, "separation.cable", 0.05), ""),
+        (lambda p: repair.with_limit(p, "tilt_deg", 50.0), ""),
         (lambda p: repair.with_outlines_scaled(p, 0.9), ""),
-        (lambda p: repair.with_step_edit(p, 0, next(p.mission[0].knobs()).put(3.0)), ""),
     ],
 )
 def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], changed: str) -> None:
     hitch = Hitch.balanced(team(), ARC, 1.1)
     start = HitchStart(hitch.polygon, 1.1, "balanced")
     problem = Problem(team(), start, (Hold(2.0),), Limits(), Separation(), None, "")
-    found = edit(problem).problem
+    found = edit(problem).changed
     assert found is not problem
     assert_fields(found.team, team(), but=(changed,))
     if changed:

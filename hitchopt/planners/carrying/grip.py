@@ -50,7 +50,6 @@ class GrippedHitch:
     around, closed: (n, 2) [m], clasps around the object, and where they grip it.
     height: of the plane of contact above the object's base [m].
     open_fractions: (n,), how slack is split around the object; where it grips legs are equal.
-    apart: how far neighbouring drones have to be apart while legs lean [m].
     """
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
@@ -61,7 +60,6 @@ class GrippedHitch:
     closed: Array
     height: float
     open_fractions: Array
-    apart: float = 0.0
 
     @property
     def places(self) -> Array:
@@ -112,13 +110,6 @@ class GrippedHitch:
                 place = high
         events = np.array(found)
         return events[np.append(True, np.diff(events) > TOGETHER)] if found else events
-
-    def largest_seam(self, tension: Array) -> float:
-        """Return the largest relative error of cable lengths at events, with tensions (n,) [N]."""
-        before = [(e, self._bends(e - BEYOND)) for e in self.events]
-        seams = np.array([self._seam(e, bends) for e, bends in before]).reshape(-1, len(tension))
-        errors = np.abs(seams) * sag_factors(self.team, tension) / self.team.cable_length
-        return float(np.max(errors, initial=0.0))
 
     def largest_push(self, tension: Array) -> float:
         """Return the largest level force [N] of edges on what stands, with tensions (n,) [N].
@@ -238,10 +229,7 @@ class GrippedHitch:
         leaving, arriving = straight_parts(polygon, contacts, z)
         free = length(leaving) + length(arriving)
         if lean is not None and np.any(lean):
-            legs = 0.5 * (team.cable_length - wraps.arcs - free)
-            T = tension * edge_ratios(
-                team.cable_friction * lean, wraps.clasp_angles, legs, self.apart
-            )
+            T = tension * edge_ratios(team.cable_friction * lean, wraps.clasp_angles)
         factors = sag_factors(team, T)
         edges = wraps.arcs + free
         if team.cable_density > 0.0:
@@ -327,10 +315,10 @@ def balanced(
 ) -> Array:
     """Return clasps (…, n, 3) [m], moved and turned together and raised, whose edges bear a load.
 
-    One damped step of Newton's, shortened where it is long, for places and heights together: moved
-    across itself a straight part of length t turns, and pulls with ``T / t`` more per metre. No
-    edge turns a disc. Clasp k lifts with ``f_k``, what both of its edges do. Of all ``f`` that bear
-    the weight without a moment about level axes the nearest to equal ones is taken.
+    One damped step of Newton's for where they are, shortened where it is long: moved across itself
+    a straight part of length t turns, and pulls with ``T / t`` more per metre. No edge turns a
+    disc. Risen by z it lifts with ``T z / t``: of all lifts that bear the weight without a moment
+    about level axes clasps take the nearest to equal ones.
 
     Parameters
     ----------
@@ -341,24 +329,29 @@ def balanced(
         None for all.
     """
     polygon = clasps[..., :2]
+    n, size = T.shape[-1], np.mean(length(arms), axis=(-2, -1))[..., None, None]
     parts = np.concatenate(straight_parts(polygon, arms, clasps[..., 2]), axis=-2)
-    ends = _of_ends(polygon)
+    along = unit(parts) * np.repeat([-1.0, 1.0], n)[:, None]  # from contacts to clasps
+    pulls = np.concatenate([T, T], axis=-1)[..., None] * along
+    rates = np.concatenate([T, T], axis=-1) / length(parts)
+    ends = np.concatenate([polygon, np.roll(polygon, -1, axis=-2)], axis=-2)
     arms = np.concatenate([arms[..., 0, :], arms[..., 1, :]], axis=-2)
-    size = np.mean(length(arms), axis=-1)[..., None, None]
-    along = unit(parts) * np.repeat([-1.0, 1.0], T.shape[-1])[:, None]
-    T = np.concatenate([T, T], axis=-1)
-    rates, pulls = T / length(parts), T[..., None] * along
     stiff = rates[..., None, None] * (np.eye(3) - along[..., :, None] * along[..., None, :])
-    raised = _Raised.of(rates, stiff[..., 2, 2], arms, pulls[..., 2], load[..., 2])
     rows, moved = _with_moments(arms / size), _with_moments(ends / size)
-    turned = np.einsum("...mai,...mij->...maj", stiff[..., :2], moved)
+    lifts = np.concatenate([np.ones_like(arms[..., :1]), arms], axis=-1) * rates[..., None]
+    means = _at_clasps(lifts) / _at_clasps(rates[..., None])  # (…, n, 3), of force and moments
+    wanted = load[..., 2:] * ([1.0, 0.0, 0.0] - np.mean(means, axis=-2))
+    whole = np.swapaxes(means, -1, -2) @ means
+    forces = load[..., 2:] / n + (means @ np.linalg.solve(whole, wanted[..., None]))[..., 0]
+    upright = _at_clasps(stiff[..., 2, 2:])
+    rise = (forces[..., None] - _at_clasps(pulls[..., 2:])) / upright  # where none is moved
+    raised = _at_clasps((stiff[..., 2:, :2] @ moved)[..., 0, :]) / upright
     sideways = _at_clasps(np.einsum("...mij,...mi->...mj", rows, stiff[..., :2, 2]))
     lacking = np.append(load[..., :2], np.zeros((*load.shape[:-1], 1)), axis=-1)
     lacking = lacking - np.einsum("...mij,...mi->...j", rows, pulls[..., :2])
-    lacking = lacking - np.einsum("...nj,...n->...j", sideways, raised.first)
-    stiffness = np.einsum("...mij,...mik->...jk", rows, turned[..., :2, :])
-    lifted = raised.by(turned[..., 2, :])
-    stiffness = stiffness + np.einsum("...nj,...nk->...jk", sideways, lifted)
+    lacking = lacking - np.sum(sideways * rise, axis=-2)
+    stiffness = np.einsum("...mij,...mik->...jk", rows, stiff[..., :2, :2] @ moved)
+    stiffness = stiffness - np.swapaxes(sideways, -1, -2) @ raised
     soft = (SOFT * np.linalg.norm(stiffness, axis=(-2, -1)))[..., None, None] ** 2 * np.eye(3)
     transposed = np.swapaxes(stiffness, -2, -1)
     right = transposed @ lacking[..., None]
@@ -367,68 +360,15 @@ def balanced(
     if back is not None:
         planned, share = back
         step = planned - polygon + share[..., None, None] * (polygon + step - planned)
-    rise = np.einsum("...mi,...mi->...m", stiff[..., 2, :2], _of_ends(step))[..., None]
-    step = np.concatenate([step, raised.first[..., None] + raised.by(rise)], axis=-1)
+    level = np.concatenate([step, np.roll(step, -1, axis=-2)], axis=-2)
+    lifted = np.einsum("...mi,...mi->...m", stiff[..., 2, :2], level)
+    rise = rise - _at_clasps(lifted[..., None]) / upright
+    step = np.concatenate([step, rise], axis=-1)
     ahead, behind = np.split(length(parts), 2, axis=-1)
     reach = FARTHEST * np.minimum(ahead, np.roll(behind, 1, axis=-1))
     part = np.min(reach / np.maximum(length(step), reach), axis=-1)
     stepped: Array = clasps + part[..., None, None] * step
     return stepped
-
-
-@dataclass(frozen=True, eq=False)
-class _Raised:
-    """Rises of clasps in a step of Newton's, by how they are moved.
-
-    Attributes
-    ----------
-    first: (…, n) [m], where they are not moved.
-    stiff: (…, n, 1) [N/m], by which they lift more where they rise.
-    lifts: (…, 2n, 3), what lifts at contacts are of vertical force and level moments.
-    bent, spread: (…, n, 3), the same of clasps that rise, and clasps' lifts by these three.
-    """
-
-    first: Array
-    stiff: Array
-    lifts: Array
-    bent: Array
-    spread: Array
-
-    @classmethod
-    def of(cls, rates: Array, stiff: Array, arms: Array, pulls: Array, weight: Array) -> _Raised:
-        """Return it for parts (…, 2n).
-
-        Parameters
-        ----------
-        rates: tension over length [N/m].
-        stiff: [N/m], change of upward pulls ``pulls`` [N] where their ends rise.
-        arms: (…, 2n, 2) [m]
-        weight: (…) [N]
-        """
-        lifts = np.concatenate([np.ones_like(arms[..., :1]), arms], axis=-1)
-        n = pulls.shape[-1] // 2
-        rates, stiff = rates[..., None], stiff[..., None]
-        each, stiffness = _at_clasps(rates * lifts) / _at_clasps(rates), _at_clasps(stiff)
-        bent = _at_clasps(stiff * lifts) / stiffness
-        spread = each @ np.linalg.inv(np.swapaxes(bent, -1, -2) @ each)
-        beyond = weight[..., None] / n - _at_clasps(pulls[..., None])[..., 0]
-        lacking = weight[..., None] * [1.0, 0.0, 0.0] - np.einsum("...mj,...m->...j", lifts, pulls)
-        lacking = lacking - np.einsum("...nj,...n->...j", bent, beyond)
-        first = (beyond + np.einsum("...nj,...j->...n", spread, lacking)) / stiffness[..., 0]
-        return cls(first, stiffness, lifts, bent, spread)
-
-    def by(self, pulls: Array) -> Array:
-        """Return (…, n, k) [m], by upward pulls (…, 2n, k) [N] that moves add."""
-        more = _at_clasps(pulls)
-        whole = np.einsum("...mj,...mk->...jk", self.lifts, pulls)
-        whole = whole - np.einsum("...nj,...nk->...jk", self.bent, more)
-        up: Array = -(more + self.spread @ whole) / self.stiff
-        return up
-
-
-def _of_ends(clasps: Array) -> Array:
-    """Return what is at clasps (…, n, 2) at ends of parts (…, 2n, 2): leaving, then arriving."""
-    return np.concatenate([clasps, np.roll(clasps, -1, axis=-2)], axis=-2)
 
 
 def _at_clasps(parts: Array) -> Array:
@@ -449,46 +389,31 @@ def _with_moments(arms: Array) -> Array:
     return rows
 
 
-LEAN_PASSES = 6
+LEAN_PASSES = 8
 """Times that the angle which cables wrap and the ratio are computed from each other."""
-
-LEAN_SOFT = 0.05
-"""Cosines of half of the angle between legs that are this far below the largest one count fully."""
 
 TINY = 1e-12
 """Keeps quotients of friction finite where there is none."""
 
 
-def edge_ratios(friction: Array, edges: Array, legs: Array, apart: float) -> Array:
+def edge_ratios(friction: Array, edges: Array) -> Array:
     """Return tensions of edges over those of their legs (…, n) where legs lean.
 
-    At a clasp both enclose ``β`` with ``cos(β_legs/2) = λ cos(β_edges/2)``. Legs that would come
-    too near to each other lean less, and of both clasps of a cable the lesser friction counts.
+    At a clasp both enclose ``β`` with ``cos(β_legs/2) = λ cos(β_edges/2)``; of both clasps of a
+    cable the lesser friction counts.
 
     Parameters
     ----------
     friction: (…), coefficient of cables on each other that counts; negative where clasps open.
     edges: (…, n) [rad], between edges at clasps.
-    legs: (…, n) [m], lengths of cables' legs.
-    apart: how far neighbouring drones have to be apart [m].
     """
-    rubbing, sign = np.abs(friction)[..., None], np.sign(friction)[..., None]
-    cosine = np.cos(0.5 * edges)
-    shorter = np.minimum(legs, np.roll(legs, 1, axis=-1))
-    most = np.sqrt(np.maximum(1.0 - (0.5 * apart / shorter) ** 2, 0.1))
-    ratio = np.ones_like(cosine)
+    friction = friction[..., None]
+    wrapped = edges
     for _ in range(LEAN_PASSES):
-        wrapped = 0.5 * edges + np.arccos(np.clip(ratio * cosine, -1.0, 1.0))
-        ratio = _below(np.exp(-sign * rubbing * wrapped) * cosine, most) / _below(cosine, most)
-    one = np.abs(np.log(ratio)) + TINY
+        legs = np.arccos(np.clip(np.exp(-friction * wrapped) * np.cos(0.5 * edges), -1.0, 1.0))
+        wrapped = 0.5 * edges + legs
+    one = np.abs(friction) * wrapped + TINY
     other = np.roll(one, -1, axis=-1)
     lesser = one * other / (0.5 * (one**8 + other**8)) ** 0.125
-    ratios: Array = np.exp(-sign * lesser)
+    ratios: Array = np.exp(-np.sign(friction) * lesser)
     return ratios
-
-
-def _below(values: Array, most: Array) -> Array:
-    """Return values that smoothly stay below others, as they are where they are far below."""
-    start = most - LEAN_SOFT
-    over: Array = np.maximum(values - start, 0.0)
-    return values - over + LEAN_SOFT * np.tanh(over / LEAN_SOFT)

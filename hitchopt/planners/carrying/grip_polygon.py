@@ -1,4 +1,4 @@
-"""The polygon at which a hitch grips an object, what it grips at most, and whether it opens."""
+"""The polygon at which a hitch grips an object, and whether it opens and lets go."""
 
 from __future__ import annotations
 
@@ -8,39 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding.capacity import EASED, Capacity
-from hitchopt.holding.grip import largest_tension
-from hitchopt.holding.grip_search import GripTask, best_grip, grip_capacity, merit
-from hitchopt.holding.wraps import wraps_around
-from hitchopt.objects import Section, SolidObject
-from hitchopt.planners.carrying.grip import balanced, contacts_of
+from hitchopt.holding.grip import GripTask, best_grip, largest_tension
+from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.rest import HoldPolygons
 from hitchopt.values import Array
 
-FACTOR = 1.5
-"""Least slip load over load."""
-
 SEARCHED = 0.9
 """Share of the largest level pull with which polygons are looked for: they do not depend on it."""
-
-LARGER, TURN = np.linspace(1.0, 1.05, 21), math.radians(2.0)
-"""Sizes of grips that are tried, over the best one's; and by how much [rad] edges are to turn
-before they meet other corners."""
-
-BALANCING = 30
-"""Newton's steps with which they are balanced."""
-
-SHARES, BORNE = np.linspace(0.0, 1.0, 9), 1e-6
-"""Shares of the weight with which they are tried, and the last step [m] where clasps find balance.
-"""
-
-TENSIONS = np.geomspace(0.2, 5.0, 60)
-"""[N] Tensions that are tried for a suggestion."""
-
-ROBOTS = (3, 4)
-"""Numbers of robots that are tried for a suggestion: more do not wrap enough."""
 
 
 def grip_task(
@@ -84,75 +60,11 @@ def grip_polygons(
     most, _ = largest_tension(requirements, team.quadrotor[0])
     task = grip_task(body, team, SEARCHED * most, requirements)
     try:
-        closed = best_grip(task).vertices[:, :2]
+        closed = best_grip(task).vertices
     except InfeasibleError as error:
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
-    centre = body.centre_of_mass[:2]
-    closed = _between_corners(task, closed, centre, GRAVITY * body.mass)
-    return HoldPolygons.with_short_edges(closed, centre, (body.section,), gap)
-
-
-def _between_corners(task: GripTask, closed: Array, centre: Array, weight: float) -> Array:
-    """Return a grip (n, 2) [m] whose edges meet no other corners when clasps move a little.
-
-    The best grip often has an edge along a side; clasps of one that is larger by some per cent are
-    as far from there as inertia moves them. Of those that bear the weight [N] with drones apart,
-    balanced again and within all limits, the one with the largest slip load times the angle by
-    which edges may turn is taken.
-    """
-    section = task.section
-    if section.outline is None:
-        return closed
-    larger = LARGER[:, None, None] * (closed - centre)
-    grips, pulls, none = larger, np.ones(larger.shape[:-1]), np.zeros((len(larger), 3))
-    for _ in range(BALANCING):
-        wraps = wraps_around(section, centre + grips)
-        contacts = contacts_of(centre + grips, wraps, section.core)
-        level = np.pad(grips, ((0, 0), (0, 0), (0, 1)))
-        with np.errstate(divide="ignore", invalid="ignore"):  # clasps that have come to the section
-            grips = balanced(level, pulls, contacts - centre, none)[..., :2]
-    turns = wraps_around(section, centre + grips).least_turns(section)
-    merits = np.array([merit(task, task.grip(each)) for each in centre + grips])
-    worth = np.nan_to_num(np.minimum(turns, TURN) * np.maximum(merits, 0.0))
-    loaded = _loaded(section, centre, grips, weight / task.tension)
-    worth *= [_apart(task, each, weight) for each in centre + loaded]
-    found: Array = centre + grips[np.argmax(worth)]
-    return found if np.max(worth) > 0.0 else closed
-
-
-def _apart(task: GripTask, vertices: Array, weight: float) -> bool:
-    """Return whether drones of clasps (n, 2) [m] stay apart while edges bear a weight [N]."""
-    if np.any(np.isnan(vertices)):
-        return False
-    try:
-        margins = task.margins(task.grip(vertices, weight))
-    except InfeasibleError:
-        return False
-    return float(np.min(margins["separation"])) >= 0.0
-
-
-def _loaded(section: Section, centre: Array, grips: Array, load: float) -> Array:
-    """Return where clasps (grips, n, 2) [m] find balance with a load; nan where they do not.
-
-    About a nearly round outline some hardly resist turning: slopes of edges turn them farther than
-    to where there is a balance.
-
-    Parameters
-    ----------
-    load: weight over tension.
-    """
-    planned = np.repeat(grips[:, None], len(SHARES), axis=1)
-    loads = np.multiply.outer(SHARES, [0.0, 0.0, load])
-    clasps = np.pad(planned, ((0, 0), (0, 0), (0, 0), (0, 1)))
-    bends, pulls = wraps_around(section, centre + planned).bends, np.ones(planned.shape[:-1])
-    with np.errstate(all="ignore"):  # what finds no balance may go anywhere
-        for _ in range(BALANCING):
-            before, places = clasps, centre + clasps[..., :2]
-            contacts = contacts_of(places, wraps_around(section, places, bends), section.core)
-            clasps = balanced(clasps, pulls, contacts - centre, loads, (planned, SHARES))
-    settled = np.max(np.abs(clasps - before), axis=(1, 2, 3)) < BORNE
-    return np.where(settled[:, None, None], clasps[:, -1, :, :2], np.nan)
+    return HoldPolygons.with_short_edges(closed, body.centre_of_mass[:2], (body.section,), gap)
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
@@ -171,56 +83,6 @@ def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
     raise InfeasibleError(
         [Violation(binding, tension, most, "max", "N", (), "to grip at rest", remedy)]
     )
-
-
-def capacity_of(
-    body: SolidObject, closed: Array, team: Team, tension: float, requirements: Requirements
-) -> Capacity:
-    """Return the largest mass [kg] that is gripped with a tension, and what binds."""
-    task = grip_task(body, team, tension, requirements)
-    return grip_capacity(task, task.grip(closed), body.friction, FACTOR)
-
-
-def grip_suggestion(
-    name: str,
-    body: SolidObject,
-    closed: Array,
-    team: Team,
-    tension: float,
-    requirements: Requirements,
-) -> tuple[Capacity, str]:
-    """Return what is gripped, and in words what to change so that the object is.
-
-    Parameters
-    ----------
-    name, body: the object.
-    closed: (n, 2) [m], clasps in its frame.
-    team, tension: as asked for.
-    requirements: limits and distances.
-    """
-    capacity = capacity_of(body, closed, team, tension, requirements)
-    ways = []
-    if capacity.mass > 0.0:
-        ways.append(f"lower objects.{name}.mass to {EASED * capacity.mass:.3g} kg")
-    most, _ = largest_tension(requirements, team.quadrotor[0])
-    for value in TENSIONS[(tension < TENSIONS) & (most > TENSIONS)]:
-        if EASED * capacity_of(body, closed, team, float(value), requirements).mass >= body.mass:
-            ways.append(f"ask for a tension of {value:.3g} N")
-            break
-    if capacity.binding == "grip" and capacity.mass > 0.0:
-        rougher = body.friction * body.mass / (EASED * capacity.mass)
-        ways.append(f"use rougher cables, objects.{name}.friction {rougher:.3g} or more")
-    for robots in ROBOTS:
-        if robots == team.robots:
-            continue
-        task = replace(grip_task(body, team, tension, requirements), robots=robots)
-        try:
-            found = grip_capacity(task, best_grip(task), body.friction, FACTOR)
-        except InfeasibleError:
-            continue
-        if EASED * found.mass >= body.mass:
-            ways.append(f"use {robots} robots")
-    return capacity, ", or ".join(ways) or "give it a rim, or use stronger quadrotors"
 
 
 PASSES = 60

@@ -12,10 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hitchopt.geometry.segments import differences, shortest_offset
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.hitch.requirements import Separation
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.timing.flight import Flight
 from hitchopt.trajectory import PiecewisePolynomial
@@ -34,9 +31,6 @@ LONGEST = 0.5
 STEADY = 2.5
 """[s] Longest piece while it goes straight on. Second derivatives at its ends err by some 0.01 of
 how fast loads change before it, which moves clasps by that times the square of its duration."""
-
-SAMPLES = 65
-"""Samples of a move at which distances of drones are looked at."""
 
 SHARE = 0.8
 """Share of what friction and supports allow that is used."""
@@ -134,43 +128,6 @@ class Held(Protocol):
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
-
-
-def separation_ratios(held: Held, move: Move, separation: Separation) -> Array:
-    """Return the least distances of drones over those asked at samples (samples,) of a move."""
-    drones = _sampled(held, move)["drones"]
-    one, other = np.triu_indices(drones.shape[1], 1)
-    ratios = length((drones[:, one] - drones[:, other]) * separation.scale)
-    least: Array = np.min(ratios, axis=-1)
-    return least
-
-
-def crossing_ratios(held: Held, move: Move, separation: Separation) -> Array:
-    """Return the least distances (samples,) of cables' straight parts over those asked.
-
-    Parts that share a clasp are left out, as in the check ``crossing``.
-    """
-    if separation.crossing == 0.0:
-        return np.full(SAMPLES, math.inf)
-    found, layout = _sampled(held, move), held.team.layout
-    drones, vertices = found["drones"], found["vertices"]
-    points = np.concatenate([vertices, drones], axis=1)
-    alone = vertices.shape[1] + np.arange(drones.shape[1])
-    first = np.concatenate([layout.anchors, layout.starts])
-    last = np.concatenate([alone, layout.ends])
-    parts = np.stack([points[:, first], points[:, last]], axis=-2)
-    one, other = np.triu_indices(len(first), 1)
-    clasps = np.stack([first, last])
-    apart = ~np.any(clasps[:, None, one] == clasps[None, :, other], axis=(0, 1))
-    one, other = one[apart], other[apart]
-    offsets = shortest_offset(differences(parts[:, one], parts[:, other]))
-    least: Array = np.min(length(offsets), axis=-1, initial=math.inf) / separation.crossing
-    return least
-
-
-def _sampled(held: Held, move: Move) -> dict[str, Array]:
-    """Return all curves at samples of a move."""
-    return held.curves(move, np.linspace(0.0, move.law.duration, SAMPLES))
 
 
 @dataclass(frozen=True, eq=False)

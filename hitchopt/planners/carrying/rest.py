@@ -18,18 +18,14 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import (
     ClaspLoads,
-    cable_forces,
     cable_slack_of,
     clasp_loads,
     leg_directions,
     leg_vectors,
     sag_factors,
 )
-from hitchopt.hitch.requirements import Limits
-from hitchopt.holding.capacity import Capacity
 from hitchopt.motion.loads import Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy
-from hitchopt.motion.states import thrusts_of
 from hitchopt.objects import Section, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.moves import SHARE, Move, courses
@@ -333,51 +329,3 @@ def _off(away: Array, centre: Array, sections: tuple[Section, ...], gap: float) 
     needed = [each.support(outward) + gap - outward @ centre for each in sections]
     enlarged: Array = float(np.max(np.max(needed, axis=0) / reach)) * away
     return enlarged
-
-
-LARGEST = 100.0
-"""[kg] No mass is looked for beyond."""
-
-HALVINGS = 40
-"""Halvings of the range of masses: to 1e-10 kg."""
-
-TENSIONS = np.geomspace(0.2, 5.0, 40)
-"""[N] Tensions that are tried for a suggestion."""
-
-EASED = 0.98
-"""Share of the largest mass that is suggested: the rest is left to motions."""
-
-EMPTY = 1.1
-"""So many times a suggested tension is kept without a load: tilt is largest before legs bear it,
-while they are not yet where they are with it."""
-
-
-def rest_capacity(held: HeldHitch, tension: Array, limits: Limits) -> Capacity:
-    """Return the largest mass that is held at rest, by thrust, tilt and the legs' balance.
-
-    What binds is ``load`` where legs cannot rise enough.
-    """
-    lower, upper, binding = 0.0, LARGEST, broken_at(held, 0.0, tension, limits)
-    if binding:
-        return Capacity(0.0, binding)
-    for _ in range(HALVINGS):
-        middle = 0.5 * (lower + upper)
-        found = broken_at(held, middle, tension, limits)
-        binding = found or binding
-        lower, upper = (lower, middle) if found else (middle, upper)
-    return Capacity(lower, binding)
-
-
-def broken_at(held: HeldHitch, mass: float, tension: Array, limits: Limits) -> str:
-    """Return what a mass [kg] breaks at rest, or an empty word."""
-    team = held.team
-    try:
-        drones = held.at_rest(tension, mass)
-    except InfeasibleError:
-        return "load"
-    pulls = cable_forces(team, drones, held.places, np.repeat(tension, 2), np.ones(team.robots))
-    thrusts = thrusts_of(team, np.zeros(drones.shape), pulls)
-    size = np.linalg.norm(thrusts, axis=-1)
-    if np.any(size > team.max_thrust):
-        return "thrust"
-    return "tilt" if np.any(thrusts[:, 2] < size * math.cos(limits.tilt)) else ""
