@@ -555,6 +555,17 @@ class Run(OneLine):
         """Whether nothing failed."""
         return self.verdict == SUCCEEDED
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """All figures but the pace by name, such as ``tracking_mean``."""
+        found: dict[str, float] = {}
+        for name, value in vars(self).items():
+            if isinstance(value, Spread):
+                found |= {f"{name}_{key}": each for key, each in vars(value).items()}
+            elif isinstance(value, float) and name != "pace":
+                found[name] = value
+        return found
+
 
 @dataclass(frozen=True, eq=False)
 class Simulation(OneLine):

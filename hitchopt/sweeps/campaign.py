@@ -23,10 +23,6 @@ from hitchopt.sweeps.work import finished
 
 FORMAT = "hitchopt-campaign/1"
 
-SPREADS = ("vertex_error", "resting", "moving", "without_sag", "tracking")
-FIGURES = ("peak_tension", "saturated", "pace", "placed", "tilted", "slipped")
-"""Figures of a run in the table of runs."""
-
 
 @dataclass(frozen=True)
 class Campaign:
@@ -176,6 +172,5 @@ def _row(run: Run) -> dict[str, object]:
         first = run.failures[0]
         row |= {"failure": first.kind, "where": " ".join(first.where)}
         row |= {"time": f"{first.time:.3f}", "words": first.words}
-    for name in SPREADS:
-        row |= {f"{name}_{key}": number(x, 6) for key, x in vars(getattr(run, name)).items()}
-    return row | {name: number(getattr(run, name), 6) for name in FIGURES}
+    figures = run.figures | {"pace": run.pace}
+    return row | {name: number(value, 6) for name, value in figures.items()}

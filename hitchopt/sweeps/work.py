@@ -116,24 +116,17 @@ def _settled(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
 
 def _simulated(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
     """Return figures of a simulated flight."""
-    from hitchopt.exports.setpoints import write_setpoints, write_vertices
+    from hitchopt.motion.states import sample_times
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
-    from hitchopt.simulation.task import read_tables
+    from hitchopt.simulation.task import Task
 
-    motion = plan.motion
-    with tempfile.TemporaryDirectory() as place:
-        setpoints, vertices = Path(place) / "setpoints.csv", Path(place) / "vertices.csv"
-        write_setpoints(setpoints, motion, RATE)
-        write_vertices(vertices, motion, RATE)
-        task = read_tables(setpoints, vertices, motion.team)
+    task = Task.of(plan.motion, sample_times(plan.duration, RATE))
     run = simulate(task, settings_of(body=keys.pop("drones"), **keys)).run
     row: Row = {"verdict": run.verdict, "succeeded": run.succeeded}
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}
-    for name in ("vertex_error", "resting", "moving", "without_sag", "tracking"):
-        row |= {f"{name}_{key}": value for key, value in vars(getattr(run, name)).items()}
-    return row | {name: getattr(run, name) for name in ("peak_tension", "peak_thrust", "saturated")}
+    return row | run.figures
 
 
 def _exported(plan: Plan, keys: dict[str, Any], files: dict[str, bytes]) -> Row:
