@@ -19,7 +19,7 @@ from hitchopt.statics.calibrate import (
     Calibration as Calibration,
     calibrate as calibrate,
 )
-from hitchopt.statics.friction import Estimate as Estimate
+from hitchopt.statics.calibrate import Estimate as Estimate
 from hitchopt.statics.recordings import Recording as Recording
 from hitchopt.checks import (
     Certificate as Certificate,

@@ -14,9 +14,8 @@ from hitchopt.errors import InfeasibleError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.holding.capacity import Capacity
-    from hitchopt.statics.calibrate import Calibration
+    from hitchopt.statics.calibrate import Calibration, Estimate
     from hitchopt.statics.fit import Fit
-    from hitchopt.statics.friction import Estimate
     from hitchopt.statics.settle import Settled
     from hitchopt.statics.tolerance import Errors, Tolerance
 

@@ -393,9 +393,9 @@ def sweep(
 ) -> None:
     """Plan, simulate, settle or export every case of STUDY.yaml (needs dask.distributed).
 
-    Every result is a row of a Parquet dataset in DIR, written as it arrives. The same command goes
-    on where an earlier one has ended: only what is missing is computed. With --plot, STUDY is the
-    DIR of a sweep, and nothing is computed.
+    Every result is a line of DIR/rows.jsonl, written as it arrives. The same command goes on where
+    an earlier one has ended: only what is missing is computed. With --plot, STUDY is the DIR of a
+    sweep, and nothing is computed.
     """
     from hitchopt.sweeps.sweep import load_sweep, read_study, run_sweep, summary
 

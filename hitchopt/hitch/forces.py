@@ -50,13 +50,6 @@ def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> A
     return pull if rise is None else half * rise + pull
 
 
-def tension_at(pull: Array, half: Array | float, level: Array, rise: Array) -> Array:
-    """Return the tension [N] at the end of a part that pulls so along its chord."""
-    upward = pull - half * rise
-    tension: Array = np.sqrt(upward * upward + half * half * level)
-    return tension
-
-
 Expression = TypeVar("Expression", bound=Any)
 """Type of arrays, and of casadi's expressions."""
 

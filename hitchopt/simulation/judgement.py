@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.cable_parts import CableParts
+from hitchopt.hitch import GRAVITY
 from hitchopt.simulation.flight import Flight, Progress, Touch, fly
 from hitchopt.simulation.settings import Loss, Settings
 from hitchopt.simulation.task import Task
@@ -154,12 +154,15 @@ def effective_lengths(flight: Flight) -> Array:
     rows = (record.t > flight.task.duration + SAME_SAMPLE) & (record.t <= flight.rested)
     if not rows.any() or not flight.task.formed[-1] or flight.lost is not None:
         return np.full(team.robots, np.nan)
-    drones = np.mean(record.drones[rows], axis=0)
-    vertices = np.empty((team.layout.points, 3))
-    vertices[team.layout.anchors] = drones  # a chain's ends; clasps follow
-    vertices[team.layout.clasps] = np.mean(record.vertices[rows], axis=0)
-    parts = CableParts.of(team, drones[None], vertices[None])
-    found: Array = parts.lengths(flight.density, np.mean(record.tensions[rows], axis=0)[None])[0]
+    layout, drones = team.layout, np.mean(record.drones[rows], axis=0)
+    vertices = np.empty((layout.points, 3))
+    vertices[layout.anchors] = drones  # a chain's ends; clasps follow
+    vertices[layout.clasps] = np.mean(record.vertices[rows], axis=0)
+    corners = drones[0::2], vertices[layout.starts], vertices[layout.ends], drones[1::2]
+    chords = np.diff(np.stack(corners, axis=1), axis=1)
+    sizes, level = length(chords), length(chords[..., :2])
+    slack = GRAVITY * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]
+    found: Array = np.sum(sizes + slack**2 * sizes * level**2 / 24.0, axis=-1)
     return found
 
 
@@ -551,6 +554,17 @@ class Run(OneLine):
     def succeeded(self) -> bool:
         """Whether nothing failed."""
         return self.verdict == SUCCEEDED
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """All figures but the pace by name, such as ``tracking_mean``."""
+        found: dict[str, float] = {}
+        for name, value in vars(self).items():
+            if isinstance(value, Spread):
+                found |= {f"{name}_{key}": each for key, each in vars(value).items()}
+            elif isinstance(value, float) and name != "pace":
+                found[name] = value
+        return found
 
 
 @dataclass(frozen=True, eq=False)

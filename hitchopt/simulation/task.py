@@ -19,6 +19,7 @@ from hitchopt.hitch import Team
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
+from hitchopt.motion.states import states_at
 from hitchopt.objects import SolidObject
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial
@@ -157,6 +158,25 @@ class Task:
     cargo: Cargo = field(default_factory=Cargo)
     motion: Motion | None = None
 
+    @classmethod
+    def of(cls, motion: Motion, t: Array) -> Task:
+        """Return the task of a plan at times (samples,) [s], as its tables would hold it."""
+        states = states_at(motion, t)
+        commands = states.positions, states.velocities, states.accelerations, states.jerks
+        yaw, formed = np.zeros(commands[0].shape[:2]), np.asarray(states.formed, np.bool_)
+        setpoints = Setpoints(*commands, yaw, states.cable_forces)
+        vertices = np.where(formed[:, None, None], states.vertices, 0.0)
+        tensions = np.where(formed[:, None], states.tensions, 0.0)
+        task = cls(motion.team, t, setpoints, formed, vertices, tensions)
+        return task.with_plan(motion)
+
+    def with_plan(self, motion: Motion) -> Task:
+        """Return the task with what only the plan says: how clasps are loaded, and its objects."""
+        taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
+        times = np.clip(self.t, *taut.breaks[[0, -1]])
+        cargo = Cargo.of(motion, times)
+        return replace(self, taut=taut.at(times), cargo=cargo, motion=motion)
+
     @property
     def duration(self) -> float:
         """Time from the first setpoint to the last [s]."""
@@ -188,9 +208,7 @@ def read_task(directory: Path) -> Task:
         )
     task = read_tables(directory / SETPOINTS, directory / VERTICES, motion.team)
     refuse_mixture(directory)
-    taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
-    times = np.clip(task.t, *taut.breaks[[0, -1]])
-    return replace(task, taut=taut.at(times), cargo=Cargo.of(motion, times), motion=motion)
+    return task.with_plan(motion)
 
 
 def read_tables(setpoints: Path, vertices: Path, team: Team) -> Task:

@@ -1,226 +1,151 @@
 """Calibration: a team's cable lengths, stiffness and friction from a recorded flight.
 
+It is the statics of ``energy`` turned round: places are measured, and what acts there is unknown.
 On average a drone stands at ``x = x_set + (F + cable force)/k``, F what its controller feeds
-forward, also while it follows set points slowly, since its controller knows their velocity.
-What cables pull with follows from the balance at the clasps, whose scale is the cables' known
-weight. Unknowns are the compliance 1/k of each kind of drone, a steady level wind, and the tension
-of every leg and edge; a robust regression weighs displacements and forces by their own scatter.
+forward, also while it follows set points slowly, since its controller knows their velocity; forces
+on clasps balance, and the cables' known weight gives them their scale. One problem of robust least
+squares has these residuals, with the tension of every cable and the friction that each of its legs
+uses as unknowns of every window, and compliances 1/k, a steady level wind and the coefficient of
+friction as unknowns of all windows. It is solved twice: in long windows, which are free of the
+noise of the drones' own positions, for the stiffness, and in short ones, in which cables slide, for
+friction. Lengths are those that the law gives cables there, arcs included.
+
+Friction acts against the velocity with which one cable's surface moves over the other's. With rates
+v_a and v_b at which the cables a and b of a clasp slide toward their legs, and c the cosine between
+these directions where they touch, the leg of a is pulled harder than its edge by
+
+    log(T_leg / T_edge) = μ Θ_a (v_a - c v_b)/w,    w² = v_a² + v_b² - 2 c v_a v_b,
+
+Θ_a being the angle by which it turns in space; b likewise. It is Coulomb's law: friction on a is
+``-μ N (v_a t_a - v_b t_b)/w`` with the normal force ``N = T Θ`` and directions t toward the legs,
+and only its part along t_a changes the tension of a. A cable that slides alone has the ratio of a
+capstan and drags the other along; where both slide alike, friction acts across them for the most
+part, and ratios are less. Θ and c are geometry: cables whose ends lie in one plane pass over and
+under each other, turn farther than in the plane, and touch where they cross.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import OptimizeResult, least_squares
-from scipy.sparse import block_array, coo_array, csr_array
+from scipy.optimize import least_squares
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch import Team
-from hitchopt.hitch.cable_parts import CableParts
+from hitchopt.hitch import GRAVITY, Quadrotor, Team
 from hitchopt.simulation.flight import Flight
 from hitchopt.simulation.task import Task, read_task
-from hitchopt.statics.friction import (
-    Estimate,
-    ForceBalance,
-    fit_friction,
-    part_pulls,
-    robust_mean,
-    scale_of,
-    sliding_clasps,
-)
-from hitchopt.statics.recordings import (
-    Comparison,
-    Recording,
-    Windows,
-    compare,
-    read_recording,
-    windows_of,
-)
+from hitchopt.statics.energy import IMAGINARY, HitchEnergy, bends_of, hitch_energy
+from hitchopt.statics.recordings import Comparison, Recording, Windows, compare, read_recording
+from hitchopt.statics.settle import AXIAL_STIFFNESS
 from hitchopt.values import Array, not_negative, path
 
-Index = NDArray[np.intp]
+SPAN, WINDOW = 6.0, 0.5
+"""Lengths of the windows in which stiffness and friction are fitted [s]. Tensions of 0.5 s follow
+the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to 13 %."""
 
-OFFSET_SCALE, FORCE_SHARE = 2e-3, 0.02
-"""First guess of the scatter of displacements [m], and of forces over the tension."""
+ROUNDS = 3
+"""Solutions of the problem, each with the scatter that the last one left."""
 
-LEAST_OFFSET, LEAST_SHARE = 5e-4, 3e-3
+OFFSETS, SHARES = (2e-3, 1e-2), (0.02, 0.02)
+"""Scatter of displacements in long and short windows [m], the latter that of the positions that
+drones measure, and of forces over the tension, before the first solution."""
+
+LEAST_OFFSETS, LEAST_SHARES = (5e-4, 1e-2), (3e-3, 3e-3)
 """Least scatter that is assumed."""
 
 GUESS = 5.0
 """First guess of a stiffness that the team does not state [N/m]."""
 
-MODEL_ERROR = 0.03
+STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE = 3.0, 0.2, 10.0
+"""Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
+force [N], and of a coefficient of friction."""
+
+KNOWN = 1e-6
+"""The same of what is known."""
+
+STICKING = 0.5
+"""Standard deviation of the friction that a leg uses where cables do not slide."""
+
+BULGE = 0.03
+"""Standard deviation, known beforehand, of an offset that is common to the sums of clasps' ratios:
+thick cables pass the measured vertex at one side, which turns legs by 0.02 rad."""
+
+MODEL_ERROR, LARGEST_ERROR = 0.03, 0.25
 """Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
-thickness: estimates from calm simulated flights deviate by up to 3 %."""
+thickness (calm simulated flights deviate by up to 3 %), and the largest one that counts as
+determined."""
 
-LARGEST_ERROR = 0.25
-"""Largest relative standard error of a stiffness that counts as determined."""
+TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
+"""Angles by which cables turn in the plane [rad], for what follows."""
 
-SOFTEST, STIFFEST = 0.01, 1e4
-"""Range in which a stiffness is searched [N/m]."""
+IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
+"""Angle in space over that in the plane, of simulated hitches at rest (10 g/m at 0.5 N) without
+friction. The first value continues the next ones."""
 
-WIND_SCALE = 0.2
-"""Standard deviation of a steady wind's force that is expected beforehand [N]."""
+COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
+"""Cosine between the cables where they touch, mean over the contact, measured likewise."""
+
+GEOMETRY_ERROR, LARGEST_FRICTION_ERROR = 0.15, 0.1
+"""Relative standard error of a friction coefficient by the two above (estimates from simulated
+flights deviate by -13 to +20 %), and the largest absolute one that counts as determined."""
+
+RATE_SPAN = 0.2
+"""Time over which a rate of sliding is measured [s]: a drone's noise reverses it after longer."""
+
+BLURRED = 1e-2
+"""Rate of sliding below which its direction is blurred [m/s]: by noise of the recorded positions,
+by what a span does not resolve, and by cables that stick. In simulations contacts creep where
+friction is less than it may be: at 2 mm/s it has a third of its size, at 6 mm/s three quarters."""
+
+SLIDING, PLANNED = 1e-2, 5e-3
+"""Least rates at which cables slide over each other in a window that counts as sliding [m/s], and
+at which the plan has to slide them, the same way: sliding that is due to noise goes with errors of
+the tensions."""
+
+DIRECTION_ERROR, LEAST_SCATTER = 0.2, 0.01
+"""Standard error of the angle between friction and a cable [rad], which changes ``cos ψ`` by ``sin
+ψ``, not at all where a cable slides alone; and least scatter of the logarithm of a ratio."""
+
+USUAL_FRICTION = 0.1
+"""Coefficient of friction that weighs what is unsure for one of 1."""
+
+LEAST_LENGTH_SCATTER = 3e-4
+"""Least scatter that is assumed of a measured cable length [m]."""
+
+SLID = 0.02
+"""Least distance that cables must slide, all clasps taken together, to determine friction [m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class StiffnessFit:
-    """What displaced drones say.
+@dataclass(frozen=True)
+class Estimate(OneLine):
+    """One estimated quantity.
 
     Attributes
     ----------
-    kinds: kind of each drone (2n,).
-    compliance: (kinds,) [m/N], fitted.
-    wind: (2,) [N], steady level force on every drone.
-    tensions: (windows, unknowns) [N], of edges and legs.
-    stiffness: (kinds,) estimates [N/m].
+    value: nan where the recording does not determine it.
+    error: standard error; infinite where it is not determined.
+    remark: why it is not determined, or empty.
     """
 
-    kinds: Index
-    compliance: Array
-    wind: Array
-    tensions: Array
-    stiffness: tuple[Estimate, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Residuals:
-    """Weighted residuals of drones and clasps, and their derivatives.
-
-    The unknowns are log(1/k) per kind, the wind, and all tensions.
-    """
-
-    balance: ForceBalance
-    kinds: Index
-    feed_forward: NDArray[np.bool_]
-    offset_scale: float
-    force_scale: float
+    value: float
+    error: float
+    remark: str = ""
 
     @property
-    def count(self) -> int:
-        """Number of kinds of drones."""
-        return int(np.max(self.kinds)) + 1
+    def known(self) -> bool:
+        """Whether the recording determines it."""
+        return not self.remark
 
-    def _split(self, x: Array) -> tuple[Array, Array, Array]:
-        g = self.count
-        return np.exp(x[:g])[self.kinds], x[g : g + 2], x[g + 2 :]
-
-    def _net(self, x: Array) -> Array:
-        """Return (windows, 2n, 3) [N]: what displaces the drones."""
-        _, wind, tensions = self._split(x)
-        net = self.balance.surplus(self.feed_forward)
-        net += (self.balance.leg_pulls() @ tensions).reshape(net.shape)
-        net[..., :2] += wind
-        return net
-
-    def values(self, x: Array) -> Array:
-        """Return the residuals of drones, clasps and the expected wind."""
-        compliance, wind, tensions = self._split(x)
-        windows = self.balance.windows
-        off = windows.drones - windows.commanded - compliance[:, None] * self._net(x)
-        force = self.balance.clasps @ tensions - self.balance.weights
-        return np.concatenate(
-            [off.ravel() / self.offset_scale, force / self.force_scale, wind / WIND_SCALE]
-        )
-
-    def jacobian(self, x: Array) -> csr_array:
-        """Return the derivatives of ``values``, sparse."""
-        compliance, _, _ = self._split(x)
-        net, g = self._net(x), self.count
-        moved = -compliance[:, None] * net / self.offset_scale
-        rows = np.arange(net.size)
-        kind = np.broadcast_to(self.kinds[:, None], net.shape).ravel()
-        softer = coo_array((moved.ravel(), (rows, kind)), shape=(net.size, g))
-        scale = np.broadcast_to(-compliance[:, None] / self.offset_scale, net.shape)
-        axis = np.indices(net.shape)[2].ravel()
-        level = axis < 2
-        blown = coo_array((scale.ravel()[level], (rows[level], axis[level])), shape=(net.size, 2))
-        pulled = self.balance.leg_pulls().multiply(scale.ravel()[:, None])
-        forces = self.balance.clasps / self.force_scale
-        calm = coo_array(np.eye(2) / WIND_SCALE)
-        return block_array(
-            [[softer, blown, pulled], [None, None, forces], [None, calm, None]], format="csr"
-        )
-
-
-def fit_stiffness(
-    team: Team, balance: ForceBalance, feed_forward: NDArray[np.bool_]
-) -> StiffnessFit:
-    """Return the stiffness that explains where drones are on average.
-
-    Parameters
-    ----------
-    team: its kinds of quadrotors are estimated separately.
-    balance: over spans, at least one, such that noise averages out.
-    feed_forward: (2n,), whether controllers add the cable forces of the set points.
-    """
-    names = sorted(set(team.quadrotor), key=repr)
-    kinds = np.repeat([names.index(kind) for kind in team.quadrotor], 2)
-    stated = np.array([kind.stiffness or GUESS for kind in names])
-    guess = balance.first_guess()
-    tension = float(np.median(balance.windows.tensions))
-    task = _Residuals(balance, kinds, feed_forward, OFFSET_SCALE, FORCE_SHARE * tension)
-    x = np.concatenate([-np.log(stated), np.zeros(2), guess])
-    for _ in range(2):
-        found = _solved(task, x)
-        x = found.x
-        values, drones = task.values(x), balance.windows.drones.size
-        offset = task.offset_scale * float(scale_of(values[:drones]))
-        force = task.force_scale * float(scale_of(values[drones:-2]))
-        task = replace(
-            task,
-            offset_scale=max(offset, LEAST_OFFSET),
-            force_scale=max(force, LEAST_SHARE * tension),
-        )
-    found = _solved(task, x)
-    g, rows = len(names), len(found.fun)
-    jacobian = csr_array(task.jacobian(found.x))
-    normal = (jacobian.T @ jacobian).tocsc()
-    freedom = max(rows - len(found.x), 1)
-    variance = max(2.0 * found.cost / freedom, 1.0)
-    columns = splu(normal).solve(np.eye(len(found.x), g))
-    errors = np.sqrt(variance * np.diag(columns[:g]))
-    k = np.exp(-found.x[:g])
-    return StiffnessFit(
-        kinds,
-        1.0 / k,
-        found.x[g : g + 2],
-        found.x[g + 2 :].reshape(len(balance.windows.t), -1),
-        tuple(_stiffness(value, error) for value, error in zip(k, errors, strict=True)),
-    )
-
-
-def _solved(task: _Residuals, x: Array) -> OptimizeResult:
-    """Return the robust solution from x on, stiffness within its range."""
-    low, high = np.full(len(x), -np.inf), np.full(len(x), np.inf)
-    low[: task.count], high[: task.count] = -np.log(STIFFEST), -np.log(SOFTEST)
-    return least_squares(
-        task.values,
-        x,
-        task.jacobian,
-        bounds=(low, high),
-        loss="soft_l1",
-        x_scale="jac",
-        tr_solver="lsmr",
-    )
-
-
-def _stiffness(value: float, relative: float) -> Estimate:
-    """Return the estimate of a stiffness [N/m], or that it is not determined."""
-    if not relative <= LARGEST_ERROR:
-        return Estimate.unknown(
-            f"its standard error would be {relative:.0%} of it: drones are displaced by "
-            "too little; fly a plan that does not know the cables' weight"
-        )
-    return Estimate(float(value), float(np.hypot(relative, MODEL_ERROR) * value))
-
-
-LEAST_SCALE = 3e-4
-"""Least scatter that is assumed of a measured cable length [m]."""
+    @classmethod
+    def unknown(cls, remark: str) -> Estimate:
+        """Return the estimate of a quantity that the recording does not determine."""
+        return cls(float("nan"), float("inf"), remark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,9 +180,9 @@ def calibrate(
 ) -> Calibration:
     """Estimate cable lengths, stiffness and friction from a recorded flight of a plan.
 
-    Lengths are the robust means of measured legs and edges, arcs included. The stiffness follows
-    from where drones are on average, friction from cables that slide while drones give way: see
-    ``fit_stiffness`` and ``fit_friction``. What a recording does not determine is said so.
+    Lengths are the medians of what cables over the measured places have, arcs included. The
+    stiffness follows from where drones are on average, friction from cables that slide while drones
+    give way. What a recording does not determine is said so.
 
     Parameters
     ----------
@@ -274,11 +199,18 @@ def calibrate(
     """
     if not isinstance(recording, Recording | Flight):
         recording = path("recording", recording)
-    task = _task(recording, plan)
+    if plan is not None:
+        task = read_task(path("plan", plan))
+    elif isinstance(recording, Flight):
+        task = recording.task
+    elif isinstance(recording, Recording):
+        raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
+    else:
+        task = read_task(recording.absolute().parent)
     if isinstance(recording, Flight):
         recording = Recording.of_flight(recording)
     elif not isinstance(recording, Recording):
-        recording = read_recording(Path(recording), task.team)
+        recording = read_recording(recording, task.team)
     given = recording.density if density is None else not_negative("density", density)
     return estimate_team(recording, task, task.team.cable_density if given is None else given)
 
@@ -290,8 +222,7 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
     ------
     InputError: drones and vertices are never seen together while the plan has a hitch.
     """
-    team = task.team
-    windows = windows_of(recording, task)
+    team, windows = task.team, Windows.of(recording, task, WINDOW)
     if not len(windows.t):
         raise InputError(
             "recording",
@@ -299,61 +230,342 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
             "of a flight in which drones and vertices are seen while the plan has a hitch",
             "record the vertices too, and let t count from the plan's start",
         )
-    feeds = recording.feed_forward if recording.feed_forward is not None else team.feed_forward
-    winds = recording.integral if recording.integral is not None else team.integral
-    fit: StiffnessFit | None = None
-    remark = "integral action returns drones to their set points, whatever their stiffness"
+    feeds = team.feed_forward if recording.feed_forward is None else recording.feed_forward
+    winds = team.integral if recording.integral is None else recording.integral
+    kinds = sorted(set(team.quadrotor), key=repr)
+    stated = np.array([kind.stiffness or np.nan for kind in kinds])
+    guess = np.where(np.isfinite(stated), stated, GUESS)
+    expected = np.concatenate([-np.log(guess), np.zeros(4)])
+    spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, KNOWN, KNOWN])
+    integral = "integral action returns drones to their set points, whatever their stiffness"
+    estimates = [Estimate.unknown(integral)] * len(kinds)
     if not np.any(winds):
-        fit = fit_stiffness(team, ForceBalance.of(team, windows.spans(), density), feeds)
-    stiffness = (Estimate.unknown(remark),) * team.robots
-    if fit is not None:
-        stiffness = tuple(fit.stiffness[kind] for kind in fit.kinds[::2])
-    friction, tensions = _friction(team, recording, windows, density, fit, stiffness, feeds)
-    parts = CableParts.of(team, windows.drones, windows.vertices)
-    means, errors = robust_mean(parts.lengths(density, tensions), LEAST_SCALE)
-    lengths = tuple(
-        Estimate(float(mean), float(error)) for mean, error in zip(means, errors, strict=True)
-    )
+        balance = _Balance.of(team, Windows.of(recording, task, SPAN), density, feeds, kinds)
+        expected, errors, _ = balance.fitted(expected, spread, 0)
+        compliances = zip(expected[: len(kinds)], errors, strict=False)
+        estimates = [_stiffness(float(np.exp(-log)), error) for log, error in compliances]
+    known = [one.known for one in estimates]
+    balance = _Balance.of(team, windows, density, feeds, kinds)
+    friction, tensions = Estimate.unknown(""), windows.tensions
+    expected[: len(kinds)] = np.where(known, expected[: len(kinds)], -np.log(stated))
+    if np.all(np.isfinite(expected)):
+        friction, tensions = _friction(team, recording, windows, balance, expected)
+    else:
+        why = "the drones' stiffness is neither determined nor stated by the plan's team"
+        friction = Estimate.unknown(f"tensions are unknown: {why}")
+    planned = windows.tensions
+    tensions = np.clip(tensions, planned / 3.0, 3.0 * planned)
+    arcs = balance.energy.law.forces(balance.ends, tensions)[1]
     return Calibration(
-        task, recording, density, lengths, stiffness, friction, compare(recording, task)
+        task,
+        recording,
+        density,
+        tuple(_median(arc) for arc in arcs.T),
+        tuple(estimates[kinds.index(kind)] for kind in team.quadrotor),
+        friction,
+        compare(recording, task),
     )
 
 
-def _task(recording: Recording | Flight | Path, plan: Path | str | None) -> Task:
-    """Return the plan that was flown.
+def _stiffness(value: float, relative: float) -> Estimate:
+    """Return the estimate of a stiffness [N/m], or that it is not determined."""
+    if not relative <= LARGEST_ERROR:
+        return Estimate.unknown(
+            f"its standard error would be {relative:.0%} of it: drones are displaced by "
+            "too little; fly a plan that does not know the cables' weight"
+        )
+    return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
 
-    Raises
-    ------
-    FileError, InputError: there is none.
+
+def _median(values: Array) -> Estimate:
+    """Return the median of independent values and its standard error."""
+    middle = float(np.median(values))
+    scatter = max(_scatter(values - middle), LEAST_LENGTH_SCATTER)
+    error = np.sqrt(0.5 * np.pi / len(values)) * scatter if len(values) > 1 else np.inf
+    return Estimate(middle, float(error))
+
+
+def _scatter(residuals: Array) -> float:
+    """Return the standard deviation of residuals about zero, which outliers do not change."""
+    return float(1.4826 * np.median(np.abs(residuals)))
+
+
+@dataclass(frozen=True, eq=False)
+class _Balance:
+    """Residuals of drones and clasps at measured places, and their derivatives.
+
+    Unknowns of all windows come first: log(1/k) of every kind of drone, the wind (2), the
+    coefficient of friction, and the common offset of ratios. Those of windows follow: tension and
+    the friction that both legs use, cable by cable.
+
+    Attributes
+    ----------
+    energy: of the windows, places being the set points; its stiffness is not used.
+    x: (windows, nodes, 3) [m], measured.
+    kinds: of each drone (2n,).
+    tensions: (windows, n) [N], the first guess.
+    pulls, unsure: (windows, n, 2), logarithms of ratios that a coefficient of 1 causes, and their
+        standard errors for that; zero where cables do not slide.
     """
-    if plan is not None:
-        return read_task(path("plan", plan))
-    if isinstance(recording, Flight):
-        return recording.task
-    if isinstance(recording, Recording):
-        raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
-    return read_task(recording.absolute().parent)
+
+    energy: HitchEnergy
+    x: Array
+    kinds: NDArray[np.intp]
+    tensions: Array
+    pulls: Array
+    unsure: Array
+
+    @classmethod
+    def of(
+        cls, team: Team, windows: Windows, density: float, feeds: Any, kinds: list[Quadrotor]
+    ) -> _Balance:
+        """Return the balance at windows, of cables of a density [kg/m]."""
+        weights = np.zeros((len(team.layout.clasps), 3))
+        weights[:, 2] = -GRAVITY * team.load
+        fed = -np.where(np.array(feeds)[:, None], windows.cable_forces, 0.0)
+        energy, _ = hitch_energy(
+            team,
+            np.ones(team.drones),
+            (windows.drones, windows.vertices),
+            windows.tensions,
+            np.broadcast_to(team.cable_length, windows.tensions.shape),
+            GRAVITY * density,
+            AXIAL_STIFFNESS,
+            windows.commanded,
+            (fed, weights),
+        )
+        clasps = windows.vertices[:, team.layout.clasps]
+        x = np.concatenate([windows.drones, clasps], axis=1)
+        kind = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
+        none = np.zeros((*windows.tensions.shape, 2))
+        return cls(energy, x, kind, windows.tensions, none, none)
+
+    @property
+    def ends(self) -> Array:
+        """(windows, n, 4, 3) [m], nodes of every cable."""
+        found: Array = self.x[:, self.energy.nodes]
+        return found
+
+    @property
+    def bends(self) -> Array:
+        """(windows, n, 2) [rad], angles by which cables turn at both clasps."""
+        chords, sizes, _ = self.energy.law.spans(self.ends)
+        bends = bends_of(chords / np.where(sizes > 0.0, sizes, 1.0)[..., None])
+        return np.asarray(np.where(self.energy.law.exist[:, ::2], bends, 1.0))
+
+    def fitted(self, expected: Array, spread: Array, stage: int) -> tuple[Array, Array, Array]:
+        """Return the unknowns of all windows, their standard errors, and tensions (windows, n).
+
+        Parameters
+        ----------
+        expected, spread: what is known of the former beforehand, and its standard deviations.
+        stage: 0 in long windows, 1 in short ones.
+        """
+        tension, drones, g = float(np.median(self.tensions)), self.energy.drones, len(expected)
+        scales = np.array([OFFSETS[stage], SHARES[stage] * tension])
+        least = np.array([LEAST_OFFSETS[stage], LEAST_SHARES[stage] * tension])
+        own = np.concatenate([self.tensions[..., None], 0.0 * self.pulls], axis=-1)
+        unknown = np.concatenate([expected, own.ravel()])
+        for _ in range(ROUNDS):
+            rows = _Rows(self, expected, spread, scales)
+            found = least_squares(
+                rows.values, unknown, rows.jacobian, loss="soft_l1", x_scale="jac", tr_solver="lsmr"
+            )
+            unknown = found.x
+            of_nodes = rows.values(unknown)[: self.x.size].reshape(self.x.shape)
+            parts = of_nodes[:, :drones], of_nodes[:, drones:]
+            scales = np.maximum(scales * [_scatter(part) for part in parts], least)
+        jacobian = csr_array(rows.jacobian(unknown))
+        freedom = max(len(found.fun) - len(unknown), 1)
+        variance = max(2.0 * found.cost / freedom, 1.0)
+        columns = splu((jacobian.T @ jacobian).tocsc()).solve(np.eye(len(unknown), g))
+        errors = np.sqrt(variance * np.diag(columns[:g]))
+        return unknown[:g], errors, unknown[g:].reshape(own.shape)[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The problem of least squares of a balance.
+
+    Attributes
+    ----------
+    balance: what is unknown, and where it acts.
+    expected, spread: of the unknowns of all windows (g,).
+    scales: (2,), scatter of displacements [m] and of forces on clasps [N].
+    """
+
+    balance: _Balance
+    expected: Array
+    spread: Array
+    scales: Array
+
+    def _split(self, unknown: Array) -> tuple[Array, Array, Array]:
+        """Return the weights of forces (nodes,), forces (windows, nodes, 3), and frictions."""
+        balance, energy, g = self.balance, self.balance.energy, len(self.expected)
+        own = unknown[g:].reshape(*balance.tensions.shape, 3)
+        at_ends = energy.law.forces(balance.ends, own[..., 0], own[..., 1:])[0]
+        pulls = energy.pulls(at_ends)
+        pulls[:, : energy.drones, :2] -= unknown[g - 4 : g - 2]
+        weights = np.full(pulls.shape[1], 1.0 / self.scales[1])
+        weights[: energy.drones] = np.exp(unknown[balance.kinds]) / self.scales[0]
+        return weights, pulls, own[..., 1:]
+
+    def _scatters(self) -> Array:
+        """Return the standard deviations (windows, n, 2) of the ratios' logarithms."""
+        balance = self.balance
+        sliding = np.hypot(LEAST_SCATTER, USUAL_FRICTION * balance.unsure)
+        return np.where(balance.pulls != 0.0, sliding, STICKING * balance.bends)
+
+    def values(self, unknown: Array) -> Array:
+        """Return the residuals of drones and clasps, of frictions, and of what is expected."""
+        balance, g = self.balance, len(self.expected)
+        weights, pulls, used = self._split(unknown)
+        residuals = weights[:, None] * pulls
+        drones = balance.energy.drones
+        residuals[:, :drones] += (balance.x[:, :drones] - balance.energy.places) / self.scales[0]
+        ratios = used * balance.bends - unknown[g - 2] * balance.pulls
+        ratios -= 0.5 * unknown[g - 1] * (balance.pulls != 0.0)
+        beforehand = (unknown[:g] - self.expected) / self.spread
+        return np.concatenate([residuals.ravel(), (ratios / self._scatters()).ravel(), beforehand])
+
+    def jacobian(self, unknown: Array) -> csr_array:
+        """Return the derivatives of ``values``, sparse."""
+        balance, energy, g = self.balance, self.balance.energy, len(self.expected)
+        weights, pulls, used = self._split(unknown)
+        shape, drones = pulls.shape, energy.drones
+        own = g + np.arange(3 * balance.tensions.size).reshape(*balance.tensions.shape, 3)
+        T = unknown[own[..., 0]]
+        node = 3 * np.arange(shape[0] * shape[1]).reshape(shape[:2])[..., None] + np.arange(3)
+        parts: list[tuple[Array, ...]] = []
+
+        def add(*part: Any) -> None:
+            """Add entries, and their rows and columns, which broadcast with them."""
+            parts.append(tuple(np.broadcast_to(each, part[0].shape).ravel() for each in part))
+
+        of_cables = node[:, energy.nodes]
+        for j in range(3):  # cables depend on none but their own unknowns
+            step = 1j * IMAGINARY * np.eye(3)[j]
+            moved = energy.law.forces(balance.ends + 0j, T + step[0], used + step[1:])[0]
+            slopes = weights[energy.nodes][..., None] * moved.imag / IMAGINARY
+            add(slopes, of_cables, own[..., j][..., None, None])
+        pulled = (weights[:, None] * pulls)[:, :drones]
+        add(pulled, node[:, :drones], balance.kinds[:, None])
+        blown = -np.broadcast_to(weights[:drones, None], (*shape[:1], drones, 2))
+        add(blown, node[:, :drones, :2], g - 4 + np.arange(2))
+        last, scatters = balance.x.size, self._scatters()
+        ratio = last + np.arange(used.size).reshape(used.shape)
+        add(balance.bends / scatters, ratio, own[..., 1:])
+        add(-balance.pulls / scatters, ratio, g - 2)
+        add(-0.5 * (balance.pulls != 0.0) / scatters, ratio, g - 1)
+        add(1.0 / self.spread, last + used.size + np.arange(g), np.arange(g))
+        entries, rows, columns = map(np.concatenate, zip(*parts, strict=True))
+        size = last + used.size + g, len(unknown)
+        return coo_array((entries, (rows, columns)), shape=size).tocsr()
 
 
 def _friction(
-    team: Team,
-    recording: Recording,
-    windows: Windows,
-    density: float,
-    fit: StiffnessFit | None,
-    stiffness: tuple[Estimate, ...],
-    feed_forward: NDArray[np.bool_],
+    team: Team, recording: Recording, windows: Windows, balance: _Balance, known: Array
 ) -> tuple[Estimate, Array]:
-    """Return the friction, and the edges' tensions (windows, n) [N], planned where unknown."""
-    found = np.repeat([one.value if one.known else np.nan for one in stiffness], 2)
-    k = np.where(np.isnan(found), team.stiffness, found)
-    if not np.all(np.isfinite(k)):
-        remark = "the drones' stiffness is neither determined nor stated by the plan's team"
-        return Estimate.unknown(f"tensions are unknown: {remark}"), windows.tensions
-    balance = ForceBalance.of(team, windows, density)
-    wind = np.zeros(2) if fit is None else fit.wind
-    pulls = part_pulls(balance, 1.0 / k, wind, feed_forward)
-    friction = fit_friction(sliding_clasps(team, recording, balance, pulls))
-    planned = windows.tensions
-    edges = np.clip(pulls[:, : team.robots], planned / 3.0, 3.0 * planned)
-    return friction, edges
+    """Return the friction, and the edges' tensions (windows, n) [N].
+
+    Parameters
+    ----------
+    team: cables and drones.
+    recording, windows: measured places.
+    balance: in these windows.
+    known: log(1/k), wind and two numbers that are not known.
+    """
+    pulls, unsure, slid = _sliding(team, recording, windows, balance)
+    spread = np.full(len(known), KNOWN)
+    spread[-2:] = FRICTION_SCALE, BULGE
+    sliding = replace(balance, pulls=pulls, unsure=unsure)
+    found, errors, tensions = sliding.fitted(known, spread, 1)
+    if slid < SLID:
+        remark = (
+            f"cables slide through clasps by {100 * slid:.1f} cm in all, less than {100 * SLID:g} "
+            "cm: friction is not seen; move a vertex by some decimetres"
+        )
+        return Estimate.unknown(remark), tensions
+    mu, error = float(found[-2]), float(errors[-2])
+    if error > LARGEST_FRICTION_ERROR or np.sum(np.any(pulls != 0.0, axis=(1, 2))) < 3:
+        remark = (
+            f"its standard error would be {error:.2g}: tensions scatter by more than friction "
+            "changes them; move vertices farther, or record more precisely"
+        )
+        return Estimate.unknown(remark), tensions
+    return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu))), tensions
+
+
+def friction_pulls(turns: Array, rates: Array, blurred: float = 0.0) -> Array:
+    """Return logarithms of leg over edge tensions (…, 2) that a friction coefficient of 1 causes.
+
+    Parameters
+    ----------
+    turns: (…, 2) [rad], angles in the plane by which a clasp's cables turn.
+    rates: (…, 2) [m/s], at which they slide toward their legs.
+    blurred: rate below which the direction of sliding counts little [m/s].
+    """
+    turn = np.mean(turns, axis=-1, keepdims=True)
+    along = rates - np.interp(turn, TURNS, COSINES) * rates[..., ::-1]
+    speed = np.hypot(_speeds(turns, rates), blurred)[..., None]
+    pulls: Array = turns * np.interp(turn, TURNS, IN_SPACE) * along / np.maximum(speed, 1e-12)
+    return pulls
+
+
+def _speeds(turns: Array, rates: Array) -> Array:
+    """Return the speeds (…) [m/s] of one cable's surface over the other's."""
+    a, b = np.moveaxis(rates, -1, 0)
+    cosine = np.interp(np.mean(turns, axis=-1), TURNS, COSINES)
+    return np.asarray(np.sqrt(np.maximum(a**2 + b**2 - 2.0 * cosine * a * b, 0.0)))
+
+
+def _sliding(
+    team: Team, recording: Recording, windows: Windows, balance: _Balance
+) -> tuple[Array, Array, float]:
+    """Return what friction makes of ratios where the plan slides cables over each other.
+
+    Noise of the drones slides cables back and forth; therefore directions are those of short spans.
+
+    Returns
+    -------
+    pulls, unsure: (windows, n, 2), as in ``_Balance``.
+    slid: distance by which cables slide over each other in all windows and clasps [m].
+    """
+    layout = team.layout
+    cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
+
+    def legs_of(drones: Array, vertices: Array) -> Array:
+        """Return the lengths (…, clasps, 2) [m] of the legs at all clasps."""
+        legs = np.linalg.norm(drones - vertices[:, layout.anchors], axis=-1)
+        return np.asarray(legs.reshape(len(legs), -1, 2)[:, cable, side])
+
+    seen, turns = recording.seen, balance.bends[:, cable, side]
+    t, legs_seen = recording.t[seen], legs_of(recording.drones[seen], recording.vertices[seen])
+    _, start, count = np.unique(np.floor(t / RATE_SPAN), return_index=True, return_counts=True)
+    time = np.add.reduceat(t, start) / count
+    place = np.add.reduceat(legs_seen, start, axis=0) / count[:, None, None]
+    rates = np.diff(place, axis=0) / np.diff(time)[:, None, None]
+    middle = 0.5 * (time[1:] + time[:-1])
+    nearest = np.searchsorted(0.5 * (windows.t[1:] + windows.t[:-1]), middle)
+    within = np.abs(middle - windows.t[nearest]) <= 0.5 * WINDOW + 1e-9
+    window, rates = nearest[within], rates[within]
+    total = np.bincount(window, minlength=len(windows.t))[:, None, None]
+
+    def mean(values: Array) -> Array:
+        sums = np.zeros_like(turns)
+        np.add.at(sums, window, values)
+        return np.asarray(sums / np.maximum(total, 1))
+
+    pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
+    asked = legs_of(windows.commanded, windows.planned)
+    asked = np.gradient(asked, windows.t, axis=0) if len(windows.t) > 1 else 0.0 * asked
+    speed = _speeds(turns, rate)
+    usable = (total[..., 0] > 1) & (speed > SLIDING) & (_speeds(turns, asked) > PLANNED)
+    usable &= np.sum(rate * asked, axis=-1) > 0.0
+    turn = np.mean(turns, axis=-1, keepdims=True)
+    largest = turns * np.interp(turn, TURNS, IN_SPACE)
+    unsure = DIRECTION_ERROR * np.sqrt(np.maximum(largest**2 - pulls**2, 0.0))
+    of_legs = np.zeros((2, *balance.pulls.shape))
+    for into, values in zip(of_legs, (pulls, unsure), strict=True):
+        into[:, cable, side] = np.where(usable[..., None], values, 0.0)
+    return of_legs[0], of_legs[1], float(np.sum(speed[usable]) * WINDOW)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.spatial import HalfspaceIntersection
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon
@@ -184,24 +184,23 @@ def _improved(cost: Callable[[Indices], Array], n: int, count: int) -> Indices:
 
 def _inner_boundary(section: Section, inset: float) -> Array:
     """Return points (points, 2) [m], counter-clockwise, on the boundary of a smaller section."""
-    angles = 2.0 * math.pi * np.arange(POINTS) / POINTS
-    out = np.column_stack([np.cos(angles), np.sin(angles)])
     centre, core = section.centroid, section.core
+    sides = np.roll(core, -1, axis=0) - core
+    outward = np.stack([-sides[:, 1], sides[:, 0]], axis=1)
+    outward /= np.maximum(np.hypot(*sides.T), np.finfo(float).tiny)[:, None]
+    depth = np.sum((core - centre) * outward, axis=1) + section.rounding - inset
+    if np.min(depth) <= inset:
+        raise _too_narrow(float(np.min(depth)) + inset, inset)
     if len(core) == 1:
-        reach = np.full(POINTS, section.rounding - inset)
-    else:
-        sides = np.roll(core, -1, axis=0) - core
-        outward = np.stack([-sides[:, 1], sides[:, 0]], axis=1) / np.hypot(*sides.T)[:, None]
-        depth = np.sum((core - centre) * outward, axis=1) - inset
-        corners = _corners_of(outward, depth)
-        of_corners = np.arctan2(corners[:, 1], corners[:, 0]) % (2.0 * math.pi)
-        angles = np.sort(np.append(angles, of_corners))
-        out = np.column_stack([np.cos(angles), np.sin(angles)])
-        toward = out @ outward.T
-        reach = np.min(np.where(toward > 1e-9, depth / np.maximum(toward, 1e-9), np.inf), axis=1)
-    if np.min(reach) <= inset:
-        raise _too_narrow(float(np.min(reach)) + inset, inset)
-    points: Array = centre + reach[:, None] * out
+        angles = 2.0 * np.pi * np.arange(POINTS) / POINTS
+        circle: Array = centre + depth * np.column_stack([np.cos(angles), np.sin(angles)])
+        return circle
+    corners = HalfspaceIntersection(np.column_stack([outward, -depth]), np.zeros(2)).intersections
+    corners = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]))]
+    ring = np.vstack([corners, corners[:1]])
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(ring, axis=0).T)))
+    places = np.unique(np.append(along[:-1], np.linspace(0.0, along[-1], POINTS, endpoint=False)))
+    points: Array = centre + np.stack([np.interp(places, along, x) for x in ring.T], axis=1)
     return points
 
 
@@ -209,17 +208,6 @@ def _too_narrow(size: float, inset: float) -> InfeasibleError:
     remedy = "lower the clearance, or grip it"
     broken = Violation("support", size, 2.0 * inset, "min", "m", (), "", remedy)
     return InfeasibleError([broken], "the section is too narrow for such a polygon inside of it")
-
-
-def _corners_of(outward: Array, depth: Array) -> Array:
-    """Return the corners (k, 2) [m] of half planes about the origin, by their dual's hull."""
-    if np.min(depth) <= 0.0:
-        return np.zeros((0, 2))
-    hull = ConvexHull(outward / depth[:, None])
-    i, j = np.asarray(hull.simplices).T
-    pairs = np.stack([outward[i], outward[j]], axis=1)
-    corners = np.linalg.solve(pairs, np.stack([depth[i], depth[j]], axis=1)[..., None])
-    return np.asarray(corners[..., 0], dtype=np.float64)
 
 
 def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:

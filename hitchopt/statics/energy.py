@@ -104,14 +104,15 @@ class Cables:
         middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
         return chords, sizes, middles - self.heights[..., None]
 
-    def forces(self, ends: Any, T: Any, friction: float = 0.0) -> tuple[Any, Any, Any]:
+    def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> tuple[Any, Any, Any]:
         """Return what cables of tensions T pull their nodes with, turned round, and more.
 
         Parameters
         ----------
         ends: (…, S, n, 4, 3) [m], nodes of each cable; real or complex.
         T: (…, S, n) [N], likewise.
-        friction: μ; positive where legs pull more than edges, negative where they pull less.
+        friction: that is used, of all legs or of each (…, S, n, 2); positive where legs pull more
+            than edges, negative where they pull less.
 
         Returns
         -------
@@ -131,10 +132,8 @@ class Cables:
         stretched = T - self.reference
         energies = np.sum(sizes * (m + bent * level), axis=-1) - T * self.lengths
         energies = energies - 0.5 * self.compliance * stretched * stretched
-        if friction:
-            cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
-            bends = np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
-            pulls[..., 0::2, :] *= np.exp(friction * bends)[..., None]
+        if np.any(friction):
+            pulls[..., 0::2, :] *= np.exp(friction * bends_of(units))[..., None]
         forces = np.zeros(ends.shape, dtype=pulls.dtype)
         forces[..., 1:, :] += pulls
         forces[..., :-1, :] -= pulls
@@ -189,6 +188,12 @@ class Cables:
         """Return the slope of arcs by s h² for tensions m (…, 3) [N]."""
         held = self._held(m)
         return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2
+
+
+def bends_of(units: Any) -> Any:
+    """Return the angles (…, 2) [rad] between spans of directions (…, 3, 3), at both clasps."""
+    cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
+    return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
 
 
 def least_tension(weight: float, chords: Array) -> Array:
@@ -265,11 +270,18 @@ class HitchEnergy:
     def slopes(self, x: Array, friction: float = 0.0) -> Array:
         """Return minus the force on every node (S, nodes, 3) [N], zero on those that are held."""
         ends = x[:, self.nodes]
-        slopes = -self.loads
+        slopes = self.pulls(self.law.forces(ends, self.law.tensions(ends), friction)[0])
         slopes[:, : self.drones] += self.stiffness[:, None] * (x[:, : self.drones] - self.places)
-        at_ends = self.law.forces(ends, self.law.tensions(ends), friction)[0]
-        np.add.at(slopes.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
         return np.where(self.free[:, None], slopes, 0.0)
+
+    def pulls(self, at_ends: Array) -> Array:
+        """Return minus the forces of cables, of loads and of feed-forward (S, nodes, 3) [N].
+
+        ``at_ends`` (S, n, 4, 3) [N] are those of every cable, turned round.
+        """
+        pulls = -self.loads
+        np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
+        return pulls
 
     def linear(self, x: Array, friction: float = 0.0) -> Linear:
         """Return the derivatives of the cables' law at nodes x (S, nodes, 3) [m]."""

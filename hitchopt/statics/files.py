@@ -20,9 +20,8 @@ from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.holding.capacity import Capacity
 from hitchopt.holding.grip import Grip
 from hitchopt.objects import Section
-from hitchopt.statics.calibrate import Calibration
+from hitchopt.statics.calibrate import Calibration, Estimate
 from hitchopt.statics.fit import GRIP, REST, Fit
-from hitchopt.statics.friction import Estimate
 from hitchopt.statics.settle import Settled
 from hitchopt.statics.tolerance import Tolerance
 from hitchopt.storage.files import replace_files, write_strict_json

@@ -1,9 +1,9 @@
-"""Recorded flights: positions over time, against the plan, in windows."""
+"""Recorded flights: positions over time, against the plan, and their means over windows."""
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,9 @@ MAX_BYTES = 400_000_000
 
 DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
 """Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
+
+WINDOW_TIGHT = 0.9
+"""Least planned tension over the team's at which a hitch counts as drawn tight in a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,19 +55,19 @@ class Recording(OneLine):
     @classmethod
     def of_flight(cls, flight: Flight) -> Recording:
         """Return what a simulated flight recorded until it had rested."""
-        record, layout = flight.record, flight.task.team.layout
+        record, team = flight.record, flight.task.team
         rows = record.t <= np.fmax(flight.task.duration, flight.rested) + 1e-9
         drones = record.drones[rows]
-        vertices = np.full((len(drones), layout.points, 3), np.nan)
-        vertices[:, layout.clasps] = record.vertices[rows]
-        return cls(
-            record.t[rows],
-            drones,
-            _with_ends(vertices, drones, flight.task.team),
-            flight.density,
-            flight.gains.feed_forward,
-            flight.gains.integral > 0.0,
-        )
+        vertices = np.full((len(drones), team.layout.points, 3), np.nan)
+        vertices[:, team.layout.clasps] = record.vertices[rows]
+        known = flight.density, flight.gains.feed_forward, flight.gains.integral > 0.0
+        return cls(record.t[rows], drones, _with_ends(vertices, drones, team), *known)
+
+    @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(samples,): whether all drones and points are, after the plan's start."""
+        seen = np.all(np.isfinite(self.drones), axis=(1, 2)) & (self.t >= 0.0)
+        return np.asarray(seen & np.all(np.isfinite(self.vertices), axis=(1, 2)))
 
 
 def read_recording(path: Path, team: Team) -> Recording:
@@ -82,27 +85,23 @@ def read_recording(path: Path, team: Team) -> Recording:
     names = (*team.drone_names, *team.point_names)
     known: tuple[Any, ...] = ()
     if path.is_dir():
-        drones = _rows(path / DRONES, "drone", dict(zip(names, range(len(names)), strict=True)))
+        drones = _rows(path / DRONES, "drone", {name: i for i, name in enumerate(names)})
         points = {str(p): team.drones + p for p in range(team.layout.points)}
         vertices = _rows(path / VERTICES, "vertex", points)
         last = np.max(vertices[:, 0], initial=-np.inf)  # drones alone are recorded longer
-        if np.isfinite(last):
-            drones = drones[drones[:, 0] <= last]
-        rows = np.vstack([drones, vertices])
+        rows = np.vstack([drones[~(drones[:, 0] > last) | np.isinf(last)], vertices])
         known = _simulated(path / SUMMARY, team)
     else:
-        rows = _rows(path, "name", dict(zip(names, range(len(names)), strict=True)))
+        rows = _rows(path, "name", {name: i for i, name in enumerate(names)})
     item = rows[:, 1].astype(np.intp)
-    seen = np.bincount(item, minlength=len(names)) > 0
-    for k, name in enumerate(team.drone_names):
-        if not seen[k]:
-            raise FileError(
-                f"{path}: {name} is not recorded; the columns are {HEADER}, names as in the plan"
-            )
+    for k in np.setdiff1d(np.arange(team.drones), item)[:1]:
+        raise FileError(
+            f"{path}: {names[k]} is not recorded; the columns are {HEADER}, names as in the plan"
+        )
     t, sample = np.unique(rows[:, 0], return_inverse=True)
-    places = np.full((len(t), len(names), 3), np.nan)
     if len(np.unique(sample * len(names) + item)) < len(rows):
         raise FileError(f"{path}: holds a name twice at the same time; record it once")
+    places = np.full((len(t), len(names), 3), np.nan)
     places[sample, item] = rows[:, 2:]
     drones, vertices = places[:, : team.drones], places[:, team.drones :]
     return Recording(t, drones, _with_ends(vertices, drones, team), *known)
@@ -160,11 +159,10 @@ def _rows(path: Path, kind: str, items: dict[str, int]) -> Array:
         raise FileError(f"{path}: there is no such file; give a recording") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(f"{path}: cannot be read as a table: {error}") from error
-    missing = [title for title in ("t", kind, "x", "y", "z") if title not in titles]
-    if missing:
-        raise FileError(f"{path}: has no column {missing[0]!r}; a recording has {HEADER}")
-    wanted = [titles.index(title) for title in ("t", "x", "y", "z")]
-    name = titles.index(kind)
+    for title in ("t", kind, "x", "y", "z"):
+        if title not in titles:
+            raise FileError(f"{path}: has no column {title!r}; a recording has {HEADER}")
+    wanted, name = [titles.index(title) for title in ("t", "x", "y", "z")], titles.index(kind)
     try:
         item = np.array([items.get(line[name].strip(), -1) for line in lines], dtype=np.intp)
         cells = [[float(line[c] or "nan") for c in wanted] for line in lines]
@@ -173,47 +171,34 @@ def _rows(path: Path, kind: str, items: dict[str, int]) -> Array:
     values = np.array(cells, dtype=np.float64).reshape(len(lines), len(wanted))
     if not np.all(np.isfinite(values[:, 0])):
         raise FileError(f"{path}: holds a time that is not finite; give every row its time")
-    known = item >= 0
-    return np.column_stack([values[known, 0], item[known], values[known, 1:4]])
+    return np.column_stack([values[:, 0], item, values[:, 1:]])[item >= 0]
 
 
-@dataclass(frozen=True, eq=False)
 class PlanRows:
-    """Samples of a plan between which the times of a recording fall.
+    """A plan's samples at times (times,) [s] from its start, which stands still outside of it.
 
     Attributes
     ----------
-    low, high: indices of samples (times,).
-    share: (times,), from 0 at the first to 1 at the second.
+    low, high: indices of the samples (times,) between which the times fall.
     """
 
-    low: NDArray[np.intp]
-    high: NDArray[np.intp]
-    share: Array
-
-    @classmethod
-    def at(cls, task: Task, times: Array) -> PlanRows:
-        """Return the samples about some times (times,) [s] from the plan's start.
-
-        Before its start and after its end a plan stands still.
-        """
-        asked = task.t[0] + np.clip(times, 0.0, task.duration)
-        last = len(task.t) - 1
-        low = np.clip(np.searchsorted(task.t, asked, side="right") - 1, 0, last)
-        high = np.minimum(low + 1, last)
-        step = np.where(high > low, task.t[high] - task.t[low], 1.0)
-        return cls(low, high, np.clip((asked - task.t[low]) / step, 0.0, 1.0))
+    def __init__(self, task: Task, times: Array) -> None:
+        asked, last = task.t[0] + np.clip(times, 0.0, task.duration), len(task.t) - 1
+        self.low = np.clip(np.searchsorted(task.t, asked, side="right") - 1, 0, last)
+        self.high = np.minimum(self.low + 1, last)
+        step = np.where(self.high > self.low, task.t[self.high] - task.t[self.low], 1.0)
+        self._share = np.clip((asked - task.t[self.low]) / step, 0.0, 1.0)
 
     def of(self, values: Array) -> Array:
         """Return the plan's values (samples, …), interpolated linearly: (times, …)."""
-        share = self.share.reshape(-1, *[1] * (values.ndim - 1))
+        share = self._share.reshape(-1, *[1] * (values.ndim - 1))
         found: Array = (1.0 - share) * values[self.low] + share * values[self.high]
         return found
 
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Distances from the plan.
+    """Distances from the plan, in three dimensions.
 
     Attributes
     ----------
@@ -236,28 +221,16 @@ class Comparison:
 
 
 def compare(recording: Recording, task: Task) -> Comparison:
-    """Return how far a recording is from its plan, in three dimensions."""
-    rows = PlanRows.at(task, recording.t)
+    """Return how far a recording is from its plan."""
+    rows, places = PlanRows(task, recording.t), task.setpoints.positions
     tight = np.all(task.tensions >= TIGHT * task.team.tension, axis=-1) & task.formed
     hitched = tight[rows.low] & tight[rows.high]
-    off = recording.vertices - rows.of(task.vertices)
-    vertices = np.where(hitched[:, None], np.linalg.norm(off, axis=-1), np.nan)
-    places = task.setpoints.positions
+    off = np.linalg.norm(recording.vertices - rows.of(task.vertices), axis=-1)
     drones = np.linalg.norm(recording.drones - rows.of(places), axis=-1)
     steps = np.max(np.abs(places[rows.high] - places[rows.low]), axis=(1, 2))
     inside = (recording.t >= 0.0) & (recording.t <= task.duration)
+    vertices = np.where(hitched[:, None], off, np.nan)
     return Comparison(recording.t, vertices, drones, (steps > STILL) & inside)
-
-
-WINDOW = 0.5
-"""Length of a window [s]: some times the correlation time of a drone's position error."""
-
-SPAN = 6.0
-"""Length of a span over which stiffness is fitted [s]: tensions of a span of 0.5 s would follow the
-noise of its drones, which makes them seem up to 24 % stiffer, spans of 2 s up to 13 %."""
-
-WINDOW_TIGHT = 0.9
-"""Least planned tension over the team's at which a hitch counts as drawn tight in a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +239,7 @@ class Windows:
 
     Attributes
     ----------
-    t: middles (windows,) [s].
+    t: means of the times (windows,) [s].
     drones, vertices: measured (windows, 2n, 3), (windows, points, 3) [m].
     commanded: set points (windows, 2n, 3) [m].
     planned: planned vertices (windows, points, 3) [m].
@@ -282,56 +255,24 @@ class Windows:
     cable_forces: Array
     tensions: Array
 
-    def spans(self) -> Windows:
-        """Return means over spans of about SPAN, each without a gap."""
-        number = np.arange(len(self.t))
-        run = np.cumsum(np.diff(self.t, prepend=self.t[:1]) > 1.5 * WINDOW)
-        _, first, length = np.unique(run, return_index=True, return_counts=True)
-        parts = np.maximum(np.round(length * WINDOW / SPAN), 1.0)
-        span = ((number - first[run]) * parts[run] / length[run]).astype(np.intp)
-        _, first, count = np.unique([run, span], axis=1, return_index=True, return_counts=True)
+    @classmethod
+    def of(cls, recording: Recording, task: Task, size: float) -> Windows:
+        """Return the windows of a size [s], those left out of which less than half is usable."""
+        rows, least = PlanRows(task, recording.t), WINDOW_TIGHT * task.team.tension
+        tight = task.formed & np.all(task.tensions >= least, axis=-1)
+        usable = recording.seen & tight[rows.low]
+        _, window, total = np.unique(
+            np.floor(recording.t / size), return_inverse=True, return_counts=True
+        )
+        usable &= (np.bincount(window, usable) >= 0.5 * np.median(total))[window]
+        _, window, count = np.unique(window[usable], return_inverse=True, return_counts=True)
 
         def mean(values: Array) -> Array:
-            sums: Array = np.add.reduceat(values, first, axis=0)
+            sums = np.zeros((len(count), *values.shape[1:]))
+            np.add.at(sums, window, values[usable])
             return sums / count.reshape(-1, *[1] * (values.ndim - 1))
 
-        columns: Any = (mean(getattr(self, field.name)) for field in fields(self))
-        return Windows(*columns)
-
-
-def windows_of(recording: Recording, task: Task) -> Windows:
-    """Return the windows of a recording, each with the set points that applied.
-
-    After its end a plan stands still at its last set point.
-    """
-    rows = PlanRows.at(task, recording.t)
-    row = rows.low
-    tight = task.formed[row] & np.all(
-        task.tensions[row] >= WINDOW_TIGHT * task.team.tension, axis=-1
-    )
-    seen = np.all(np.isfinite(recording.drones), axis=(1, 2))
-    seen &= np.all(np.isfinite(recording.vertices), axis=(1, 2))
-    window = np.floor(recording.t / WINDOW).astype(np.intp)
-    usable = tight & seen & (recording.t >= 0.0)
-    number, of_sample = np.unique(window, return_inverse=True)
-    total = np.bincount(of_sample, minlength=len(number))
-    good = np.bincount(of_sample, usable, minlength=len(number))
-    chosen = usable & (good >= 0.5 * np.median(total))[of_sample]
-    number, of_sample = np.unique(window[chosen], return_inverse=True)
-    count = np.bincount(of_sample, minlength=len(number))
-
-    def mean(values: Array) -> Array:
-        sums = np.zeros((len(number), *values.shape[1:]))
-        np.add.at(sums, of_sample, values[chosen])
-        return sums / count.reshape(-1, *[1] * (values.ndim - 1))
-
-    setpoints = task.setpoints
-    return Windows(
-        mean(recording.t),
-        mean(recording.drones),
-        mean(recording.vertices),
-        mean(rows.of(setpoints.positions)),
-        mean(rows.of(task.vertices)),
-        mean(rows.of(setpoints.cable_forces)),
-        mean(rows.of(task.tensions)),
-    )
+        setpoints = task.setpoints
+        plan = setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions
+        measured = map(mean, (recording.t, recording.drones, recording.vertices))
+        return cls(*measured, *(mean(rows.of(values)) for values in plan))

@@ -6,7 +6,7 @@ import contextlib
 import csv
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,6 @@ from hitchopt.sweeps.sweep import Share
 from hitchopt.sweeps.work import finished
 
 FORMAT = "hitchopt-campaign/1"
-
-SPREADS = ("vertex_error", "resting", "moving", "without_sag", "tracking")
-FIGURES = ("peak_tension", "saturated", "pace", "placed", "tilted", "slipped")
-"""Figures of a run in the table of runs."""
 
 
 @dataclass(frozen=True)
@@ -108,28 +104,26 @@ def run_campaign(
         raise InputError("runs", runs, "at least 1", "a campaign needs some flights")
     if processes is not None and processes < 1:
         raise InputError("processes", processes, "at least 1", "leave it out for all processors")
-    jobs = [(task, replace(settings, seed=settings.seed + i)) for i in range(runs)]
+    width = min(runs, processes or os.cpu_count() or 1)
+    given = [replace(settings, seed=settings.seed + i) for i in range(runs)]
     found: list[Run] = []
-    for run in _flown(jobs, min(runs, processes or os.cpu_count() or 1)):
-        found.append(run)
-        if progress is not None:
-            succeeded = sum(run.succeeded for run in found)
-            progress(f"{len(found)} of {runs} flown, {succeeded} succeeded")
+    with contextlib.ExitStack() as stack:
+        flown: Iterable[Run] = (one_run(each, task) for each in given)
+        if width > 1:
+            tasks = {f"flight-{each.seed}": (each,) for each in given}
+            done = stack.enter_context(
+                contextlib.closing(finished(one_run, tasks, width, shared=task))
+            )
+            flown = (future.result() for _, future in done)
+        for run in flown:
+            found.append(run)
+            if progress is not None:
+                succeeded = sum(run.succeeded for run in found)
+                progress(f"{len(found)} of {runs} flown, {succeeded} succeeded")
     return Campaign(settings, tuple(sorted(found, key=lambda run: run.seed)), task.digest)
 
 
-def _flown(jobs: list[tuple[Task, Settings]], processes: int) -> Iterator[Run]:
-    """Yield the figures of every flight as it ends."""
-    if processes == 1:
-        yield from map(one_run, jobs)
-        return
-    tasks = {f"flight-{job[1].seed}": (job,) for job in jobs}
-    with contextlib.closing(finished(one_run, tasks, processes)) as done:
-        for _, future in done:
-            yield future.result()
-
-
-def one_run(job: tuple[Task, Settings]) -> Run:
+def one_run(settings: Settings, task: Task) -> Run:
     """Return the figures of one flight; one that cannot begin is a failure, not an error.
 
     Raises
@@ -137,11 +131,11 @@ def one_run(job: tuple[Task, Settings]) -> Run:
     InputError, UnsupportedError: a reason that prevents every other flight as well.
     """
     try:
-        return simulate(*job).run
+        return simulate(task, settings).run
     except (InputError, UnsupportedError):
         raise
     except HitchoptError as error:
-        return Run(job[1].seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
+        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
@@ -151,20 +145,19 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
     ------
     FileError: the directory cannot be written to.
     """
+    rows = [_row(run) for run in campaign.runs]
+
+    def write_runs(path: Path) -> None:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+            table.writeheader()
+            table.writerows(rows)
+
     writers: dict[str, Writer] = {
-        RUNS: lambda path: _write_runs(path, campaign),
+        RUNS: write_runs,
         CAMPAIGN: lambda path: write_strict_json(path, campaign.to_dict()),
     }
     return replace_files(directory, writers, OWNED, seal=CAMPAIGN)
-
-
-def _write_runs(path: Path, campaign: Campaign) -> None:
-    """Write one row per run."""
-    rows = [_row(run) for run in campaign.runs]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows)
 
 
 def _row(run: Run) -> dict[str, object]:
@@ -179,6 +172,5 @@ def _row(run: Run) -> dict[str, object]:
         first = run.failures[0]
         row |= {"failure": first.kind, "where": " ".join(first.where)}
         row |= {"time": f"{first.time:.3f}", "words": first.words}
-    for name in SPREADS:
-        row |= {f"{name}_{key}": number(x, 6) for key, x in vars(getattr(run, name)).items()}
-    return row | {name: number(getattr(run, name), 6) for name in FIGURES}
+    figures = run.figures | {"pace": run.pace}
+    return row | {name: number(value, 6) for name, value in figures.items()}

@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, ValidationError, model_validator
 
 from hitchopt.errors import FileError, InputError, OneLine
@@ -38,63 +37,78 @@ MAX_CASES, MAX_SAMPLES = 1_000_000, 100_000
 """Largest number of cases of one study, more are a typing error; and of samples."""
 
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
-"""Packages whose versions are part of every case's digest."""
-
-SIMULATOR = "mujoco"
-"""Package whose version counts where flights are simulated."""
+"""Packages whose versions are part of every case's digest; mujoco's where flights are simulated."""
 
 _PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]{1,6})\]")
 
 
-@dataclass(frozen=True)
-class Listed:
-    """A parameter that takes given values, each with every value of the others.
+class RangeKeys(Keys):
+    """A range from which values are drawn."""
 
-    Parameters
-    ----------
-    key: path of a key, such as ``team.tension`` or ``mission[0].form.altitude``.
-    values: the values.
-    """
+    model_config = ConfigDict(populate_by_name=True)
+    low: float = option("Lower end", alias="from", examples=[0.2])
+    high: float = option("Upper end", alias="to", examples=[0.6])
+    log: bool = option("Even in the logarithm", False)
 
-    key: str
-    values: tuple[Plain, ...]
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A parameter that is drawn from a range, one value a sample.
-
-    Parameters
-    ----------
-    key: path of a key.
-    low, high: ends of the range.
-    log: whether the logarithm is distributed evenly, not the value.
-    quasi: whether samples are those of a Halton sequence (Owen 2017), which fill the range evenly.
-    """
-
-    key: str
-    low: float
-    high: float
-    log: bool = False
-    quasi: bool = False
-
-    def at(self, shares: NDArray[np.float64]) -> list[float]:
-        """Return the values at shares (samples,) of the range, 0 to 1."""
+    def at(self, shares: Any) -> list[float]:
+        """Return the values at shares of the range, 0 to 1."""
         if self.log:
-            return list(np.exp(np.interp(shares, [0.0, 1.0], np.log([self.low, self.high]))))
-        return list(np.interp(shares, [0.0, 1.0], [self.low, self.high]))
+            shares = np.interp(shares, [0.0, 1.0], np.log([self.low, self.high]))
+            return [float(x) for x in np.exp(shares)]
+        return [float(x) for x in np.interp(shares, [0.0, 1.0], [self.low, self.high])]
 
 
-Parameter = Listed | Drawn
+class GridKeys(RangeKeys):
+    """Values at even distances, the ends among them."""
+
+    count: int = option("Number of values", ge=2, le=MAX_SAMPLES, examples=[4])
 
 
-def points(parameters: Sequence[Parameter], samples: int, seed: int) -> list[Point]:
+class ParameterKeys(Keys):
+    """What values a parameter takes: one of four keys."""
+
+    values: list[Any] | None = option(
+        "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
+    )
+    grid: GridKeys | None = option("Values at even distances", None)
+    random: RangeKeys | None = option("Values drawn at random", None)
+    quasi_random: RangeKeys | None = option(
+        "Values of a Halton sequence, which fill the range evenly", None
+    )
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise fault("one of list, grid, random, quasi_random", "keep one of them")
+        span = self.grid or self.drawn
+        if span is not None and not span.low < span.high:
+            raise fault("from below to", "exchange the two")
+        if span is not None and span.log and span.low <= 0.0:
+            raise fault("from above 0 where log is true", "leave out log")
+        return self
+
+    @property
+    def drawn(self) -> RangeKeys | None:
+        """The range that it is drawn from, one value a sample; None of listed values."""
+        return self.random or self.quasi_random
+
+    @property
+    def listed(self) -> list[Plain]:
+        """The listed values, each of which is taken with every value of the others."""
+        if (grid := self.grid) is not None:
+            space = np.geomspace if grid.log else np.linspace
+            return [float(x) for x in space(grid.low, grid.high, grid.count)]
+        return [plain(value) for value in self.values or ()]
+
+
+def points(parameters: Mapping[str, ParameterKeys], samples: int, seed: int) -> list[Point]:
     """Return every combination of the listed values, with every sample of the drawn ones.
 
     Parameters
     ----------
-    parameters: in the study's order, which is that of the points: the last listed one changes
-        first, samples before it.
+    parameters: by key path, in the study's order, which is that of the points: the last listed one
+        changes first, samples before it.
     samples: number of samples of the drawn ones; 1 counts where none is drawn.
     seed: of the samples.
 
@@ -104,24 +118,24 @@ def points(parameters: Sequence[Parameter], samples: int, seed: int) -> list[Poi
     """
     from scipy.stats import qmc
 
-    listed = [p for p in parameters if isinstance(p, Listed)]
-    drawn = [p for p in parameters if isinstance(p, Drawn)]
+    drawn = {key: each.drawn for key, each in parameters.items() if each.drawn is not None}
+    listed = {key: each.listed for key, each in parameters.items() if key not in drawn}
     samples = samples if drawn else 1
-    count = int(np.prod([len(p.values) for p in listed])) * samples
+    count = int(np.prod([len(values) for values in listed.values()])) * samples
     if count > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
-    quasi = [p.key for p in drawn if p.quasi]
+    quasi = [key for key in drawn if parameters[key].random is None]
     even = qmc.Halton(max(len(quasi), 1), scramble=True, seed=np.random.default_rng(seed))
     shares = dict(zip(quasi, even.random(samples).T, strict=False))
     chance = np.random.default_rng([seed, 1])
-    shares |= {p.key: chance.random(samples) for p in drawn if not p.quasi}
-    columns = {p.key: p.at(shares[p.key]) for p in drawn}
+    shares |= {key: chance.random(samples) for key in drawn if key not in quasi}
+    columns = [span.at(shares[key]) for key, span in drawn.items()]
+    rows = [dict(zip(drawn, row, strict=True)) for row in zip(*columns, strict=True)] or [{}]
     found: list[Point] = []
-    for values in itertools.product(*(p.values for p in listed)):
-        chosen = dict(zip((p.key for p in listed), values, strict=True))
-        for i in range(samples):
-            whole = chosen | {key: float(column[i]) for key, column in columns.items()}
-            found.append({p.key: whole[p.key] for p in parameters})
+    for values in itertools.product(*listed.values()):
+        for row in rows:
+            chosen: Point = {**dict(zip(listed, values, strict=True)), **row}
+            found.append({key: chosen[key] for key in parameters})
     return found
 
 
@@ -154,30 +168,22 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
     made: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
         inner: Any = made
-        *path, last = key_parts(key)
-        for part, following in zip(path, [*path, last][1:], strict=True):
-            _check_place(inner, part, key)
-            if isinstance(inner, dict):
+        parts = key_parts(key)
+        for part, following in itertools.zip_longest(parts, parts[1:]):
+            if isinstance(inner, list) and isinstance(part, int) and part >= len(inner):
+                bound = f"below {len(inner)}, the list's length"
+                raise InputError(f"parameters.{key}", f"[{part}]", bound, "count from 0")
+            if not isinstance(inner, {int: list, str: dict}[type(part)]):
+                kinds: dict[type, str] = {list: "a list", dict: "a mapping"}
+                kind = kinds.get(type(inner), "a value")
+                bound = "a place in brackets in a list, the name of a key in a mapping"
+                raise InputError(f"parameters.{key}", part, bound, f"what is there is {kind}")
+            if following is None:
+                inner[part] = deepcopy(value)
+            elif isinstance(inner, dict):
                 inner.setdefault(part, {} if isinstance(following, str) else [])
             inner = inner[part]
-        _check_place(inner, last, key)
-        inner[last] = deepcopy(value)
     return made
-
-
-def _check_place(inner: Plain, part: str | int, key: str) -> None:
-    """Raise InputError unless a part of a key path is a key of a mapping or a place in a list."""
-    if isinstance(inner, list) and isinstance(part, int):
-        if part < len(inner):
-            return
-        bound, remedy = f"below {len(inner)}, the list's length", "count from 0"
-        raise InputError(f"parameters.{key}", f"[{part}]", bound, remedy)
-    if isinstance(inner, dict) and isinstance(part, str):
-        return
-    kind = "a mapping" if isinstance(inner, dict) else "a value"
-    kind = "a list" if isinstance(inner, list) else kind
-    bound = "a place in a list, in brackets" if isinstance(inner, list) else "the name of a key"
-    raise InputError(f"parameters.{key}", part, bound, f"what is there is {kind}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,61 +221,12 @@ class Case:
 def versions(simulated: bool) -> dict[str, str]:
     """Return the versions that a row depends on, by package; empty where it is not installed."""
     found = {}
-    for name in (*LIBRARIES, SIMULATOR) if simulated else LIBRARIES:
+    for name in (*LIBRARIES, "mujoco") if simulated else LIBRARIES:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             found[name] = ""
     return found
-
-
-class RangeKeys(Keys):
-    """A range from which values are drawn."""
-
-    model_config = ConfigDict(populate_by_name=True)
-    low: float = option("Lower end", alias="from", examples=[0.2])
-    high: float = option("Upper end", alias="to", examples=[0.6])
-    log: bool = option("Even in the logarithm", False)
-
-
-class GridKeys(RangeKeys):
-    """Values at even distances, the ends among them."""
-
-    count: int = option("Number of values", ge=2, le=MAX_SAMPLES, examples=[4])
-
-
-class ParameterKeys(Keys):
-    """What values a parameter takes: one of four keys."""
-
-    values: list[Any] | None = option(
-        "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
-    )
-    grid: GridKeys | None = option("Values at even distances", None)
-    random: RangeKeys | None = option("Values drawn at random", None)
-    quasi_random: RangeKeys | None = option(
-        "Values of a Halton sequence, which fill the range evenly", None
-    )
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise fault("one of list, grid, random, quasi_random", "keep one of them")
-        span = self.grid or self.random or self.quasi_random
-        if span is not None and not span.low < span.high:
-            raise fault("from below to", "exchange the two")
-        if span is not None and span.log and span.low <= 0.0:
-            raise fault("from above 0 where log is true", "leave out log")
-        return self
-
-    def parameter(self, key: str) -> Parameter:
-        """Return the parameter of a key path."""
-        if (span := self.random or self.quasi_random) is not None:
-            return Drawn(key, span.low, span.high, span.log, self.random is None)
-        if (grid := self.grid) is not None:
-            space = np.geomspace if grid.log else np.linspace
-            return Listed(key, tuple(float(x) for x in space(grid.low, grid.high, grid.count)))
-        return Listed(key, tuple(plain(value) for value in self.values or ()))
 
 
 class SimulateKeys(Keys):
@@ -336,34 +293,31 @@ class Study(OneLine):
     Attributes
     ----------
     keys: of the study file.
-    problems: name of each, and its keys as in a problem file.
-    parameters: parameters, by key path in the problem or in the study's own sections.
-    drawings: outlines of the drawings that parameters ``objects.NAME.file`` name, by file.
+    problems: name of each, and its keys as in a problem file, with outlines in place of drawings:
+        workers elsewhere need no drawings then, and digests depend on what these show.
+    folder: where the study's own drawings are.
     """
 
     keys: StudyKeys
     problems: tuple[tuple[str, dict[str, Plain]], ...]
-    parameters: tuple[Parameter, ...]
-    drawings: Mapping[str, Plain]
+    folder: Path
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
-        found = points(self.parameters, self.keys.samples, self.keys.seed)
+        found = points(self.keys.parameters, self.keys.samples, self.keys.seed)
+        outlines: dict[Path, Plain] = {}
         for name, problem in self.problems:
             for point in found:
-                yield from self._cases_at(name, problem, point)
+                yield from self._cases_at(name, problem, point, outlines)
 
-    def _cases_at(self, name: str, problem: Mapping[str, Plain], point: Point) -> Iterator[Case]:
+    def _cases_at(
+        self, name: str, problem: dict[str, Plain], point: Point, outlines: dict[Path, Plain]
+    ) -> Iterator[Case]:
         sections = {key: getattr(self.keys, key) for key in SECTIONS}
         own = {key: keys.model_dump() for key, keys in sections.items() if keys is not None}
-        outlined: Point = {}  # with outlines in place of drawings, as problems have them
-        for path, value in point.items():
-            if _names_drawing(path) and isinstance(value, str):
-                outlined[path.removesuffix("file") + "outline"] = self.drawings.get(value, value)
-            else:
-                outlined[path] = value
-        whole = with_values({**problem, **own}, outlined)
+        whole = with_values({**problem, **own}, point)
         done: dict[str, Any] = {key: whole.pop(key, None) for key in SECTIONS}
+        whole = _with_outlines(whole, self.folder, outlines)
         seeds: list[int | None] = [None]
         if isinstance(flown := done["simulate"], dict):
             seeds = list(range(flown["seed"], flown["seed"] + flown["seeds"]))
@@ -378,27 +332,20 @@ class Study(OneLine):
         """
         from hitchopt.mission.loading import any_problem_from_dict
 
-        first = points(self.parameters, self.keys.samples, self.keys.seed)[0]
-        trials = [first]
-        for p in self.parameters:
-            if isinstance(p, Listed):
-                trials += [{**first, p.key: value} for value in p.values[1:]]
-            section = str(key_parts(p.key)[0])
+        first = points(self.keys.parameters, self.keys.samples, self.keys.seed)[0]
+        trials, outlines = [first], dict[Path, Plain]()
+        for key, each in self.keys.parameters.items():
+            trials += [{**first, key: value} for value in each.listed[1:]]
+            section = str(key_parts(key)[0])
             if section in SECTIONS and getattr(self.keys, section) is None:
                 remedy = f"add {section}: to the study"
-                raise InputError(f"parameters.{p.key}", section, "a section of the study", remedy)
+                raise InputError(f"parameters.{key}", section, "a section of the study", remedy)
         for _, problem in self.problems:
             for point in trials:
-                case = next(self._cases_at("", problem, point))
+                case = next(self._cases_at("", problem, point, outlines))
                 any_problem_from_dict(case.problem)
                 done = {key: keys for key in SECTIONS if (keys := getattr(case, key)) is not None}
                 _checked({"problem": "", **done})
-
-
-def _names_drawing(key: str) -> bool:
-    """Return whether a key path is that of an object's drawing."""
-    parts = key_parts(key)
-    return parts[0] == "objects" and parts[-1] == "file"
 
 
 def load_study(path: str | Path) -> Study:
@@ -427,11 +374,7 @@ def study_from_dict(data: Mapping[str, object], directory: str | Path = ".") -> 
     values, folder = plain(data), Path(directory)
     keys = _checked(values)
     assert isinstance(values, dict)
-    parameters = tuple(each.parameter(key) for key, each in keys.parameters.items())
-    drawn = [p for p in parameters if isinstance(p, Listed) and _names_drawing(p.key)]
-    files = [value for p in drawn for value in p.values if isinstance(value, str)]
-    drawings = {file: _outline(folder / file) for file in files}
-    study = Study(keys, tuple(_problems(values["problem"], folder)), parameters, drawings)
+    study = Study(keys, tuple(_problems(values["problem"], folder)), folder)
     study.check()
     return study
 
@@ -444,43 +387,42 @@ def _checked(values: Plain) -> StudyKeys:
         raise translated(error, StudyKeys) from None
 
 
-def _problems(given: Plain, directory: Path) -> list[tuple[str, dict[str, Plain]]]:
-    """Return the name and the mapping of every problem."""
+def _problems(given: Plain, directory: Path) -> Iterator[tuple[str, dict[str, Plain]]]:
+    """Yield the name and the mapping of every problem."""
     if isinstance(given, dict):
-        return [("problem", _with_outlines(given, directory))]
+        yield "problem", _with_outlines(given, directory, {})
+        return
     files = given if isinstance(given, list) else [given]
     if not files:
         raise InputError("problem", [], "at least one problem", "name a problem file")
-    found = []
     for i, file in enumerate(files):
         if not isinstance(file, str) or not file:
             key = f"problem[{i}]" if isinstance(given, list) else "problem"
             raise InputError(key, file, "the path of a problem file", "write triangle.yaml")
-        data = read_yaml(directory / file)
+        path = directory / file
+        data = read_yaml(path)
         if not isinstance(data, dict):
-            raise FileError(f"{directory / file}: is no problem file")
-        found.append((Path(file).stem, _with_outlines(data, (directory / file).parent)))
-    return found
+            raise FileError(f"{path}: is no problem file")
+        yield path.stem, _with_outlines(data, path.parent, {})
 
 
-def _with_outlines(problem: dict[str, Plain], folder: Path) -> dict[str, Plain]:
+def _with_outlines(
+    problem: dict[str, Plain], folder: Path, known: dict[Path, Plain]
+) -> dict[str, Plain]:
     """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
 
-    Workers elsewhere need no drawings then, and digests depend on what these show.
+    ``known`` are those that were read before, by path.
     """
+    from hitchopt.geometry.drawings import object_outline  # heavy: readers of drawings
+
     objects = problem.get("objects")
     if not isinstance(objects, dict):
         return problem
     inlined = dict(objects)
     for name, each in objects.items():
         if isinstance(each, dict) and isinstance(file := each.get("file"), str):
+            if (path := folder / file) not in known:
+                known[path] = object_outline(path).tolist()
             rest = {key: value for key, value in each.items() if key != "file"}
-            inlined[name] = rest | {"outline": _outline(folder / file)}
+            inlined[name] = rest | {"outline": known[path]}
     return problem | {"objects": inlined}
-
-
-def _outline(path: Path) -> Plain:
-    from hitchopt.geometry.drawings import object_outline  # heavy: readers of drawings
-
-    found: Plain = object_outline(path).tolist()
-    return found

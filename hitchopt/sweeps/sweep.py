@@ -1,46 +1,35 @@
 """Runs of a study and the rows that they write: what is missing is computed, row by row.
 
-A study's directory holds ``rows/DIGEST.parquet``, ``files/DIGEST/`` with what was exported, and
-``study.json``: the digests of the study's cases, in order. Rows of other studies that were run in
-the same directory stay; what is computed already is not computed again.
+A study's directory holds ``rows.jsonl``, one row a line, ``files/DIGEST/`` with what was exported,
+and ``study.json``: the digests of the study's cases, in order. Rows of other studies that were run
+in the same directory stay; what is computed already is not computed again. A row is appended by one
+write, so that whatever ends a run leaves at most one line that is not whole, which is passed over.
 """
 
 from __future__ import annotations
 
 import contextlib
 import difflib
-import io
 import json
 import os
 import shutil
-import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import FileError, InputError, UnsupportedError
-from hitchopt.storage.files import write_strict_json
+from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.sweeps.study import Study, load_study, study_from_dict
-from hitchopt.sweeps.work import (
-    EXTRA,
-    FAILED,
-    PLANNED,
-    Outcome,
-    Row,
-    finished,
-    first_columns,
-    outcome_of,
-)
+from hitchopt.sweeps.work import FAILED, PLANNED, Outcome, Row, finished, first_columns, outcome_of
 from hitchopt.values import path as as_path
 from hitchopt.values import text, whole
 
 if TYPE_CHECKING:
     import pandas
 
-ROWS, FILES, STUDY = "rows", "files", "study.json"
+ROWS, FILES, STUDY = "rows.jsonl", "files", "study.json"
 
 FORMAT = "hitchopt-sweep/1"
 
@@ -90,8 +79,8 @@ def run_sweep(
     """Compute the rows of a study that are missing in a directory; return all of them.
 
     Every case is planned and certified, then simulated, settled or exported as the study says.
-    Every result is written whole as it arrives, keyed by a digest of problem, versions and seed:
-    whatever ends a run, the same call goes on from there.
+    Every result is written as it arrives, keyed by a digest of problem, versions and seed: whatever
+    ends a run, the same call goes on from there.
 
     Parameters
     ----------
@@ -109,7 +98,7 @@ def run_sweep(
     ------
     InputError, FileError: a study that is wrong in itself, or a directory that cannot be written.
     SweepError: the scheduler was lost.
-    UnsupportedError: dask.distributed, pandas or pyarrow is not installed.
+    UnsupportedError: dask.distributed or pandas is not installed.
     """
     place = as_path("directory", directory)
     if workers is not None:
@@ -123,20 +112,24 @@ def run_sweep(
     elif not isinstance(study, Study):
         raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
     cases = {case.digest: case for case in study.cases()}
-    write_study(place, study.keys.title, [p.key for p in study.parameters], list(cases))
-    known = {path.stem for path in (place / ROWS).glob("*.parquet")}
+    parameters = list(study.keys.parameters)
+    told = {"format": FORMAT, "title": study.keys.title, "parameters": parameters}
+    content = {**told, "cases": list(cases)}
+    writers = {STUDY: lambda path: write_strict_json(path, content)}
+    replace_files(place, writers, (STUDY,), seal=STUDY)
+    known = _read_rows(place)
     missing = {digest: case for digest, case in cases.items() if digest not in known}
     begin, refused = time.monotonic(), 0
     width = min(workers or os.cpu_count() or 1, len(missing))
     tasks = {digest: (case, digest) for digest, case in missing.items()}
     with contextlib.closing(finished(outcome_of, tasks, width, scheduler)) as done:
-        for computed, (digest, future) in enumerate(done if missing else (), 1):
+        for computed, (digest, future) in enumerate(done, 1):
             if future.status == "finished":
                 outcome: Outcome = future.result()
             else:  # a case that kills its workers, or has a bug, is a row
                 error = future.exception()
-                told = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
-                outcome = Outcome(digest, first_columns(missing[digest], digest) | told)
+                words = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
+                outcome = Outcome(first_columns(missing[digest], digest) | words)
             write_outcome(place, outcome)
             refused += outcome.row["status"] != PLANNED
             if progress is not None:
@@ -162,36 +155,27 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     Raises
     ------
     FileError: there is no sweep.
-    UnsupportedError: pandas or pyarrow is not installed.
+    UnsupportedError: pandas is not installed.
     """
+    try:
+        import pandas
+    except ImportError:
+        raise UnsupportedError("sweeps need pandas: pip install 'hitchopt[sweep]'") from None
     place = as_path("directory", directory)
-    told = read_study(place)
-    files = [place / ROWS / f"{digest}.parquet" for digest in told["cases"]]
-    frames, pyarrow, parquet = map(_extra, ("pandas", "pyarrow", "pyarrow.parquet"))
-    tables = [parquet.read_table(file, partitioning=None) for file in files if file.exists()]
-    if not tables:
-        empty: pandas.DataFrame = frames.DataFrame({"digest": []})
-        return empty
-    table = pyarrow.concat_tables(tables, promote_options="permissive").to_pandas()
+    told, rows = read_study(place), _read_rows(place)
+    table = pandas.DataFrame([rows[digest] for digest in told["cases"] if digest in rows])
+    if table.empty:
+        return pandas.DataFrame({"digest": []})
     first = ["problem", "seed", *(f"parameter.{key}" for key in told["parameters"])]
     first += ["status", "binding", "message", "duration"]
-    last = [name for name in table if name.startswith(MEASURED)] + ["digest"]
-    middle = sorted(name for name in table if name not in {*first, *last})
-    rows: pandas.DataFrame = table.reindex(columns=[*first, *middle, *last])
-    return rows
-
-
-def write_study(directory: Path, title: str, parameters: Sequence[str], digests: list[str]) -> None:
-    """Write which cases a study has."""
-    told = {"format": FORMAT, "title": title, "parameters": list(parameters), "cases": digests}
-    with _stage(directory) as stage:
-        (directory / ROWS).mkdir(exist_ok=True)
-        write_strict_json(stage / STUDY, told)
-        os.replace(stage / STUDY, directory / STUDY)
+    names = sorted(map(str, table.columns))
+    last = [*(name for name in names if name.startswith(MEASURED)), "digest"]
+    middle = [name for name in names if name not in {*first, *last}]
+    return table.reindex(columns=[*first, *middle, *last])
 
 
 def read_study(directory: Path) -> dict[str, Any]:
-    """Return what ``write_study`` wrote.
+    """Return title, parameters and cases of the study that was run in a directory.
 
     Raises
     ------
@@ -207,6 +191,22 @@ def read_study(directory: Path) -> dict[str, Any]:
     return told
 
 
+def _read_rows(directory: Path) -> dict[str, Row]:
+    """Return the rows of a directory by digest; lines that are not whole are left out."""
+    found: dict[str, Row] = {}
+    try:
+        with (directory / ROWS).open(encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                with contextlib.suppress(ValueError, KeyError, TypeError):
+                    row = json.loads(line)
+                    found[row["digest"]] = row
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise FileError(f"{directory / ROWS}: cannot be read: {error}") from error
+    return found
+
+
 def write_outcome(directory: Path, outcome: Outcome) -> None:
     """Write an outcome's files, then its row; the row is there only when all is.
 
@@ -214,27 +214,18 @@ def write_outcome(directory: Path, outcome: Outcome) -> None:
     ------
     FileError: the disk is full, or cannot be written to.
     """
-    data = _parquet(outcome.row)
-    with _stage(directory) as stage:
-        for name, content in outcome.files.items():
-            (stage / FILES / name).parent.mkdir(parents=True, exist_ok=True)
-            (stage / FILES / name).write_bytes(content)
-        if outcome.files:
-            place = directory / FILES / outcome.digest
-            place.parent.mkdir(exist_ok=True)
-            shutil.rmtree(place, ignore_errors=True)
-            os.replace(stage / FILES, place)
-        (stage / ROWS).write_bytes(data)
-        os.replace(stage / ROWS, directory / ROWS / f"{outcome.digest}.parquet")
-
-
-@contextlib.contextmanager
-def _stage(directory: Path) -> Iterator[Path]:
-    """Yield a temporary directory within another one; errors of files become FileErrors."""
+    row = {name: _scalar(name, value) for name, value in outcome.row.items()}
+    line = f"\n{json.dumps(row)}\n".encode()  # a line of its own after one that is not whole
     try:
-        directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=directory, prefix=".hitchopt-") as stage:
-            yield Path(stage)
+        if outcome.files:
+            place = directory / FILES / outcome.row["digest"]
+            shutil.rmtree(place, ignore_errors=True)
+            for name, content in outcome.files.items():
+                (place / name).parent.mkdir(parents=True, exist_ok=True)
+                (place / name).write_bytes(content)
+        with (directory / ROWS).open("ab", buffering=0) as file:
+            if file.write(line) != len(line):
+                raise OSError(0, "the disk is full")
     except OSError as error:
         raise FileError(
             f"{directory}: cannot be written: {error.strerror or error}; free space or permissions "
@@ -242,28 +233,12 @@ def _stage(directory: Path) -> Iterator[Path]:
         ) from error
 
 
-def _parquet(row: Row) -> bytes:
-    """Return the Parquet file of a row; values that are no scalars are JSON.
-
-    Statistics and dictionaries of one value save nothing.
-    """
-    pyarrow, parquet, sink = _extra("pyarrow"), _extra("pyarrow.parquet"), io.BytesIO()
-    columns = {}
-    for name, given in sorted(row.items()):
-        value = json.dumps(given, sort_keys=True) if isinstance(given, dict | list) else given
-        number = isinstance(value, int) and not isinstance(value, bool) and name != "seed"
-        columns[name] = pyarrow.array([float(value) if number else value])  # one type in all rows
-    options = {"compression": "none", "use_dictionary": False, "write_statistics": False}
-    parquet.write_table(pyarrow.table(columns), sink, **options)
-    return sink.getvalue()
-
-
-def _extra(name: str) -> Any:
-    """Return a module of the extra, or raise UnsupportedError."""
-    try:
-        return import_module(name)
-    except ImportError:
-        raise UnsupportedError(f"sweeps need {name.split('.', maxsplit=1)[0]}: {EXTRA}") from None
+def _scalar(name: str, value: object) -> object:
+    """Return a value of one type in all rows: lists and mappings are JSON, numbers floats."""
+    if isinstance(value, dict | list):
+        return json.dumps(value, sort_keys=True)
+    number = isinstance(value, int) and not isinstance(value, bool) and name != "seed"
+    return float(value) if number else value  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)
@@ -318,7 +293,7 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
         raise InputError("rows", 0, "at least 1", "run the sweep first")
     planned, flown, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
     if flown is not None and flown.notna().any():
-        share = Share(int(flown.fillna(False).astype(bool).sum()), int(flown.notna().sum()))
+        share = Share(int((flown == True).sum()), int(flown.notna().sum()))  # noqa: E712
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
     medians = {}
     for name in map(str, rows.columns):
@@ -326,13 +301,8 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
         figure = name == "duration" or name.startswith(("check.", "simulate.", "settle.", "time."))
         if figure and known.dtype.kind == "f" and len(known):
             medians[name] = (float(known.median()), float(known.min()), float(known.max()))
-    return Summary(
-        cases,
-        Share(int(planned.sum()), len(rows)),
-        share,
-        tuple((str(name), int(count)) for name, count in reasons.value_counts().items()),
-        medians,
-    )
+    binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
+    return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)
 
 
 def column_of(rows: pandas.DataFrame, name: str) -> str:

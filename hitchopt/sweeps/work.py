@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
 import resource
 import tempfile
@@ -22,7 +21,7 @@ from hitchopt.errors import (
     TimeLimitError,
     UnsupportedError,
 )
-from hitchopt.sweeps.study import Case, Section
+from hitchopt.sweeps.study import Case
 
 if TYPE_CHECKING:
     from hitchopt.plan import Plan
@@ -36,29 +35,17 @@ PLANNED, INFEASIBLE, LATE, FAILED, WRONG = "planned", "infeasible", "time limit"
 RATE = 100.0
 """Setpoints per second that are simulated [Hz]."""
 
-AHEAD = 8
-"""Tasks per worker that are handed to the scheduler before any of them is done."""
-
-LOST = 3
-"""Number of workers that may die with a task before it counts as failed: it may kill them."""
-
 SETTINGS = {
-    "distributed.scheduler.allowed-failures": LOST,
+    "distributed.scheduler.allowed-failures": 3,  # of workers with a task: it may kill them
     "distributed.comm.timeouts.connect": "5s",
     "distributed.worker.daemon": True,
     "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.tick.cycle": "10s",
-    "distributed.admin.system-monitor.interval": "10s",
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
 """Settings of dask. Its profiler looks at all stacks a hundred times a second, which takes more
-than a tenth of a plan's time; clocks that tick less often leave plans alone too. Its workers would
-give freed memory back at once: a plan would fault ten thousand pages anew, a seventh of its time.
-"""
-
-EXTRA = "pip install 'hitchopt[sweep]'"
+than a tenth of a plan's time. Its workers would give freed memory back at once: a plan would fault
+ten thousand pages anew, a seventh of its time."""
 
 STAY = "rows that were written stay: run the same study again"
 
@@ -69,16 +56,8 @@ class SweepError(HitchoptError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a worker returns.
+    """What a worker returns: a case's row, and bytes of its exported files, by name."""
 
-    Attributes
-    ----------
-    digest: of the case.
-    row: its row.
-    files: bytes of its exported files, by name.
-    """
-
-    digest: str
     row: Row
     files: dict[str, bytes] = field(default_factory=dict)
 
@@ -94,15 +73,20 @@ def outcome_of(case: Case, digest: str) -> Outcome:
     from hitchopt.api import solve
     from hitchopt.mission.loading import any_problem_from_dict
 
-    row = first_columns(case, digest)
-    files: dict[str, bytes] = {}
-    begin = time.process_time()
+    found = Outcome(first_columns(case, digest))
+    row, begin = found.row, time.process_time()
     try:
         plan = solve(any_problem_from_dict(case.problem), limit=case.limit)
         row |= {"status": PLANNED, "duration": plan.duration}
         row |= {f"check.{check.name}": check.worst for check in plan.certificate.checks}
         row["time.plan"] = time.process_time() - begin
-        row |= _done(plan, case, files)
+        for name, act in (("settle", _settled), ("simulate", _simulated), ("export", _exported)):
+            if (keys := getattr(case, name)) is not None:
+                begin = time.process_time()
+                given = {key: value for key, value in keys.items() if value is not None}
+                told = act(plan, given | {"seed": case.seed or 0}, found.files)
+                row |= {f"{name}.{key}": value for key, value in told.items()}
+                row[f"time.{name}"] = time.process_time() - begin
     except HitchoptError as error:
         kinds = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
         status = next((word for kind, word in kinds.items() if isinstance(error, kind)), FAILED)
@@ -112,34 +96,15 @@ def outcome_of(case: Case, digest: str) -> Outcome:
             row["binding"] = error.violations[0].constraint
         row.setdefault("time.plan", time.process_time() - begin)
     row["memory.peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return Outcome(digest, row, files)
+    return found
 
 
-def _done(plan: Plan, case: Case, files: dict[str, bytes]) -> Row:
-    """Return the columns of what is done with a plan; exported files are added to ``files``."""
-    row: Row = {}
-    for name, act in (("settle", _settled), ("simulate", _simulated)):
-        if (keys := getattr(case, name)) is not None:
-            begin = time.process_time()
-            given = {key: value for key, value in keys.items() if value is not None}
-            found = act(plan, given, case.seed or 0)
-            row |= {f"{name}.{key}": value for key, value in found.items()}
-            row[f"time.{name}"] = time.process_time() - begin
-    if case.export is not None:
-        with tempfile.TemporaryDirectory() as place:
-            parts = plan.export(str(case.export["format"]), place)
-            for path in sorted(p for p in Path(place).rglob("*") if p.is_file()):
-                files[path.relative_to(place).as_posix()] = path.read_bytes()
-        row["export.position_error"] = max(part.verdict.position.worst for part in parts)
-    return row
-
-
-def _settled(plan: Plan, given: Section, _seed: int) -> Row:
+def _settled(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
     """Return figures of where the hitch comes to rest over the plan."""
     from hitchopt.statics.settle import settle
     from hitchopt.statics.tolerance import taut_times
 
-    keys: dict[str, Any] = dict(given)
+    del keys["seed"]
     settled = settle(plan, taut_times(plan.motion, keys.pop("samples")), **keys)
     return {
         "vertex_error": float(np.max(settled.displacements)),
@@ -149,26 +114,28 @@ def _settled(plan: Plan, given: Section, _seed: int) -> Row:
     }
 
 
-def _simulated(plan: Plan, given: Section, seed: int) -> Row:
+def _simulated(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
     """Return figures of a simulated flight."""
-    from hitchopt.exports.setpoints import write_setpoints, write_vertices
+    from hitchopt.motion.states import sample_times
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
-    from hitchopt.simulation.task import read_tables
+    from hitchopt.simulation.task import Task
 
-    motion, keys = plan.motion, dict[str, Any](given)
-    with tempfile.TemporaryDirectory() as place:
-        setpoints, vertices = Path(place) / "setpoints.csv", Path(place) / "vertices.csv"
-        write_setpoints(setpoints, motion, RATE)
-        write_vertices(vertices, motion, RATE)
-        task = read_tables(setpoints, vertices, motion.team)
-    run = simulate(task, settings_of(body=keys.pop("drones"), seed=seed, **keys)).run
+    task = Task.of(plan.motion, sample_times(plan.duration, RATE))
+    run = simulate(task, settings_of(body=keys.pop("drones"), **keys)).run
     row: Row = {"verdict": run.verdict, "succeeded": run.succeeded}
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}
-    for name in ("vertex_error", "resting", "moving", "without_sag", "tracking"):
-        row |= {f"{name}_{key}": value for key, value in vars(getattr(run, name)).items()}
-    return row | {name: getattr(run, name) for name in ("peak_tension", "peak_thrust", "saturated")}
+    return row | run.figures
+
+
+def _exported(plan: Plan, keys: dict[str, Any], files: dict[str, bytes]) -> Row:
+    """Return how far the exported files are off; add these to ``files``."""
+    with tempfile.TemporaryDirectory() as place:
+        parts = plan.export(str(keys["format"]), place)
+        for path in sorted(p for p in Path(place).rglob("*") if p.is_file()):
+            files[path.relative_to(place).as_posix()] = path.read_bytes()
+    return {"position_error": max(part.verdict.position.worst for part in parts)}
 
 
 def finished(
@@ -176,6 +143,8 @@ def finished(
     tasks: Mapping[str, tuple[Any, ...]],
     width: int,
     scheduler: str | None = None,
+    *,
+    shared: object = None,
 ) -> Generator[tuple[str, Any], None, None]:
     """Yield the key of every task and its future, which has a result or an exception.
 
@@ -185,6 +154,7 @@ def finished(
     tasks: arguments, by key.
     width: number of processes on this machine where there is no scheduler.
     scheduler: address of a dask scheduler, or None.
+    shared: last argument of all of them, unless None, which is sent but once.
 
     Raises
     ------
@@ -195,30 +165,32 @@ def finished(
     try:
         import distributed
     except ImportError:
-        raise UnsupportedError(f"sweeps need dask.distributed: {EXTRA}") from None
+        needed = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
+        raise UnsupportedError(needed) from None
+    if not tasks:
+        return
     with _client(distributed, width, scheduler) as client:
-        ahead = AHEAD * max(width, len(client.nthreads()))
-        batch = ahead // 2
-        rest = iter(tasks.items())
-        pending = distributed.as_completed(loop=client.loop, raise_errors=False)
-
-        def hand_out(count: int) -> None:
-            some = list(itertools.islice(rest, count))
-            if some:  # many at a time: a graph of one costs as much as one of eight
-                columns = zip(*(arguments for _, arguments in some), strict=True)
-                pending.update(client.map(work, *columns, key=[key for key, _ in some], pure=False))
-
+        columns = [list(column) for column in zip(*tasks.values(), strict=True)]
+        if shared is not None:  # a task that dask computes again where workers die
+            columns.append([client.submit(_itself, shared, pure=False)] * len(tasks))
         try:
-            hand_out(ahead)
-            for done, future in enumerate(pending, 1):
+            pending = distributed.as_completed(
+                client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000),
+                loop=client.loop,
+                raise_errors=False,
+            )
+            del columns
+            for future in pending:
                 if future.status not in {"finished", "error"}:
                     raise SweepError(f"the scheduler was lost (a task was {future.status}); {STAY}")
                 yield str(future.key), future
-                if done % batch == 0:
-                    hand_out(batch)
-        except (OSError, TimeoutError, distributed.CommClosedError) as error:
+        except (OSError, TimeoutError) as error:
             reason = error or type(error).__name__
             raise SweepError(f"the scheduler was lost ({reason}); {STAY}") from error
+
+
+def _itself(value: object) -> object:
+    return value
 
 
 @contextlib.contextmanager
@@ -232,12 +204,9 @@ def _client(distributed: Any, width: int, scheduler: str | None) -> Iterator[Any
         address = scheduler
         if address is None:
             cluster = distributed.LocalCluster(
-                n_workers=width,
-                threads_per_worker=1,
-                processes=True,
-                dashboard_address="127.0.0.1:0",
-                host="127.0.0.1",
-            )
+                n_workers=width, threads_per_worker=1, processes=True,
+                dashboard_address="127.0.0.1:0", host="127.0.0.1",
+            )  # fmt: skip
             address = stack.enter_context(cluster).scheduler_address
         try:
             client = distributed.Client(address, set_as_default=False)

@@ -52,7 +52,7 @@ def without_nan(run: Run) -> Run:
 def test_several_processes_give_the_same_runs_as_one(task: Task, tmp_path: Path) -> None:
     messages: list[str] = []
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
-    alone = [one_run((task, replace(BRIEF, seed=seed))) for seed in (40, 41)]
+    alone = [one_run(replace(BRIEF, seed=seed), task) for seed in (40, 41)]
     assert [run.seed for run in campaign.runs] == [40, 41]
     for run, single in zip(campaign.runs, alone, strict=True):
         assert without_nan(run) == without_nan(single)

@@ -11,8 +11,7 @@ from synthetic_flight import recorded, shaken
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
-from hitchopt.statics.calibrate import estimate_team
-from hitchopt.statics.friction import COSINES, IN_SPACE, TURNS, friction_pulls
+from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS, estimate_team, friction_pulls
 from hitchopt.statics.recordings import compare
 
 POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
@@ -61,7 +60,7 @@ def moved() -> tuple[Hitch, Hitch]:
 def test_without_noise_stiffness_and_friction_are_exact(
     pair: tuple[Hitch, Hitch], friction: float, within: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hitchopt.statics.friction.BLURRED", 1e-4)  # the law alone does not creep
+    monkeypatch.setattr("hitchopt.statics.calibrate.BLURRED", 1e-4)  # the law alone does not creep
     task, recording = recorded(*pair, K, DENSITY, friction)
     found = estimate_team(recording, task, DENSITY)
     assert all(one.known for one in found.stiffness)

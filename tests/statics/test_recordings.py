@@ -12,9 +12,8 @@ from click.testing import CliRunner, Result
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.simulation.task import read_task
-from hitchopt.statics.calibrate import Calibration, estimate_team
+from hitchopt.statics.calibrate import Calibration, Estimate, estimate_team
 from hitchopt.statics.files import team_text
-from hitchopt.statics.friction import Estimate
 from hitchopt.statics.recordings import HEADER, Recording, compare, read_recording
 from hitchopt.storage.yaml_file import parse_yaml
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import stat
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import pandas
 import pytest
 from click.testing import CliRunner
 from scipy.stats import norm
-from study_cases import PROBLEM
+from test_studies import PROBLEM
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -28,7 +28,6 @@ from hitchopt.sweeps.sweep import (
     load_sweep,
     summary,
     write_outcome,
-    write_study,
 )
 from hitchopt.sweeps.work import Outcome, outcome_of
 
@@ -43,61 +42,80 @@ def fixed(rows: pandas.DataFrame) -> pandas.DataFrame:
     return rows[[name for name in map(str, rows.columns) if not name.startswith(MEASURED)]]
 
 
-def written(study: dict[str, Any], place: Path) -> pandas.DataFrame:
-    """Compute all rows in this process, one by one, and read them back."""
-    made = study_from_dict(study)
-    cases = list(made.cases())
-    write_study(place, "", [p.key for p in made.parameters], [case.digest for case in cases])
-    for case in reversed(cases):
-        write_outcome(place, outcome_of(case, case.digest))
-    return load_sweep(place)
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[distributed.LocalCluster]:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+    ) as cluster:
+        yield cluster
 
 
 @pytest.fixture(scope="module")
-def scheduler() -> Iterator[str]:
-    """Address of a scheduler with two workers in threads, which start fast."""
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=False,
-        protocol="tcp://",
-        dashboard_address="127.0.0.1:0",
-    ) as cluster:
-        yield cluster.scheduler_address
+def swept(
+    tmp_path_factory: pytest.TempPathFactory, cluster: distributed.LocalCluster
+) -> tuple[Path, pandas.DataFrame]:
+    """A sweep one of whose workers is killed after the first row, and its rows."""
+    place, counts = tmp_path_factory.mktemp("sweep"), list[Any]()
+
+    def progress(count: Any) -> None:
+        counts.append(count)
+        if count.done == 1:
+            os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
+
+    address = cluster.scheduler_address
+    rows = ho.run_sweep(STUDY, place, scheduler=address, progress=progress)
+    assert [count.done for count in counts] == [1, 2, 3, 4, 5, 6]
+    assert counts[-1].fraction == 1.0
+    return place, rows
 
 
 @pytest.mark.slow
-def test_a_sweep_is_the_same_with_two_workers_and_none(tmp_path: Path, scheduler: str) -> None:
-    counts: list[Any] = []
-    rows = ho.run_sweep(STUDY, tmp_path / "two", scheduler=scheduler, progress=counts.append)
-    assert [count.done for count in counts] == [1, 2, 3, 4, 5, 6]
-    assert counts[-1].fraction == 1.0
-    alone = written(STUDY, tmp_path / "alone")
-    pandas.testing.assert_frame_equal(fixed(rows), fixed(alone), check_exact=True)
+def test_workers_that_are_killed_lose_no_row(swept: tuple[Path, pandas.DataFrame]) -> None:
+    place, rows = swept
     assert list(rows["parameter.team.tension"]) == [0.3, 0.3, 0.5, 0.5, 2.5, 2.5]
     assert list(rows["status"]) == ["planned"] * 4 + ["infeasible"] * 2
     assert set(rows["binding"].dropna()) <= {"thrust", "tilt"}
-    # One row is lost: it alone is computed again, and comes to the same.
-    lost = tmp_path / "two" / ROWS / f"{rows['digest'][3]}.parquet"
-    times = {p.name: p.stat().st_mtime_ns for p in lost.parent.iterdir() if p != lost}
-    lost.unlink()
-    again = ho.run_sweep(STUDY, tmp_path / "two", scheduler=scheduler)
-    pandas.testing.assert_frame_equal(fixed(again), fixed(rows), check_exact=True)
-    assert times == {p.name: p.stat().st_mtime_ns for p in lost.parent.iterdir() if p != lost}
-
-
-def test_a_row_says_what_the_plan_says() -> None:
-    case = next(iter(study_from_dict(STUDY).cases()))
-    row = outcome_of(case, case.digest).row
-    plan = ho.solve(ho.problem_from_dict(case.problem))
-    assert row["status"] == "planned"
-    assert row["duration"] == plan.duration
-    for check in plan.certificate.checks:
-        assert row[f"check.{check.name}"] == check.worst
+    cases = list(study_from_dict(STUDY).cases())
+    alone = pandas.DataFrame([outcome_of(case, case.digest).row for case in cases])
+    alone = alone.reindex(columns=rows.columns)
+    pandas.testing.assert_frame_equal(fixed(rows), fixed(alone), check_exact=True)
+    pandas.testing.assert_frame_equal(load_sweep(place), rows, check_exact=True)
 
 
 @pytest.mark.slow
-def test_plans_are_settled_simulated_and_exported(tmp_path: Path) -> None:
+def test_what_is_lost_is_computed_again_and_nothing_else(
+    swept: tuple[Path, pandas.DataFrame], cluster: distributed.LocalCluster, tmp_path: Path
+) -> None:
+    place, rows = swept
+    (tmp_path / "study.json").write_bytes((place / "study.json").read_bytes())
+    lines = (place / ROWS).read_bytes()
+    torn = lines[:-40]  # a power cut within the last row
+    (tmp_path / ROWS).write_bytes(torn)
+    assert len(load_sweep(tmp_path)) == 5
+    again = ho.run_sweep(STUDY, tmp_path, scheduler=cluster.scheduler_address)
+    pandas.testing.assert_frame_equal(fixed(again), fixed(rows), check_exact=True)
+    assert (tmp_path / ROWS).read_bytes().startswith(torn)
+
+
+def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    row: dict[str, Any] = {"problem": "p", "seed": None, "status": "failed", "message": "none"}
+    write_outcome(tmp_path, Outcome({**row, "digest": "a"}, {"x/y.bin": b"1"}))
+    (tmp_path / "study.json").write_text(
+        json.dumps({"format": "hitchopt-sweep/1", "parameters": [], "cases": ["a", "b"]})
+    )
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(FileError, match="only what is missing is computed"):
+        write_outcome(tmp_path, Outcome({**row, "digest": "b"}, {"x/y.bin": b"1"}))
+    assert list(load_sweep(tmp_path)["digest"]) == ["a"]
+    assert (tmp_path / "files" / "a" / "x" / "y.bin").read_bytes() == b"1"
+
+
+@pytest.mark.slow
+def test_plans_are_settled_simulated_and_exported() -> None:
     study = {
         "problem": PROBLEM,
         "settle": {"samples": 2, "stiffness": 5.0},
@@ -107,21 +125,14 @@ def test_plans_are_settled_simulated_and_exported(tmp_path: Path) -> None:
     case = next(iter(study_from_dict(study).cases()))
     outcome = outcome_of(case, case.digest)
     row = outcome.row
+    plan = ho.solve(ho.problem_from_dict(case.problem))
+    assert (row["status"], row["duration"]) == ("planned", plan.duration)
+    for check in plan.certificate.checks:
+        assert row[f"check.{check.name}"] == check.worst
     assert row["simulate.verdict"] == "succeeded", row
     assert row["settle.tension_min"] == pytest.approx(0.4, abs=0.02)  # the team's default tension
     assert 0.0 < row["export.position_error"] < 1e-3
-    place = tmp_path / "sweep"
-    write_study(place, "", [], [case.digest])
-    write_outcome(place, outcome)
-    files = place / "files" / case.digest
-    assert {p.name for p in files.iterdir()} == set(outcome.files)
-    assert load_sweep(place)["simulate.succeeded"].all()
-
-
-@pytest.mark.slow
-def test_workers_are_processes_of_this_machine(tmp_path: Path) -> None:
-    rows = ho.run_sweep({**STUDY, "parameters": {}}, tmp_path, workers=1)
-    assert list(rows["status"]) == ["planned"]
+    assert outcome.files
 
 
 @pytest.mark.slow
@@ -130,41 +141,14 @@ def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path) -> None:
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
-def test_a_limit_of_time_and_a_wrong_draw_are_rows() -> None:
+def test_a_limit_of_time_is_a_row() -> None:
     study = study_from_dict({**STUDY, "parameters": {}, "limit": 1e-6})
-    row = outcome_of(next(iter(study.cases())), "").row
-    assert row["status"] == "time limit"
-    study = study_from_dict(
-        {**STUDY, "parameters": {"limits.leg": {"random": {"from": 0.1, "to": 5.0}}}, "samples": 4}
-    )
-    assert {outcome_of(case, "").row["status"] for case in study.cases()} <= {
-        "infeasible",
-        "planned",
-    }
-
-
-def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    os.umask(umask := os.umask(0o022))
-    write_study(tmp_path, "", [], ["a", "b"])
-    row: dict[str, Any] = {"problem": "p", "seed": None, "status": "failed", "message": "none"}
-    write_outcome(tmp_path, Outcome("a", {**row, "digest": "a"}, {"x/y.bin": b"1"}))
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(FileError, match="only what is missing is computed"):
-        write_outcome(tmp_path, Outcome("b", {**row, "digest": "b"}, {"x/y.bin": b"1"}))
-    assert [p.name for p in (tmp_path / ROWS).iterdir()] == ["a.parquet"]
-    others = stat.S_IRGRP | stat.S_IROTH
-    assert (tmp_path / ROWS / "a.parquet").stat().st_mode & others == others & ~umask
-    assert not list(tmp_path.glob(".hitchopt-*"))
-    assert list(load_sweep(tmp_path)["digest"]) == ["a"]
+    assert outcome_of(next(iter(study.cases())), "").row["status"] == "time limit"
 
 
 @pytest.mark.slow
-def test_what_rows_come_to(tmp_path: Path) -> None:
-    rows = written(STUDY, tmp_path)
+def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
+    rows = swept[1]
     found = summary(rows, 7)
     assert (found.planned.count, found.planned.rows, found.cases) == (4, 6, 7)
     assert sum(count for _, count in found.binding) == 2
@@ -181,21 +165,23 @@ def test_what_rows_come_to(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_reports_draws_and_goes_on(tmp_path: Path) -> None:
-    place = tmp_path / "out"
-    written(STUDY, place)
+def test_the_command_reports_draws_and_goes_on(
+    swept: tuple[Path, pandas.DataFrame], tmp_path: Path
+) -> None:
+    place, _ = swept
     study = tmp_path / "study.yaml"
     study.write_text(json.dumps(STUDY))  # YAML too
-    run = CliRunner().invoke(main, ["sweep", str(study), "-o", str(place)])
-    assert run.exit_code == 0, run.output
-    assert "planned: 4 of 6" in run.output
-    drawn = CliRunner().invoke(main, ["sweep", str(place), "--plot", "team.tension", "duration"])
-    assert drawn.exit_code == 0, drawn.output
+
+    def run(*arguments: object) -> tuple[int, str]:
+        done = CliRunner().invoke(main, ["sweep", *map(str, arguments)])
+        return done.exit_code, done.output
+
+    code, output = run(study, "-o", place)
+    assert (code, "planned: 4 of 6" in output) == (0, True), output
+    assert run(place, "--plot", "team.tension", "duration")[0] == 0
     assert (place / "duration_over_tension.png").stat().st_size > 5000
     study.write_text(json.dumps({**STUDY, "paramters": {}}))
-    wrong = CliRunner().invoke(main, ["sweep", str(study), "-o", str(place)])
-    assert wrong.exit_code == 2
-    assert "did you mean parameters" in wrong.output
-    missing = CliRunner().invoke(main, ["sweep", str(place), "--plot", "team.tension", "durtion"])
-    assert missing.exit_code == 2
-    assert "duration" in missing.output
+    code, output = run(study, "-o", place)
+    assert (code, "did you mean parameters" in output) == (2, True)
+    code, output = run(place, "--plot", "team.tension", "durtion")
+    assert (code, "duration" in output) == (2, True)
