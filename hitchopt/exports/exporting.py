@@ -27,17 +27,11 @@ from hitchopt.exports.held_tension import PositionLoop, held_tension
 from hitchopt.exports.options import HOMES, ExportOptions, checked_rate
 from hitchopt.exports.reading import MANIFEST, MANIFEST_FORMAT, read_manifest
 from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.verification import FLOWN, PLACES, SLOWER, Verdict, verify
+from hitchopt.exports.verification import FLOWN, PLACES, Verdict, verify
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import stretched
 from hitchopt.storage.files import replace_files, write_strict_json
-
-FACTORS = (1.002, 1.005, 1.01, 1.02, 1.05, 1.1)
-"""Factors of slower flights that are tried after a refusal, in this order."""
-
-MOST_DRONES = 100
-"""Size of the largest team for which slower flights are tried; larger ones take too long."""
 
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
 """What the manifest says of feed-forward where the tension is held."""
@@ -166,8 +160,7 @@ def export_plan(
     ------
     CertificateError: the plan's certificate does not hold.
     InputError: a frame that the format cannot be in, or a file where it writes several.
-    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written. The
-        smallest stretch that was tried and loses nothing is named.
+    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
     FileError: the place cannot be written to, or holds others' files of these names.
     """
     certificate.raise_if_violated()
@@ -176,23 +169,7 @@ def export_plan(
         raise InputError("--frame", task.frame.name, bound, f"leave it out for {kind.frames[0]}")
     _refuse_taken(place)
     with _scratch(place) as scratch:
-        try:
-            done = _written(kind, task, certificate, scratch, progress)
-        except InfeasibleError as refusal:
-            eased = any(violation.remedy == SLOWER for violation in refusal.violations)
-            # Offsets that hold the tension are of one pace: a slower flight needs others.
-            tried = eased and len(task.names) <= MOST_DRONES and not task.options.hold_tension
-            for factor in FACTORS if tried else ():
-                progress(f"trying --stretch {factor:g}")
-                slower = replace(task, motion=stretched(task.motion, factor))
-                with contextlib.suppress(InfeasibleError):
-                    _written(kind, slower, certificate, scratch / f"slower {factor:g}", silent)
-                    slow = f"{100 * (factor - 1):.2g} % slower"
-                    note = f"verified: --stretch {factor:g} ({slow}) loses nothing"
-                    both = f"{refusal.note}\n{note}" if refusal.note else note
-                    refusal = InfeasibleError(refusal.violations, both)
-                    break
-            raise refusal from None
+        done = _written(kind, task, certificate, scratch, progress)
         return _put_file(done, place, kind) if _is_file(place) else _put(done, place, kind, task)
 
 

@@ -100,7 +100,6 @@ class Loaded:
     places: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of drones that stand [m]
     place_key: str = "place"  # name of these places, (2,) or (3,), in the files
     own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
-    together: bool = True  # whether all are in one frame, so that distances mean something
 
 
 @dataclass(frozen=True, eq=False)
