@@ -358,8 +358,7 @@ def _outlet_of(
     yaw_deg: float,
 ) -> Callable[[], Outlet]:
     """Return what reaches the fleet that the options name; wrong options are found at once."""
-    from hitchopt.exports.fleet import placeholder_fleet, read_fleet
-    from hitchopt.exports.reference_frame import ReferenceFrame
+    from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
     from hitchopt.live.links import (
         Datagrams,
         JsonOutlet,

@@ -18,7 +18,7 @@ import numpy as np
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import FileError, InputError, UnitWarning
-from hitchopt.exports.exporting import part_folders
+from hitchopt.exports.exporting import drone_check, part_folders
 from hitchopt.exports.format import (
     ERROR,
     FARTHEST,
@@ -35,8 +35,7 @@ from hitchopt.exports.format import (
 )
 from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
 from hitchopt.exports.options import HOMES
-from hitchopt.exports.reading import MANIFEST, read_manifest
-from hitchopt.exports.verification import drone_check
+from hitchopt.exports.recording import MANIFEST, read_manifest
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined

@@ -151,7 +151,7 @@ def _settled(plan: Plan, given: Section, _seed: int) -> Row:
 
 def _simulated(plan: Plan, given: Section, seed: int) -> Row:
     """Return figures of a simulated flight."""
-    from hitchopt.exports.setpoints import write_setpoints, write_vertices
+    from hitchopt.exports.directory import write_setpoints, write_vertices
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import read_tables

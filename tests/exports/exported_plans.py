@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.exporting import Export, export_plan
-from hitchopt.exports.fleet import placeholder_fleet
+from hitchopt.exports.exporting import FLOWN, Export, export_plan
 from hitchopt.exports.format import Task, format_of
 from hitchopt.exports.options import ExportOptions
-from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.verification import FLOWN
+from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.mission.loading import problem_from_dict

@@ -36,10 +36,10 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import Export, export_plan
-from hitchopt.exports.fleet import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
 from hitchopt.exports.format import format_of
 from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
-from hitchopt.exports.reading import read_manifest
+from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
+from hitchopt.exports.recording import read_manifest
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at

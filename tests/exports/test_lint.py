@@ -23,8 +23,7 @@ from hitchopt.errors import FileError
 from hitchopt.exports import recording
 from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
 from hitchopt.exports.formats.ros2bag import message_types
-from hitchopt.exports.formats.skybrush import read_show
-from hitchopt.exports.formats.skybrush_csv import HEADER
+from hitchopt.exports.formats.skybrush import HEADER, read_show
 from hitchopt.exports.lint import Report, Rules, lint
 from hitchopt.exports.options import HOMES
 from hitchopt.hitch.requirements import Separation

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.exports.exporting import FLOWN, Verdict, verify
+from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.reference_frame import AXES, ReferenceFrame
-from hitchopt.exports.verification import FLOWN, Verdict, verify
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial

@@ -32,6 +32,7 @@ import numpy as np
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.exporting import drone_check
 from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
@@ -40,9 +41,7 @@ from hitchopt.exports.format import (
     Task,
     warning,
 )
-from hitchopt.exports.reading import read_columns, read_text
-from hitchopt.exports.recording import Recording, recording_of_samples
-from hitchopt.exports.verification import drone_check
+from hitchopt.exports.recording import Recording, read_columns, read_text, recording_of_samples
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
