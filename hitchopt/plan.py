@@ -115,7 +115,7 @@ class Plan(OneLine):
         InputError: a rate that is not positive.
         UnsupportedError: pandas is not installed (``pip install 'hitchopt[pandas]'``).
         """
-        from hitchopt.exports.setpoints import data_frame
+        from hitchopt.exports.directory import data_frame
 
         return data_frame(self.motion, rate)
 

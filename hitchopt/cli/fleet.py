@@ -128,10 +128,9 @@ def _say_export(part: Export) -> None:
     --acceleration M/S² (float): Limit; by default the show's own, or 10 where it has none.
     --radius M (0.12): A drone's ellipsoid, across.
     --height M (0.3): A drone's ellipsoid, up.
-    --relative: Every drone flies from where it stands (initial_position, home), not in one frame.
     """,
 )
-def lint(path: Path, *, relative: bool, **limits: float | None) -> None:
+def lint(path: Path, **limits: float | None) -> None:
     """Read fleet files back, hitchopt's or anybody else's, and report what would go wrong.
 
     PATH is a file or a folder of any format that `export` writes. The limits that a show sets
@@ -146,7 +145,7 @@ def lint(path: Path, *, relative: bool, **limits: float | None) -> None:
     separation = Separation(given["radius"], given["height"])
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     with LateProgress("reading and checking"):
-        reports = linted(path, rules, relative=relative)
+        reports = linted(path, rules)
     record(reports=[_report_entry(report) for report in reports])
     for report in reports:
         _say_report(report)
@@ -359,8 +358,7 @@ def _outlet_of(
     yaw_deg: float,
 ) -> Callable[[], Outlet]:
     """Return what reaches the fleet that the options name; wrong options are found at once."""
-    from hitchopt.exports.fleet import placeholder_fleet, read_fleet
-    from hitchopt.exports.reference_frame import ReferenceFrame
+    from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
     from hitchopt.live.links import (
         Datagrams,
         JsonOutlet,

@@ -12,10 +12,9 @@ from typing import Any, Protocol, SupportsInt, TypeGuard
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.exports.fleet import Fleet
 from hitchopt.exports.options import HOMES, ExportOptions
+from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.exports.recording import Recording
-from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import Attitudes, States, attitudes, iterate_states, states_at
 from hitchopt.storage.files import Writer
@@ -100,7 +99,6 @@ class Loaded:
     places: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of drones that stand [m]
     place_key: str = "place"  # name of these places, (2,) or (3,), in the files
     own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
-    together: bool = True  # whether all are in one frame, so that distances mean something
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ import numpy as np
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import FileError, InputError, UnitWarning
-from hitchopt.exports.exporting import part_folders
+from hitchopt.exports.exporting import drone_check, part_folders
 from hitchopt.exports.format import (
     ERROR,
     FARTHEST,
@@ -35,8 +35,7 @@ from hitchopt.exports.format import (
 )
 from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
 from hitchopt.exports.options import HOMES
-from hitchopt.exports.reading import MANIFEST, read_manifest
-from hitchopt.exports.verification import drone_check
+from hitchopt.exports.recording import MANIFEST, read_manifest
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined
@@ -90,7 +89,7 @@ class Flight:
     duration: [s]
     speed, acceleration: the largest of any drone [m/s], [m/s²]; nan where the files have none.
     separation: smallest ratio over pairs, 1 where ellipsoids touch; inf for one drone, nan where
-        trajectories are relative to places that are not known.
+        all trajectories begin at one point, relative to places that are not known.
     jumps: the largest between pieces, of position [m], velocity [m/s] and acceleration [m/s²], as
         far as the format means them to be smooth.
     reach: the largest coordinate, control points included [m].
@@ -167,17 +166,13 @@ class Rules:
         return speed, acceleration
 
 
-def lint(
-    path: Path | str, rules: Rules | None = None, *, relative: bool = False
-) -> tuple[Report, ...]:
+def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     """Return the report on a file or folder; of an export that was cut, one for every part.
 
     Parameters
     ----------
     path: a file of a known format, or a folder of such files.
     rules: limits of the flight.
-    relative: whether every drone flies its trajectory from where it stands, as its settings or
-        the show state, instead of in the one frame of all.
 
     Raises
     ------
@@ -187,15 +182,13 @@ def lint(
     place = checked_path("path", path)
     applied = Rules() if rules is None else rules
     parts = part_folders(place) if place.is_dir() else ()
-    return tuple(_report(part, applied, relative) for part in map(place.joinpath, parts or ("",)))
+    return tuple(_report(part, applied) for part in map(place.joinpath, parts or ("",)))
 
 
-def _report(path: Path, rules: Rules, relative: bool) -> Report:
+def _report(path: Path, rules: Rules) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
             loaded = load(path)
-            if relative:
-                loaded = _flown_from_places(loaded)
             flight, found = _flown_together(loaded, rules)
     except (FileError, InputError) as fault:
         text = str(fault)
@@ -274,63 +267,25 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
     )
 
 
-def _places(loaded: Loaded) -> Array:
-    """Return the drones' places (D, 3) [m], nan where they are not known."""
-    places = np.full((len(loaded.recording.names), 3), np.nan)
-    for i, name in enumerate(loaded.recording.names):
-        place = loaded.places.get(name, ())
-        places[i, : len(place)] = place
-    return places
-
-
-def _flown_from_places(loaded: Loaded) -> Loaded:
-    """Return the trajectories as they are flown relative to where each drone stands.
-
-    All are taken to rise by the same height first. Where a place is missing, distances between
-    drones are unknown: they are not checked then, and a finding states it.
-    """
-    places, recording = _places(loaded), loaded.recording
-    missing = [n for n in recording.names if n not in loaded.places]
-    findings = loaded.findings
-    if missing and len(recording.names) > 1:
-        words = (
-            "no place is known to fly relative to, so how close drones come is not checked; "
-            "give initial_position in crazyflies.yaml beside the files, or homes in the show"
-        )
-        unknown = warning("separation", and_more(missing[0], len(missing)), words)
-        findings = (*findings, unknown)
-
-    def windows() -> Iterator[PiecewisePolynomial]:
-        offsets: Array | None = None
-        for window in recording.windows():
-            if offsets is None:
-                offsets = np.nan_to_num(places - window.coefficients[0, ..., 0])
-            yield PiecewisePolynomial(window.breaks, window.coefficients + offsets[..., None])
-
-    moved = replace(recording, windows=windows)
-    return replace(loaded, recording=moved, findings=findings, together=not missing)
-
-
-def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding, ...]]:
+def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, list[Finding]]:
     """Return the figures of the joint flight, and the findings on it."""
     names, smooth = loaded.recording.names, loaded.recording.smooth
-    limits = rules.limits(loaded.own)
-    checks: dict[str, list[Check]] = {}
+    limits, checks = rules.limits(loaded.own), dict[str, list[Check]]()
     jumps = [(0.0, "", 0.0)] * (smooth + 1)  # size, drone, time
+    windows = loaded.recording.windows()
+    last = next(windows)
+    first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
+    # Several drones that begin at one point have an origin each.
+    scattered = len(first) == 1 or float(np.max(np.ptp(first, axis=0))) >= SAME_START
     reach, longest = (0.0, ""), 0.0
-    first = last = None
-    for window in loaded.recording.windows():
+    for window in (last, *windows):
         reach = max(reach, _reach(window, names))
-        if first is None:
-            first, start = window.coefficients[0, ..., 0], float(window.breaks[0])
-        for check in _checks(loaded, window, limits, rules.separation, first):
+        for check in _checks(loaded, window, limits, rules.separation, scattered):
             checks.setdefault(check.name, []).append(check)
-        whole = window if last is None else joined([last, window])
+        whole = window if window is last else joined([last, window])
         jumps = [max(jump, _jump(whole, order, names)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
-    if last is None or first is None:  # a recording has windows, or raises
-        raise ValueError("a recording without windows")
     worst = {name: each for name, found in checks.items() if (each := most_pressing(found))}
     values = {name: check.bound for name, check in worst.items()}
     flight = Flight(
@@ -343,13 +298,12 @@ def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, tuple[Finding
         *limits,
         tuple(worst[key] for key in loaded.own if key in worst),
     )
-    found = (
-        *_broken(worst),
-        *_beginning(loaded, first, start),
-        *_jumping(jumps, rules),
-        *_stopping(last, names, rules),
+    found = [
+        *_broken(worst.values()),
+        *_beginning(loaded, first, start, scattered),
+        *_joining(last, names, jumps, rules),
         *_placed(loaded, reach, longest),
-    )
+    ]
     return flight, found
 
 
@@ -359,9 +313,8 @@ def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, st
     farthest = (float(np.max(each)), names[int(np.argmax(each))])
     if farthest[0] > FARTHEST:
         raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
-    if np.min(window.durations) < SHORTEST:
+    if (shortest := np.min(window.durations)) < SHORTEST:
         at = float(window.breaks[np.argmin(window.durations)])
-        shortest = np.min(window.durations)
         raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
     return farthest
 
@@ -371,7 +324,7 @@ def _checks(
     window: PiecewisePolynomial,
     limits: tuple[float, float],
     separation: Separation,
-    first: Array,
+    scattered: bool,
 ) -> Iterator[Check]:
     """Yield the checks of a window, the show's own limits among them.
 
@@ -385,7 +338,7 @@ def _checks(
         fastest, steepest = map(min, limits, most)
         asked = Requirements(Limits(speed=fastest, acceleration=steepest), separation)
     found = [drone_check("speed", window, asked)]
-    if len(names) > 1 and loaded.together and not _at_one_point(first):
+    if len(names) > 1 and scattered:
         found.append(drone_check("separation", window, asked))
         if (least := loaded.own.get(DISTANCE)) is not None:
             apart = replace(asked, separation=Separation(0.5 * least, 0.5 * least))
@@ -395,9 +348,8 @@ def _checks(
                 found.append(own)
     if smooth > 0:
         found.append(drone_check("acceleration", window, asked))
-    for check in found:
-        if check is not None:
-            yield replace(check, where=tuple(names[int(drone[1:])] for drone in check.where))
+    for check in filter(None, found):
+        yield replace(check, where=tuple(names[int(drone[1:])] for drone in check.where))
     for key, limit in loaded.own.items():
         order, unit, directions = OWN_LIMITS[key]
         if key == DISTANCE or order > smooth + 1:
@@ -407,11 +359,6 @@ def _checks(
         each = [largest_rate(window, order, size=SIZES[d]) for d in directions]
         worst = max(each, key=lambda found: (found.worst, found.item, found.time))
         yield Check.of(key, worst.worst, limit, "max", unit, worst.time, (names[worst.item],))
-
-
-def _at_one_point(first: Array) -> bool:
-    """Return whether several drones (D, 3) begin at one point, each having an origin of its own."""
-    return len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < SAME_START
 
 
 def _jump(
@@ -426,42 +373,49 @@ def _jump(
     return (float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)]))
 
 
-def _broken(worst: Mapping[str, Check]) -> Iterator[Finding]:
-    for name, check in worst.items():
+def _broken(checks: Iterable[Check]) -> Iterator[Finding]:
+    for check in checks:
         if not check.holds:
             unit = "" if check.unit == "ratio" else f" {check.unit}"
             relation = "below" if check.sense == "min" else "above"
             yield error(
-                name,
+                check.name,
                 ", ".join(check.where),
                 f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
-                f"{check.limit:.4g}{unit}; {REMEDIES.get(name, 'fly it more slowly')}",
+                f"{check.limit:.4g}{unit}; {REMEDIES.get(check.name, 'fly it more slowly')}",
             )
 
 
-def _beginning(loaded: Loaded, first: Array, start: float) -> Iterator[Finding]:
+def _beginning(loaded: Loaded, first: Array, start: float, scattered: bool) -> Iterator[Finding]:
     """Yield where trajectories (D, 3) [m] begin all at one point, off their places, or late."""
     if start != 0.0:
         yield warning("start", "", f"time begins at {start:g} s, not at 0; shift it")
-    if loaded.together and _at_one_point(first):
+    if not scattered:
         yield warning(
             "separation",
             "",
             "all drones begin at one point, so these are relative trajectories: how close they "
-            "come depends on where they start; check them with --relative if places are known",
+            "come depends on where they start, and is not checked",
         )
-    apart = np.linalg.norm(_places(loaded)[:, :2] - first[:, :2], axis=1)
-    for i in np.flatnonzero(apart > AT_START).tolist():
-        yield warning(
-            "start",
-            loaded.recording.names[i],
-            f"its {loaded.place_key} is {apart[i]:.3g} m away from where its trajectory begins; "
-            "place it there, see that its path there is free, or use --relative if trajectories "
-            "are flown from the drones' places",
-        )
+    for name, place in zip(loaded.recording.names, first, strict=True):
+        if name in loaded.places:
+            apart = math.dist(place[:2], loaded.places[name][:2])
+            if apart > AT_START:
+                yield warning(
+                    "start",
+                    name,
+                    f"its {loaded.place_key} is {apart:.3g} m away from where its trajectory "
+                    "begins; place it there, or see that its path there is free",
+                )
 
 
-def _jumping(jumps: Sequence[tuple[float, str, float]], rules: Rules) -> Iterator[Finding]:
+def _joining(
+    last: PiecewisePolynomial,
+    names: Sequence[str],
+    jumps: Sequence[tuple[float, str, float]],
+    rules: Rules,
+) -> Iterator[Finding]:
+    """Yield jumps where pieces join, and who still moves at the end."""
     for (what, unit), (size, drone, t), bound in zip(RATES, jumps, rules.jumps, strict=False):
         if size > bound:
             yield (error if what == "position" else warning)(
@@ -470,18 +424,14 @@ def _jumping(jumps: Sequence[tuple[float, str, float]], rules: Rules) -> Iterato
                 f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s "
                 f"(more than {bound:g} {unit}); make the pieces meet",
             )
-
-
-def _stopping(last: PiecewisePolynomial, names: Sequence[str], rules: Rules) -> Iterator[Finding]:
-    """Yield who still moves at the end, as drones do whose trajectory is cut off in mid-flight."""
-    speeds = np.linalg.norm(last.ends(1)[1][-1], axis=-1)
-    drone = int(np.argmax(speeds))
-    if speeds[drone] > rules.jumps[1]:
+    speeds, bound = np.linalg.norm(last.ends(1)[1][-1], axis=-1), rules.jumps[1]
+    drone_index = int(np.argmax(speeds))
+    if speeds[drone_index] > bound:
         yield warning(
             "end",
-            and_more(names[drone], np.count_nonzero(speeds > rules.jumps[1])),
-            f"still moves at {speeds[drone]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
-            f"(more than {rules.jumps[1]:g} m/s); let it come to rest: is something cut off?",
+            and_more(names[drone_index], np.count_nonzero(speeds > bound)),
+            f"still moves at {speeds[drone_index]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
+            f"(more than {bound:g} m/s); let it come to rest: is something cut off?",
         )
 
 
@@ -495,19 +445,11 @@ def _placed(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterato
             f"±{RADIOED} m; move the origin",
         )
     if loaded.streamed and longest > WATCHDOG:
-        yield error(
-            "rate",
-            "",
-            f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s; "
-            f"sample at {SLOWEST:g} Hz or more",
-        )
+        words = f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s"
+        yield error("rate", "", f"{words}; sample at {SLOWEST:g} Hz or more")
     elif loaded.kind == "ros2bag" and longest * SLOWEST > 1.01:
-        yield warning(
-            "rate",
-            "",
-            f"{1.0 / longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to 100 Hz; "
-            "sample more often",
-        )
+        words = f"{1.0 / longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to 100 Hz"
+        yield warning("rate", "", f"{words}; sample more often")
 
 
 def _durations(loaded: Loaded) -> Iterator[Finding]:

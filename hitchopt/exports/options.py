@@ -13,7 +13,7 @@ HOMES = {
     "crazyswarm2": "crazyswarm2:Crazyswarm2",
     "compressed": "compressed:CompressedBytes",
     "skybrush": "skybrush:SkybrushShow",
-    "skybrush_csv": "skybrush_csv:SkybrushCsv",
+    "skybrush_csv": "skybrush:SkybrushCsv",
     "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
     "ros2bag": "ros2bag:Ros2Bag",
     "csv": "tables:CsvTable",

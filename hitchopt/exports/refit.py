@@ -26,8 +26,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.recording import lasted
-from hitchopt.exports.reference_frame import ReferenceFrame
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at

@@ -23,7 +23,7 @@ import numpy as np
 
 from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.exports.formats.crazyswarm2 import LANDED
-from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.live.fly import Flown
 from hitchopt.motion.states import Attitudes, attitudes
 from hitchopt.values import MAX_COORDINATE, Array

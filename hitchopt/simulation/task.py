@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
-from hitchopt.exports.directory import SETPOINTS, VERTICES, refuse_mixture
-from hitchopt.exports.setpoints import HEADER as SETPOINTS_HEADER
-from hitchopt.exports.setpoints import VERTICES_HEADER
+from hitchopt.exports.directory import HEADER as SETPOINTS_HEADER
+from hitchopt.exports.directory import SETPOINTS, VERTICES, VERTICES_HEADER, refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Motion

@@ -73,8 +73,8 @@ def test_a_lost_limit_ends_with_3_and_what_would_do(
     assert "error: speed: " in done.stderr
     assert "(the plan keeps 0.29" in done.stderr
     assert list(place.iterdir()) == []
-    (line,) = (line for line in done.stderr.splitlines() if "verified: --stretch" in line)
-    run(*export, "--stretch", line.split()[3], code=0)
+    assert "fly it slower with --stretch" in done.stderr
+    run(*export, "--stretch", "1.02", code=0)
 
 
 def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) -> None:
@@ -137,9 +137,6 @@ def test_lint_reports_what_would_go_wrong(plan: Path) -> None:
     assert "error: speed: " in done.stderr
     assert "error: separation: " in done.stderr
     assert "2 errors, 2 warnings" in done.stdout
-    relative = run("lint", "files", "--relative", code=0)  # flown from the drones' places
-    assert "0 errors, 2 warnings" in relative.stdout
-    run("lint", Path("files") / "q0.csv", "--relative", code=0)
     run("lint", "files", "--radius", "-1", code=2)
     run("lint", "nowhere", code=2)
     for path in (plan, plan / "plan.npz"):

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.exporting import Export, export_plan
-from hitchopt.exports.fleet import placeholder_fleet
+from hitchopt.exports.exporting import FLOWN, Export, export_plan
 from hitchopt.exports.format import Task, format_of
 from hitchopt.exports.options import ExportOptions
-from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.verification import FLOWN
+from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.mission.loading import problem_from_dict
@@ -63,12 +61,11 @@ def flown_checks(motion: Motion) -> dict[str, Check]:
     return {name: check for name, check in found.items() if check is not None}
 
 
-def swarm_of(places: Array, breaks: Array, degree_match: int = 4) -> Motion:
+def swarm_of(places: Array, breaks: Array) -> Motion:
     """Drones through places (K, D, 3) at breaks (K,), at rest at each."""
-    left = np.zeros((degree_match, len(breaks) - 1, *places.shape[1:]))
-    right = left.copy()
-    left[0], right[0] = places[:-1], places[1:]
-    drones = PiecewisePolynomial.hermite(breaks, left, right)
+    ends = np.zeros((4, len(breaks), *places.shape[1:]))
+    ends[0] = places
+    drones = PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
     kinds = [Quadrotor(0.03 + 0.001 * i, 0.6) for i in range(places.shape[1])]
     return Motion.single(
         Swarm(len(kinds), quadrotor=kinds),

@@ -1,15 +1,26 @@
-"""Crazyflies: memory, packing by cflib, settings, plans that are too long, rounding."""
+"""Crazyflies: memory, packing by cflib, settings and fleets, parts, fly.py flown by a stand-in.
+
+The stand-in for crazyflie_py has the semantics of the firmware's high-level commander: an upload
+copies pieces into memory at once, a trajectory, also a finished one, is evaluated from there at
+every step, and takeoff, goTo and land fly a piece outside of that memory.
+"""
 
 from __future__ import annotations
 
 import re
+import runpy
+import sys
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
 from cflib.crazyflie.mem.trajectory_memory import CompressedSegment, CompressedStart, Poly4D
 from exported_plans import (
+    Array,
     certificate_of,
     exported,
     hitch_plan,
@@ -22,35 +33,30 @@ from exported_plans import (
 from format_readers import polynomials, segments
 from ruamel.yaml import YAML
 
-from hitchopt.checks import certify
-from hitchopt.errors import InfeasibleError
-from hitchopt.exports.exporting import export_plan
-from hitchopt.exports.fleet import fleet_from_dict, placeholder_fleet, read_fleet
+import hitchopt as ho
+from hitchopt.errors import FileError, InfeasibleError, InputError
+from hitchopt.exports.exporting import Export, export_plan
 from hitchopt.exports.format import format_of
-from hitchopt.exports.formats.compressed import compressed
-from hitchopt.exports.formats.crazyswarm2 import (
-    KIND,
-    PIECE_BYTES,
-    read_poly_csv,
-)
-from hitchopt.exports.reading import read_manifest
+from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
+from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
+from hitchopt.exports.recording import read_manifest
 from hitchopt.mission.loading import any_problem_from_dict
-from hitchopt.mission.problem import SwarmProblem
-from hitchopt.mission.solving import solve_swarm
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from problems.swarm import reversed_stack
+
+PROBLEM = Path(__file__).parents[2] / "problems" / "tie_carry_untie.yaml"
 
 
 def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     for path in sorted(tmp_path.glob("*.csv")):
-        table = read_poly_csv(path)
-        data = b""
+        table, data = read_poly_csv(path), b""
         for duration, powers in zip(table.durations, table.powers, strict=True):
             axes = [Poly4D.Poly(axis.tolist()) for axis in powers]
             data += bytes(Poly4D(float(duration), *axes).pack())
-        assert len(data) == PIECE_BYTES * len(table.durations) <= 4096
+        assert len(data) == 132 * len(table.durations) <= 4096
         # In single precision nothing is lost: the numbers have been rounded to it.
         single = np.frombuffer(data, dtype="<f4").reshape(-1, 33).astype(np.float64)
         assert np.array_equal(single[:, 32], table.durations)
@@ -58,11 +64,14 @@ def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
 
 
 def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
-    exported(hitch_plan(), "compressed", tmp_path, yaw=0.25)
-    for path in sorted(tmp_path.glob("*.bin")):
-        data = path.read_bytes()
+    motion = hitch_plan()
+    exported(motion, "compressed", tmp_path, yaw=0.25)
+    (files,) = Plan(motion, certificate_of(motion), "A plan").compressed(yaw=0.25)
+    assert set(files) == set(motion.team.drone_names)
+    for name, data in files.items():
+        assert data == (tmp_path / f"{name}_enu.bin").read_bytes()
         start, found, rest = segments(data)
-        assert rest == b""
+        assert (rest, start[3]) == (b"", round(np.degrees(0.25) * 10))
         # cflib truncates: half a unit more, away from zero, lands on the integers.
         nudged = [(v + 0.5 * np.sign(v)) / 1000.0 for v in start[:3]]
         packed = bytes(CompressedStart(*nudged, np.radians((start[3] + 0.5) / 10.0)).pack())
@@ -71,13 +80,13 @@ def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
             segment = CompressedSegment((duration + 0.5) / 1000.0, *near, axes[3])
             packed += bytes(segment.pack())
         assert packed + bytes(CompressedSegment(0.0, [], [], [], []).pack()) == data
-        assert start[3] == round(np.degrees(0.25) * 10)
 
 
 def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
     places = np.array([[[0.0, 0.0, 1.0]], [[0.4, 0.0, 1.0]]])
     moving, still = (swarm_of(p, np.array([0.0, 3.0])) for p in (places, places[[0, 0]]))
-    (data,) = compressed(task_of(moving, "compressed"), 1.0, 2e-3)
+    exported(moving, "compressed", tmp_path)
+    data = (tmp_path / "d0_enu.bin").read_bytes()
     _, found, _ = segments(data)
     assert all(axes[1] == axes[2] == axes[3] == [] for _, axes in found)
     assert len(data) == 8 + len(found) * (3 + 14) + 3
@@ -88,19 +97,19 @@ def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
     assert part.verdict.duration == pytest.approx(3.0, abs=1e-3)
 
 
-def test_beyond_the_range_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InfeasibleError, match=r"range: 3.* m is above the limit of 32\.767 m"):
-        exported(swarm_plan(), "compressed", tmp_path / "out", origin=[31.0, 0.0, 0.0])
+@pytest.mark.parametrize(
+    ("make", "name", "options", "words"),
+    [
+        (swarm_plan, "compressed", {"origin": [31.0, 0.0, 0.0]}, r"range: 3.* limit of 32\.767 m"),
+        (restless_plan, "crazyswarm2", {}, r"limit of 31 pieces(.|\n)*it: --format ros2bag"),
+    ],
+)
+def test_what_memory_does_not_hold_is_refused(
+    make: Callable[[], Motion], name: str, options: dict[str, object], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InfeasibleError, match=words):
+        exported(make(), name, tmp_path / "out", **options)
     assert not (tmp_path / "out").exists()
-
-
-def test_bytes_from_python(tmp_path: Path) -> None:
-    motion = hitch_plan()
-    plan = Plan(motion, certify(motion), "A plan")
-    (files,) = plan.compressed(frame="nwu")
-    plan.export("compressed", tmp_path, frame="nwu")
-    assert set(files) == set(motion.team.drone_names)
-    assert files["q0"] == (tmp_path / "q0_nwu.bin").read_bytes()
 
 
 def test_settings_name_every_drone_below_its_start(tmp_path: Path) -> None:
@@ -145,6 +154,72 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     again = read_fleet(tmp_path / "placeholders" / "crazyflies.yaml", roles)
     assert again.members == placeholder_fleet(roles).members
     assert not again.given
+    many = placeholder_fleet([f"d{i}" for i in range(300)])
+    assert len({member.uri for member in many.members}) == 300
+    assert many.members[PER_RADIO].uri.startswith("radio://1/")
+
+
+DRONES: dict[str, dict[str, Any]] = {
+    "q0": {"name": "cf7", "uri": "radio://0/80/2M/E7E7E7E707", "type": "cf21"},
+    "r0": {"name": "cf9", "uri": "radio://1/90/2M/E7E7E7E709"},
+}
+ROBOTS: dict[str, dict[str, Any]] = {
+    "cf7": {"uri": "radio://0/80/2M/E7E7E7E707", "initial_position": [0, 0.5, 0], "role": "r0"},
+    "q0": {"enabled": True, "uri": "radio://0/80/2M/E7E7E7E709", "type": "cf21"},
+    "cf3": {"enabled": False, "uri": "radio://0/80/2M/E7E7E7E703", "type": "cf21"},
+}
+
+
+def test_robots_fly_their_roles_else_their_names(tmp_path: Path) -> None:
+    data = {"fileversion": 3, "robots": ROBOTS, "robot_types": {"cf21": {}}, "all": {"a": 1}}
+    fleet = fleet_from_dict(data, ("q0", "r0"))
+    assert [(m.role, m.name) for m in fleet.members] == [("q0", "q0"), ("r0", "cf7")]
+    assert [m.type for m in fleet.members] == ["cf21", "default"]
+    assert (fleet.types, fleet.settings, fleet.given) == ({"cf21": {}}, {"a": 1}, True)
+    path = tmp_path / "fleet.yaml"
+    path.write_text("- q0\n")
+    with pytest.raises(FileError, match="no mapping"):
+        read_fleet(path, ("q0", "r0"))
+
+
+@pytest.mark.parametrize(
+    ("root", "name", "keys", "reported"),
+    [
+        ("drones", "q1", {"name": "cf1", "uri": "radio://0/1/2M/E7"}, "'q1': must be a drone of"),
+        ("drones", "q0", {"name": None}, r"drones.q0.name = '\(missing\)'"),
+        ("drones", "q0", {"name": "cf 7"}, "drones.q0.name = 'cf 7': must be letters"),
+        ("drones", "q0", {"name": "../up"}, "drones.q0.name"),
+        ("drones", "q0", {"name": "On"}, "no word of YAML"),
+        ("drones", "q0", {"name": "CF9"}, "must be of one drone only"),
+        ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be of one drone only"),
+        ("drones", "q0", {"uri": "E7E7E7E707"}, "drones.q0.uri = 'E7E7E7E707': must be an address"),
+        ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: must be a known key"),
+        ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be text"),
+        ("robots", "cf3", {"enabled": True}, "robots = 'cf3': .* a robot's role tells which it"),
+        (
+            "robots",
+            "cf3",
+            {"enabled": True, "role": "r0"},
+            "robots.cf3.role = 'r0': .* and cf7 has",
+        ),
+        ("robots", "cf7", {"firmware_params": {}}, "robots.cf7.firmware_params = .*a known key"),
+        ("robots", "cf7", {"uri": ROBOTS["q0"]["uri"]}, r"robots\.\w+\.uri = .* of one drone only"),
+        ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),
+        ("drones", "r0", None, "drones = 'r0': must be named once"),
+        ("others", "", {}, r"drones = '\(missing\)': must be given"),
+    ],
+)
+def test_mistakes_of_fleets_are_reported_by_key(
+    root: str, name: str, keys: dict[str, object] | None, reported: str
+) -> None:
+    entries: dict[str, Any] = {"drones": DRONES, "robots": ROBOTS}.get(root, {})
+    entry = {k: v for k, v in {**entries.get(name, {}), **(keys or {})}.items() if v is not None}
+    given = {**entries, name: entry}
+    if keys is None:
+        del given[name]
+    data: dict[str, Any] = {root: given}
+    with pytest.raises(InputError, match=reported):
+        fleet_from_dict(data if name else {}, ("q0", "r0"))
 
 
 @pytest.mark.slow
@@ -181,15 +256,232 @@ def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
     assert [p for p in tmp_path.iterdir() if p.is_dir()] == []
 
 
-def test_what_never_rests_is_left_to_streaming(tmp_path: Path) -> None:
-    with pytest.raises(InfeasibleError, match="above the limit of 31 pieces") as reported:
-        exported(restless_plan(), "crazyswarm2", tmp_path / "out")
-    assert "stream it: --format ros2bag" in str(reported.value)
-    assert not (tmp_path / "out").exists()
-
-
 def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None:
-    problem = any_problem_from_dict(reversed_stack(3))
-    assert isinstance(problem, SwarmProblem)
-    (part,) = exported(solve_swarm(None, problem).motion, "crazyswarm2", tmp_path)
+    motion = ho.solve(any_problem_from_dict(reversed_stack(3))).motion
+    (part,) = exported(motion, "crazyswarm2", tmp_path)
     assert any("would take off from one place" in note for note in part.notes)
+
+
+STEP = 0.04  # [s] Between looks at the setpoints
+RADIO = 0.002  # [s] What one piece takes to upload: scripts have to wait
+CONTINUOUS = 2e-3  # [m] Setpoints that jump by less are polynomials looked at now and then
+
+
+def rest_to_rest(duration: float, start: Array, goal: Array) -> Array:
+    """Return one piece (33,), degree 7, from position, velocity, acceleration (3, 3) to a goal."""
+    rows, values = [], []
+    for t, ends in ((0.0, [*start, np.zeros(3)]), (duration, [goal, *np.zeros((3, 3))])):
+        for order, value in enumerate(ends):
+            rows.append([np.polynomial.Polynomial.basis(k).deriv(order)(t) for k in range(8)])
+            values.append(value)
+    powers = np.linalg.solve(np.array(rows), np.array(values)).T
+    return np.concatenate([[duration], powers.ravel(), np.zeros(8)])
+
+
+class Craft:
+    """One Crazyflie: its trajectory memory, its planner, and what it does between them."""
+
+    def __init__(self, fleet: Fleet, name: str, needs_arming: bool) -> None:
+        self.fleet, self.name, self.armed = fleet, name, not needs_arming
+        self.memory = np.zeros((31, 33))
+        self.defined: dict[int, tuple[int, int]] = {}
+        self.state, self.begun, self.worst_jump = "idle", 0.0, 0.0
+        self.pieces = self.memory[:0]
+        self.setpoint = np.zeros((3, 3))  # position, velocity, acceleration
+
+    def evaluate(self) -> Array:
+        """What the planner gives now, (3, 3)."""
+        t, out = self.fleet.now - self.begun, []
+        ends = np.cumsum(self.pieces[:, 0])
+        number = min(int(np.searchsorted(ends, t)), len(ends) - 1)
+        piece, over = self.pieces[number], t > ends[-1]
+        t = min(t, ends[-1]) - (ends[number] - piece[0])
+        powers = piece[1:25].reshape(3, 8)
+        for _ in range(3):
+            out.append(powers @ t ** np.arange(powers.shape[1]))
+            powers = powers[:, 1:] * np.arange(1, powers.shape[1])
+        return np.array([out[0], *(0.0 * x if over else x for x in out[1:])])
+
+    def look(self, dt: float) -> None:
+        """Take the present setpoint and compare it with what the last one leads to."""
+        if self.state == "idle":
+            return
+        here = self.evaluate()
+        led = self.setpoint[0] + 0.5 * dt * (self.setpoint[1] + here[1])
+        self.worst_jump = max(self.worst_jump, float(np.linalg.norm(here[0] - led)))
+        self.setpoint = here
+        if self.state == "landing" and self.fleet.now > self.begun + self.pieces[0][0]:
+            self.state, self.setpoint[1:] = "idle", 0.0
+
+    def _fly(self, state: str, pieces: Array) -> None:
+        if self.armed:
+            self.state, self.pieces, self.begun = state, pieces, self.fleet.now
+            self.fleet.look(0.0)
+
+    def _go(self, state: str, goal: Sequence[float], duration: float) -> None:
+        self._fly(state, rest_to_rest(duration, self.setpoint, np.asarray(goal))[None])
+
+    def takeoff(self, targetHeight: float, duration: float) -> None:
+        if self.state == "idle":
+            self._go("flying", [*self.setpoint[0, :2], targetHeight], duration)
+
+    def land(self, targetHeight: float, duration: float) -> None:
+        self._go("landing", [*self.setpoint[0, :2], targetHeight], duration)
+
+    def goTo(self, goal: Sequence[float], _yaw: float, duration: float) -> None:
+        self.fleet.calls.append((self.name, "goTo"))
+        self._go("flying", goal, duration)
+
+    def arm(self, arm: bool = True) -> None:
+        self.fleet.calls.append((self.name, "arm"))
+        self.armed = arm
+
+    def uploadTrajectory(self, number: int, offset: int, trajectory: Rows) -> None:
+        self.fleet.calls.append((self.name, "uploadTrajectory"))
+        for i, row in enumerate(trajectory.rows):
+            self.memory[offset + i] = row
+            self.fleet.sleep(RADIO)
+        self.defined[number] = (offset, len(trajectory.rows))
+
+    def startTrajectory(
+        self, number: int, timescale: float = 1.0, reverse: bool = False, relative: bool = True
+    ) -> None:
+        assert (timescale, reverse, relative) == (1.0, False, False)  # in the room's coordinates
+        offset, count = self.defined[number]
+        self._fly("flying", self.memory[offset : offset + count])  # a view: memory as it is then
+
+
+class OldCraft(Craft):
+    """As clients before arming know it."""
+
+    @property
+    def arm(self) -> None:  # type: ignore[override]
+        raise AttributeError("arm")
+
+
+class Rows:
+    """Stands for uav_trajectory.Trajectory."""
+
+    def loadcsv(self, path: Path) -> None:
+        self.rows = np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(33), ndmin=2)
+
+
+class Fleet:
+    """Stands for Crazyswarm, its allcfs and its timeHelper at once; drones stand at ``starts``."""
+
+    def __init__(
+        self, starts: dict[str, Array], kind: type[Craft] = Craft, needs_arming: bool = True
+    ) -> None:
+        self.now = 0.0
+        self.calls: list[tuple[str, str]] = []
+        self.crazyfliesByName = {name: kind(self, name, needs_arming) for name in starts}
+        for name, place in starts.items():
+            self.crazyfliesByName[name].setpoint[0] = place
+        self.allcfs = self.timeHelper = self
+
+    @property
+    def worst_jump(self) -> float:
+        """[m] The largest of all drones since they took off."""
+        return max(craft.worst_jump for craft in self.crazyfliesByName.values())
+
+    def look(self, dt: float) -> None:
+        for craft in self.crazyfliesByName.values():
+            craft.look(dt)
+
+    def sleep(self, duration: float) -> None:
+        count = max(1, round(duration / STEP))
+        for _ in range(count):
+            self.now += duration / count
+            self.look(duration / count)
+
+    def __getattr__(self, name: str) -> Callable[..., None]:
+        if name not in {"takeoff", "land", "startTrajectory"}:
+            raise AttributeError(name)
+
+        def command(*args: object, **keys: object) -> None:
+            self.calls.append(("all", name))
+            for craft in self.crazyfliesByName.values():
+                getattr(craft, name)(*args, **keys)
+
+        return command
+
+    def run(
+        self, monkeypatch: pytest.MonkeyPatch, script: Path, *arguments: str, answer: str = ""
+    ) -> None:
+        """Run a script as a user does."""
+        package, reader = ModuleType("crazyflie_py"), ModuleType("crazyflie_py.uav_trajectory")
+        package.__dict__["Crazyswarm"] = lambda: self
+        reader.__dict__["Trajectory"] = Rows
+        with monkeypatch.context() as patched:
+            patched.setitem(sys.modules, "crazyflie_py", package)
+            patched.setitem(sys.modules, "crazyflie_py.uav_trajectory", reader)
+            patched.setattr("builtins.input", lambda _: answer)
+            patched.setattr(sys, "argv", [script.name, *arguments])
+            runpy.run_path(str(script), run_name="__main__")
+        assert self.worst_jump < CONTINUOUS
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, ...]:
+    return exported(ho.solve(PROBLEM).motion, "crazyswarm2", tmp_path_factory.mktemp("mission"))
+
+
+def standing(folder: Path) -> dict[str, Array]:
+    """Where the settings say that drones stand."""
+    robots = YAML(typ="safe").load(folder / "crazyflies.yaml")["robots"]
+    return {name: np.array(robot["initial_position"]) for name, robot in robots.items()}
+
+
+def end_of(folder: Path, name: str) -> Array:
+    path = folder / f"{name}.csv"
+    place: Array = polynomials(path, np.sum(read_poly_csv(path).durations, keepdims=True))[0]
+    return place
+
+
+@pytest.mark.slow
+def test_no_setpoint_jumps_through_all_parts(
+    parts: tuple[Export, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len(parts) == 3
+    fleet = Fleet(standing(parts[0].folder))
+    for number, part in enumerate(parts, 1):
+        more = number < len(parts)
+        options = ["--from-here"] if number > 1 else []
+        fleet.run(monkeypatch, part.folder / "fly.py", *options, answer="stay\n" if more else "")
+        for name, craft in fleet.crazyfliesByName.items():
+            assert craft.state == ("flying" if more else "idle")
+            apart = np.linalg.norm(craft.setpoint[0] - end_of(part.folder, name))
+            assert apart < 1e-5  # the plan ends on the floor: landing moves nobody
+        text = (part.folder / "README.txt").read_text(encoding="utf-8")
+        reported = f"part {number} of 3, t = {part.begins:.3f} s to "
+        assert any(note.startswith(reported) for note in part.notes)
+        assert reported in text
+        assert reported in (part.folder / "fly.py").read_text(encoding="utf-8")
+    fleet = Fleet(standing(parts[0].folder))  # started in the air without its option
+    fleet.run(monkeypatch, parts[0].folder / "fly.py", answer="stay")
+    fleet.run(monkeypatch, parts[1].folder / "fly.py")
+    assert {craft.state for craft in fleet.crazyfliesByName.values()} == {"idle"}
+    assert all(c.setpoint[0, 2] == pytest.approx(0.04) for c in fleet.crazyfliesByName.values())
+
+
+@pytest.mark.parametrize(
+    ("kind", "needs_arming"), [(Craft, True), (OldCraft, False)], ids=["brushless", "brushed"]
+)
+def test_a_whole_plan_from_take_off_to_landing(
+    kind: type[Craft], needs_arming: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    beside = {name: place + [0.05, -0.03, 0.01] for name, place in standing(tmp_path).items()}
+    fleet = Fleet(beside, kind, needs_arming)
+    fleet.run(monkeypatch, tmp_path / "fly.py")
+    for name, craft in fleet.crazyfliesByName.items():
+        landed = [*end_of(tmp_path, name)[:2], 0.04]
+        np.testing.assert_allclose(craft.setpoint[0], landed, atol=1e-5)
+    calls = (["arm"] if needs_arming else []) + ["goTo", "uploadTrajectory"]
+    alone = [(name, call) for call in calls for name in hitch_plan().team.drone_names]
+    together = [call for who, call in fleet.calls if who == "all"]
+    assert [call for call in fleet.calls if call[0] != "all"] == alone
+    assert together == ["takeoff", "startTrajectory", "land"]
+    note = (tmp_path / "README.txt").read_text(encoding="utf-8")
+    assert note.index("goTo (absolute)") < note.index("only then upload")
+    assert all(words in note for words in ("Brushless", "relative=False", "placeholders"))

@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import sqlite3
+import sys
+from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
+import trimesh
 from exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
-from format_readers import READERS
+from format_readers import READERS, bag_messages, glb_animation, vector
+from ruamel.yaml import YAML
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import FileError, InfeasibleError, UnsupportedError
-from hitchopt.exports.format import NOTE, format_of
+import hitchopt as ho
+from hitchopt.errors import FileError, InfeasibleError, InputError, UnsupportedError
+from hitchopt.exports.directory import write_setpoints, write_vertices
+from hitchopt.exports.exporting import export_motion
+from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint
-from hitchopt.exports.options import HOMES
-from hitchopt.exports.reading import read_manifest
+from hitchopt.exports.options import HOMES, ExportOptions
+from hitchopt.exports.recording import read_manifest
 from hitchopt.hitch import GRAVITY
-from hitchopt.mission.loading import any_problem_from_dict, load_problem
-from hitchopt.mission.problem import SwarmProblem
-from hitchopt.mission.solving import solve_problem, solve_swarm
-from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import states_at
+from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.states import sample_times, states_at
 
-ROOT = Path(__file__).parents[2]
+PROBLEMS = Path(__file__).parents[2] / "problems"
 
 MOTIONS = {"hitch": hitch_plan, "swarm": swarm_plan}
 
@@ -39,12 +48,19 @@ AXES = {
 
 FRAMES = [(name, frame) for name in HOMES for frame in format_of(name).frames]
 
+RATE = 25.0  # [Hz]
+
 
 def in_file(frame: str, v: Array) -> Array:
     """Turned by the yaw of PLACE, then along the file's axes."""
     c, s = np.cos(PLACE["yaw"]), np.sin(PLACE["yaw"])
     east, north = c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]
     return np.stack(AXES[frame](east, north, v[..., 2]), axis=-1)
+
+
+@lru_cache
+def planned(stem: str) -> Motion:
+    return ho.solve(PROBLEMS / f"{stem}.yaml").motion
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -84,37 +100,29 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
         turning = np.linalg.norm(read.rates[..., :2], axis=-1)
         expected = np.linalg.norm(states.body_rates[..., :2], axis=-1)
         np.testing.assert_allclose(turning, expected, atol=1e-8)
-
-
-@pytest.mark.parametrize("name", HOMES)
-def test_lint_has_nothing_to_complain_of(name: str, tmp_path: Path) -> None:
-    (part,) = exported(hitch_plan(), name, tmp_path)
-    (found,) = lint(tmp_path)
-    assert found.sound
-    lead = 0.0
-    if name == "mavsdk_drone_show":  # which flies nothing of it by its own settings
-        assert [(f.level, f.rule) for f in found.findings] == [(NOTE, "settings")]
-        lead = json.loads((tmp_path / "export.json").read_text())["receiver"]["plan_begins_s"]
-    else:
-        assert found.findings == ()
-    assert (found.kind, found.frame) == (name, format_of(name).frames[0])
-    assert len(found.facts) == 6
-    checks = {check.name: check.bound for check in part.verdict.checks}
-    assert found.flight.separation == pytest.approx(checks["separation"], rel=2e-3)
-    speed = max(checks["speed"], 0.5 if lead else 0.0)
-    assert found.flight.speed == pytest.approx(speed, rel=2e-3)
-    assert found.flight.duration == pytest.approx(part.verdict.duration + lead)
-
-
-@lru_cache
-def planned(stem: str) -> Motion:
-    return solve_problem(load_problem(ROOT / "problems" / f"{stem}.yaml")).motion
+    (linted,) = lint(tmp_path)
+    assert linted.findings == ()
+    assert (linted.kind, linted.frame, len(linted.facts)) == (name, frame, len(team.drone_names))
+    begin = (json.loads((tmp_path / "export.json").read_text()).get("receiver") or {}).get(
+        "plan_begins_s", 0.0
+    )
+    checks = {check.name: check.bound for check in verdict.checks}
+    assert linted.flight.separation == pytest.approx(checks["separation"], rel=2e-3)
+    speed = max(checks["speed"], 0.5 if begin else 0.0)
+    assert linted.flight.speed == pytest.approx(speed, rel=2e-3)
+    assert linted.flight.duration == pytest.approx(verdict.duration + begin)
 
 
 @pytest.mark.parametrize("name", ["crazyswarm2", "compressed", "skybrush"])
 @pytest.mark.parametrize(
     "stem",
-    ["open_chain", "paper_experiment_3", "unequal_cables", "thrust_bound", "narrow_arena"],
+    [
+        *("open_chain", "thrust_bound"),
+        *(
+            pytest.param(stem, marks=pytest.mark.slow)
+            for stem in ("paper_experiment_3", "unequal_cables", "narrow_arena")
+        ),
+    ],
 )
 def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) -> None:
     (part,) = exported(planned(stem), name, tmp_path)
@@ -129,27 +137,23 @@ def test_a_mission_is_cut_where_it_loses_a_limit_as_one(
 ) -> None:
     parts = exported(planned("tie_carry_untie"), name, tmp_path)
     assert (len(parts) > 1) is cut
-    for part in parts:
-        assert part.verdict.lost == ()
-        checks = {check.name for check in part.verdict.checks}
-        assert {"separation", "cable_clearance"} <= checks
-    assert any("span" in {check.name for check in part.verdict.checks} for part in parts)
+    checked = [{check.name for check in part.verdict.checks} for part in parts]
+    assert all(part.verdict.lost == () for part in parts)
+    assert all({"separation", "cable_clearance"} <= names for names in checked)
+    assert any("span" in names for names in checked)
 
 
 def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
     """The path keeps 0.12009 m; in whole millimetres it begins at 0.1196 m."""
     y = 0.12049
     prism = [[-3.0, -1.0], [-3.0, 0.0004], [3.0, 0.0004], [3.0, -1.0]]
-    problem = any_problem_from_dict(
-        {
-            "team": {"drones": 1},
-            "start": [[-1.5, y, 1.0]],
-            "goal": [[1.5, y, 1.0]],
-            "keep_out": [{"polygon": prism, "lower": 0.0, "upper": 3.0}],
-        }
-    )
-    assert isinstance(problem, SwarmProblem)
-    motion = solve_swarm(None, problem).motion
+    problem = {
+        "team": {"drones": 1},
+        "start": [[-1.5, y, 1.0]],
+        "goal": [[1.5, y, 1.0]],
+        "keep_out": [{"polygon": prism, "lower": 0.0, "upper": 3.0}],
+    }
+    motion = ho.solve(any_problem_from_dict(problem)).motion
     exported(motion, "csv", tmp_path / "csv")
     with pytest.raises(InfeasibleError, match="keep_out"):
         exported(motion, "compressed", tmp_path / "compressed")
@@ -160,11 +164,8 @@ def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
 def test_a_missing_library_says_what_to_install(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def missing(module: str) -> None:
-        raise UnsupportedError(f"{module}; pip install 'hitchopt[export]'")
-
-    place = {"parquet": "tables", "ros2bag": "ros2bag"}[name]
-    monkeypatch.setattr(f"hitchopt.exports.formats.{place}.needed", missing)
+    for module in ("pyarrow", "rosbags.rosbag2"):
+        monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(UnsupportedError, match=r"pip install 'hitchopt\[export\]'"):
         exported(swarm_plan(), name, tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -195,16 +196,201 @@ def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:
     assert (other / "setpoints.npz").read_text() == "somebody's"
 
 
-def test_attitudes_turn_as_their_rates_say() -> None:
+@pytest.mark.parametrize("frame", AXES)
+def test_attitudes_turn_as_their_rates_say(frame: str) -> None:
     """Differentiated numerically: the body's rates are those of the quaternions."""
-    for frame in AXES:
-        task = task_of(hitch_plan(), "csv", frame=frame, yaw=0.4)
-        t, h = np.array([0.21, 0.4, 1.9]), 1e-5
-        now = task.attitudes(states_at(hitch_plan(), t))
-        before, after = (
-            Rotation.from_quat(each.quaternions.reshape(-1, 4), scalar_first=True)
-            for each in (task.attitudes(states_at(hitch_plan(), t + d)) for d in (-h, h))
-        )
-        turned = (before.inv() * after).as_rotvec() / (2 * h)
-        np.testing.assert_allclose(turned, now.body_rates.reshape(-1, 3), atol=2e-4)
-        assert np.max(np.abs(now.body_rates)) > 0.05
+    task = task_of(hitch_plan(), "csv", frame=frame, yaw=0.4)
+    t, h = np.array([0.21, 0.4, 1.9]), 1e-5
+    before, now, after = (task.attitudes(states_at(hitch_plan(), t + d)) for d in (-h, 0.0, h))
+    turned = [
+        Rotation.from_quat(each.quaternions.reshape(-1, 4), scalar_first=True)
+        for each in (before, after)
+    ]
+    rates = (turned[0].inv() * turned[1]).as_rotvec() / (2 * h)
+    np.testing.assert_allclose(rates, now.body_rates.reshape(-1, 3), atol=2e-4)
+    assert np.max(np.abs(now.body_rates)) > 0.05
+
+
+def test_every_column_of_a_table_is_the_plan_s(tmp_path: Path) -> None:
+    """Those that fleets do not fly: the others are in the first test."""
+    motion = hitch_plan()
+    exported(motion, "parquet", tmp_path, rate=RATE)
+    file = pq.ParquetFile(tmp_path / "setpoints.parquet")
+    place = {"frame": "enu", "origin_enu": [0.0, 0.0, 0.0], "yaw_deg": 0.0}
+    assert json.loads(file.schema_arrow.metadata[b"hitchopt.room"]) == place
+    assert file.num_row_groups == 1
+    table, states = file.read(), states_at(motion, sample_times(motion.duration, RATE))
+    for names, values in (
+        ("ax ay az", states.accelerations),
+        ("jx jy jz", states.jerks),
+        ("cable_x cable_y cable_z", states.cable_forces),
+    ):
+        found = np.stack([table[name].to_numpy() for name in names.split()], axis=-1)
+        np.testing.assert_allclose(found, values.reshape(-1, 3), atol=1e-9)
+    assert not np.any(table["yaw"].to_numpy())
+
+
+def numbers(path: Path, columns: str, **wanted: str) -> Array:
+    """Columns of a table, each cell with a point: readers take the others for integers."""
+    with path.open(newline="") as file:
+        rows = [row for row in csv.DictReader(file) if wanted.items() <= row.items()]
+    cells = [[row[name] for name in columns.split()] for row in rows]
+    assert all("." in cell for row in cells for cell in row)
+    return np.array(cells, dtype=np.float64)
+
+
+def test_the_tables_of_a_solve_are_the_plan(tmp_path: Path) -> None:
+    motion, rate = hitch_plan(), 37.0
+    file, t = tmp_path / "s.csv", sample_times(motion.duration, rate)
+    done: list[float] = []
+    write_setpoints(file, motion, rate, done.append)
+    assert done == sorted(done)
+    assert done[-1] == 1.0
+    header, *rows, end = file.read_text().split("\n")
+    assert header == "t,drone,x,y,z,vx,vy,vz,ax,ay,az,jx,jy,jz,yaw,cable_x,cable_y,cable_z"
+    assert end == ""
+    assert [row.split(",")[1] for row in rows] == list(motion.team.drone_names) * len(t)
+    np.testing.assert_allclose(numbers(file, "t")[:, 0], np.repeat(t, 6), atol=1e-11, rtol=1e-11)
+    assert not np.any(numbers(file, "yaw"))
+    for order, columns in enumerate(("x y z", "vx vy vz", "ax ay az", "jx jy jz")):
+        expected = motion.drones.at(t, order).reshape(-1, 3)
+        np.testing.assert_allclose(numbers(file, columns), expected, atol=1e-8, rtol=1e-9)
+    leg = motion.drones.at(t)[:, 5] - motion.vertices.at(t)[:, 0]  # r2 hangs on p_0
+    length, half = np.linalg.norm(leg, axis=1, keepdims=True), 0.5 * 9.81 * 0.002
+    along = np.sqrt(0.42**2 - half**2 * np.sum(leg[:, :2] ** 2, axis=1, keepdims=True))
+    pull = -(along + half * leg[:, 2:]) / length * leg - half * length * [0.0, 0.0, 1.0]
+    found = numbers(file, "cable_x cable_y cable_z", drone="r2")
+    np.testing.assert_allclose(found, pull, atol=1e-9)
+    write_vertices(tmp_path / "v.csv", motion, rate)
+    assert (tmp_path / "v.csv").read_text().split("\n")[0] == "t,vertex,x,y,z,tension"
+    for k, tension in enumerate(motion.team.tension):
+        found = numbers(tmp_path / "v.csv", "t x y z tension", vertex=str(k))
+        expected = np.column_stack([t, motion.vertices.at(t)[:, k], np.full(len(t), tension)])
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+    first, *others = motion.phases  # vertices are written while the hitch exists
+    later = replace(motion, phases=(replace(first, state=CableState.FREE), *others))
+    write_vertices(tmp_path / "later.csv", later, rate)
+    found = numbers(tmp_path / "later.csv", "t", vertex="0")[:, 0]
+    np.testing.assert_allclose(found, t[t >= first.end], atol=1e-11)
+
+
+def test_trajectories_and_paths_of_a_bag_are_those_of_its_setpoints(tmp_path: Path) -> None:
+    motion = hitch_plan()
+    exported(motion, "ros2bag", tmp_path, rate=RATE, frame="nwu")
+    found = bag_messages(tmp_path / "setpoints.mcap")
+    states = states_at(motion, sample_times(motion.duration, RATE))
+    for i, name in enumerate(motion.team.drone_names):
+        ((_, trajectory),), ((_, path),) = found[f"/{name}/trajectory"], found[f"/{name}/path"]
+        assert (trajectory.header.frame_id, trajectory.joint_names) == ("map_nwu", [name])
+        setpoints = found[f"/{name}/cmd_full_state"]
+        assert len(trajectory.points) == len(path.poses) == len(setpoints) == len(states.t)
+        for k, point in enumerate(trajectory.points):
+            at, setpoint = setpoints[k]
+            now = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
+            assert now == pytest.approx(at, abs=1e-9)
+            for first, second in (
+                (point.transforms[0].translation, setpoint.pose.position),
+                (path.poses[k].pose.position, setpoint.pose.position),
+                (point.transforms[0].rotation, setpoint.pose.orientation),
+                (point.velocities[0].linear, setpoint.twist.linear),
+            ):
+                assert vector(first) == vector(second)
+            x, y, z = states.accelerations[k, i]
+            own = vector(point.accelerations[0].linear)
+            np.testing.assert_allclose(own, [y, -x, z], atol=1e-12)
+            # Body rates here, the same about the frame's axes in the trajectory.
+            q = setpoint.pose.orientation
+            turned = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply(vector(setpoint.twist.angular))
+            np.testing.assert_allclose(vector(point.velocities[0].angular), turned, atol=1e-12)
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("distro", [None, "humble", "iron", "jazzy"])
+def test_bags_are_what_a_release_reads(distro: str | None, storage: str, tmp_path: Path) -> None:
+    """Humble and Iron read profiles of quality of service as text: a list stops them. What is
+    written if nobody says which release is read by all of them."""
+    asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}
+    options = ExportOptions("ros2bag", rate=RATE, storage=storage, **asked)
+    (part,) = export_motion(swarm_plan(), "A plan", options, tmp_path)
+    assert part.verdict.position.worst < 1e-6
+    bag = YAML(typ="safe").load(tmp_path / "metadata.yaml")["rosbag2_bagfile_information"]
+    topics = [topic["topic_metadata"] for topic in bag["topics_with_message_count"]]
+    profiles = [topic["offered_qos_profiles"] for topic in topics]
+    expected: tuple[int, list[Any]] = (9, [[]] * 9) if distro == "jazzy" else (8, [""] * 9)
+    assert (bag["version"], profiles) == expected
+    # What the readers of all three convert to numbers, text, lists and maps, without asking.
+    for topic in topics:
+        assert all(isinstance(topic[key], str) for key in ("name", "type", "type_description_hash"))
+        assert topic["serialization_format"] == "cdr"
+    assert bag["storage_identifier"] == storage
+    assert bag["relative_file_paths"] == [file["path"] for file in bag["files"]]
+    assert all((tmp_path / file).exists() for file in bag["relative_file_paths"])
+    count = 3 * (2 + len(sample_times(swarm_plan().duration, RATE)))
+    assert sum(file["message_count"] for file in bag["files"]) == bag["message_count"] == count
+    assert bag["duration"]["nanoseconds"] >= 0
+    assert bag["starting_time"]["nanoseconds_since_epoch"] == 0
+    assert (bag["compression_format"], bag["compression_mode"]) == ("", "")
+    assert isinstance(bag["custom_data"], dict | None)
+    assert isinstance(bag["ros_distro"], str)
+    if storage == "sqlite3":
+        with sqlite3.connect(tmp_path / "setpoints.db3") as database:
+            assert database.execute("select count(*) from messages").fetchone() == (count,)
+        database.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"ros_distro": "foxy"}, "--ros-distro = 'foxy': must be humble, iron, jazzy"),
+        ({"storage": "tape"}, "--storage = 'tape': must be mcap or sqlite3"),
+        ({"stiffness": 5.0}, "--stiffness = 5.0: must be left out without --hold-tension"),
+        ({"damping": 5.0}, "--damping = 5.0: must be left out without --hold-tension"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        ExportOptions("ros2bag", **options)
+
+
+def y_up(points: Array) -> Array:
+    return np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+
+
+@pytest.mark.parametrize("stem", ["", pytest.param("carry_tray", marks=pytest.mark.slow)])
+def test_nodes_of_a_scene_are_where_the_plan_has_them(stem: str, tmp_path: Path) -> None:
+    """Loaded by trimesh; spans of a cable lead from drone to drone and turn smoothly."""
+    motion = planned(stem) if stem else hitch_plan()
+    exported(motion, "gltf", tmp_path)
+    graph = trimesh.load_scene(tmp_path / "plan.glb").graph
+    objects, team = list(motion.requirements.objects), motion.team
+    cables = [f"cable {k}" for k in range(3)]
+    assert {*team.drone_names, *objects, *cables} <= set(graph.nodes)
+    moved = glb_animation(tmp_path / "plan.glb")
+    t, _ = moved["q0"]["translation"]
+    states = states_at(motion, np.minimum(t, motion.duration))
+    for i, name in enumerate(team.drone_names):
+        places = y_up(states.positions[:, i])
+        np.testing.assert_allclose(moved[name]["translation"][1], places, atol=1e-5)
+        np.testing.assert_allclose(graph[name][0][:3, 3], places[0], atol=1e-5)
+        upward = Rotation.from_quat(moved[name]["rotation"][1]).apply([0.0, 1.0, 0.0])
+        thrust = y_up(states.thrusts(team)[:, i])
+        across = np.cross(upward, thrust / np.linalg.norm(thrust, axis=-1, keepdims=True))
+        assert np.max(np.abs(across)) < 1e-5  # single precision
+    for i, name in enumerate(objects):
+        places = y_up(states.object_poses[:, i, :3])
+        np.testing.assert_allclose(moved[name]["translation"][1], places, atol=1e-5)
+    for k in range(0 if stem else 3):
+        ends = []
+        for name in (name for name in moved if name.startswith(f"cable {k} span")):
+            paths = (moved[name][path][1] for path in ("translation", "rotation", "scale"))
+            middle, turned, scale = paths
+            half = Rotation.from_quat(turned).apply([0.0, 0.5, 0.0]) * scale[:, 1:2]
+            ends.append((middle - half, middle + half))
+            assert np.min(np.sum(turned[1:] * turned[:-1], axis=1)) > 0.9
+        for (_, before), (after, _) in pairwise(ends):
+            np.testing.assert_allclose(before, after, atol=1e-5)
+        np.testing.assert_allclose(ends[0][0], moved[f"q{k}"]["translation"][1], atol=1e-5)
+        np.testing.assert_allclose(ends[-1][1], moved[f"r{k}"]["translation"][1], atol=1e-5)
+        lengths = sum(np.linalg.norm(b - a, axis=-1) for a, b in ends)
+        # Drawn hooks are larger than real ones, so that drawn cables are a little longer.
+        np.testing.assert_allclose(lengths, team.cable_length[k], rtol=0.04)

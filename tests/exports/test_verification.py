@@ -1,6 +1,11 @@
+"""What is read against the plan; frames; times at which plans are sampled, and the states then."""
+
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,36 +13,32 @@ from exported_plans import certificate_of, flown_checks, hitch_plan, swarm_plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.errors import FileError
+from hitchopt.errors import FileError, InputError
+from hitchopt.exports.exporting import FLOWN, Verdict, verify
+from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.exports.recording import Recording, recording_of_curves
-from hitchopt.exports.reference_frame import ReferenceFrame
-from hitchopt.exports.verification import FLOWN, Verdict, verify
 from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
 
 PLAIN = ReferenceFrame()
 
 
-def recorded(
-    curves: PiecewisePolynomial,
-    names: tuple[str, ...],
-    smooth: int = 2,
-    frame: ReferenceFrame = PLAIN,
-) -> Recording:
-    placed = frame.placed(curves)
+def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> Recording:
     each = [
-        PiecewisePolynomial(placed.breaks, placed.coefficients[:, i]) for i in range(len(names))
+        PiecewisePolynomial(curves.breaks, curves.coefficients[:, i]) for i in range(len(names))
     ]
-    return recording_of_curves(names, each, frame.name, smooth)
+    return recording_of_curves(names, each, "enu", 2)
 
 
-def verified(motion: Motion, curves: PiecewisePolynomial, smooth: int = 2) -> Verdict:
+def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:
     names = motion.team.drone_names
-    return verify(motion, recorded(curves, names, smooth), PLAIN, names)
+    return verify(motion, recorded(curves, names), PLAIN, names)
 
 
-@pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
-def test_the_plan_itself_is_verified_as_its_certificate_says(motion: Motion) -> None:
+@pytest.mark.parametrize("make", [hitch_plan, swarm_plan])
+def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], Motion]) -> None:
+    motion = make()
     verdict = verified(motion, motion.drones)
     assert verdict.lost == ()
     assert verdict.position.worst < 1e-9
@@ -63,38 +64,24 @@ def test_samples_never_beat_the_bounds(seed: int) -> None:
     wild = PiecewisePolynomial(curves.breaks, coefficients)
     verdict = verified(motion, wild)
     t = rng.uniform(0.0, curves.duration, 500)
-    apart = np.linalg.norm(wild.at(t) - curves.at(t), axis=-1)
-    assert np.max(apart) <= verdict.position.worst
-    speeds = np.linalg.norm(wild.at(t, 1) - curves.at(t, 1), axis=-1)
-    assert np.max(speeds) <= verdict.velocity.worst
+    for order, deviation in enumerate((verdict.position, verdict.velocity)):
+        apart = np.linalg.norm(wild.at(t, order) - curves.at(t, order), axis=-1)
+        assert np.max(apart) <= deviation.worst
     checks = {check.name: check for check in verdict.checks}
     assert np.max(np.linalg.norm(wild.at(t, 1), axis=-1)) <= checks["speed"].worst
     places = wild.at(t) * motion.requirements.separation.scale
-    pairs = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
-    pairs[:, np.arange(6), np.arange(6)] = np.inf
+    i, j = np.triu_indices(6, 1)
+    pairs = np.linalg.norm(places[:, i] - places[:, j], axis=-1)
     assert np.min(pairs) >= checks["separation"].worst
-
-
-def test_what_is_lost_is_reported() -> None:
-    motion = hitch_plan()
-    coefficients = np.array(motion.drones.coefficients)
-    coefficients[:, 0] = coefficients[:, 3] + np.array([0.05, 0.0, 0.0])[:, None]
-    verdict = verified(motion, PiecewisePolynomial(motion.drones.breaks, coefficients))
-    assert {"separation", "cable_length"} <= {check.name for check in verdict.lost}
 
 
 @pytest.mark.slow
 def test_windows_of_any_size_say_the_same() -> None:
     motion = hitch_plan()
-    names = motion.team.drone_names
+    names, pieces = motion.team.drone_names, range(motion.drones.pieces)
     whole = recorded(motion.drones, names)
-
-    def windows() -> object:
-        for i in range(motion.drones.pieces):
-            yield motion.drones.taken(slice(i, i + 1))
-
-    pieces = replace(whole, windows=windows)  # type: ignore[arg-type]
-    one, many = (verify(motion, recording, PLAIN, names) for recording in (whole, pieces))
+    parts = replace(whole, windows=lambda: (motion.drones.taken(slice(i, i + 1)) for i in pieces))
+    one, many = (verify(motion, recording, PLAIN, names) for recording in (whole, parts))
     for a, b in zip(one.checks, many.checks, strict=True):
         assert a.worst == pytest.approx(b.worst, rel=3e-4, abs=1e-6)
         assert a.name == b.name
@@ -102,15 +89,9 @@ def test_windows_of_any_size_say_the_same() -> None:
 
 def test_it_rests_after_its_end_but_must_not_end_early() -> None:
     motion = hitch_plan()
-    longer = PiecewisePolynomial(
-        np.append(motion.drones.breaks, motion.duration + 0.3),
-        np.concatenate(
-            [
-                motion.drones.coefficients,
-                np.repeat(motion.drones.coefficients[-1:, ..., -1:], 8, axis=-1),
-            ]
-        ),
-    )
+    breaks, c = motion.drones.breaks, motion.drones.coefficients
+    rest = np.repeat(c[-1:, ..., -1:], c.shape[-1], axis=-1)
+    longer = PiecewisePolynomial(np.append(breaks, breaks[-1] + 0.3), np.concatenate([c, rest]))
     verdict = verified(motion, longer)
     assert verdict.duration == pytest.approx(motion.duration + 0.3)
     assert verdict.lost == ()
@@ -121,10 +102,9 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
 def test_other_drones_are_refused() -> None:
     motion = swarm_plan()
     recording = recorded(motion.drones, ("a", "b", "c"))
-    with pytest.raises(FileError, match="d0 is missing"):
-        verify(motion, recording, PLAIN, motion.team.drone_names)
-    with pytest.raises(FileError, match="more of them"):
-        verify(motion, recording, PLAIN, ("a", "b"))
+    for names, words in ((motion.team.drone_names, "d0 is missing"), (("a", "b"), "more of them")):
+        with pytest.raises(FileError, match=words):
+            verify(motion, recording, PLAIN, names)
 
 
 def test_cables_are_verified_while_the_hitch_exists() -> None:
@@ -141,3 +121,91 @@ def test_cables_are_verified_while_the_hitch_exists() -> None:
     verdict = verified(free, curves)
     assert "cable_length" not in {check.name for check in verdict.lost}
     assert verdict.position.worst == pytest.approx(0.3, rel=1e-3)
+
+
+FRAMES = st.builds(
+    ReferenceFrame,
+    st.sampled_from(sorted(AXES)),
+    st.lists(st.floats(-50.0, 50.0), min_size=3, max_size=3),
+    st.floats(-7.0, 7.0),
+)
+
+
+@given(FRAMES)
+def test_frames_there_and_back(frame: ReferenceFrame) -> None:
+    rng, t = np.random.default_rng(0), np.array([0.2, 1.4])
+    part = PiecewisePolynomial(np.array([0.0, 1.0, 1.5]), rng.normal(size=(2, 4, 3, 5)))
+    placed = frame.placed(part)
+    np.testing.assert_allclose(frame.in_plan(placed).coefficients, part.coefficients, atol=1e-12)
+    np.testing.assert_allclose(placed.at(t), frame.points(part.at(t)), atol=1e-12)
+    np.testing.assert_allclose(placed.at(t, 1), frame.vectors(part.at(t, 1)), atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("name", "point", "heading"),
+    [
+        ("enu", [1.0, 2.0, 3.0], 0.0),
+        ("nwu", [2.0, -1.0, 3.0], -0.5 * math.pi),
+        ("ned", [2.0, 1.0, -3.0], 0.5 * math.pi),
+    ],
+)
+def test_axes_by_hand(name: str, point: list[float], heading: float) -> None:
+    frame = ReferenceFrame(name)
+    assert frame.points(np.array([1.0, 2.0, 3.0])).tolist() == point
+    assert frame.heading == pytest.approx(heading)
+
+
+NONSENSE: list[tuple[Callable[[], object], str]] = [
+    (lambda: ReferenceFrame("neu"), "frame"),
+    (lambda: ReferenceFrame("enu", [1, 2]), "origin"),
+    (lambda: ReferenceFrame("enu", [1, 2, math.nan]), "origin"),
+    (lambda: ReferenceFrame("enu", [0, 0, 0], math.inf), "yaw"),
+    *((lambda r=rate: sample_times(3.0, r), "rate") for rate in (0.0, -1.0, math.nan, 1e12)),
+    *(
+        (lambda t=t: states_at(swarm_plan(), t), "finite times from 0 s on")
+        for t in (-0.1, math.nan, [0.0, math.inf], [])
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "words"), NONSENSE)
+def test_nonsense_is_refused(call: Callable[[], object], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        call()
+
+
+@given(st.floats(0.0, 40.0), st.floats(0.1, 60.0))
+def test_times_are_all_multiples_and_the_end(duration: float, rate: float) -> None:
+    times = sample_times(duration, rate)
+    assert times[0] == 0.0
+    assert np.all(np.diff(times) > 0.0)
+    assert times[-1] <= duration
+    multiples = [k / rate for k in range(len(times) + 2) if k / rate <= duration]
+    extra = [duration] if duration - multiples[-1] > 1e-6 else []
+    assert times.tolist() == multiples + extra
+
+
+def test_states_are_those_of_the_polynomials() -> None:
+    motion, orders = hitch_plan(), ("positions", "velocities", "accelerations", "jerks")
+    t = np.random.default_rng(1).uniform(0.0, motion.duration, (5, 7))
+    states = states_at(motion, t)
+    assert np.array_equal(states.t, t)
+    expected: dict[str, Any] = {name: motion.drones.at(t, i) for i, name in enumerate(orders)}
+    expected |= {name: getattr(motion, name).at(t) for name in ("vertices", "legs", "tensions")}
+    expected["vertex_velocities"] = motion.vertices.at(t, 1)
+    for name, values in expected.items():
+        np.testing.assert_allclose(getattr(states, name), values, rtol=1e-9, atol=1e-9)
+    # At a break they are the later piece's, at the end the earlier's: the jerk does jump.
+    left, right = motion.drones.ends(3)
+    assert not np.allclose(left[1:], right[:-1], atol=1e-3)
+    at = states_at(motion, motion.drones.breaks).jerks
+    np.testing.assert_allclose(at[:-1], left, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(at[-1], right[-1], atol=1e-6)
+    # After its end a plan rests where it ended.
+    later, end = states_at(motion, [1.0, 9.0]), states_at(motion, motion.duration)
+    np.testing.assert_array_equal(later.t, [1.0, 9.0])
+    np.testing.assert_array_equal(later.positions[1], end.positions)
+    np.testing.assert_array_equal(later.cable_forces[1], end.cable_forces)
+    for rate in (later.velocities, later.accelerations, later.jerks):
+        assert not np.any(rate[1])
+        assert np.any(rate[0])

@@ -21,7 +21,7 @@ from streamed_flights import Rig, plan_of
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.live.fly import Flown
 from hitchopt.live.links import (
     Address,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hitchopt.errors import FileError
-from hitchopt.exports.setpoints import HEADER, write_setpoints, write_vertices
+from hitchopt.exports.directory import HEADER, write_setpoints, write_vertices
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation

@@ -36,8 +36,8 @@ from hitchopt.exports.format import (
     warning,
     writer_of,
 )
+from hitchopt.exports.placing import AXES
 from hitchopt.exports.recording import recording_of_curves
-from hitchopt.exports.reference_frame import AXES
 from hitchopt.exports.refit import (
     Keeping,
     Kind,

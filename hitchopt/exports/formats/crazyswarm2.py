@@ -47,9 +47,8 @@ from hitchopt.exports.formats.compressed import (
     CrazyflieFormat,
     beyond_memory,
 )
-from hitchopt.exports.reading import read_columns, read_text
-from hitchopt.exports.recording import recording_of_curves
-from hitchopt.exports.reference_frame import AXES
+from hitchopt.exports.placing import AXES
+from hitchopt.exports.recording import read_columns, read_text, recording_of_curves
 from hitchopt.exports.refit import Kind, Scale, best_breaks, fitted
 from hitchopt.hitch.requirements import Separation
 from hitchopt.storage.files import Writer

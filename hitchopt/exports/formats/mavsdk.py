@@ -3,15 +3,10 @@
 ``idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb`` at 20 Hz, mode 70 (manoeuvring), yaw in
 degrees as MAVSDK takes it.
 
-**Not all rows are flown.** They are played by the clock, but until a row is at
-``INITIAL_CLIMB_ALTITUDE_THRESHOLD`` or above **and** ``INITIAL_CLIMB_TIME_THRESHOLD`` has passed,
-the drone climbs straight up at 1 m/s instead, and time runs on; with a shared global origin it then
-spends 3 s on a straight line to the row of that moment. A show whose last row is not above
-``GROUND_ALTITUDE_THRESHOLD`` is cut off from its half on, where a row is below 2 m or in its last
-second: the drone lands from there. Without ``AUTO_GLOBAL_ORIGIN_MODE`` every drone's rows are
-counted from its own first one, in altitude too. Velocities and accelerations are sent only with
-local setpoints, and only if asked for. The manifest has the settings with which all of a plan's
-rows are flown, with their velocities and accelerations.
+**Not all rows are flown.** By its own settings the show replaces rows by a climb and by a landing,
+by altitude and by time, and sends positions alone. The manifest has the settings of its
+``src/params.py`` with which all of a plan's rows are flown, with their velocities and
+accelerations: every drone's rows are then counted from its own first one, in altitude too.
 
 **The rise.** Drones are armed on the ground, so their first row is there, below the plan's first
 place. They wait until all of them follow their rows, rise together, straight up, and rest before
@@ -26,33 +21,27 @@ then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.exporting import drone_check
 from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
-    Finding,
     Format,
     Loaded,
     Task,
-    and_more,
-    error,
-    note,
     warning,
 )
-from hitchopt.exports.reading import read_columns, read_manifest, read_text
-from hitchopt.exports.recording import Recording, recording_of_samples
-from hitchopt.exports.verification import drone_check
+from hitchopt.exports.recording import Recording, read_columns, read_text, recording_of_samples
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -65,19 +54,8 @@ ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"
 
 SMOOTH = 2  # Quintics run through positions, velocities and accelerations
 SAME_TIME = 1e-6  # Largest difference of the drones' times in one row [s]
-
-BLEND = 3.0
-"""Duration of the straight line from the climb to the rows [s], with a shared global origin."""
-
-LANDING_ALTITUDE, LANDING_TIME, LANDING_SHARE = 2.0, 1.0, 0.5
-"""Altitude [m], remaining time [s] and share of the rows: a show that ends on the ground is cut off
-from that share on, below that altitude or within that time."""
-
 LATE = 5.0  # Longest time that arming takes after the common start [s]: rows run meanwhile
-
-REMAINING = 0.1
-"""[m] Rows that move a drone no farther, seen from above, may be replaced by a climb or a landing;
-so far may a first row be from the ground."""
+BLEND = 3.0  # Longest straight line from the climb to the rows [s]
 
 WAIT = LATE + BLEND
 """Wait on the ground [s]: a drone that is late, or is drawn to its row, is there by then."""
@@ -87,75 +65,6 @@ SPEED, ACCELERATION = 0.5, 0.5  # Largest speed and acceleration while rising [m
 LEAST = 1.0  # Shortest duration of the rise [s]
 DIGITS = 5e-9  # Relative error of a number in the files, which has nine digits
 BELOW = 1.0  # Distance of thresholds below all rows [m]: those are never under them
-
-
-def _setting(name: str, usual: float | bool) -> Any:
-    return field(default=usual, metadata={"name": name})
-
-
-@dataclass(frozen=True)
-class Receiver:
-    """Settings of mavsdk_drone_show, named as in its ``src/params.py``; by default its own."""
-
-    climb_altitude: float = _setting("INITIAL_CLIMB_ALTITUDE_THRESHOLD", 5.0)  # [m], ends the climb
-    climb_time: float = _setting("INITIAL_CLIMB_TIME_THRESHOLD", 5.0)  # [s], together with this
-    ground_altitude: float = _setting("GROUND_ALTITUDE_THRESHOLD", 1.0)  # [m], of shows that land
-    shared_origin: bool = _setting("AUTO_GLOBAL_ORIGIN_MODE", True)  # else from the first row on
-    global_setpoints: bool = _setting("USE_GLOBAL_SETPOINTS", True)  # latitude and longitude
-    velocities: bool = _setting("FEEDFORWARD_VELOCITY_ENABLED", False)  # in local setpoints
-    accelerations: bool = _setting("FEEDFORWARD_ACCELERATION_ENABLED", False)
-
-    @classmethod
-    def of(cls, settings: Mapping[str, Any]) -> Receiver:
-        """Return the receiver with settings by their names in ``src/params.py``.
-
-        Raises
-        ------
-        FileError: a value of another type, or a number that is not finite.
-        """
-        values: dict[str, Any] = {}
-        for each in fields(cls):
-            name = each.metadata["name"]
-            value = settings.get(name, each.default)
-            if isinstance(each.default, bool) != isinstance(value, bool) or not (
-                isinstance(value, int | float) and math.isfinite(value)
-            ):
-                raise FileError(f"{name}: is {value!r}, not {type(each.default).__name__}")
-            values[each.name] = value
-        return cls(**values)
-
-    def settings(self) -> dict[str, float | bool]:
-        """Return the settings by their names in ``src/params.py``."""
-        return {each.metadata["name"]: getattr(self, each.name) for each in fields(self)}
-
-    def lowered(self, places: Array) -> Array:
-        """Return how much lower than its rows (S, D, 3) [m] each drone flies, (D,) [m]."""
-        return np.zeros(places.shape[1]) if self.shared_origin else -places[0, :, 2]
-
-    def followed(self, t: Array, places: Array, late: float = 0.0) -> NDArray[np.bool_]:
-        """Return which rows are sent to which drone, (S, D).
-
-        Parameters
-        ----------
-        t: times of the rows (S,) [s].
-        places: positions of the rows (S, D, 3) [m], north-east-down.
-        late: after the first row, how long it takes until the drone climbs [s].
-        """
-        altitude = -places[..., 2] - self.lowered(places)
-        climbing = t - t[0] - late
-        over = (altitude >= self.climb_altitude) & (climbing >= self.climb_time)[:, None]
-        over &= (climbing >= 0.0)[:, None]
-        climbed = np.logical_or.accumulate(over, axis=0)
-        landing = climbed & (altitude[-1] <= self.ground_altitude)
-        landing &= (np.arange(1, len(t) + 1) >= LANDING_SHARE * len(t))[:, None]
-        landing &= (altitude < LANDING_ALTITUDE) | (t[-1] - t <= LANDING_TIME)[:, None]
-        if self.shared_origin and self.global_setpoints:
-            first = np.where(climbed.any(axis=0), t[np.argmax(climbed, axis=0)], np.inf)
-            climbed &= t[:, None] >= first + BLEND
-        return climbed & ~np.logical_or.accumulate(landing, axis=0)
-
-
-CLIMB, CLIMB_TIME, GROUND, SHARED = (each.metadata["name"] for each in fields(Receiver)[:4])
 
 
 class MavsdkDroneShow(Format):
@@ -183,7 +92,7 @@ class MavsdkDroneShow(Format):
         """
         lead = lead_in(task)
         check = _rising_check(task, lead)
-        settings = receiver_for(task).settings()
+        settings = receiver_settings(task)
         rows = np.moveaxis(rows_of(task, lead), 1, 0)
         write = partial(np.savetxt, fmt=ROW, header=COLUMNS, comments="", encoding="ascii")
         each = zip(self.files(task), rows, strict=True)
@@ -229,8 +138,6 @@ class MavsdkDroneShow(Format):
                 rest = np.zeros((len(longest) - len(table), table.shape[1]))
                 rest[:, 0], rest[:, 1:4] = longest[len(table) :], table[-1, 1:4]
                 tables[i] = np.concatenate([table, rest])
-        places = np.stack([table[:, 1:4] for table in tables], axis=1)
-        findings += receiver_findings(files[0].parent, names, tables[0][:, 0], places)
         facts = (DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
         recording = recording_of_tables(names, tables, None)
         return Loaded(self.name, recording, tuple(facts), tuple(findings), streamed=True)
@@ -240,24 +147,14 @@ class MavsdkDroneShow(Format):
 
         The cables' pull is taken out of accelerations.
         """
-        files = self.files(task)
-        lead, receiver = lead_in(task), receiver_for(task)
-        tables = [read_table(folder / name) for name in files]
+        lead, tables = lead_in(task), [read_table(folder / name) for name in self.files(task)]
         if len({len(table) for table in tables}) > 1 or len(tables[0]) <= lead.rows + 1:
             raise FileError(f"{folder}: its drones have not as many rows as the plan")
-        places = np.stack([table[:, 1:4] for table in tables], axis=1)
-        lost = ~receiver.followed(tables[0][:, 0], places, LATE)[lead.rows :]
-        if np.any(lost):
-            row, drone = np.argwhere(lost)[0]
-            t = tables[0][lead.rows + row, 0]
-            raise FileError(
-                f"{folder / files[drone]}: mavsdk_drone_show does not fly its row at t = {t:g} s"
-            )
         # Altitudes are counted from the first row, and that is on the ground.
         ground = task.frame.points(lead.curves.at(0.0))[:, 2]
-        for table, lower, down in zip(tables, receiver.lowered(places), ground, strict=True):
+        for table, down in zip(tables, ground, strict=True):
             table[:, 0] -= lead.duration
-            table[:, 3] += lower + down
+            table[:, 3] += down - table[0, 3]
         return recording_of_tables(task.names, [table[lead.rows :] for table in tables], task)
 
 
@@ -323,19 +220,19 @@ def _rising_check(task: Task, lead: LeadIn) -> Check | None:
     return c
 
 
-def receiver_for(task: Task) -> Receiver:
+def receiver_settings(task: Task) -> dict[str, float | bool]:
     """Return the settings with which every row is flown, with its velocity and acceleration."""
     altitudes = task.motion.drones.coefficients[:, :, 2] - task.motion.requirements.floor
     below = floor(min(0.0, float(np.min(altitudes)))) - BELOW
-    return Receiver(
-        climb_altitude=below,
-        climb_time=0.0,
-        ground_altitude=below,
-        shared_origin=False,
-        global_setpoints=False,
-        velocities=True,
-        accelerations=True,
-    )
+    return {
+        "INITIAL_CLIMB_ALTITUDE_THRESHOLD": below,
+        "INITIAL_CLIMB_TIME_THRESHOLD": 0.0,
+        "GROUND_ALTITUDE_THRESHOLD": below,
+        "AUTO_GLOBAL_ORIGIN_MODE": False,
+        "USE_GLOBAL_SETPOINTS": False,
+        "FEEDFORWARD_VELOCITY_ENABLED": True,
+        "FEEDFORWARD_ACCELERATION_ENABLED": True,
+    }
 
 
 def rows_of(task: Task, lead: LeadIn) -> Array:
@@ -395,65 +292,3 @@ def recording_of_tables(
         values[..., 6:] += task.pulls(task.states(t))
         values[t > task.motion.duration, :, 6:] = 0.0
     return recording_of_samples(names, t, values, "ned", 1 if task is None else SMOOTH)
-
-
-def receiver_findings(
-    folder: Path, names: Sequence[str], t: Array, places: Array
-) -> Iterator[Finding]:
-    """Yield which rows are not flown as they stand, one finding a rule.
-
-    The settings are those that the folder's manifest states, else those that the show comes with.
-    Rows are times (S,) [s] and places (S, D, 3) [m], north-east-down. FileError is raised of a
-    manifest that cannot be read.
-    """
-    stated = (read_manifest(folder) or {}).get("receiver")
-    settings = stated.get("settings") if isinstance(stated, dict) else None
-    if settings is not None and not isinstance(settings, dict):
-        raise FileError(f"{folder}: its manifest's settings of the receiver are no map")
-    receiver = Receiver() if settings is None else Receiver.of(settings)
-    followed = receiver.followed(t, places, 0.0 if settings is None else LATE)
-    flown, each = followed.any(axis=0), np.arange(len(names))
-    if not np.all(flown):
-        never = np.flatnonzero(~flown)
-        highest = float(np.max(-places[:, never, 2] - receiver.lowered(places)[never]))
-        yield error(
-            "climb",
-            and_more(names[never[0]], len(never)),
-            f"mavsdk_drone_show flies none of its rows: it climbs until a row is at "
-            f"{receiver.climb_altitude:g} m and {receiver.climb_time:g} s have passed, and they go "
-            f"up to {highest:.4g} m; set {CLIMB} below them and "
-            f"{CLIMB_TIME} to 0",
-        )
-    first = np.argmax(followed, axis=0)
-    last = len(t) - 1 - np.argmax(followed[::-1], axis=0)
-    rows = np.arange(len(t))[:, None]
-    lower = f"{CLIMB} and {CLIMB_TIME} lower"
-    land = f"{GROUND} below {receiver.ground_altitude:g}"
-    for rule, lost, met, end, remedy in (
-        ("climb", rows < first, first, "before", f"let it wait until then, or set {lower}"),
-        ("landing", rows > last, last, "after", f"end higher, or set {land}"),
-    ):
-        across = np.linalg.norm((places - places[met, each])[..., :2], axis=-1)
-        moved = np.max(np.where(lost, across, 0.0), axis=0) * flown
-        if np.any(moved > REMAINING):
-            drone = int(np.argmax(moved))
-            yield warning(
-                rule,
-                and_more(names[drone], np.count_nonzero(moved > REMAINING)),
-                f"mavsdk_drone_show replaces its rows {end} t = {t[met[drone]]:.4g} s by a "
-                f"{rule}, and they move it by {moved[drone]:.3g} m across; {remedy}",
-            )
-    # Without settings the mode is unknown; every mode but one counts from the first row.
-    counting = Receiver(shared_origin=False) if settings is None else receiver
-    low = counting.lowered(places)
-    if np.any(np.abs(low) > REMAINING):
-        drone = int(np.argmax(np.abs(low)))
-        yield warning(
-            "launch",
-            and_more(names[drone], np.count_nonzero(np.abs(low) > REMAINING)),
-            f"its first row is at {low[drone]:.3g} m: unless {SHARED} is on, "
-            "altitudes are counted from there, and it flies so much lower; begin on the ground",
-        )
-    if settings is not None and receiver != Receiver():
-        words = ", ".join(f"{name} = {value}" for name, value in receiver.settings().items())
-        yield note("settings", "", f"flown as they stand only with {words} in src/params.py")

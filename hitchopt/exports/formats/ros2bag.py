@@ -27,8 +27,7 @@ import numpy as np
 from hitchopt.errors import FileError
 from hitchopt.exports.format import Candidate, DroneFacts, Format, Loaded, Task
 from hitchopt.exports.options import ROS_DISTROS, STORAGES
-from hitchopt.exports.reading import needed
-from hitchopt.exports.recording import Recording, recording_of_samples
+from hitchopt.exports.recording import Recording, needed, recording_of_samples
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array

@@ -1,10 +1,10 @@
-"""Format skybrush: ``show.skyc``, cubic Bézier curves of every drone for Skybrush.
+"""Formats skybrush and skybrush_csv: cubic Bézier curves, and positions by the clock, for Skybrush.
 
-A zip with ``show.json`` and one ``trajectory.json`` per drone: points ``[t, [x, y, z], control
-points]``, t in seconds from takeoff, north-west-up, the control points leading into their point.
-Skybrush's server stores whole milliseconds and whole millimetres (multiples of s millimetres from
-32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here, and what is read
-back and certified are the curves that the server stores.
+``show.skyc`` is a zip with ``show.json`` and one ``trajectory.json`` per drone: points ``[t, [x, y,
+z], control points]``, t in seconds from takeoff, north-west-up, the control points leading into
+their point. Skybrush's server stores whole milliseconds and whole millimetres (multiples of s
+millimetres from 32.768 (s - 1) m on), and cuts off what is beyond them. So points are rounded here,
+and what is read back and certified are the curves that the server stores.
 
 **Coordinated returns** of drones without cables are every drone's ``settings.rthPlan``:
 ``{"version": 1, "landingSpeed", "entries": [{"time", "action", "target", "duration", "preDelay",
@@ -14,8 +14,11 @@ flies level to its target on a line (``goToKeepAlt``) or nowhere (``land``), wai
 After the last entry drones land where they are. Velocity jumps where lines meet, so what is
 certified are distances, places and speeds. The server without its extension drops all of it.
 
+``show.zip`` has one CSV per drone for Skybrush's importers, ``Time [msec],x [m],y [m],z [m],Red,
+Green,Blue``: positions at whole milliseconds, straight lines between them.
+
 Feed-forward: the autopilots behind Skybrush track positions (and velocities) with controllers of
-their own; the format has no place for accelerations, so the cable's pull is not in it.
+their own; the formats have no place for accelerations, so the cable's pull is not in them.
 """
 
 from __future__ import annotations
@@ -36,7 +39,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.errors import FileError, InfeasibleError, InputError
+from hitchopt.exports.exporting import LINES, written_checks
 from hitchopt.exports.format import (
     Candidate,
     DroneFacts,
@@ -48,10 +52,15 @@ from hitchopt.exports.format import (
     is_place,
     warning,
 )
-from hitchopt.exports.recording import Recording, check_times, recording_of_curves
-from hitchopt.exports.reference_frame import ReferenceFrame
+from hitchopt.exports.placing import ReferenceFrame
+from hitchopt.exports.recording import (
+    Recording,
+    check_times,
+    read_columns,
+    read_text,
+    recording_of_curves,
+)
 from hitchopt.exports.refit import Keeping, Kind, Scale, breaks_within, fitted, rounded, settled
-from hitchopt.exports.verification import LINES, written_checks
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json
@@ -505,3 +514,92 @@ def certify_returns(path: Path, show: Show, task: Task) -> None:
             words = "a coordinated return of the show breaks a limit when it is read back"
             when, remedy = f"in the return from t = {each.time:g} s", "plan with a wider margin"
             raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
+
+
+HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
+
+ROW = "%d,%.6f,%.6f,%.6f,255,255,255"
+
+
+class SkybrushCsv(Format):
+    """Positions by the clock."""
+
+    name = "skybrush_csv"
+    file = "show.zip"
+    endings = (".zip", ".csv")
+    several = (".csv",)  # outside of a zip
+    frames = ("nwu",)
+    rate = 20.0
+    rates = (40.0, 100.0)
+    accuracy = 2e-3
+    feed_forward = "not in these files: they hold positions alone"
+
+    def write(self, path: Path, task: Task) -> None:
+        """Write the zip, drone by drone; raise InputError for more than 1000 samples a second."""
+        if task.rate > 1000.0:
+            bound = "at most 1000 Hz"
+            raise InputError("--rate", task.rate, bound, "the format has milliseconds")
+        drones = task.motion.drones
+        samples = ceil(drones.duration * task.rate - 1e-6)
+        milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate))
+        places = drones.at(np.minimum(milliseconds * 1e-3, float(drones.breaks[-1])))
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.comment = f"frame: {task.frame.name}".encode()
+            for i, name in enumerate(task.names):
+                rows = np.column_stack([milliseconds, task.frame.points(places[:, i]) + 0.0])
+                with archive.open(f"{name}.csv", "w") as file:
+                    np.savetxt(file, rows, ROW, header=HEADER, comments="")
+
+    def recognises(self, labels: Sequence[str]) -> bool:
+        """Return whether the first column is the time in milliseconds."""
+        return labels[0].startswith("time [msec]")
+
+    def load(self, files: Sequence[Path]) -> Loaded:
+        """Return what a zip holds, or CSV files of one drone each."""
+        if files[0].suffix.lower() == ".zip":
+            curves = read_zip(files[0])
+        else:
+            curves = {path.stem: lines_of(read_text(path), str(path)) for path in files}
+        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
+        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
+        return Loaded(self.name, recording, tuple(facts))
+
+
+def read_zip(path: Path) -> dict[str, PiecewisePolynomial]:
+    """Return the lines through the positions (3,) [m] of every drone, by its file's name.
+
+    Raises
+    ------
+    FileError: no zip, no such files, damaged ones, or more than anyone flies.
+    """
+    found: dict[str, PiecewisePolynomial] = {}
+    with opened_zip(path, "zip of CSV files") as archive:
+        members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
+        for member, data in zip(members, read_members(path, archive, members), strict=True):
+            name = Path(member.filename).stem
+            if name in found:
+                raise FileError(f"{path}: two files are called {name}.csv")
+            found[name] = lines_of(data.decode("utf-8-sig"), f"{path}: {member.filename}")
+    if not found:
+        raise FileError(f"{path}: holds no CSV file")
+    return found
+
+
+def lines_of(text: str, source: str) -> PiecewisePolynomial:
+    """Return the lines through the positions (3,) [m] in a file of this format.
+
+    Raises
+    ------
+    FileError: another header, rows of other lengths, times that repeat or go back.
+    """
+    header, *lines = text.splitlines() or [""]
+    wanted = HEADER.split(",")[:4]
+    if header.strip().split(",")[:4] != wanted:
+        raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
+    table = read_columns(lines, HEADER, wanted, HEADER, source, least=2)
+    t, points = table[:, 0] * 1e-3, table[None, :, 1:]
+    check_times(t, source)
+    try:
+        return PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
+    except InputError as error:
+        raise FileError(f"{source}: {error}") from error

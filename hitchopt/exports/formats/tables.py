@@ -1,17 +1,22 @@
 """Formats csv, parquet, npz and json: one table for scripts, one row per sample and drone.
 
-Its columns are those of ``setpoints.py``. csv: ``setpoints_FRAME.csv``, twelve significant digits.
-parquet: its metadata say the frame, a row group holds whole samples. npz: ``t`` (S,), ``drones``
-(D,), ``frame``, and an array (S, D, …) for every group of columns. json: ``{"format", "frame",
-"drones", "columns", "samples": [{"t", "rows": [[…] per drone]}, …]}``, one sample a line. Of what
-is read, places, velocities and accelerations are held.
+Its columns are those of ``setpoints.csv``, and ``ff_*``, the acceleration to feed forward to a
+controller that adds gravity itself, ``a_ff = a - F / m`` with the cable's force F on the drone: the
+thrust is ``m (a_ff + g ẑ)``; ``q*``, the attitude that points the thrust so, from the body's axes
+to the file's; ``rate_*``, its angular velocity about the body's axes.
+
+csv: ``setpoints_FRAME.csv``, twelve significant digits. parquet: its metadata say the frame, a row
+group holds whole samples. npz: ``t`` (S,), ``drones`` (D,), ``frame``, and an array (S, D, …) for
+every group of columns. json: ``{"format", "frame", "drones", "columns", "samples": [{"t", "rows":
+[[…] per drone]}, …]}``, one sample a line. Of what is read, places, velocities and accelerations
+are held.
 """
 
 from __future__ import annotations
 
 import json
 from abc import abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,14 +24,30 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.exports.directory import ROWS, SAVED, write_rows
 from hitchopt.exports.format import DroneFacts, Format, Loaded, Task
-from hitchopt.exports.reading import needed, read_columns
-from hitchopt.exports.recording import Recording, check_times, recording_of_samples
-from hitchopt.exports.reference_frame import AXES
-from hitchopt.exports.setpoints import COLUMNS, GROUPS, ROWS, exported_blocks, write_rows
+from hitchopt.exports.placing import AXES
+from hitchopt.exports.recording import (
+    Recording,
+    check_times,
+    needed,
+    read_columns,
+    recording_of_samples,
+)
+from hitchopt.motion.states import sample_times
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
+
+GROUPS = SAVED | {
+    "feed_forward": ("ff_x", "ff_y", "ff_z"),
+    "quaternions": ("qw", "qx", "qy", "qz"),
+    "body_rates": ("rate_x", "rate_y", "rate_z"),
+}
+"""Those of exported tables: [m/s²], 1, [rad/s] as well."""
+
+COLUMNS = tuple(name for group in GROUPS.values() for name in group)
+"""Names of the numbers of an exported row, after ``t`` and ``drone``."""
 
 HEADER = ",".join(("t", "drone", *COLUMNS))
 
@@ -47,6 +68,31 @@ FRAME_KEY, PLACE_KEY = b"hitchopt.frame", b"hitchopt.room"  # Of a parquet schem
 
 JSON_FORMAT = "hitchopt-setpoints/1"
 SAMPLES, END = '"samples": [', "]}"  # Lines of JSON around the samples
+
+
+def exported_blocks(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
+    """Yield times (S,) [s] and the numbers of COLUMNS (S, D, 26) in blocks of so many rows.
+
+    Raises
+    ------
+    InputError: a rate that is not positive, or more samples than anyone can use.
+    """
+    frame = task.frame
+    for states in task.blocks(sample_times(task.motion.duration, task.rate), rows):
+        positions, velocities, forward = task.setpoints(states)
+        attitudes = task.attitudes(states)
+        parts = (
+            positions,
+            velocities,
+            frame.vectors(states.accelerations),
+            frame.vectors(states.jerks),
+            np.full((*positions.shape[:2], 1), frame.heading),
+            frame.vectors(states.cable_forces),
+            forward,
+            attitudes.quaternions,
+            attitudes.body_rates,
+        )
+        yield states.t, np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
 
 
 class Table(Format):

@@ -1,0 +1,241 @@
+"""Replacing a set of files: whole, only ours, everywhere; DIR after plans and refusals.
+
+Being killed is tested in test_kill.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import stat
+from collections.abc import Iterator
+from dataclasses import replace as with_changes
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+from exported_plans import certificate_of, hitch_plan
+
+from hitchopt.checks.certificate import CertificateError, Check
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Violation
+from hitchopt.exports.directory import refuse_mixture, save_diagnosis, save_plan
+from hitchopt.motion.plan_file import read_title
+from hitchopt.motion.states import sample_times
+from hitchopt.simulation.task import read_task
+from hitchopt.storage.files import Writer, replace_files
+
+OWNED = ("plan", "table", "seal", "diagnosis")
+
+
+def text(content: str) -> Writer:
+    def write(path: Path) -> None:
+        path.write_text(content)
+
+    return write
+
+
+def replace(directory: Path, **contents: str) -> Path:
+    return replace_files(directory, {n: text(c) for n, c in contents.items()}, OWNED, "seal")
+
+
+def everything(directory: Path) -> dict[str, str]:
+    files = (p for p in directory.rglob("*") if not p.is_dir())
+    return {str(p.relative_to(directory)): p.read_text() for p in files}
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Iterator[Path]:
+    """A directory in which nothing but ``out`` may be when the test is over."""
+    yield tmp_path
+    assert {p.name for p in tmp_path.iterdir()} <= {"out", "elsewhere"}
+
+
+def test_only_ours_are_replaced_and_removed(home: Path) -> None:
+    assert replace(home / "out/a/b", plan="1", seal="s") == home / "out/a/b"
+    assert everything(home) == {"out/a/b/plan": "1", "out/a/b/seal": "s"}
+    out = home / "out"
+    (out / "notes").write_text("mine")
+    (home / "elsewhere").write_text("not ours")
+    (out / "plan").symlink_to("../elsewhere")  # replaced, not followed
+    kept = {"a/b/plan": "1", "a/b/seal": "s", "notes": "mine"}
+    replace(out, plan="1", table="1", seal="1")
+    replace(out, diagnosis="2")
+    assert everything(out) == {"diagnosis": "2", **kept}
+    replace(out, plan="3", seal="3")
+    assert everything(out) == {"plan": "3", "seal": "3", **kept}
+    assert (home / "elsewhere").read_text() == "not ours"
+
+
+def test_a_failing_writer_changes_nothing(home: Path) -> None:
+    def failing(error: BaseException) -> Writer:
+        def write(path: Path) -> None:
+            path.write_text("half")
+            raise error
+
+        return write
+
+    full = failing(OSError(errno.ENOSPC, "No space left on device", "seal"))
+    out = home / "out"
+    with pytest.raises(FileError, match=r"out/x/y: cannot be written: No space left.*\(seal\)"):
+        replace_files(out / "x/y", {"plan": text("new"), "seal": full}, OWNED, "seal")
+    assert not out.exists()
+    replace(out, plan="1", seal="1")
+    for writer, caught in ((full, FileError), (failing(KeyboardInterrupt()), KeyboardInterrupt)):
+        with pytest.raises(caught):
+            replace_files(out, {"plan": text("new"), "seal": writer}, OWNED, "seal")
+        assert everything(home) == {"out/plan": "1", "out/seal": "1"}
+
+
+def test_modes_links_and_the_current_directory_stay(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = home / "elsewhere/real"
+    (real / "a").mkdir(parents=True)
+    real.chmod(0o2715)
+    (home / "out").symlink_to("elsewhere/real")
+    old = os.umask(0o027)
+    try:
+        assert replace(home / "out", plan="1") == home / "out"
+        replace(home / "elsewhere/new", plan="1")
+    finally:
+        os.umask(old)
+    modes = [stat.S_IMODE(p.stat().st_mode) for p in (real, real / "plan", real.with_name("new"))]
+    assert modes == [0o2715, 0o640, 0o750]
+    assert (home / "out").is_symlink()
+    monkeypatch.chdir(real / "a")
+    for up in (".", ".."):
+        inode = os.stat(up).st_ino
+        replace(Path(up), diagnosis="2")
+        assert os.stat(up).st_ino == inode
+    monkeypatch.undo()
+    expected = {"real/diagnosis", "real/a/diagnosis", "new/plan"}
+    assert set(everything(home / "elsewhere")) == expected
+
+
+def test_the_seal_goes_first_and_comes_last(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seal = home / "out/seal"
+    replace(home / "out", plan="1", table="1", seal="1")
+    steps: list[tuple[str, bool]] = []
+    for name in ("replace", "unlink"):
+        real = getattr(Path, name)
+
+        def watched(path: Path, *args: object, real: object = real, **kwargs: object) -> object:
+            result = real(path, *args, **kwargs)  # type: ignore[operator]
+            steps.append((path.name, seal.exists()))
+            return result
+
+        monkeypatch.setattr(Path, name, watched)
+    replace(home / "out", plan="2", seal="2", table="2")
+    found = [step for step in steps if step[0] in OWNED]
+    first, last = found.index(("seal", False)), found.index(("seal", True))
+    assert first == 0
+    assert {name for name, _ in found[first + 1 : last]} >= {"plan", "table"}
+
+
+@pytest.mark.parametrize(
+    ("taken", "asked", "words"),
+    [
+        ("out", "out", "out: is a file, not a directory"),
+        ("out", "out/a/b", "out/a/b: cannot be written: Not a directory"),
+        ("out/table/x", "out", "table: is a directory where a file is to go"),
+        ("out/x", "a\0b", "no path"),
+        ("out/x", "x" * 300, "name"),
+    ],
+)
+def test_what_is_in_the_way_is_named(taken: str, asked: str, words: str, home: Path) -> None:
+    (home / taken).parent.mkdir(parents=True, exist_ok=True)
+    (home / taken).write_text("mine")
+    with pytest.raises(FileError, match=words):
+        replace(home / asked, plan="1")
+    assert everything(home) == {taken: "mine"}
+
+
+def test_long_names_and_faster_writers(home: Path) -> None:
+    out = home / "out" / ("x" * 255)
+    replace(out, plan="1")
+
+    def slow(path: Path) -> None:
+        replace(out, plan="2", seal="2")  # another writer is faster
+        path.write_text("3")
+
+    replace_files(out, {"plan": slow, "seal": text("3")}, OWNED, "seal")
+    assert everything(out) == {"plan": "3", "seal": "3"}
+    assert [p.name for p in (home / "out").iterdir()] == [out.name]
+
+
+FILES = {"plan.npz", "setpoints.csv", "vertices.csv", "certificate.json"}
+
+
+def strict_json(path: Path) -> Any:
+    def refuse(word: str) -> NoReturn:
+        raise AssertionError(f"{word} is no JSON")
+
+    return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+
+
+def names(directory: Path) -> set[str]:
+    return {p.name for p in directory.iterdir()}
+
+
+def save(directory: Path, title: str = "", **more: Any) -> Path:
+    return save_plan(directory, hitch_plan(), certificate_of(hitch_plan()), title, 5.0, **more)
+
+
+def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path) -> None:
+    motion, done = hitch_plan(), list[float]()
+    pictures = {"summary.png": text("PNG")}
+    out = save(tmp_path / "out", "Drei", pictures=pictures, progress=done.append)
+    assert names(out) == {*FILES, "summary.png"}
+    assert (done[-1], read_title(out / "plan.npz")) == (1.0, "Drei")
+    samples = len(sample_times(motion.duration, 5.0))
+    for name, rows in (("setpoints.csv", 6), ("vertices.csv", 3)):
+        assert len((out / name).read_text().splitlines()) == 1 + rows * samples
+    low = Check.of("legs", 0.1, 0.15, "min", "m", 1.25, ("q2",))
+    failing = with_changes(certificate_of(motion), checks=(low,))
+    with pytest.raises(CertificateError, match="legs"):
+        save_plan(tmp_path / "other", motion, failing)
+    assert names(tmp_path) == {"out"}
+
+
+def test_others_files_in_previous_stay(tmp_path: Path) -> None:
+    save(tmp_path)
+    save_diagnosis(tmp_path, HitchoptError("not found"))
+    kept = tmp_path / "previous"
+    (kept / "notes.txt").write_text("mine")
+    save_diagnosis(tmp_path, HitchoptError("not found again"))
+    assert names(kept) == {"notes.txt", *FILES}
+    save(tmp_path, "again")
+    assert names(kept) == {"notes.txt"}
+    save_diagnosis(tmp_path, HitchoptError("not found"))
+    assert names(kept) == {"notes.txt", *FILES}
+    assert (read_title(kept / "plan.npz"), (kept / "notes.txt").read_text()) == ("again", "mine")
+    assert names(tmp_path) == {"diagnosis.json", "previous"}
+
+
+def test_files_of_different_plans_are_refused(tmp_path: Path) -> None:
+    one, other = (save(tmp_path / title, title) for title in ("one", "other"))
+    refuse_mixture(one)
+    plan = (one / "plan.npz").read_bytes()
+    assert strict_json(one / "certificate.json")["plan"] == hashlib.sha256(plan).hexdigest()
+    (other / "plan.npz").write_bytes(plan)
+    with pytest.raises(FileError, match=r"certificate\.json: is of another plan\.npz"):
+        refuse_mixture(other)
+    with pytest.raises(FileError, match="is of another"):
+        read_task(other)
+    (one / "certificate.json").unlink()
+    with pytest.raises(FileError, match="was a save killed"):
+        read_task(one)
+
+
+def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:
+    first = Violation("legs", -0.1, 0.15, "min", "m", ("q0", "r2"), "at the start", "lengthen")
+    second = Violation("duration", float("inf"), 3.0, "max", "s", (), "", "allow more – länger")
+    save_diagnosis(tmp_path, InfeasibleError([first, second]))
+    data = strict_json(tmp_path / "diagnosis.json")
+    assert (data["format"], data["feasible"]) == ("hitchopt-diagnosis/1", False)
+    expected = {**vars(first), "where": ["q0", "r2"], "message": str(first)}
+    assert data["violations"][0] == expected
+    said = data["violations"][1]
+    assert (said["value"], said["remedy"]) == (None, second.remedy)
