@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from baseline import SWARMS, differences
+from plans import planned
 from problem_files import GOOD, INFEASIBLE, ROOT, TRIANGLE, header, refused, run
 
 from hitchopt.api import solve
@@ -70,21 +71,26 @@ LONG = {
         for path in GOOD
     ],
 )
-def test_good_problems_are_certified(path: Path, place: Path) -> None:
-    result = run("solve", path, "--rate", "5", code=0)
-    assert result.stdout.splitlines()[-1] == f"certified; the plan is in {path.stem}"
-    certificate = json.loads((place / path.stem / "certificate.json").read_text())
-    assert certificate["certified"] is True
-    assert all(check["name"] in result.stdout for check in certificate["checks"])
+def test_good_problems_are_certified(path: Path) -> None:
+    certificate = planned(path.stem).certificate
+    assert certificate.certified
     least = least_duration(path)
-    assert least <= certificate["duration"] < 3.0 * least + 1.0
-    assert not differences(certificate, path)
+    assert least <= certificate.duration < 3.0 * least + 1.0
+    assert not differences(certificate.to_dict(), path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", SWARMS, ids=lambda path: path.stem)
 def test_swarms_are_planned_as_before(path: Path) -> None:
-    assert not differences(solve(path).certificate.to_dict(), path)
+    assert not differences(planned(f"swarms/{path.stem}").certificate.to_dict(), path)
+
+
+def test_a_solve_prints_every_check_and_where_the_plan_is(place: Path) -> None:
+    result = run("solve", ROOT / "problems" / "form_triangle.yaml", "--rate", "5", code=0)
+    assert result.stdout.splitlines()[-1] == "certified; the plan is in form_triangle"
+    certificate = json.loads((place / "form_triangle" / "certificate.json").read_text())
+    assert certificate["checks"] == planned("form_triangle").certificate.to_dict()["checks"]
+    assert all(check["name"] in result.stdout for check in certificate["checks"])
 
 
 @pytest.mark.parametrize("path", INFEASIBLE, ids=lambda path: path.stem)
