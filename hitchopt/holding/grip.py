@@ -177,7 +177,7 @@ class GripTask:
 
         Keys are names of the certificate's checks, and ``gap``, of clasps to the section.
         """
-        separation, n = self.requirements.separation, self.robots
+        n = self.robots
         shape = grip.vertices.shape[:-2]
         drones = grip.drones.reshape(*shape, 2 * n, 2)
         onward, contacts = np.roll(grip.vertices, -1, axis=-2), grip.wraps.contacts
@@ -202,14 +202,30 @@ class GripTask:
         crossing = _distances(parts[..., i[counts], :, :], parts[..., j[counts], :, :])
         clear = self.section.clearance
         found = {
-            "separation": apart / (2.0 * separation.radius),
-            "cable_clearance": gaps / separation.cable if separation.cable else gaps + 1.0,
-            "crossing": crossing / separation.crossing if separation.crossing else crossing + 1.0,
-            "keep_out": clear(drones)[0] / separation.radius,
-            "legs": grip.legs.reshape(*shape, 2 * n) / self.requirements.limits.leg,
-            "gap": clear(grip.vertices)[0] / LEAST_GAP,
+            "separation": apart,
+            "cable_clearance": gaps,
+            "crossing": crossing,
+            "keep_out": clear(drones)[0],
+            "legs": grip.legs.reshape(*shape, 2 * n),
+            "gap": clear(grip.vertices)[0],
         }
-        return {name: ratio - 1.0 for name, ratio in found.items()}
+        return {
+            name: found[name] / limit - 1.0 if limit else found[name]
+            for name, limit in self.limits.items()
+        }
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """Limits of these distances by name [m]."""
+        separation = self.requirements.separation
+        return {
+            "separation": 2.0 * separation.radius,
+            "cable_clearance": separation.cable,
+            "crossing": separation.crossing,
+            "keep_out": separation.radius,
+            "legs": self.requirements.limits.leg,
+            "gap": LEAST_GAP,
+        }
 
     def shortest(self, grip: Grip) -> tuple[float, str]:
         """Return the smallest of all distances' margins, and whose it is."""
@@ -385,13 +401,15 @@ def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
 
 def _no_grip(task: GripTask, nearest: list[Grip]) -> InfeasibleError:
     """Return the refusal: what the nearest grip breaks most, or that it does not wrap."""
-    name, ratio = "grip", 0.0
+    name, ratio, limit = "grip", 0.0, 1.0
     for grip in nearest:
         margin, worst = task.shortest(grip)
         if margin < 0.0:
-            name, ratio = worst, 1.0 + margin
-    remedy = "use cables of another length, or a larger section, or rest it on a rim"
+            name, ratio, limit = worst, 1.0 + margin, task.limits[worst]
+    cables = "shorter cables, whose legs do not meet" if name == "crossing" else "other cables"
+    remedy = f"use {cables}, or a larger section, or rest it on a rim"
     if task.robots > 3:
-        remedy = f"use three cables; or {remedy}"
+        remedy += ", or use three cables"
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
-    return InfeasibleError([Violation(name, ratio, 1.0, "min", "ratio", (), "", remedy)], note)
+    unit, value = "1" if name == "grip" else "m", round(ratio * limit, 9)
+    return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
