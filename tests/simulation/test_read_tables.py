@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ def test_what_was_written_is_read(written: tuple[Motion, Path, Path]) -> None:
     np.testing.assert_array_equal(late.vertices[2:], found.vertices[2:])
 
 
-BROKEN = [
+BROKEN: list[tuple[Callable[[list[str]], list[str]], str]] = [
     (lambda lines: ["t,drone", *lines[1:]], "begins with 't,drone'"),
     (lambda lines: lines[:-1], "rows for . drones"),
     (lambda lines: [lines[0], lines[2], lines[1], *lines[3:]], "row 1 is of 'r0'"),

@@ -290,7 +290,7 @@ def test_wrong_conditions_are_refused() -> None:
         ({"friction": -0.1}, "friction"),
     ):
         with pytest.raises(ho.InputError, match="^" + words):
-            settled(regular_hitch(3), **conditions)  # type: ignore[arg-type]
+            settled(regular_hitch(3), **conditions)
 
 
 def test_times_without_hitch_are_refused() -> None:
