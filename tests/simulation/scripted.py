@@ -134,8 +134,7 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     no_poses = np.zeros((count, 0, 7))
     places, others = (t, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
     record = Record(*places, ones, ones, ones, many, many > 2.0, *others)
-    nodes, wires = np.zeros((count, 4, 3)), np.zeros((0, 3, 49, 3))
-    film = Film(t, nodes, np.array([0, 4]), no_poses, wires)  # type: ignore[arg-type]
+    film = Film(t, np.zeros((count, 4, 3)), np.array([0, 4]), no_poses)  # type: ignore[arg-type]
     gains = PositionGains.of(hitch.team, Settings())
     ended = (None, np.nan, np.nan, 0.01, np.full(n, 0.3), gains, 0.0, None)
     parts = []
