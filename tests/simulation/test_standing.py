@@ -112,7 +112,7 @@ def test_cables_that_reach_the_ground_settle_lying_on_it() -> None:
 def test_a_flight_that_overloads_its_cables_is_ended_with_the_reason() -> None:
     task, strong = standing(regular_hitch(3), 0.5), ho.Quadrotor(max_thrust=30.0)
     wild = replace(task.setpoints, cable_forces=20.0 * task.setpoints.cable_forces)
-    team = replace(task.team, quadrotor=strong)
+    team = replace(task.team, quadrotor=(strong,) * 3)
     done = simulate(replace(task, team=team, setpoints=wild), Settings(body="point"))
     assert isinstance(done.flight.error, InvalidRunError)
     assert done.flight.error.quantity in {"tension", "strain", "penetration"}
