@@ -45,7 +45,6 @@ from hitchopt.simulation.world import (
     World,
     check_valid,
     tensions,
-    wires,
 )
 from hitchopt.values import Array
 
@@ -137,14 +136,12 @@ class Film:
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
     cables: (n + 1,), first node of each cable, and the number of nodes.
     poses: of the objects (frames, objects, 7): positions of their bases [m], and quaternions.
-    wires: (objects, rings, points, 3) [m]: closed outlines of every object in its own frame.
     """
 
     t: Array
     nodes: NDArray[np.float32]
     cables: NDArray[np.intp]
     poses: NDArray[np.float32]
-    wires: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -514,4 +511,4 @@ class _Recorder:
             np.array([frame[i] for frame in self._frames], dtype=np.float32) for i in (1, 2)
         )
         t = np.array([frame[0] for frame in self._frames])
-        return Film(t, nodes, self._world.cable_vertices, poses, wires(self._world.objects))
+        return Film(t, nodes, self._world.cable_vertices, poses)

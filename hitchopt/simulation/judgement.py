@@ -293,8 +293,8 @@ def judge(flight: Flight) -> Outcome:
     other. Objects must be where the plan puts them, and free unless it ends holding them.
     After the loss of a drone nothing is judged but contacts of survivors.
     """
-    lost = flight.lost
-    survivors = set(flight.task.team.drone_names) - ({lost.drone} if lost is not None else set())
+    lost, names = flight.lost, set(flight.task.team.drone_names)
+    survivors = names if lost is None else names - {lost.drone}
     failures = [
         Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
         for e in flight.touches
@@ -307,8 +307,7 @@ def judge(flight: Flight) -> Outcome:
     if lost is None:
         if flight.linking is not None:
             clasps = _clasps(flight, flight.linking) if flight.task.formed[-1] else ()
-            failures += _wrong_links(flight, flight.linking)
-            failures += [failure for clasp in clasps for failure in _weak(flight, clasp)]
+            failures += _loose(flight, flight.linking, clasps)
         objects = object_states(flight)
         failures += [failure for each in objects for failure in _mishandled(flight, each)]
     return Outcome(clasps, tuple(sorted(failures, key=lambda failure: failure.time)), objects)
@@ -341,40 +340,33 @@ def _means(flight: Flight, end: float) -> tuple[Array, Array]:
     return places, forces
 
 
-def _wrong_links(flight: Flight, linking: NDArray[np.int64]) -> list[Failure]:
-    """Return the pairs of cables that are not linked as the plan's end requires."""
-    team = flight.task.team
-    layout = team.layout
-    point = np.full(linking.shape, -1)  # where a pair of cables is to be linked
+def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]) -> list[Failure]:
+    """Return cables that are not linked as the plan's end requires, and clasps that do not hold."""
+    at = {}  # the name of the vertex where a pair of cables is to be linked
     if flight.task.formed[-1]:
-        point[layout.behind, layout.ahead] = point[layout.ahead, layout.behind] = layout.clasps
+        layout, names = flight.task.team.layout, flight.task.team.point_names
+        pairs = zip(layout.behind.tolist(), layout.ahead.tolist(), strict=True)
+        at = {frozenset(pair): names[p] for pair, p in zip(pairs, layout.clasps, strict=True)}
     failures = []
-    for i, j in np.argwhere(np.triu(np.abs(linking) != (point >= 0), 1)):
-        words = f"cables {i} and {j} are linked {linking[i, j]} times, "
-        kind = "tangled"
-        where: tuple[str, ...] = (f"cable {i}", f"cable {j}")
-        words = f"cables {i} and {j} are linked {linking[i, j]} times, and should not be"
-        if point[i, j] >= 0:
-            kind, where = "unlinked", (team.point_names[point[i, j]],)
-            words = f"{where[0]}: cables {i} and {j} are linked {linking[i, j]} times, not once"
-        failures.append(Failure(kind, where, flight.rested, words))
+    for i, j in np.argwhere(np.triu(np.ones_like(linking), 1)).tolist():
+        name, words = at.get(frozenset((i, j))), f"cables {i} and {j} are linked {linking[i, j]}"
+        if name is not None and abs(linking[i, j]) != 1:
+            told = f"{name}: {words} times, not once"
+            failures.append(Failure("unlinked", (name,), flight.rested, told))
+        elif name is None and linking[i, j]:
+            where, told = (f"cable {i}", f"cable {j}"), f"{words} times, and should not be"
+            failures.append(Failure("tangled", where, flight.rested, told))
+    for clasp in clasps:
+        if abs(clasp.linking) == 1 and not clasp.bears:
+            words = (
+                f"{clasp.name}: its cables press with {clasp.bearing:.3f} N, less than the "
+                f"{clasp.least_bearing:.3f} N from which on a clasp bears: they merely cross"
+            )
+            failures.append(Failure("lost", (clasp.name,), flight.rested, words))
+        elif abs(clasp.linking) == 1 and clasp.moved > HELD:
+            words = f"{clasp.name}: moves {clasp.moved:.3f} m under the pull test, more than {HELD}"
+            failures.append(Failure("slipped", (clasp.name,), flight.pulled, f"{words} m"))
     return failures
-
-
-def _weak(flight: Flight, clasp: Clasp) -> list[Failure]:
-    """Return the failures of a clasp that is linked."""
-    if abs(clasp.linking) != 1:
-        return []
-    if not clasp.bears:
-        words = (
-            f"{clasp.name}: its cables press with {clasp.bearing:.3f} N, less than the "
-            f"{clasp.least_bearing:.3f} N from which on a clasp bears: they merely cross"
-        )
-        return [Failure("lost", (clasp.name,), flight.rested, words)]
-    if clasp.moved > HELD:
-        words = f"{clasp.name}: moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
-        return [Failure("slipped", (clasp.name,), flight.pulled, words)]
-    return []
 
 
 def _mishandled(flight: Flight, state: ObjectState) -> list[Failure]:
@@ -416,7 +408,6 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
         carried, body = cargo.carried[rows, i], cargo.objects[cargo.names[i]]
         axes = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean().as_matrix()
         yaw = np.arctan2(axes[1, 0], axes[0, 0]) - np.arctan2(plan[-1, i, 4], plan[-1, i, 3])
-        slips = _slips(offsets[:, i] - hitch, carried)
         low = np.flatnonzero(carried & (offsets[:, i, 2] < -DROPPED))
         sections = [body.section] if body.rim is None else [body.section, body.rim.section]
         found.append(
@@ -426,7 +417,7 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
                 turned=float(np.degrees(np.arctan2(np.sin(yaw), np.cos(yaw)))),
                 lifted=float(np.mean(offsets[carried, i, 2])) if carried.any() else np.nan,
-                slipped=float(np.max(slips)) if len(slips) else np.nan,
+                slipped=_slipped(offsets[:, i] - hitch, carried),
                 dropped=float(t[low[0]]) if low.size else np.nan,
                 free=not bool(record.touched[: len(t)][t > end - RELEASED, i].any()),
                 round=all(each.radius is not None for each in sections),
@@ -435,17 +426,15 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     return tuple(found)
 
 
-def _slips(offsets: Array, carried: NDArray[np.bool_]) -> Array:
-    """Return how far it has moved from where it was as it was lifted, whenever it is carried [m].
+def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
+    """Return how far an object moves from where it was as it was lifted [m], at most.
 
-    Parameters
-    ----------
-    offsets: (samples, 3) [m], from the hitch; nan where there is none.
-    carried: (samples,), whether the hitch carries all of it.
+    ``offsets`` (samples, 3) [m] are from the hitch, nan where there is none.
     """
     chosen = np.flatnonzero(carried & np.isfinite(offsets[:, 0]))
     times = np.split(chosen, np.flatnonzero(np.diff(np.cumsum(~carried)[chosen])) + 1)
-    return np.concatenate([length(offsets[run] - offsets[run[:1]]) for run in times])
+    slips = [float(np.max(length(offsets[run] - offsets[run[0]]))) for run in times if len(run)]
+    return max(slips, default=np.nan)
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,6 @@ from hitchopt.values import Array
 
 Index = NDArray[np.intp]
 
-POINTS = 48
-"""Points of an outline, and the first one once more."""
-
 GROUND, OBJECTS = 2, 4
 """Collision groups of the ground, and of objects, which meet ropes, drones and others' feet."""
 
@@ -492,22 +489,6 @@ def _second_moments(section: Section) -> tuple[float, float, float]:
     both = np.einsum("ki,kj->kij", a + b, a + b)
     means = np.einsum("k,kij->ij", area, corners + both) / (12.0 * np.sum(area))
     return float(means[0, 0]), float(means[1, 1]), float(means[0, 1])
-
-
-def wires(objects: Mapping[str, SolidObject]) -> NDArray[np.float32]:
-    """Return outlines (objects, 3, POINTS + 1, 3) [m] of floor, ceiling and rim in their frames.
-
-    Where there is no rim its outline is the ceiling's.
-    """
-    found = np.zeros((len(objects), 3, POINTS + 1, 3), dtype=np.float32)
-    for rings, each in zip(found, objects.values(), strict=True):
-        rim = (each.section, each.upper)
-        if each.rim is not None:
-            rim = (each.rim.section, each.rim.height)
-        levels = ((each.section, each.lower), (each.section, each.upper), rim)
-        for ring, (section, height) in zip(rings, levels, strict=True):
-            ring[:, :2], ring[:, 2] = _outline_points(section, POINTS), height
-    return found
 
 
 def _outline_points(section: Section, count: int) -> NDArray[np.float64]:

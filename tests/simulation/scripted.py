@@ -132,21 +132,9 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     ones, many = np.ones((count, n)), np.ones((count, 2 * n))
     vertices = np.repeat(hitch.vertices[None], count, axis=0)
     no_poses = np.zeros((count, 0, 7))
-    record = Record(
-        t,
-        drones,
-        drones,
-        vertices,
-        ones,
-        ones,
-        ones,
-        many,
-        many > 2.0,
-        no_poses,
-        no_poses[..., 0] > 0.0,
-    )
-    nodes, wires = np.zeros((count, 4, 3)), np.zeros((0, 3, 49, 3))
-    film = Film(t, nodes, np.array([0, 4]), no_poses, wires)  # type: ignore[arg-type]
+    places, others = (t, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
+    record = Record(*places, ones, ones, ones, many, many > 2.0, *others)
+    film = Film(t, np.zeros((count, 4, 3)), np.array([0, 4]), no_poses)  # type: ignore[arg-type]
     gains = PositionGains.of(hitch.team, Settings())
     ended = (None, np.nan, np.nan, 0.01, np.full(n, 0.3), gains, 0.0, None)
     parts = []

@@ -76,25 +76,20 @@ def test_linked_bearing_and_held_is_hitched() -> None:
     assert judged(pulled=float("nan")).hitched  # no pull test was asked for
 
 
-@pytest.mark.parametrize(
-    ("pair", "number", "kind", "where"),
-    [
+def test_wrong_links_are_named() -> None:
+    for pair, number, kind, where in (
         ((0, 1), 0, "unlinked", ("p1",)),
         ((3, 0), 0, "unlinked", ("p0",)),
         ((1, 2), 2, "unlinked", ("p2",)),
         ((0, 2), 1, "tangled", ("cable 0", "cable 2")),
         ((1, 3), -1, "tangled", ("cable 1", "cable 3")),
-    ],
-)
-def test_wrong_links_are_named(
-    pair: tuple[int, int], number: int, kind: str, where: tuple[str, ...]
-) -> None:
-    linking = NEIGHBOURS.copy()
-    linking[pair] = linking[pair[::-1]] = number
-    outcome = judged(linking)
-    (failure,) = outcome.failures
-    assert (failure.kind, failure.where, failure.time) == (kind, where, 3.0)
-    assert outcome.hitched == (kind == "tangled")
+    ):
+        linking = NEIGHBOURS.copy()
+        linking[pair] = linking[pair[::-1]] = number
+        outcome = judged(linking)
+        (failure,) = outcome.failures
+        assert (failure.kind, failure.where, failure.time) == (kind, where, 3.0)
+        assert outcome.hitched == (kind == "tangled")
 
 
 def test_a_vertex_that_gives_way_has_slipped() -> None:
@@ -166,7 +161,7 @@ def test_errors_are_distances_where_there_is_a_hitch() -> None:
         np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
 
 
-def test_the_time_of_rest_counts_as_standing_still_and_the_pull_test_does_not() -> None:
+def test_the_time_of_rest_counts_and_the_pull_test_does_not() -> None:
     hitch = regular_hitch(3)
     task = standing(hitch, 0.2)
     shift = np.linspace(0.0, 0.1, len(task.t))[:, None, None]
@@ -177,15 +172,10 @@ def test_the_time_of_rest_counts_as_standing_still_and_the_pull_test_does_not() 
     np.testing.assert_allclose(errors.t, t[1:-1])
     np.testing.assert_array_equal(errors.moving, [True] * (len(t) - 4) + [False] * 2)
     np.testing.assert_allclose(errors.errors[-2:], 0.05)
-
-
-def test_a_flight_without_a_hitch_has_no_errors() -> None:
-    hitch = regular_hitch(3)
-    task = unformed(standing(hitch, 0.1))
-    flight = flight_of(task, hitch, task.t, drones=task.setpoints.positions + [0.03, 0.0, 0.04])
-    errors = vertex_errors(flight)
-    assert errors.errors.shape == (0, 3)
-    assert errors.lost == 0.0
+    free = unformed(task)
+    flight = flight_of(free, hitch, task.t, drones=free.setpoints.positions + [0.03, 0.0, 0.04])
+    assert vertex_errors(flight).errors.shape == (0, 3)
+    assert vertex_errors(flight).lost == 0.0
     np.testing.assert_allclose(tracking_errors(flight), 0.05)
 
 
@@ -234,34 +224,22 @@ def test_the_storyboard_ends_after_the_pull_test(tmp_path: Path) -> None:
     assert imread(path).shape[:2] == (864, 1560)
 
 
-@pytest.mark.parametrize(
-    ("linking", "formed", "words"),
-    [
-        (np.zeros((3, 3), dtype=np.int64), True, "not hitched"),
-        (None, True, "not simulated to its end"),
-        (np.zeros((3, 3), dtype=np.int64), False, "untied, as planned"),
-        (LINKED, False, "not untied"),
-    ],
-)
-def test_a_flight_is_called_what_it_was(
-    linking: NDArray[np.int64] | None, *, formed: bool, words: str
-) -> None:
-    figure = drawn_flight(flown(linking, formed=formed), MOTION)
-    assert figure.get_suptitle().endswith(words)
-
-
-def test_a_flight_without_frames_has_no_scene_and_still_a_picture() -> None:
-    simulation = flown(None, end=0.005)
-    assert flight_scene(simulation, MOTION) is None
-    assert len(drawn_flight(simulation, MOTION).axes) == 4
-
-
-def test_a_flight_that_dropped_something_does_not_look_well() -> None:
-    simulation = flown(LINKED)
+def test_a_flight_is_called_what_it_was() -> None:
+    untied = np.zeros((3, 3), dtype=np.int64)
+    cases: list[tuple[Simulation, str]] = [
+        (flown(untied), "not hitched"),
+        (flown(None), "not simulated to its end"),
+        (flown(untied, formed=False), "untied, as planned"),
+        (flown(LINKED, formed=False), "not untied"),
+    ]
     failure = Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
-    wrong = replace(simulation, outcome=replace(simulation.outcome, failures=(failure,)))
-    title = drawn_flight(wrong, MOTION).get_suptitle()
-    assert title.endswith("every vertex holds, but tray is dropped: far below")
+    wrong = replace(flown(LINKED), outcome=Outcome((), (failure,)))
+    cases.append((wrong, "not hitched, but tray is dropped: far below"))
+    for simulation, words in cases:
+        assert drawn_flight(simulation, MOTION).get_suptitle().endswith(words)
+    brief = flown(None, end=0.005)  # without frames
+    assert flight_scene(brief, MOTION) is None
+    assert len(drawn_flight(brief, MOTION).axes) == 4
 
 
 def test_centimetres_are_those_of_the_accurate_preset() -> None:

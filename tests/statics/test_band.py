@@ -97,8 +97,3 @@ def test_tolerance_has_the_band_of_the_team() -> None:
 def test_without_rest_the_band_has_no_end() -> None:
     found = settled(triangle(), friction=3.0)
     assert np.all(np.isinf(found.band).any(axis=-1))
-
-
-def test_negative_friction_is_refused() -> None:
-    with pytest.raises(ho.InputError, match="friction"):
-        Conditions(friction=-0.1)

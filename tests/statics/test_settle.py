@@ -18,7 +18,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import HitchEnergy
-from hitchopt.statics.settle import Conditions, Settled, energy_of, samples_of, settle_motion
+from hitchopt.statics.settle import Conditions, energy_of, samples_of, settle_motion
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(3, 8)
@@ -94,13 +94,6 @@ def test_forces_balance_as_another_module_computes_them(
         np.testing.assert_allclose(total, 0.0, atol=2e-5)
 
 
-def moved(hitch: ho.Hitch, angle: float, shift: np.ndarray) -> ho.Hitch:
-    c, s = np.cos(angle), np.sin(angle)
-    points = hitch.polygon.vertices @ np.array([[c, -s], [s, c]]).T + shift[:2]
-    polygon = ConvexPolygon(points)
-    return ho.Hitch(hitch.team, polygon, hitch.altitude + shift[2], hitch.q_legs)
-
-
 @given(seeds, sizes)
 @settings(max_examples=15)
 def test_the_mirror_image_settles_to_the_mirror_image(seed: int, n: int) -> None:
@@ -164,17 +157,17 @@ def test_a_general_minimiser_finds_no_lower_energy() -> None:
     np.testing.assert_allclose(result.x.reshape(ours.shape), ours, atol=1e-4)
 
 
-@pytest.mark.parametrize("change", [-0.02, -0.005, 0.01])
-def test_equal_errors_of_all_cables_of_a_regular_hitch(change: float) -> None:
+def test_equal_errors_of_all_cables_of_a_regular_hitch() -> None:
     """By symmetry the vertices stay; each end gives way by half of it, against k and the stretch.
 
     For n = 3 the polygon could shrink or grow, too, but that changes no cable's length at first
     order, and by symmetry nothing pushes it.
     """
-    k, T, EA = 4.75, 0.5, 1e4
-    found = settled(regular_hitch(3, T), stiffness=k, cable_length=2.4 + change, axial_stiffness=EA)
+    k, T, EA, change = 4.75, 0.5, 1e4, np.array([[-0.02], [-0.005], [0.01]])
+    lengths = 2.4 + change * np.ones(3)
+    found = settled(regular_hitch(3, T), stiffness=k, cable_length=lengths, axial_stiffness=EA)
     expected = T - change / (2.0 / k + 2.4 / EA)
-    np.testing.assert_allclose(found.tensions, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.tensions, expected * np.ones(3), rtol=1e-9)
     np.testing.assert_allclose(found.displacements, 0.0, atol=1e-9)
 
 
@@ -191,40 +184,24 @@ def test_one_cable_with_rigid_drones(change: float) -> None:
     np.testing.assert_array_equal(found.drones, found.planned_drones)
 
 
-def test_stiffer_rope_between_rigid_drones_swings_the_tension() -> None:
-    """The measured swing: up to 5.7 N at EA = 500 N for a centimetre of error."""
-    rng = np.random.default_rng(3)
-    offsets = rng.normal(0.0, 0.01, (400, 6, 3))
-    found = settle_motion(
-        standing(regular_hitch(3)), 1.0, Conditions(offsets=offsets, axial_stiffness=500.0)
-    )
-    assert np.min(found.tensions) == 0.0
-    assert 3.0 < np.max(found.tensions) < 9.0
-    assert found.slack_cables == ("c0", "c1", "c2")
-
-
-@pytest.mark.parametrize(
-    ("stiffness", "changed", "low", "high"),
-    [
+def test_ranges_of_tension_are_those_measured() -> None:
+    """Ranges that another program found: n = 3, 0.5 N, random cables ±1 cm or drones ±2 cm."""
+    rng = np.random.default_rng(0)
+    given: dict[str, Any] = {
+        "cable_length": 2.4 + rng.uniform(-0.01, 0.01, (60, 3)),
+        "offsets": rng.uniform(-0.02, 0.02, (60, 6, 3)),
+    }
+    for stiffness, changed, low, high in (
         (4.75, "cable_length", 0.47, 0.52),
         (4.75, "offsets", 0.44, 0.55),
         (20.0, "cable_length", 0.38, 0.57),
         (20.0, "offsets", 0.27, 0.69),
         (100.0, "cable_length", 0.0, 0.82),
         (100.0, "offsets", 0.0, 1.5),
-    ],
-)
-def test_ranges_of_tension_are_those_measured(
-    stiffness: float, changed: str, low: float, high: float
-) -> None:
-    """Ranges that another program found: n = 3, 0.5 N, random cables ±1 cm or drones ±2 cm."""
-    rng = np.random.default_rng(0)
-    lengths = 2.4 + rng.uniform(-0.01, 0.01, (60, 3))
-    offsets = rng.uniform(-0.02, 0.02, (60, 6, 3))
-    given: dict[str, Any] = {changed: lengths if changed == "cable_length" else offsets}
-    found = settled(regular_hitch(3), stiffness=stiffness, **given)
-    ends = np.array([np.min(found.tensions), np.max(found.tensions)])
-    np.testing.assert_allclose(ends, [low, high], atol=0.25 * (high - low))
+    ):
+        found = settled(regular_hitch(3), stiffness=stiffness, **{changed: given[changed]})
+        ends = np.array([np.min(found.tensions), np.max(found.tensions)])
+        np.testing.assert_allclose(ends, [low, high], atol=0.25 * (high - low))
 
 
 def test_without_feed_forward_nothing_pulls_and_moved_set_points_pull_again() -> None:
@@ -261,14 +238,9 @@ def test_loads_hang_at_their_clasps_and_move_nothing_where_they_are_zero() -> No
     np.testing.assert_array_equal(plain.vertices, zero.vertices)
     load = np.array([0.002, 0.001, 0.003])
     found = settled(hitch, load=load)
-    force = clasp_residuals(
-        found.vertices,
-        found.drones[0::2],
-        found.drones[1::2],
-        found.tensions,
-        9.81 * load[:, None] * np.array([0.0, 0.0, -1.0]),
-        "open",
-    )
+    weight = 9.81 * load[:, None] * np.array([0.0, 0.0, -1.0])
+    q, r = found.drones[0::2], found.drones[1::2]
+    force = clasp_residuals(found.vertices, q, r, found.tensions, weight, "open")
     assert np.max(np.abs(force)) < 1e-8
     assert np.all((found.vertices - plain.vertices)[1:-1, 2] < 0.0)
 
@@ -286,18 +258,13 @@ def test_samples_settle_as_each_alone() -> None:
     rng = np.random.default_rng(4)
     lengths = hitch.team.cable_length + rng.uniform(-0.01, 0.01, (2, 3, 3))
     offsets = rng.uniform(-0.01, 0.01, (3, 6, 3))
-    motion = standing(hitch)
-    together = settle_motion(
-        motion, [0.5, 1.0, 1.5], Conditions(cable_length=lengths, offsets=offsets)
-    )
+    conditions = Conditions(cable_length=lengths, offsets=offsets)
+    together = settle_motion(standing(hitch), [0.5, 1.0, 1.5], conditions)
     assert together.tensions.shape == (2, 3, 3)
-    for i in range(2):
-        for j in range(3):
-            alone: Settled = settle_motion(
-                motion, 1.0, Conditions(cable_length=lengths[i, j], offsets=offsets[j])
-            )
-            np.testing.assert_allclose(together.tensions[i, j], alone.tensions, atol=1e-9)
-            np.testing.assert_allclose(together.vertices[i, j], alone.vertices, atol=1e-9)
+    for i, j in np.ndindex(2, 3):
+        alone = settled(hitch, cable_length=lengths[i, j], offsets=offsets[j])
+        np.testing.assert_allclose(together.tensions[i, j], alone.tensions, atol=1e-9)
+        np.testing.assert_allclose(together.vertices[i, j], alone.vertices, atol=1e-9)
 
 
 def test_a_hitch_of_a_thousand_robots_settles() -> None:
@@ -310,22 +277,20 @@ def test_a_hitch_of_a_thousand_robots_settles() -> None:
     assert np.all(np.abs(found.tensions - 0.5) < 0.15)
 
 
-@pytest.mark.parametrize(
-    ("conditions", "words"),
-    [
-        ({"stiffness": 0.0}, "stiffness = 0.0: must be one positive number, or 6 of them"),
+def test_wrong_conditions_are_refused() -> None:
+    for conditions, words in (
+        ({"stiffness": 0.0}, r"stiffness = 0\.0: must be one positive number, or 6 of them"),
         ({"stiffness": [1.0, 2.0]}, "stiffness"),
         ({"cable_length": [1.0, 2.0]}, "cable_length"),
         ({"cable_length": np.nan}, "cable_length"),
         ({"offsets": np.zeros((5, 3))}, "offsets"),
         ({"load": -1.0}, "load"),
-        ({"cable_density": -0.1}, "cable_density = -0.1: must be at least 0"),
-        ({"axial_stiffness": 0.0}, "axial_stiffness = 0.0: must be greater than 0"),
-    ],
-)
-def test_wrong_conditions_are_refused(conditions: dict[str, Any], words: str) -> None:
-    with pytest.raises(ho.InputError, match="^" + words.replace("(", r"\(")):
-        settled(regular_hitch(3), **conditions)
+        ({"cable_density": -0.1}, r"cable_density = -0\.1: must be at least 0"),
+        ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be greater than 0"),
+        ({"friction": -0.1}, "friction"),
+    ):
+        with pytest.raises(ho.InputError, match="^" + words):
+            settled(regular_hitch(3), **conditions)
 
 
 def test_times_without_hitch_are_refused() -> None:
