@@ -1,17 +1,22 @@
-"""Read YAML 1.2 from any source: no tags, anchors or aliases, and bounded in size and depth.
+"""YAML 1.2 from any source, bounded in size and depth, and changes of its text.
 
 The library's parser only cuts the text into events; the values are made here, by the core schema
-of YAML 1.2 (``1e-3`` is a number, ``yes`` is text), so nothing but plain data can come out.
+of YAML 1.2 (``1e-3`` is a number, ``yes`` is text), so nothing but plain data can come out: no
+tags, anchors or aliases. A change is spliced into the text where the old value was read, so that
+comments, order, number formats and line breaks of everything else stay those of the author.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from io import StringIO
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +76,12 @@ def parse_yaml(text: str, name: str = "text") -> Plain:
     ------
     FileError, InputError: as ``read_yaml``.
     """
+    return _read(text, name).value
+
+
+def _read(text: str, name: str = "text") -> Node:
     found = _Reader(text, name).document()
-    if found is None:
+    if found is None or found.value is None:
         raise FileError(f"{name}: is empty; `hitchopt init` writes a problem file to start from")
     return found
 
@@ -150,19 +159,38 @@ def _events(text: str, name: str) -> Iterator[Any]:
         raise FileError(f"{name}: is not YAML ({error}); check its escapes") from None
 
 
+@dataclass
+class Node:
+    """A value, and where it stands in its text."""
+
+    value: Plain
+    start: int  # place of its first character
+    end: int  # and of the end of what it reads
+    column: int  # of the first character, from 0 on
+    flow: bool = True  # whether it is in brackets, or a scalar
+    children: list[Node] = field(default_factory=list)  # of a list or mapping, in order
+    keys: list[int] = field(default_factory=list)  # where a mapping's keys end
+
+    def child(self, part: str | int) -> Node | None:
+        """Return what is at a key or index; None where there is nothing."""
+        if isinstance(self.value, dict) and part in self.value:
+            return self.children[list(self.value).index(str(part))]
+        within = isinstance(self.value, list) and isinstance(part, int)
+        return self.children[int(part)] if within and int(part) < len(self.children) else None
+
+
 class _Reader:
     """Values of one text, made by recursive descent; MAX_DEPTH bounds the recursion."""
 
     def __init__(self, text: str, name: str, *, marking: bool = False) -> None:
-        self.name = name
-        self.marking = marking
+        self.text, self.name, self.marking = text, name, marking
         self.places: dict[str, Place] = {}
         self.events = _events(text, name)
         self.budget = Budget()
 
-    def document(self) -> Plain:
+    def document(self) -> Node | None:
         """Return the only document's value; None where there is none."""
-        found: list[Plain] = []
+        found: list[Node] = []
         for event in self.events:
             if isinstance(event, events.DocumentStartEvent) and found:
                 raise self._fault(event, "a second document begins here; keep one problem per file")
@@ -170,32 +198,51 @@ class _Reader:
                 found.append(self._entry(event, []))
         return found[0] if found else None
 
-    def _value(self, event: Any, path: list[str | int]) -> Plain:
+    def _node(self, event: Any, path: list[str | int]) -> Node:
         self._refuse_extras(event)
         self.budget.spend(path)
+        start = event.start_mark
+        node = Node(None, start.index, event.end_mark.index, start.column)
         if isinstance(event, events.ScalarEvent):
-            return self.budget.checked(_scalar(event), path)
-        if not isinstance(event, events.MappingStartEvent):
-            return [self._entry(entry, [*path, i]) for i, entry in enumerate(self._entries())]
-        mapping: dict[str, Plain] = {}
-        for entry in self._entries():
-            key = self._new_key(entry, path, mapping)
-            mapping[key] = self._value(next(self.events), [*path, key])
-        return mapping
+            node.value = self.budget.checked(_scalar(event), path)
+        else:
+            node.flow = event.flow_style
+            if isinstance(event, events.MappingStartEvent):
+                self._fill(node, path)
+            else:
+                node.children = [
+                    self._entry(entry, [*path, i]) for i, entry in enumerate(self._entries(node))
+                ]
+                node.value = [child.value for child in node.children]
+        if node.children and not node.flow:
+            node.end = node.children[-1].end
+        else:  # the parser goes on to what follows
+            node.end = node.start + len(self.text[node.start : node.end].rstrip())
+        return node
 
-    def _entry(self, event: Any, path: list[str | int]) -> Plain:
+    def _fill(self, node: Node, path: list[str | int]) -> None:
+        mapping: dict[str, Plain] = {}
+        for entry in self._entries(node):
+            key = self._new_key(entry, path, mapping)
+            node.keys.append(entry.end_mark.index)
+            node.children.append(self._node(next(self.events), [*path, key]))
+            mapping[key] = node.children[-1].value
+        node.value = mapping
+
+    def _entry(self, event: Any, path: list[str | int]) -> Node:
         self._mark(event, path)
-        return self._value(event, path)
+        return self._node(event, path)
 
     def _mark(self, event: Any, path: list[str | int]) -> None:
         if self.marking:
             mark = event.start_mark
             self.places[key_path(path)] = Place(self.name, mark.line + 1, mark.column + 1)
 
-    def _entries(self) -> Iterator[Any]:
-        """Yield the events that follow until the innermost mapping or list ends."""
+    def _entries(self, node: Node) -> Iterator[Any]:
+        """Yield the events that follow until a mapping or list ends."""
         for event in self.events:
             if isinstance(event, events.CollectionEndEvent):
+                node.end = event.end_mark.index
                 return
             yield event
 
@@ -329,3 +376,168 @@ def _plain(data: object, path: list[str | int], budget: Budget) -> Plain:
 
 def _where(path: list[str | int]) -> str:
     return key_path(path) or "problem"
+
+
+DECIMALS = 9  # Decimals of written numbers: far below any tolerance, and short enough to read
+
+KeyPath = Sequence[str | int]  # Keys and indices from the top of a file to a value
+
+_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_LINE_END = re.compile(r"\r?\n|\Z")
+_PARTS = re.compile(r"\[(\d+)\]|([^.\[\]]+)")
+
+
+def split_key(key: str) -> tuple[str | int, ...]:
+    """Return the path of a key such as ``mission[0].morph.polygon``."""
+    return tuple(int(i) if i else name for i, name in _PARTS.findall(key))
+
+
+def value_at(data: Plain, path: KeyPath) -> Any:
+    """Return the value at a path, or None where there is none."""
+    found: Any = data
+    for part in path:
+        try:
+            found = found[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return found
+
+
+def with_value(text: str, path: KeyPath, value: Plain) -> str:
+    """Return the text with another value at a path; missing keys on its way are added.
+
+    Raises
+    ------
+    InputError: an index that is not there.
+    FileError: the text is not YAML.
+    """
+    node = _read(text)
+    for i, part in enumerate(path):
+        child = node.child(part)
+        if child is None:
+            if not isinstance(node.value, dict) or not isinstance(part, str):
+                raise InputError(str(part), list(path), "an entry of the file", "add it before")
+            for name in reversed(path[i + 1 :]):
+                value = {str(name): value}
+            return _spliced(text, [_new_key(text, node, part, value)])
+        node = child
+    return _spliced(text, _differences(node, value))
+
+
+def with_entry(text: str, path: KeyPath, index: int, value: Plain) -> str:
+    """Return the text with a value inserted before an entry of the list at a path."""
+
+    def insert(entries: list[str], column: int | None) -> list[str]:
+        written = flow(value) if column is None else f"{' ' * column}- {_entry(value)}"
+        return [*entries[:index], written, *entries[index:]]
+
+    return _rearranged(text, path, insert)
+
+
+def without_entry(text: str, path: KeyPath, index: int) -> str:
+    """Return the text without an entry of the list at a path, and the comment above that entry."""
+    return _rearranged(text, path, lambda all_, _: [*all_[:index], *all_[index + 1 :]])
+
+
+def with_entry_moved(text: str, path: KeyPath, index: int, to: int) -> str:
+    """Return the text with an entry, and the comment above it, at another place of its list."""
+
+    def move(entries: list[str], _: int | None) -> list[str]:
+        others = [*entries[:index], *entries[index + 1 :]]
+        return [*others[:to], entries[index], *others[to:]]
+
+    return _rearranged(text, path, move)
+
+
+def _spliced(text: str, splices: Iterable[tuple[int, int, str]]) -> str:
+    """Return the text with others between places."""
+    for start, end, new in sorted(splices, reverse=True):
+        text = text[:start] + new + text[end:]
+    return text
+
+
+def _line_end(text: str, place: int) -> int:
+    """Return where the line of a place ends, before its line break."""
+    match = _LINE_END.search(text, place)
+    return len(text) if match is None else match.start()
+
+
+def _line_break(text: str) -> str:
+    return "\r\n" if "\r\n" in text else "\n"
+
+
+def _differences(node: Node, value: Plain) -> Iterator[tuple[int, int, str]]:
+    """Yield what to write for another value, entry by entry where the shape is the same."""
+    old = node.value
+    if old == value and isinstance(old, bool) is isinstance(value, bool):
+        return
+    entries: list[Plain] | None = None
+    if isinstance(old, list) and isinstance(value, list) and len(old) == len(value):
+        entries = value
+    elif isinstance(old, dict) and isinstance(value, dict) and list(old) == list(value):
+        entries = list(value.values())
+    if entries is not None:
+        for child, entry in zip(node.children, entries, strict=True):
+            yield from _differences(child, entry)
+        return
+    # An entry of a block may stand in the column of its key, which another value must not.
+    block = bool(node.children) and not node.flow and isinstance(old, list)
+    yield node.start, node.end, ("  " if block else "") + flow(value)
+
+
+def _new_key(text: str, node: Node, name: str, value: Plain) -> tuple[int, int, str]:
+    written = f"{flow(name)}: {flow(value)}"
+    if not node.children:
+        return node.start + 1, node.start + 1, written
+    end = node.children[-1].end
+    if node.flow:
+        return end, end, f", {written}"
+    place = _line_end(text, end)
+    return place, place, f"{_line_break(text)}{' ' * node.column}{written}"
+
+
+def _rearranged(
+    text: str, path: KeyPath, change: Callable[[list[str], int | None], list[str]]
+) -> str:
+    """Return the text with the entries of a list changed, given as their texts.
+
+    ``change`` receives the column of the dashes as well, or None for a list in brackets.
+    """
+    parent, node = None, _read(text)
+    for part in path:
+        found = node.child(part)
+        if found is None:
+            raise InputError(str(part), list(path), "an entry of the file", "add it before")
+        parent, node = node, found
+    if parent is None or node.flow or not node.children:
+        parts = [text[child.start : child.end] for child in node.children]
+        return _spliced(text, [(node.start, node.end, f"[{', '.join(change(parts, None))}]")])
+    key = parent.keys[next(i for i, child in enumerate(parent.children) if child is node)]
+    ends = [_line_end(text, place) for place in (key, *(child.end for child in node.children))]
+    line = _line_break(text)
+    entries = [text[a:b].removeprefix(line) for a, b in pairwise(ends)]
+    changed = change(entries, node.column)
+    body = "".join(f"{line}{entry}" for entry in changed) if changed else " []"
+    return _spliced(text, [(ends[0], ends[-1], body)])
+
+
+def _entry(value: Plain) -> str:
+    """Return an entry of a block list: a mapping of one key without its braces."""
+    if isinstance(value, dict) and len(value) == 1:
+        ((name, inner),) = value.items()
+        return f"{flow(name)}: {flow(inner)}"
+    return flow(value)
+
+
+def flow(value: Plain) -> str:
+    """Return a value on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{flow(k)}: {flow(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(flow, value)) + "]"
+    if isinstance(value, str):
+        plain = _WORD.fullmatch(value) and parse_yaml(value) == value
+        return value if plain else json.dumps(value, ensure_ascii=False)
+    if isinstance(value, float) and math.isfinite(value):
+        return repr(round(value, DECIMALS) + 0.0)
+    return json.dumps(value)

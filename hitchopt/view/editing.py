@@ -29,7 +29,10 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.steps.step_keys import TRIANGLE
-from hitchopt.storage.yaml_edits import (
+from hitchopt.storage.yaml_file import (
+    Plain,
+    parse_yaml,
+    read_text,
     split_key,
     value_at,
     with_entry,
@@ -37,7 +40,6 @@ from hitchopt.storage.yaml_edits import (
     with_value,
     without_entry,
 )
-from hitchopt.storage.yaml_file import Plain, parse_yaml, read_text
 from hitchopt.values import Array
 
 MISSION = ("mission",)

@@ -11,8 +11,7 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InputError
 from hitchopt.mission.keys import STEP_KINDS
 from hitchopt.mission.repair import Edit
-from hitchopt.storage.yaml_edits import flow, split_key, value_at
-from hitchopt.storage.yaml_file import Plain, parse_yaml
+from hitchopt.storage.yaml_file import Plain, flow, parse_yaml, split_key, value_at
 from hitchopt.view.editing import START, Editing, Handle, Stage, Status, step_key
 from hitchopt.view.live import LiveView, plain_words
 from hitchopt.view.style import MARK_COLOUR

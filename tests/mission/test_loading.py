@@ -23,7 +23,7 @@ from hitchopt.steps import (
     MoveVertex,
     Transport,
 )
-from hitchopt.storage.yaml_edits import split_key
+from hitchopt.storage.yaml_file import split_key
 
 MINIMAL: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},

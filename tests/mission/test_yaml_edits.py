@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.storage.yaml_edits import (
+from hitchopt.storage.yaml_file import (
+    parse_yaml,
     split_key,
     value_at,
     with_entry,
@@ -13,7 +14,6 @@ from hitchopt.storage.yaml_edits import (
     with_value,
     without_entry,
 )
-from hitchopt.storage.yaml_file import parse_yaml
 
 TEXT = """\
 # A head.

@@ -1,0 +1,372 @@
+"""Report, live view and editing in a headless Chromium: what is seen, and what clicks do."""
+
+from __future__ import annotations
+
+import io
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from generators.headless_page import opened_page
+from matplotlib.image import imread
+
+import hitchopt as ho
+from hitchopt.steps.certified_motions import Certified
+from hitchopt.values import Array
+from hitchopt.view.editing import Editing, Stage
+from hitchopt.view.live import NARROW_ASPECT, LiveView
+from hitchopt.view.panel import REACH, EditingPanel
+from hitchopt.view.scene import Concerned
+
+SETTLE = 1500
+"""Least time for which a page draws what it was sent [ms]; software draws slowly."""
+
+SHARP = "/?fixedDpr=1"
+"""End of a live view's address: slow graphics do not lower its resolution, which alters all."""
+
+NEAR = 5.0
+"""Largest distance of a drawn drone to its place in the plan [pixels]."""
+
+NOTHING = "{drones: [], cables: [], vertices: []}"
+
+TEXT = """\
+# A triangle off the origin.
+team: {robots: 3, cable_length: 2.4}
+start:
+  hitch: {polygon: [[1.0, -0.5], [0.6, 1.0], [1.4, 1.0]], altitude: 1.2}
+mission:
+  - morph: {polygon: [[1.0, -0.3], [0.6, 1.0], [1.4, 1.0]]}  # one vertex
+  - hold: {seconds: 1.0}
+"""
+
+
+@cache
+def tied_plan() -> ho.Plan:
+    """Return the plan that the pages show: a hitch tied off the origin."""
+    team = ho.Team(robots=3, cable_length=[2.4, 2.5, 2.4])
+    q = np.array([[0.4, -2.2, 1.0], [0.4, -1.0, 1.0], [0.4, 0.2, 1.0]])
+    triangle = [[1.1, -0.3], [1.6, -1.2], [0.6, -1.3]]
+    return ho.form(team, q, q + [1.2, 0.0, 0.0], triangle, altitude=1.5)
+
+
+def projected(point: Any, eye: Any, target: Any, view: float, size: tuple[float, float]) -> Array:
+    """Return where a point (3,) is seen (2,) [pixels], from the upper left corner.
+
+    ``eye`` and ``target`` are those of the camera (3,) [m], z is up; ``view`` is its vertical field
+    of view [rad], ``size`` the picture's width and height [pixels].
+    """
+    eye, target = np.asarray(eye), np.asarray(target)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    away = np.asarray(point) - eye
+    scale = 0.5 * size[1] / np.tan(0.5 * view) / (away @ forward)
+    seen = np.array([away @ right, -away @ np.cross(right, forward)])
+    place: Array = 0.5 * np.array(size) + scale * seen
+    return place
+
+
+def levels(png: bytes) -> Array:
+    return np.asarray(imread(io.BytesIO(png), format="png")[..., :3], dtype=np.float64)
+
+
+def changed_place(picture: Callable[[], bytes], change: Callable[[], None]) -> Array:
+    """Return the middle of what a change alters in a picture (2,) [pixels]."""
+    before = levels(picture())
+    change()
+    altered = np.max(np.abs(levels(picture()) - before), axis=-1) > 0.1
+    rows, columns = np.nonzero(altered)
+    assert len(rows) > 20, "nothing has changed"
+    return np.array([np.mean(columns) + 0.5, np.mean(rows) + 0.5])
+
+
+def waited(page: Any, holds: Callable[[], bool]) -> None:
+    """Wait until a condition holds."""
+    for _ in range(100):
+        if holds():
+            return
+        page.wait_for_timeout(100)
+    raise AssertionError("the page has not answered")
+
+
+def settled(page: Any) -> None:
+    """Wait until a page has shown the same picture three times; busy machines draw late."""
+    page.wait_for_timeout(SETTLE)
+    last, same = b"", 0
+    for _ in range(30):
+        picture = page.screenshot()
+        same = same + 1 if picture == last else 0
+        if same == 2:
+            return
+        last = picture
+        page.wait_for_timeout(300)
+
+
+def opened(page: Any, address: str, words: str) -> None:
+    """Open a live view, and wait until its scene is there, its camera too."""
+    page.goto(address + SHARP)
+    page.wait_for_selector("canvas")
+    page.get_by_text(words).wait_for()
+    clip = {"x": 0, "y": 200, "width": 800, "height": 600}
+
+    def coloured() -> bool:
+        spread = np.ptp(levels(page.screenshot(clip=clip)), axis=-1)
+        return float(np.mean(spread > 0.2)) > 0.002
+
+    waited(page, coloured)
+    page.wait_for_timeout(SETTLE)
+    settled(page)
+
+
+def seen_at(page: Any, live: LiveView, point: Any) -> Array:
+    """Return where a live view's page shows a point (3,), (2,) [pixels] from its canvas' corner."""
+    (camera,) = (client.camera for client in live.server.get_clients().values())
+    box = page.locator("canvas").first.bounding_box()
+    size = (box["width"], box["height"])
+    return projected(point, camera.position, camera.look_at, camera.fov, size)
+
+
+@pytest.fixture(scope="class")  # one page at a time
+def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    path: Path = tied_plan().report(tmp_path_factory.mktemp("report"))
+    with opened_page() as page:
+        page.goto(path.as_uri())
+        waited(page, lambda: bool(page.evaluate("Boolean(window.hitchopt)")))
+        yield page
+
+
+def planned(page: Any, editing: Editing) -> None:
+    """Wait until the newest text is planned."""
+    waited(page, lambda: editing.status.stage is Stage.CURRENT)
+
+
+@pytest.fixture(scope="module")
+def live() -> Iterator[LiveView]:
+    view = tied_plan().view(browser=False, port=8231)
+    assert view is not None
+    yield view
+    view.close()
+
+
+@pytest.fixture(scope="class")  # one page at a time
+def page(live: LiveView) -> Iterator[Any]:
+    with opened_page() as page:
+        opened(page, live.url, "certified for all t")
+        yield page
+
+
+@pytest.fixture(scope="module")
+def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
+    path: Path = tmp_path_factory.mktemp("edited") / "problem.yaml"
+    path.write_text(TEXT)
+    plan = ho.solve(path)
+    live = LiveView(plan.motion, plan.certificate, port=8261, aspect=NARROW_ASPECT)
+    editing = Editing(TEXT, path, Certified(plan.motion, plan.certificate))
+    yield EditingPanel(live, editing)
+    editing.close()
+    live.close()
+
+
+@pytest.fixture(scope="class")  # one page at a time
+def edited(panel: EditingPanel) -> Iterator[Any]:
+    with opened_page() as page:
+        opened(page, panel.live.url, "the plan of this problem")
+        yield page
+
+
+class TestReport:
+    """The report, opened from the disk."""
+
+    @pytest.mark.parametrize("share", [0.08, 0.52, 0.97])
+    def test_a_report_shows_q0_where_the_plan_has_it(self, report: Any, share: float) -> None:
+        time = share * tied_plan().duration
+        report.evaluate(f"hitchopt.stage.on.names = false; hitchopt.stage.mark({NOTHING})")
+        report.evaluate(f"hitchopt.seek({time})")
+        seen_by = report.evaluate(
+            "(({ camera, controls, place }) => [camera.position.toArray(), "
+            "controls.target.toArray(), camera.fov * Math.PI / 180, "
+            "[place.clientWidth, place.clientHeight]])(hitchopt.stage)"
+        )
+        expected = projected(tied_plan().at(time).positions[0], *seen_by)
+        mark = "hitchopt.stage.mark({drones: [0], cables: [], vertices: []})"
+        # Marked drones are named: what is compared is the scene alone.
+        report.add_style_tag(content="#labels, #switches { display: none }")
+        stage = report.locator("#stage")
+        seen = changed_place(stage.screenshot, lambda: report.evaluate(mark))
+        assert np.linalg.norm(seen - expected) < NEAR
+
+    def test_clicks_on_a_report_s_phases_and_checks_and_scrubbing(self, report: Any) -> None:
+        plan = tied_plan()
+
+        def shows(time: float, name: str) -> None:
+            assert report.evaluate("hitchopt.time") == pytest.approx(time, abs=1e-3)
+            assert name in report.locator("#phases tr.now").inner_text()
+
+        for i, phase in enumerate(plan.phases):
+            report.locator(f"#strip button[data-phase='{i}']").click(force=True)
+            shows(phase.start, phase.name)
+            assert phase.name in report.locator("#clock").inner_text()
+            middle = 0.5 * (phase.start + phase.end)
+            report.locator("#scrub").fill(str(middle))
+            shows(middle, phase.name)
+        for check in plan.certificate.checks:
+            report.locator(f"#checks tr[data-check='{check.name}']").click()
+            assert report.evaluate("hitchopt.time") == pytest.approx(check.time, abs=1e-3)
+            assert check.name in report.locator("#checks tr.shown").inner_text()
+            assert check.name in report.locator("#concerned").inner_text()
+        report.locator("#checks tr[data-check='separation']").click()
+        names = plan.motion.team.drone_names
+        marked = report.evaluate("hitchopt.stage.marked.drones")
+        assert {names[i] for i in marked} == set(plan.certificate["separation"].where)
+        report.evaluate("hitchopt.seek(0)")
+        report.locator("#play").click()
+        waited(report, lambda: bool(report.evaluate("hitchopt.time > 0.2")))
+        report.locator("#play").click()
+        assert not report.evaluate("hitchopt.playing")
+
+
+class TestLiveView:
+    """The live view of a plan."""
+
+    @pytest.mark.parametrize("share", [0.08, 0.52, 0.97])
+    def test_a_live_view_shows_q0_where_the_plan_has_it(
+        self, page: Any, live: LiveView, share: float
+    ) -> None:
+        plan = tied_plan()
+        time = share * plan.duration
+        live.live.mark(Concerned())
+        live.seek(time)
+        settled(page)
+        box = page.locator("canvas").first.bounding_box()
+
+        def mark() -> None:
+            live.live.mark(Concerned(drones=(0,)))
+            settled(page)
+
+        seen = changed_place(lambda: page.screenshot(clip=box), mark)
+        assert np.linalg.norm(seen - seen_at(page, live, plan.at(time).positions[0])) < NEAR
+
+    def test_clicks_on_a_live_view_s_phases_and_checks_and_a_typed_time(
+        self, page: Any, live: LiveView
+    ) -> None:
+        plan = tied_plan()
+        phase = plan.phases[2]
+        page.get_by_text(f"{phase.name}: {phase.start:.2f}").click()
+        waited(page, lambda: abs(live.time - phase.start) < 1e-3)
+        page.get_by_text(f"{phase.start:.2f} s").first.wait_for()
+        middle = round(0.5 * (phase.start + phase.end), 3)
+        live.seek(0.0)
+        settled(page)
+        number = page.locator("input.mantine-NumberInput-input").first
+        number.fill(str(middle))
+        number.press("Tab")
+        waited(page, lambda: abs(live.time - middle) < 1e-3)
+        now = page.get_by_text(f"{middle:.2f} s").first
+        now.wait_for()
+        assert phase.name in now.locator("..").inner_text()
+        page.get_by_role("tab", name="Certificate").click()
+        for name in ("separation", "speed"):
+            check = plan.certificate[name]
+            page.get_by_role("button", name=f"✓ {name}:").click()
+            waited(page, lambda check=check: abs(live.time - check.time) < 1e-3)  # type: ignore[misc]
+            page.get_by_text(f"{name}: {', '.join(check.where)} at {check.time:.2f} s").wait_for()
+
+    def test_a_live_view_plays_and_an_old_plan_is_pale(self, page: Any, live: LiveView) -> None:
+        live.seek(0.0)
+        page.get_by_role("button", name="Play").click()
+        waited(page, lambda: live.time > 0.3)
+        page.get_by_role("button", name="Pause").click()
+        waited(page, lambda: not live.playing)
+        live.live.mark(Concerned())
+        live.seek(0.6 * tied_plan().duration)
+        box = page.locator("canvas").first.bounding_box()
+
+        def colour() -> float:
+            settled(page)
+            return float(np.sum(np.ptp(levels(page.screenshot(clip=box)), axis=-1)))
+
+        before = colour()
+        live.note("an OLD plan")
+        page.get_by_text("an OLD plan").wait_for()
+        assert colour() < 0.5 * before
+        live.note("")
+        assert colour() == pytest.approx(before, rel=0.05)
+
+
+class TestEditing:
+    """Editing by hand."""
+
+    def test_a_typed_number_is_planned_undone_and_saved(
+        self, edited: Any, panel: EditingPanel
+    ) -> None:
+        editing, page = panel.editing, edited
+        panel.choose(1)
+        settled(page)
+        page.locator("input.mantine-TextInput-input[value='1.0']").fill("1.5")
+        settled(page)
+        page.get_by_role("button", name="Plan with these values").click()
+        waited(page, lambda: "1.5" in editing.text)
+        planned(page, editing)
+        page.get_by_text("not saved").wait_for()
+        page.get_by_text("Save", exact=True).click()
+        waited(page, lambda: editing.path.read_text() == TEXT.replace("1.0}\n", "1.5}\n"))
+        page.get_by_text("Undo", exact=True).click()
+        waited(page, lambda: editing.text == TEXT)
+        planned(page, editing)
+
+    def test_a_vertex_is_dragged(self, edited: Any, panel: EditingPanel) -> None:
+        panel.choose(0, "vertex 0")
+        settled(edited)
+        box = edited.locator("canvas").first.bounding_box()
+
+        def seen(x: float) -> Any:
+            return seen_at(edited, panel.live, [x + 0.6 * REACH, -0.3, 1.2]) + [box["x"], box["y"]]
+
+        edited.mouse.move(*seen(1.0))
+        edited.mouse.down()
+        edited.mouse.move(*seen(1.05), steps=8)
+        settled(edited)
+        edited.mouse.up()
+        waited(edited, lambda: panel.editing.text != TEXT)
+        planned(edited, panel.editing)
+        vertices = panel.editing.problem.mission[0].polygon.vertices  # type: ignore[attr-defined]
+        np.testing.assert_allclose(vertices[0], [1.05, -0.3], atol=0.02)
+        assert panel.editing.planned.certificate.certified
+
+    def test_changes_in_quick_succession_are_shown_in_one_panel(
+        self, edited: Any, panel: EditingPanel
+    ) -> None:
+        """Pages report updates of what is gone as errors, which the fixture refuses."""
+        editing = panel.editing
+        first = editing.text
+        for k in range(6):
+            editing.drag(0, "vertex 1", np.array([0.6 - 0.01 * k, 1.0, 1.2]))
+            editing.wait(0.3 * (k % 2))
+        assert editing.text != first
+        planned(edited, editing)
+        edited.get_by_text("the plan of this problem").wait_for()
+        settled(edited)
+        (head,) = edited.get_by_text("certified for all t").all()
+        assert head.is_visible()
+
+
+def test_the_command_serves_a_plan_and_its_certificate(tmp_path: Path) -> None:
+    """Its page is opened before the plan is read."""
+    tied_plan().save(tmp_path, rate=5.0)
+    command = [sys.executable, "-m", "hitchopt", "view", str(tmp_path), "--no-browser"]
+    options = ["--port", "8251"]
+    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True) as served:
+        try:
+            assert served.stdout is not None
+            words = next(line for line in served.stdout if line.startswith("the plan is at "))
+            with opened_page() as page:
+                opened(page, words.split()[4].rstrip(";"), "certified for all t")
+        finally:
+            served.send_signal(signal.SIGINT)
+            assert served.wait(timeout=30) == 130
