@@ -23,7 +23,7 @@ from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import asked_in, parse_problem
 from hitchopt.motion.asked import asked_of, check_asked
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan, read_title, write_plan
 
 PROBLEMS = Path(__file__).parents[2] / "problems"
@@ -471,33 +471,3 @@ def test_headers_that_numpy_does_not_write_are_never_evaluated(path: Path, text:
 def test_other_files_are_no_plans(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     refused(path, "")
-
-
-STATES = ("on the ground", "on the ground", "clasping", "being tightened", "hitched")
-NAMES = ("parked", "take-off", "swap 1", "tighten", "hold")
-
-
-@pytest.mark.parametrize("flagged", [True, False])
-def test_files_without_cable_states_are_read(path: Path, flagged: bool) -> None:
-    """As earlier versions wrote them: states follow from names and flags, or all are hitched."""
-
-    def older(settings: dict[str, Any], arrays: dict[str, Any]) -> None:
-        ends = arrays["breaks"][[0, 10, 20, 30, 40, -1]].tolist()
-        settings["phases"] = [
-            {"name": name, "step": i, "start": a, "end": b, "remark": f"remark {i}"}
-            | ({"formed": name == "hold"} if flagged else {})
-            for i, (name, a, b) in enumerate(zip(NAMES, ends[:-1], ends[1:], strict=True))
-        ]
-        for key in ("asked", "problem"):
-            settings.pop(key, None)
-        settings["separation"].pop("object")
-        for key in ("body_rate", "reserve"):
-            settings["limits"].pop(key)
-
-    changed(path, older)
-    read, motion = read_plan(path), hitch_plan()
-    found = [str(phase.state) for phase in read.phases]
-    assert found == (list(STATES) if flagged else [str(CableState.HITCHED)] * 5)
-    assert [phase.remark for phase in read.phases] == [f"remark {i}" for i in range(5)]
-    for name in ("team", "requirements", "drones", "legs"):
-        assert bits(getattr(read, name)) == bits(getattr(motion, name))
