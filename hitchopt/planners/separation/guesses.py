@@ -2,7 +2,7 @@
 
 Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
 filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
-at first all give way to the same side, as in a roundabout, or to layers of altitude. Everything
+at first all give way to the same side, as in a roundabout. Everything
 is deterministic. One round takes O(M log M) for M samples of drones, and what pairs are close.
 
 Crowds that meet in one place go around it, all on the same side. Pushes between pairs amplify
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import EAST, TIE, unit
 from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 WANTED = 1.15
 """Separation that pushes aim at, larger than 1 as drones also move between samples."""
@@ -45,19 +45,15 @@ class PriorityRule:
     Attributes
     ----------
     side: strength of the push to the right (negative: to the left), in separations.
-    layers: number of altitude layers over which drones are distributed; 1 for none.
     patience: duration over that of the slowest flight; above 1, departures are staggered.
     """
 
     side: float
-    layers: int = 1
     patience: float = 1.0
 
     def __str__(self) -> str:
         side = "right" if self.side > 0.0 else "left"
         words = f"all give way to the {side} where they meet"
-        if self.layers > 1:
-            words = f"those that meet pass in {self.layers} layers"
         return words if self.patience == 1.0 else f"some leave later; {words}"
 
 
@@ -69,7 +65,6 @@ def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
     free, bends = basis[:, grid.free], grid.sampled(s, 3)[:, grid.free]
     stiff = STIFFNESS**6 * bends.T @ bends
     smoothing = np.linalg.solve(free.T @ free + stiff, free.T)
-    layer = np.arange(task.drones) % rule.layers
     coefficients = setting.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
@@ -77,7 +72,7 @@ def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
         points = np.einsum("sc,ncd->snd", basis, coefficients)
         velocities = np.einsum("sc,ncd->snd", rates, coefficients)
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
-        pushes, crowded = _pushes(points, velocities, scale, rule, layer, fading)
+        pushes, crowded = _pushes(points, velocities, scale, fading * rule.side)
         pushes += _other_pushes(setting, points)
         if not crowded and not np.any(pushes):
             break
@@ -88,14 +83,7 @@ def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
     return coefficients
 
 
-def _pushes(
-    points: Array,
-    velocities: Array,
-    scale: Array,
-    rule: PriorityRule,
-    layer: Indices,
-    fading: float,
-) -> tuple[Array, bool]:
+def _pushes(points: Array, velocities: Array, scale: Array, side: float) -> tuple[Array, bool]:
     """Return how far each sample (samples, drones, 3) is pushed [m], and whether any pair is."""
     samples, drones, _ = points.shape
     scaled = (points * scale).reshape(-1, 3)
@@ -111,10 +99,7 @@ def _pushes(
     flat = velocities.reshape(-1, 3)
     still = TIE * float(np.max(np.abs(flat)))
     right = rightward(flat[first] - flat[second], still)
-    apart = layer[first % drones] - layer[second % drones]
-    upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
-    aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * right)
-    direction = unit(offset + fading * abs(rule.side) * aside, aside, 1e-9)
+    direction = unit(offset + side * right, right, 1e-9)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
     steepest = direction * scale
     share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
