@@ -320,14 +320,8 @@ def _new_solver(program: Program, iterations: int) -> ca.Function:
     return ca.nlpsol(
         "path",
         "ipopt",
-        {**program.expressions()},
-        {
-            "print_time": False,
-            "no_nlp_grad": True,
-            "calc_lam_p": False,
-            "ipopt": options,
-            **program.derivatives(),
-        },
+        program.expressions(),
+        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": options},
     )
 
 

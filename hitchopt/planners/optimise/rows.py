@@ -1,4 +1,4 @@
-"""A program as it is put together: variables, rows that keep near bodies apart, derivatives."""
+"""A program as it is put together: variables, costs, rows that keep near bodies apart."""
 
 from __future__ import annotations
 
@@ -133,44 +133,17 @@ class Program:
     rows: list[Expression]
     costs: list[Expression]
 
-    def symbols(self) -> Symbols:
-        """Return new symbols for variables and parameters."""
-        x, p = (
-            [ca.MX.sym(f"{name}{i}", size) for i, size in enumerate(sizes)]
-            for name, sizes in (("x", self.groups), ("p", self.vectors))
-        )
-        return Symbols(x, p)
-
     def expressions(self) -> dict[str, ca.MX]:
         """Build casadi's expressions x, p, f, g."""
-        at = self.symbols()
-        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
+        groups = (("x", self.groups), ("p", self.vectors))
+        variables, parameters = (
+            [ca.MX.sym(f"{name}{i}", size) for i, size in enumerate(sizes)]
+            for name, sizes in groups
+        )
+        at = Symbols(variables, parameters)
         g = ca.vertcat(*(build(at) for build in self.rows))
-        return {"x": x, "p": p, "f": self._cost(at), "g": g}
-
-    def derivatives(self) -> dict[str, ca.Function]:
-        """Build casadi's functions ``jac_g`` and ``hess_lag``, one column of rows after the other.
-
-        Those of all rows at once, as casadi builds them, take three times as long to evaluate.
-        """
-        at = self.symbols()
-        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
-        rows = [build(at) for build in self.rows]
-        slopes = [ca.jacobian(value, x) for value in rows]
-        weight = ca.MX.sym("weight")
-        multipliers = [ca.MX.sym(f"m{i}", value.numel()) for i, value in enumerate(rows)]
-        lagrangian = sum(map(ca.dot, multipliers, rows), weight * self._cost(at))
-        hessian = ca.triu(ca.hessian(lagrangian, x)[0])
-        jacobian = [ca.vertcat(*rows), ca.vertcat(*slopes)]
-        return {
-            "jac_g": ca.Function("nlp_jac_g", [x, p], jacobian),
-            "hess_lag": ca.Function(
-                "nlp_hess_l", [x, p, weight, ca.vertcat(*multipliers)], [hessian]
-            ),
-        }
-
-    def _cost(self, at: Symbols) -> ca.MX:
-        return sum((cost(at) for cost in self.costs), ca.MX(0.0))
+        f = sum((cost(at) for cost in self.costs), ca.MX(0.0))
+        return {"x": ca.vertcat(*variables), "p": ca.vertcat(*parameters), "f": f, "g": g}
 
 
 def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: SolverStep) -> None:

@@ -358,15 +358,15 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     found = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
     found.append(_span(task, curves, swarm))
 
+    names = dict(zip(swarm.drone_names, task.names, strict=True))
+
     def named(check: Check) -> Check:
         """Return the check with the task's names, also of the prism that is nearest."""
-        drones = [swarm.drone_names.index(name) for name in check.where]
-        where = [task.names[drone] for drone in drones]
-        if check.name == "keep_out" and drones:
-            place = curves.at([check.time])[0, drones[:1]]
-            away = [
-                float(prism.clearance(place).distance[0]) for prism in task.requirements.keep_out
-            ]
+        where = [names.get(name, name) for name in check.where]
+        if check.name == "keep_out" and len(where) == 1:
+            drone, prisms = swarm.drone_names.index(check.where[0]), task.requirements.keep_out
+            place = curves.at([check.time])[0, drone : drone + 1]
+            away = [float(prism.clearance(place).distance[0]) for prism in prisms]
             where.append(task.prisms[int(np.argmin(away))])
         return replace(check, where=tuple(where))
 
