@@ -12,7 +12,6 @@ import hitchopt as ho
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import read_problem
-from hitchopt.mission.repair import with_bound
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -69,20 +68,6 @@ def test_less_jerk_is_faster_than_flying_the_same_more_slowly() -> None:
 def _turned(plan: ho.Plan) -> float:
     states = plan.at(np.linspace(0.0, plan.duration, 3001))
     return float(np.max(np.linalg.norm(states.body_rates[..., :2], axis=-1)))
-
-
-def test_a_duration_that_is_too_short_is_refused() -> None:
-    problem = read_problem("problems/triangle.yaml")
-    assert isinstance(problem, ho.Problem)
-    step = problem.mission[0]
-    assert isinstance(step, ho.Morph)
-    step = replace(step, duration=1.35)
-    timed = replace(problem, mission=(step, *problem.mission[1:]))
-    assert ho.solve(timed).certificate.certified
-    limited = with_bound(timed, "limits.body_rate_deg", 40.0)
-    assert limited.edits[0].key == "limits.body_rate_deg"
-    with pytest.raises(ho.InfeasibleError, match="duration"):
-        ho.solve(limited.problem)
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
