@@ -18,7 +18,7 @@ from hitchopt.planners.separation import SeparationTask
 from hitchopt.planners.separation.planes import (
     hull_points,
 )
-from hitchopt.planners.separation.program import Solver
+from hitchopt.planners.separation.program import solve_program
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.timing.ramps import fastest_ramps
 
@@ -99,7 +99,7 @@ def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
         with pytest.raises(ValueError, match=words):
             QuadraticProgram(*arguments)
     with pytest.raises(ValueError, match="start"):
-        Solver().solve(QuadraticProgram(P, two, A, -one, one), np.zeros(5), 0)
+        solve_program(QuadraticProgram(P, two, A, -one, one), np.zeros(5))
 
 
 def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:

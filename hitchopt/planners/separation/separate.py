@@ -28,8 +28,8 @@ from hitchopt.planners.separation.program import (
     MOST_ITERATIONS,
     Around,
     ProgramError,
-    Solver,
     build_program,
+    solve_program,
 )
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
@@ -151,7 +151,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
 
 def _improved(setting: Setting, guess: Array, say: Progress, *, crowd: bool = False) -> Evaluation:
     """Return the best curves that programs around a guess, perhaps a crowd's, reach."""
-    solver = Solver(AROUND_CROWDS if crowd else MOST_ITERATIONS)
+    iterations = AROUND_CROWDS if crowd else MOST_ITERATIONS
     here = best = evaluate(setting, guess)
     known: ClosePieces | None = None
     idle = 0
@@ -165,10 +165,10 @@ def _improved(setting: Setting, guess: Array, say: Progress, *, crowd: bool = Fa
         try:
             solution = np.zeros(len(built.program.q))  # unknowns are changes
             if np.all(moving):
-                solution = solver.solve(built.program, solution, built.common_rows)
+                solution = solve_program(built.program, solution, iterations)
             else:
                 part, kept = built.among(moving)
-                solution[kept] = solver.solve(part, solution[kept], 0)
+                solution[kept] = solve_program(part, solution[kept], iterations)
         except ProgramError:
             break
         here = evaluate(setting, built.moved(solution))
