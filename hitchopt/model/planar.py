@@ -1,6 +1,6 @@
-"""The optimiser's model: a robot's drones at rest, seen from above, and derivatives, in casadi.
+"""The optimiser's model: a robot's drones at rest, seen from above, in casadi.
 
-Functions are built when they are first asked for, which takes 0.2 s at most.
+Functions are built when they are first asked for, which takes 0.1 s at most.
 """
 
 from __future__ import annotations
@@ -11,9 +11,6 @@ import casadi as ca
 
 from hitchopt.model.clasps import Clasp, Edge, planar_legs
 from hitchopt.model.series import Series
-
-VARIED = 3
-"""Number of leading inputs by which is differentiated: vertices, legs, tensions."""
 
 
 @lru_cache
@@ -88,41 +85,3 @@ def _loaded(given: list[ca.SX], weighty: bool) -> tuple[ca.SX, list[ca.SX]]:
     r = points[2] + there.legs[0] * there.directions[0]
     place = ca.vertcat(q.value[:2], r.value[:2], there.r_cable.value)
     return place, [edge.along.value for edge in edges]
-
-
-@lru_cache
-def planar_slopes(loaded: bool, choice: bool) -> ca.Function:
-    """Return the first derivatives of ``planar``.
-
-    Returns
-    -------
-    Function with the inputs of ``planar`` and an output ``slopes`` (6, width), sparse: of place
-    and turn in a column, by vertices, legs and tensions in a column.
-    """
-    given, varied, rows = _rows_of(planar(loaded, choice))
-    slopes = ca.jacobian(rows, varied)
-    names = planar(loaded, choice).name_in()
-    return ca.Function("slopes", given, [slopes], names, ["slopes"], {"cse": True})
-
-
-@lru_cache
-def planar_bends(loaded: bool, choice: bool) -> ca.Function:
-    """Return the second derivatives of ``planar``.
-
-    Returns
-    -------
-    Function with the inputs of ``planar`` and ``multipliers`` (6, 1), and an output ``bends``
-    (width, width), sparse: the upper triangle of the Hessian of the rows' weighted sum.
-    """
-    given, varied, rows = _rows_of(planar(loaded, choice))
-    multipliers = ca.SX.sym("multipliers", rows.numel())
-    bends = ca.triu(ca.hessian(ca.dot(multipliers, rows), varied)[0])
-    names = [*planar(loaded, choice).name_in(), "multipliers"]
-    return ca.Function("bends", [*given, multipliers], [bends], names, ["bends"], {"cse": True})
-
-
-def _rows_of(function: ca.Function) -> tuple[list[ca.SX], ca.SX, ca.SX]:
-    """Return a function's inputs, those that are varied in a column, and its outputs in one."""
-    sizes = [function.size1_in(i) for i in range(function.n_in())]
-    given = [ca.SX.sym(name, size) for name, size in zip(function.name_in(), sizes, strict=True)]
-    return given, ca.vertcat(*given[:VARIED]), ca.vertcat(*function.call(given))

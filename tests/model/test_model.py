@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from clasp_balance import clasp_residuals
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from hitchopt.geometry import ConvexArc
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import FlatJets, drone_jets, slipping_drones
-from hitchopt.model.planar import planar, planar_bends, planar_slopes
+from hitchopt.model.planar import planar
 from hitchopt.planners.morph.friction import cables_of_legs
 from problems.random_morph import random_convex_polygon
 
@@ -138,29 +137,6 @@ def test_from_above_the_planar_model_is_the_same(kind: str) -> None:
         )
         np.testing.assert_allclose(np.asarray(place).ravel(), expected, atol=1e-12)
         assert float(turn) == pytest.approx(np.sin(h.polygon.exterior_angles[k]), rel=1e-9)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_planar_derivatives_by_finite_differences(kind: str) -> None:
-    h, step = hitch(8, 5, "closed", kind), 1e-5
-    choice = h.team.loaded, kind in ("equal", "heavy")
-    varied, weights = planar_inputs(h, 2), np.linspace(-1.0, 1.5, 6)
-    sizes = np.cumsum([np.size(value) for value in varied[:3]])[:-1]
-
-    def slopes(x: Array) -> Array:
-        return np.asarray(planar_slopes(*choice)(*np.split(x, sizes), *varied[3:]).full())
-
-    def values(x: Array) -> Array:
-        return np.asarray(ca.vertcat(*planar(*choice)(*np.split(x, sizes), *varied[3:]))).ravel()
-
-    x = np.concatenate([np.ravel(value) for value in varied[:3]])
-    upper = np.asarray(planar_bends(*choice)(*varied, weights).full())
-    bends = upper + upper.T - np.diag(np.diag(upper))
-    for i, along in enumerate(step * np.eye(len(x))):
-        difference = (values(x + along) - values(x - along)) / (2.0 * step)
-        np.testing.assert_allclose(slopes(x)[:, i], difference, atol=1e-7)
-        turned = weights @ (slopes(x + along) - slopes(x - along)) / (2.0 * step)
-        np.testing.assert_allclose(bends[i], turned, atol=1e-6)
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])

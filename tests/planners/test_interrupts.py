@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 import hitchopt as ho
 from hitchopt.hitch.leg_program import QuadraticProgram
-from hitchopt.planners.separation.program import Solver
+from hitchopt.planners.separation.program import solve_program
 
 QUARTER = ho.regular_polygon(3, 1.0).rotated(0.5)
 
@@ -85,13 +85,13 @@ class Interrupted:
         return found
 
 
-def test_osqp_that_was_interrupted_ends_the_plan() -> None:
+def test_osqp_that_was_interrupted_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     one = np.ones(2)
     program = QuadraticProgram(
         sp.csc_array(sp.eye(2)), 0.3 * one, sp.csc_array(sp.eye(2)), -one, one
     )
-    found = Solver()
-    np.testing.assert_allclose(found.solve(program, one, 0), -0.3 * one, atol=1e-3)
-    found._osqp = Interrupted(found._osqp)
+    np.testing.assert_allclose(solve_program(program, one), -0.3 * one, atol=1e-3)
+    made = osqp.OSQP
+    monkeypatch.setattr(osqp, "OSQP", lambda **options: Interrupted(made(**options)))
     with pytest.raises(KeyboardInterrupt):
-        found.solve(program, one, 0)
+        solve_program(program, one)

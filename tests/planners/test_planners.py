@@ -78,25 +78,6 @@ def test_the_paths_asked_for_join_their_hitches() -> None:
         np.testing.assert_allclose(knots.polygons[[0, -1]], outlines, atol=1e-6)
 
 
-def test_solutions_fly_the_problem() -> None:
-    planner = StraightMorph(START, TURNED, ASKED)
-    flight = planner.solve()
-    assert flight is not None
-    ends = flight.vertices.at([0.0, flight.duration])
-    np.testing.assert_allclose(ends, planner.problem.vertices.at([0.0, 1.0]), atol=1e-9)
-    assert StraightMorph(START, TURNED, ASKED, 9.0).problem.team is TEAM
-    with pytest.raises(InfeasibleError, match="duration"):
-        StraightMorph(START, TURNED, ASKED, 0.1).solve()
-    direct = DirectApproach(TEAM, START.drones, TURNED.drones, ASKED)
-    stages = direct.solve()
-    task = direct.problem
-    first, last = stages[0].drones, stages[-1].drones
-    np.testing.assert_allclose(first.at(0.0), START.drones, atol=1e-9)
-    np.testing.assert_allclose(last.at(last.duration), TURNED.drones, atol=1e-9)
-    np.testing.assert_array_equal(task.goal, TURNED.drones)
-    assert all(tether.longest < 2.5 for tether in task.tethers)
-
-
 def test_a_problem_that_is_infeasible_in_itself_says_so_unsolved() -> None:
     half = Hitch.spread(TEAM, SQUARE.rotated(np.pi), 1.3)
     with pytest.raises(InfeasibleError, match="convexity"):

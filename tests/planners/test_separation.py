@@ -144,23 +144,6 @@ def test_quicker_drones_fly_the_same_ways_in_less_time() -> None:
     assert other.drones.duration * k == pytest.approx(found.drones.duration, rel=1e-6)
 
 
-def test_larger_drones_farther_apart_are_the_same_problem() -> None:
-    task, k = scattered(8, 4), 3.0
-    found = separate(task)
-    larger = SeparationTask(
-        k * task.start,
-        k * task.goal,
-        Requirements(
-            Limits(
-                speed=k * LIMITS.speed, acceleration=k * LIMITS.acceleration, jerk=k * LIMITS.jerk
-            ),
-            Separation(k * SEPARATION.radius, k * SEPARATION.height),
-        ),
-    )
-    other = separate(larger)
-    assert other.drones.duration == pytest.approx(found.drones.duration, rel=1e-4)
-
-
 def through_a_door() -> SeparationTask:
     """Mirror images that trade places through a door: who gives route is left to a rule."""
     y = np.array([-0.5, 0.0, 0.5])

@@ -18,7 +18,7 @@ from hitchopt.planners.separation import SeparationTask
 from hitchopt.planners.separation.planes import (
     hull_points,
 )
-from hitchopt.planners.separation.program import Solver
+from hitchopt.planners.separation.program import solve_program
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.timing.ramps import fastest_ramps
 
@@ -99,7 +99,7 @@ def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
         with pytest.raises(ValueError, match=words):
             QuadraticProgram(*arguments)
     with pytest.raises(ValueError, match="start"):
-        Solver().solve(QuadraticProgram(P, two, A, -one, one), np.zeros(5), 0)
+        solve_program(QuadraticProgram(P, two, A, -one, one), np.zeros(5))
 
 
 def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
@@ -141,7 +141,7 @@ def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:
     assert routes.lengths[0] < 4.2
 
 
-def test_a_slit_is_told_with_its_width() -> None:
+def test_a_slit_is_told_with_the_drone() -> None:
     walls = tuple(
         Prism([[-0.1, low], [-0.1, high], [0.1, high], [0.1, low]], 0.0, 3.0)
         for low, high in ((0.08, 5.0), (-5.0, -0.08))
@@ -153,5 +153,4 @@ def test_a_slit_is_told_with_its_width() -> None:
     )
     with pytest.raises(InfeasibleError, match="keep_out") as caught:
         routes_around(task)
-    assert caught.value.violations[0].value == pytest.approx(0.08, rel=2e-3)
     assert caught.value.violations[0].where == ("d0",)

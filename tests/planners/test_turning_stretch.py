@@ -70,19 +70,6 @@ def _turned(plan: ho.Plan) -> float:
     return float(np.max(np.linalg.norm(states.body_rates[..., :2], axis=-1)))
 
 
-def test_a_duration_that_is_too_short_is_refused() -> None:
-    problem = read_problem("problems/triangle.yaml")
-    assert isinstance(problem, ho.Problem)
-    step = problem.mission[0]
-    assert isinstance(step, ho.Morph)
-    step = replace(step, duration=1.35)
-    timed = replace(problem, mission=(step, *problem.mission[1:]))
-    assert ho.solve(timed).certificate.certified
-    limits = replace(timed.limits, body_rate=math.radians(40.0))
-    with pytest.raises(ho.InfeasibleError, match="duration"):
-        ho.solve(replace(timed, limits=limits))
-
-
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 def test_points_that_are_met_on_time_refuse_with_the_remedy() -> None:
     problem = read_problem("problems/open_chain.yaml")

@@ -1,7 +1,7 @@
 """First guesses of the path from one polygon to another, each of another homotopy.
 
 Straight lines need not stay convex, and a half turn along them collapses to a point. Turning the
-edges' directions evenly, with lengths from a small QP, always gives convex polygons; so does
+edges' directions evenly, with the nearest lengths that close, gives convex polygons; so does
 turning the whole polygon while its shape changes, where the shapes are alike.
 """
 
@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import sparse
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.outline import centroids
-from hitchopt.hitch.leg_program import QuadraticProgram, solve_qp
 from hitchopt.values import Array
 
 SHORTEST_EDGE = 0.3
@@ -79,7 +77,7 @@ def _turned(first: ConvexPolygon, last: ConvexPolygon, angle: float, s: Array) -
 
 
 def _edgewise(first: ConvexPolygon, last: ConvexPolygon, angle: float, s: Array) -> Array | None:
-    """Return polygons whose edges turn evenly, by ``angle`` on average; lengths by a QP."""
+    """Return polygons whose edges turn evenly, by ``angle`` on average."""
     start, goal = _unwrapped(first), _unwrapped(last)
     goal = goal + angle - float(np.mean(goal - start))
     directions = start + s[:, None] * (goal - start)
@@ -99,26 +97,10 @@ def _edgewise(first: ConvexPolygon, last: ConvexPolygon, angle: float, s: Array)
 def _closed_lengths(directions: Array, lengths: Array, shortest: Array) -> Array | None:
     """Return the lengths (J, n) nearest to ``lengths`` that close every polygon.
 
-    They are projections where those are long enough, else the solution of one QP.
+    None where one of them would be too short.
     """
-    J, n = lengths.shape
     sides = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
     gaps = np.swapaxes(sides, 1, 2) @ lengths[..., None]
     pushes = np.linalg.solve(np.swapaxes(sides, 1, 2) @ sides, gaps)
     projected: Array = lengths - (sides @ pushes)[..., 0]
-    if np.all(projected >= shortest):
-        return projected
-    row = np.arange(J).repeat(n)
-    column = np.arange(J * n)
-    rows = sparse.csc_matrix(
-        (
-            np.moveaxis(sides, -1, 0).ravel(),
-            (np.concatenate([row, J + row]), np.tile(column, 2)),
-        ),
-        shape=(2 * J, J * n),
-    )
-    both = sparse.csc_array(sparse.vstack([rows, -rows]))
-    zero, most, least = np.zeros(4 * J), np.full(4 * J, np.inf), np.tile(shortest, J)
-    nearest = sparse.csc_array(sparse.eye_array(J * n))
-    x = solve_qp(QuadraticProgram(nearest, -lengths.ravel(), both, zero, most, least))
-    return None if x is None else x.reshape(J, n)
+    return projected if np.all(projected >= shortest) else None

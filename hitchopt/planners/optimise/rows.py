@@ -1,10 +1,10 @@
-"""A program as it is put together: variables, rows that keep near bodies apart, derivatives."""
+"""A program as it is put together: variables, costs, rows that keep near bodies apart."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,10 +16,6 @@ from hitchopt.hitch.parts import SEPARATION, Parts, end_combinations
 from hitchopt.hitch.requirements import Separation
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
 from hitchopt.values import Array, Indices
-
-BETWEEN = 0.35
-"""Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
-as well."""
 
 PENALTY_WEIGHT = 100.0
 """[1/m] Penalty weight of bodies that stay too near: more than any path gains by leaving them."""
@@ -43,20 +39,6 @@ Expression = Callable[[Symbols], ca.MX]
 """Builds a column of rows, or a cost."""
 
 
-class Derivatives(Protocol):
-    """Builds the derivatives of a column of rows that casadi would take long to find."""
-
-    def slopes(self, at: Symbols) -> ca.MX:
-        """Return the Jacobian (rows, variables)."""
-
-    def bends(self, at: Symbols, multipliers: ca.MX) -> ca.MX:
-        """Return the upper triangle (variables, variables) of the Hessian of the weighted sum."""
-
-
-RowGroup = tuple[Expression, Derivatives | None]
-"""A column of rows, and what builds its derivatives; None for casadi's own."""
-
-
 class Draft:
     """Variables, rows and costs as they are collected: numbers at once, expressions when built.
 
@@ -68,7 +50,7 @@ class Draft:
         self._variables: list[tuple[Array, Array, Array]] = []
         self._parameters: list[Array] = []
         self._ranges: list[tuple[Array, Array]] = []
-        self._rows: list[RowGroup] = []
+        self._rows: list[Expression] = []
         self._costs: list[Expression] = []
 
     def structure(self, *parts: Hashable | NDArray[Any]) -> None:
@@ -91,15 +73,9 @@ class Draft:
         """Add a cost."""
         self._costs.append(expression)
 
-    def bound(
-        self,
-        value: Expression,
-        least: Array,
-        most: Array,
-        derivatives: Derivatives | None = None,
-    ) -> None:
+    def bound(self, value: Expression, least: Array, most: Array) -> None:
         """Add rows (a column) that keep values between their bounds (rows,)."""
-        self._rows.append((value, derivatives))
+        self._rows.append(value)
         self._ranges.append((least, most))
 
     def soft_bound(self, value: Expression, least: Array, now: Array, weight: float) -> None:
@@ -154,75 +130,45 @@ class Program:
     numbers: dict[str, Array]
     groups: list[int]
     vectors: list[int]
-    rows: list[RowGroup]
+    rows: list[Expression]
     costs: list[Expression]
-
-    def symbols(self) -> Symbols:
-        """Return new symbols for variables and parameters."""
-        x, p = (
-            [ca.MX.sym(f"{name}{i}", size) for i, size in enumerate(sizes)]
-            for name, sizes in (("x", self.groups), ("p", self.vectors))
-        )
-        return Symbols(x, p)
 
     def expressions(self) -> dict[str, ca.MX]:
         """Build casadi's expressions x, p, f, g."""
-        at = self.symbols()
-        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
-        g = ca.vertcat(*(value(at) for value, _ in self.rows))
-        return {"x": x, "p": p, "f": self._cost(at), "g": g}
-
-    def derivatives(self) -> dict[str, ca.Function]:
-        """Build casadi's functions ``jac_g`` and ``hess_lag``, one column of rows after the other.
-
-        Those of all rows at once, as casadi builds them, take three times as long to evaluate.
-        """
-        at = self.symbols()
-        x, p = (ca.vertcat(*parts) for parts in (at.variables, at.parameters))
-        rows = [(build(at), own) for build, own in self.rows]
-        slopes = [own.slopes(at) if own else ca.jacobian(value, x) for value, own in rows]
-        weight = ca.MX.sym("weight")
-        multipliers = [ca.MX.sym(f"m{i}", value.numel()) for i, (value, _) in enumerate(rows)]
-        plain, bends = weight * self._cost(at), list[ca.MX]()
-        for (value, own), each in zip(rows, multipliers, strict=True):
-            if own is None:
-                plain += ca.dot(each, value)
-            else:
-                bends.append(own.bends(at, each))
-        hessian = sum(bends, ca.triu(ca.hessian(plain, x)[0]))
-        jacobian = [ca.vertcat(*(value for value, _ in rows)), ca.vertcat(*slopes)]
-        return {
-            "jac_g": ca.Function("nlp_jac_g", [x, p], jacobian),
-            "hess_lag": ca.Function(
-                "nlp_hess_l", [x, p, weight, ca.vertcat(*multipliers)], [hessian]
-            ),
-        }
-
-    def _cost(self, at: Symbols) -> ca.MX:
-        return sum((cost(at) for cost in self.costs), ca.MX(0.0))
+        groups = (("x", self.groups), ("p", self.vectors))
+        variables, parameters = (
+            [ca.MX.sym(f"{name}{i}", size) for i, size in enumerate(sizes)]
+            for name, sizes in groups
+        )
+        at = Symbols(variables, parameters)
+        g = ca.vertcat(*(build(at) for build in self.rows))
+        f = sum((cost(at) for cost in self.costs), ca.MX(0.0))
+        return {"x": ca.vertcat(*variables), "p": ca.vertcat(*parameters), "f": f, "g": g}
 
 
 def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: SolverStep) -> None:
-    """Keep all near pairs apart, at the knots and between them.
+    """Keep all near pairs apart at the knots: drones by squares, others by their normals.
 
     Those that are too near now, as in a first guess, are parted as far as a step can.
     """
     columns, inner = path.columns, path.table[1:-1]
-    now = inner.ravel()
-    margins = search.margins(path.steps, np.arange(1.0, path.steps))
-    separation = search.requirements.separation
+    separation, margins = search.requirements.separation, search.margins(path.steps)
     pairs = near_pairs(inner[:, columns.nodes], separation, margins, step.reach)
     drones = pairs.chosen(pairs.kind == SEPARATION)
     if len(drones.frame):
         _keep_drones_apart(draft, x, path, drones)
-    linear, others = list[LinearRows](), pairs.chosen(pairs.kind != SEPARATION)
-    if len(others.frame):
-        linear.append(rows_at_knots(path, others))
-    if step.parts > 1:
-        linear.append(rows_between(path, search, step.parts, BETWEEN * step.reach))
-    for rows, least in linear:
-        if len(least):
-            draft.soft_bound(linear_value(draft, x, rows), least, rows @ now, PENALTY_WEIGHT)
+    others = pairs.chosen(pairs.kind != SEPARATION)
+    if not len(others.frame):
+        return
+    pair, *ends = others.sides()
+    nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
+    variables = columns.size * others.frame[pair, None] + nodes  # (r, 4)
+    slopes = np.concatenate([others.normal[pair], -others.normal[pair]], axis=1)
+    first = 4 * np.arange(len(pair) + 1)
+    entries = (slopes.ravel(), variables.ravel(), first)
+    rows = sparse.csr_matrix(entries, shape=(len(pair), inner.size)).tocsc()
+    now = rows @ inner.ravel()
+    draft.soft_bound(linear_value(draft, x, rows), others.enforced[pair], now, PENALTY_WEIGHT)
 
 
 def _keep_drones_apart(draft: Draft, x: int, path: KnotPath, drones: NearPairs) -> None:
@@ -256,17 +202,6 @@ def linear_value(draft: Draft, x: int, rows: sparse.csc_matrix) -> Expression:
         return ca.MX(pattern, at.parameters[entries]) @ at.variables[x]
 
     return value
-
-
-FINER = 4
-"""Factor on the instants in the first and the last step, where a hitch starts or ends that barely
-satisfies its limits."""
-
-LEG_INSET = 1e-3
-"""[m] Distance of legs from their limit, unless they are shorter at the ends."""
-
-LEG_REACH = 0.05
-"""[m] Legs longer than their limit and this get no row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,93 +261,3 @@ def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: floa
     enforced = limits[kind] * margins[frame]
     found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, enforced)
     return found.chosen(distance < enforced + reach)
-
-
-LinearRows = tuple[sparse.csc_matrix, Array]
-"""Rows (r, variables) and their least values (r,) [m], by the inner knots' variables in a row."""
-
-
-def instants(steps: int, parts: int) -> Array:
-    """Return (K,): the instants between the knots that get rows, in steps from the start."""
-    base = FINER * parts
-    k = np.arange(steps * base)
-    at_ends = (k < base) | (k > (steps - 1) * base)
-    places: Array = k[(k % base > 0) & (at_ends | (k % FINER == 0))] / base
-    return places
-
-
-def rows_at_knots(path: KnotPath, pairs: NearPairs) -> LinearRows:
-    """Return rows that keep pairs at the inner knots on their sides of their normals."""
-    table = path.table
-    return _pairs_apart(path, table[1:-1], np.arange(1.0, path.steps), pairs)
-
-
-def rows_between(path: KnotPath, search: Search, parts: int, reach: float) -> LinearRows:
-    """Return rows that keep pairs apart and legs long between the knots, to first order.
-
-    There the path is its chord from knot to knot and a bow, of which the bow is taken to stay.
-
-    Parameters
-    ----------
-    path, search: around which the rows are, and what they enforce.
-    parts: of each step; rows are at the instants in between.
-    reach: pairs farther apart than their limit and this [m] get no row.
-    """
-    columns, limits = path.columns, search.requirements.limits
-    places = instants(path.steps, parts)
-    at_knots, there = path.table, path.at(places / path.steps).table
-    margins = search.margins(path.steps, places)
-    separation = search.requirements.separation
-    pairs = near_pairs(there[:, columns.nodes], separation, margins, reach)
-    apart = _pairs_apart(path, there, places, pairs)
-
-    legs = np.concatenate([columns.q_legs, columns.r_legs])
-    frame, leg = np.nonzero(there[:, legs] < limits.leg + LEG_REACH)
-    if not len(frame):
-        return apart
-    single = (frame, legs[leg][:, None], np.ones((len(frame), 1)))
-    rows, bow = _chords(at_knots, there, places, single)
-    ends = np.min(at_knots[[0, -1]][:, legs], axis=0)
-    shortest = np.minimum(limits.leg + LEG_INSET, ends)[leg]
-    both = sparse.csc_matrix(sparse.vstack([apart[0], rows]))
-    return both, np.concatenate([apart[1], shortest - bow])
-
-
-def _pairs_apart(path: KnotPath, there: Array, places: Array, pairs: NearPairs) -> LinearRows:
-    """Return the rows of pairs at places (K,) of a path, its table (K, size) ``there``."""
-    nodes = path.columns.nodes
-    pair, a, b = pairs.sides()
-    slopes = np.concatenate([pairs.normal[pair], -pairs.normal[pair]], axis=1)
-    sums = (pairs.frame[pair], np.concatenate([nodes[a], nodes[b]], axis=1), slopes)
-    rows, bow = _chords(path.table, there, places, sums)
-    return rows, pairs.enforced[pair] - bow
-
-
-def _chords(
-    at_knots: Array, there: Array, places: Array, sums: tuple[Indices, Indices, Array]
-) -> tuple[sparse.csc_matrix, Array]:
-    """Return sums of variables at places, by those at the knots around: ``rows @ x + bow``.
-
-    Parameters
-    ----------
-    at_knots, there: (J + 1, size) and (K, size), tables of the path.
-    places: (K,), in steps from the path's start.
-    sums: the place (r,), the variables and their weights (r, w) of each.
-    """
-    frame, variables, weights = sums
-    steps, size = len(at_knots) - 1, at_knots.shape[1]
-    shape = (len(frame), size * (steps - 1))
-    if not len(frame):
-        return sparse.csc_matrix(shape), np.zeros(0)
-    knot = places[frame].astype(np.intp)
-    share = places[frame] - knot
-    bow = np.sum(weights * there[frame[:, None], variables], axis=1)
-    entries: list[tuple[Array, Indices, Indices]] = []
-    for at, part in ((knot, 1.0 - share), (knot + 1, share)):
-        inner = np.flatnonzero((at > 0) & (at < steps) & (part > 0.0))
-        slope, own = part[inner, None] * weights[inner], variables[inner]
-        bow[inner] -= np.sum(slope * at_knots[at[inner, None], own], axis=1)
-        column = size * (at[inner, None] - 1) + own
-        entries.append((slope.ravel(), np.repeat(inner, own.shape[1]), column.ravel()))
-    values, row, column = (np.concatenate(part) for part in zip(*entries, strict=True))
-    return sparse.csc_matrix((values, (row, column)), shape=shape), bow

@@ -2,10 +2,10 @@
 
 Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
 filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
-at first all give way to the same side, as in a roundabout, or to layers of altitude. Everything
+at first all give way to the same side, as in a roundabout. Everything
 is deterministic. One round takes O(M log M) for M samples of drones, and what pairs are close.
 
-Crowds that meet in one place go around it, all on the same side. Pushes between pairs amplify
+A crowd that meets in one place goes around it, all on the same side. Pushes between pairs amplify
 rounding a million times where tens of drones meet at once; a roundabout is closed form.
 """
 
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import EAST, TIE, unit
 from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 WANTED = 1.15
 """Separation that pushes aim at, larger than 1 as drones also move between samples."""
@@ -45,19 +45,15 @@ class PriorityRule:
     Attributes
     ----------
     side: strength of the push to the right (negative: to the left), in separations.
-    layers: number of altitude layers over which drones are distributed; 1 for none.
     patience: duration over that of the slowest flight; above 1, departures are staggered.
     """
 
     side: float
-    layers: int = 1
     patience: float = 1.0
 
     def __str__(self) -> str:
         side = "right" if self.side > 0.0 else "left"
         words = f"all give way to the {side} where they meet"
-        if self.layers > 1:
-            words = f"those that meet pass in {self.layers} layers"
         return words if self.patience == 1.0 else f"some leave later; {words}"
 
 
@@ -69,7 +65,6 @@ def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
     free, bends = basis[:, grid.free], grid.sampled(s, 3)[:, grid.free]
     stiff = STIFFNESS**6 * bends.T @ bends
     smoothing = np.linalg.solve(free.T @ free + stiff, free.T)
-    layer = np.arange(task.drones) % rule.layers
     coefficients = setting.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
@@ -77,7 +72,7 @@ def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
         points = np.einsum("sc,ncd->snd", basis, coefficients)
         velocities = np.einsum("sc,ncd->snd", rates, coefficients)
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
-        pushes, crowded = _pushes(points, velocities, scale, rule, layer, fading)
+        pushes, crowded = _pushes(points, velocities, scale, fading * rule.side)
         pushes += _other_pushes(setting, points)
         if not crowded and not np.any(pushes):
             break
@@ -88,14 +83,7 @@ def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
     return coefficients
 
 
-def _pushes(
-    points: Array,
-    velocities: Array,
-    scale: Array,
-    rule: PriorityRule,
-    layer: Indices,
-    fading: float,
-) -> tuple[Array, bool]:
+def _pushes(points: Array, velocities: Array, scale: Array, side: float) -> tuple[Array, bool]:
     """Return how far each sample (samples, drones, 3) is pushed [m], and whether any pair is."""
     samples, drones, _ = points.shape
     scaled = (points * scale).reshape(-1, 3)
@@ -111,10 +99,7 @@ def _pushes(
     flat = velocities.reshape(-1, 3)
     still = TIE * float(np.max(np.abs(flat)))
     right = rightward(flat[first] - flat[second], still)
-    apart = layer[first % drones] - layer[second % drones]
-    upward = np.sign(apart)[:, None] * np.array([0.0, 0.0, 1.0])
-    aside = np.where((apart != 0)[:, None], upward, np.sign(rule.side) * right)
-    direction = unit(offset + fading * abs(rule.side) * aside, aside, 1e-9)
+    direction = unit(offset + side * right, right, 1e-9)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
     steepest = direction * scale
     share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
@@ -158,7 +143,7 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
     return pushes
 
 
-CROWD = 32.0
+CROWD = 32
 """Number of drones that meet at once from which on a roundabout is tried."""
 
 LAYERS = 2
@@ -179,23 +164,24 @@ all of them."""
 
 
 def roundabout(setting: Setting) -> Array | None:
-    """Return the coefficients (N, count, 3) [m] of curves around crowds; None where there are none.
+    """Return the coefficients (N, count, 3) [m] of curves around a crowd; None where there is none.
 
-    With ``x`` the distance from the centre of a crowd over WIDTH radii of a ring of all drones, the
-    offset to the right is ``(1 - x²)²`` times the radius of a layer's ring, and that upward
-    ``(1 - x⁶)²`` times the layer's altitude. Takes O(M log M) for M samples of drones, and what
-    pairs are close.
+    A crowd meets half way, at one place. With ``x`` the distance from there over WIDTH radii of a
+    ring of all its drones, the offset to the right is ``(1 - x²)²`` times the radius of a layer's
+    ring, and that upward ``(1 - x⁶)²`` times the layer's altitude.
     """
     task, grid = setting.task, setting.grid
     s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
     basis = grid.sampled(s)
     points = np.einsum("sc,ncd->snd", basis, setting.nominal)
-    steps = np.einsum("sc,ncd->snd", grid.sampled(s, 1), setting.nominal) / len(s)
-    crowd, centre = _crowds(points, steps, setting.scale)
-    if np.max(crowd, initial=0.0) < CROWD:
+    steps = np.einsum("sc,ncd->snd", grid.sampled(s, 1), setting.nominal)
+    middle = np.einsum("c,ncd->nd", grid.sampled(np.asarray(0.5)), setting.nominal)
+    centre = np.median(middle, axis=0)
+    crowd = np.linalg.norm((middle - centre) * setting.scale, axis=-1) < WANTED
+    if np.sum(crowd) < CROWD:
         return None
     spacing = 2.0 * WANTED * task.requirements.separation.radius
-    ring = np.where(crowd < CROWD, 0.0, RING * spacing * crowd / (2.0 * math.pi))
+    ring = np.where(crowd, RING * spacing * np.sum(crowd) / (2.0 * math.pi), 0.0)
     distance = np.linalg.norm((points - centre)[..., :2], axis=-1)
     x = np.divide(distance, WIDTH * ring, out=np.ones_like(distance), where=ring > 0.0)
     aside, upward = (np.maximum(1.0 - x**power, 0.0) ** 2 for power in (2, CLIMB))
@@ -210,38 +196,3 @@ def roundabout(setting: Setting) -> Array | None:
     if task.requirements.arena is not None:
         coefficients[:, grid.free] = inside(task.requirements.arena, coefficients[:, grid.free])
     return coefficients
-
-
-def _crowds(points: Array, steps: Array, scale: Array) -> tuple[Array, Array]:
-    """Return how many drones each drone meets at once, itself included (N,), and where (N, 3) [m].
-
-    Parameters
-    ----------
-    points, steps: (samples, N, 3) [m], positions and their changes from sample to sample.
-    """
-    samples, drones, _ = points.shape
-    scaled, moves = ((part * scale).reshape(-1, 3) for part in (points, steps))
-    # Between samples drones approach each other by at most two of their moves.
-    reach = WANTED + 2.0 * float(np.max(np.linalg.norm(moves, axis=1)))
-    sample = np.repeat(2.0 * reach * np.arange(samples), drones)  # pairs of one sample only
-    tree = cKDTree(np.column_stack([scaled, sample]))
-    first, second = tree.query_pairs(reach, output_type="ndarray").T
-    offset, rate = scaled[first] - scaled[second], moves[first] - moves[second]
-    squared = np.sum(rate * rate, axis=1)
-    when = np.divide(
-        -np.sum(offset * rate, axis=1), squared, out=np.zeros_like(squared), where=squared > 0.0
-    )
-    missed = np.linalg.norm(offset + when[:, None] * rate, axis=1)
-    # Hat functions of time add up to one over the samples.
-    weight = np.maximum(1.0 - np.abs(when), 0.0) * np.maximum(1.0 - missed / WANTED, 0.0)
-    met = np.zeros((samples * drones, 4))
-    flat, along = points.reshape(-1, 3), steps.reshape(-1, 3)
-    for one in (first, second):
-        places = np.column_stack([np.ones_like(weight), flat[one] + when[:, None] * along[one]])
-        for axis in range(4):
-            met[:, axis] += np.bincount(one, weight * places[:, axis], len(met))
-    by_sample = met.reshape(samples, drones, 4)
-    at_once = by_sample[:-1] + by_sample[1:]
-    most = np.argmax(at_once[..., 0], axis=0)
-    found = at_once[most, np.arange(drones)]
-    return found[:, 0] + 1.0, found[:, 1:] / np.maximum(found[:, :1], 1e-9)

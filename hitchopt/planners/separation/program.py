@@ -4,16 +4,13 @@ Unknowns are the changes of the free coefficients, in trust radii, and slacks: o
 limits, one per cable, plane and wall. All rows hold on whole pieces, by their Bernstein (or spline)
 coefficients. A row that is already broken may stay so, or has a slack: there is always a solution.
 
-It is solved by OSQP, started from the last one's solution. OSQP reports neither data of wrong
-length nor crossed bounds in an update and keeps the old program then: programs check both when they
-are made. Its status is not trusted: the curves are evaluated.
+It is solved by OSQP. Its status is not trusted: the curves are evaluated.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -68,12 +65,10 @@ class Built:
     Attributes
     ----------
     program: for the solver.
-    common_rows: rows at the front that are the same in every program of this setting.
     setting, around: what it was built from.
     """
 
     program: QuadraticProgram
-    common_rows: int
     setting: Setting
     around: Around
 
@@ -114,7 +109,6 @@ def build_program(setting: Setting, around: Around) -> Built:
     add_limits(rows, setting, around.coefficients, around.duration, around.trust, unknowns)
     _add_tethers(rows, setting, around, unknowns + n)
     rows.add_bounds(unknowns + np.arange(n + cables), 0.0, np.inf)
-    common = rows.count
     slacks = unknowns + n + cables
     _add_planes(rows, setting, around, slacks)
     _add_walls(rows, setting, around, slacks + planes)
@@ -124,7 +118,7 @@ def build_program(setting: Setting, around: Around) -> Built:
     P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
     q = np.concatenate([gradient, np.zeros(len(weights))])
     program = QuadraticProgram(P, q, *rows.compressed())
-    return Built(program, common, setting, around)
+    return Built(program, setting, around)
 
 
 def _objective(setting: Setting, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
@@ -294,7 +288,7 @@ def _frames(vectors: Array) -> tuple[Array, Array, Array]:
 ACCURACY = 1e-4
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
-MOST_ITERATIONS = 500
+MOST_ITERATIONS = 700
 """Iterations after which the current point is used as it is: the curves are evaluated anyway."""
 
 LEAST_TIME = 1e-3
@@ -305,75 +299,47 @@ class ProgramError(Exception):
     """No finite point was returned by OSQP."""
 
 
-class Solver:
-    """OSQP, set up once for programs of one pattern and updated while that stays the same.
+def solve_program(
+    program: QuadraticProgram, first: Array, iterations: int = MOST_ITERATIONS
+) -> Array:
+    """Return OSQP's solution (unknowns,) of a program, whose bounds on unknowns are rows.
 
     Parameters
     ----------
+    program: what is solved.
+    first: (unknowns,) where to start.
     iterations: after which the current point is used as it is.
+
+    Raises
+    ------
+    ProgramError: no finite point was returned.
     """
+    import osqp
 
-    def __init__(self, iterations: int = MOST_ITERATIONS) -> None:
-        self._iterations = iterations
-        self._osqp: Any = None
-        self._patterns: list[Any] = []
-        self._multipliers: Array | None = None
-
-    def solve(self, program: QuadraticProgram, first: Array, common_rows: int) -> Array:
-        """Return OSQP's solution (unknowns,), searched from ``first``.
-
-        Parameters
-        ----------
-        program: its bounds on unknowns are rows.
-        first: (unknowns,) where to start.
-        common_rows: number of first rows that mean the same as in the last program.
-
-        Raises
-        ------
-        ProgramError: no finite point was returned.
-        """
-        import osqp
-
-        if first.shape != program.q.shape:
-            raise ValueError(f"a start of {first.shape} for {program.q.shape}")
-        objective = sp.csc_array(sp.triu(program.P))
-        patterns = [
-            array for M in (program.A, objective) for array in (M.shape, M.indptr, M.indices)
-        ]
-        same = self._osqp is not None and all(map(np.array_equal, patterns, self._patterns))
-        multipliers = np.zeros(len(program.lower))
-        if self._multipliers is not None:
-            common = len(multipliers) if same else min(common_rows, len(self._multipliers))
-            multipliers[:common] = self._multipliers[:common]
-        data = {"q": program.q, "l": program.lower, "u": program.upper}
-        if same:
-            self._osqp.update(**data, Px=objective.data, Ax=program.A.data)
-        else:
-            self._osqp = osqp.OSQP(algebra="builtin")
-            self._osqp.setup(
-                sp.csc_matrix(objective),
-                A=sp.csc_matrix(program.A),
-                **data,
-                eps_abs=ACCURACY,
-                eps_rel=ACCURACY,
-                max_iter=self._iterations,
-                warm_starting=True,
-                polishing=False,
-                verbose=False,
-            )
-        self._patterns = patterns
-        self._osqp.warm_start(x=first, y=multipliers)
-        if math.isfinite(left := time_left()):
-            self._osqp.update_settings(time_limit=max(left, LEAST_TIME))
-        result = self._osqp.solve(raise_error=False)
-        if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
-            raise KeyboardInterrupt  # OSQP catches the signal
-        check_time()  # what has been cut short is no solution
-        x = np.asarray(result.x, dtype=np.float64)
-        if x.shape != program.q.shape or not np.all(np.isfinite(x)):
-            self._osqp = None
-            self._multipliers = None
-            raise ProgramError(str(result.info.status))
-        y = np.asarray(result.y, dtype=np.float64)
-        self._multipliers = y if np.all(np.isfinite(y)) else None
-        return x
+    if first.shape != program.q.shape:
+        raise ValueError(f"a start of {first.shape} for {program.q.shape}")
+    left = time_left()
+    solver = osqp.OSQP(algebra="builtin")
+    solver.setup(
+        sp.csc_matrix(sp.triu(program.P)),
+        program.q,
+        sp.csc_matrix(program.A),
+        program.lower,
+        program.upper,
+        eps_abs=ACCURACY,
+        eps_rel=ACCURACY,
+        max_iter=iterations,
+        warm_starting=True,
+        polishing=False,
+        verbose=False,
+        **({"time_limit": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
+    )
+    solver.warm_start(x=first, y=np.zeros(len(program.lower)))
+    result = solver.solve(raise_error=False)
+    if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
+        raise KeyboardInterrupt  # OSQP catches the signal
+    check_time()  # what has been cut short is no solution
+    x = np.asarray(result.x, dtype=np.float64)
+    if x.shape != program.q.shape or not np.all(np.isfinite(x)):
+        raise ProgramError(str(result.info.status))
+    return x

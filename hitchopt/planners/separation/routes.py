@@ -22,9 +22,6 @@ from hitchopt.values import Array
 STAND_OFF = 1.25
 """Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""
 
-HALVINGS = 12
-"""Number of bisections in the search for the widest route where all are too narrow."""
-
 HIGH = 1e6
 """[m] Altitude above, and depth below, everything that flies."""
 
@@ -90,7 +87,10 @@ def routes_around(task: SeparationTask) -> Routes:
         if route is None:
             route = _route(task, start, goal, radius * (1.0 + TIGHT))
         if route is None:
-            raise InfeasibleError([_too_narrow(task, i)])
+            remedy = "widen the gap between the prisms, or between them and the arena"
+            when, where = "on every route found from its start to its goal", (task.names[i],)
+            shut = Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)
+            raise InfeasibleError([shut])
         corners[i] = route
         lengths[i] = np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1))
     return Routes(tuple(corners), lengths)
@@ -196,18 +196,3 @@ def _widened(outline: Array, distance: float) -> Array:
     middle = np.roll(outward, 1, axis=0) + outward
     widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
     return widened
-
-
-def _too_narrow(task: SeparationTask, drone: int) -> Violation:
-    """Return the violation of the widest route that was found for a drone."""
-    start, goal, limit = task.start[drone], task.goal[drone], task.requirements.separation.radius
-    narrow, wide = 0.0, limit
-    for _ in range(HALVINGS):
-        middle = 0.5 * (narrow + wide)
-        if _route(task, start, goal, middle) is None:
-            wide = middle
-        else:
-            narrow = middle
-    remedy = "widen the gap between the prisms, or between them and the arena"
-    when = "on the widest route found from its start to its goal"
-    return Violation("keep_out", narrow, limit, "min", "m", (task.names[drone],), when, remedy)

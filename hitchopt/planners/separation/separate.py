@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from hitchopt.checks import Check
-from hitchopt.checks.certificate import within
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import ROUNDING
@@ -30,8 +28,8 @@ from hitchopt.planners.separation.program import (
     MOST_ITERATIONS,
     Around,
     ProgramError,
-    Solver,
     build_program,
+    solve_program,
 )
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
@@ -44,11 +42,9 @@ Progress = Callable[[str], None]
 
 GUESSES = (
     PriorityRule(0.5),
-    PriorityRule(0.5, layers=3),
     PriorityRule(0.5, patience=1.5),
     PriorityRule(-0.5),
     PriorityRule(0.5, patience=2.0),
-    PriorityRule(1.5, layers=2),
     PriorityRule(0.5, patience=3.0),
 )
 """Priority rules in the order in which they are tried."""
@@ -155,7 +151,7 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
 
 def _improved(setting: Setting, guess: Array, say: Progress, *, crowd: bool = False) -> Evaluation:
     """Return the best curves that programs around a guess, perhaps a crowd's, reach."""
-    solver = Solver(AROUND_CROWDS if crowd else MOST_ITERATIONS)
+    iterations = AROUND_CROWDS if crowd else MOST_ITERATIONS
     here = best = evaluate(setting, guess)
     known: ClosePieces | None = None
     idle = 0
@@ -169,10 +165,10 @@ def _improved(setting: Setting, guess: Array, say: Progress, *, crowd: bool = Fa
         try:
             solution = np.zeros(len(built.program.q))  # unknowns are changes
             if np.all(moving):
-                solution = solver.solve(built.program, solution, built.common_rows)
+                solution = solve_program(built.program, solution, iterations)
             else:
                 part, kept = built.among(moving)
-                solution[kept] = solver.solve(part, solution[kept], 0)
+                solution[kept] = solve_program(part, solution[kept], iterations)
         except ProgramError:
             break
         here = evaluate(setting, built.moved(solution))
@@ -316,12 +312,6 @@ IDLE = 0.01
 
 REMEDY = "give more time or room, or move the drones concerned apart"
 
-HALF = 0.5
-"""Share of the checks' tolerance that is used here; certificates need the rest for rounding."""
-
-MOST = 10
-"""Maximum number of violations of one kind that are reported."""
-
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
@@ -351,19 +341,36 @@ def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
     task = setting.task
     duration = needed_duration(setting, setting.grid.curves(coefficients, 1.0))
     curves = setting.grid.curves(coefficients, duration)
+    checks = _checks(task, curves)
+    broken = (
+        check.violation(f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY)
+        for check in checks
+        if not check.holds
+    )
+    closest = next((check.bound for check in checks if check.name == "separation"), math.inf)
+    return Evaluation(coefficients, duration, closest, tuple(broken))
+
+
+def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
+    """Return the certificate's checks of curves that no duration changes, and of tethers."""
     swarm = Swarm(task.drones)
     motion = Motion.single(swarm, task.requirements, curves, ())
-    apart, *others = (RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out"))
+    found = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
+    found.append(_span(task, curves, swarm))
+
     names = dict(zip(swarm.drone_names, task.names, strict=True))
-    broken = [
-        replace(check, where=tuple(names.get(name, name) for name in check.where)).violation(
-            f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY
-        )
-        for check in (apart, *others, _span(setting, curves, swarm))
-        if check is not None and not check.holds
-    ]
-    closest = np.inf if apart is None else apart.bound
-    return Evaluation(coefficients, duration, closest, tuple(broken))
+
+    def named(check: Check) -> Check:
+        """Return the check with the task's names, also of the prism that is nearest."""
+        where = [names.get(name, name) for name in check.where]
+        if check.name == "keep_out" and len(where) == 1:
+            drone, prisms = swarm.drone_names.index(check.where[0]), task.requirements.keep_out
+            place = curves.at([check.time])[0, drone : drone + 1]
+            away = [float(prism.clearance(place).distance[0]) for prism in prisms]
+            where.append(task.prisms[int(np.argmin(away))])
+        return replace(check, where=tuple(where))
+
+    return [named(check) for check in found if check is not None]
 
 
 def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
@@ -377,11 +384,11 @@ def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
     return turning_stretch(Swarm(setting.task.drones), limits.body_rate, (unit,), duration)
 
 
-def _span(setting: Setting, curves: PiecewisePolynomial, swarm: Swarm) -> Check | None:
+def _span(task: SeparationTask, curves: PiecewisePolynomial, swarm: Swarm) -> Check | None:
     """Return the check of the tethers' lengths; None without tethers."""
-    if not setting.task.tethers:
+    if not task.tethers:
         return None
-    first, second, longest = setting.task.tether_arrays
+    first, second, longest = task.tether_arrays
     x = curves.coefficients
     offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
     size = float(np.max(np.abs(x))) / float(np.min(longest))
@@ -393,61 +400,12 @@ def _span(setting: Setting, curves: PiecewisePolynomial, swarm: Swarm) -> Check 
 
 def check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
-    found: list[Violation] = []
-    for points, when, end in (
-        (task.start, "at the start (t = 0)", "start"),
-        (task.goal, "at the goals (the plan's end)", "goal"),
-    ):
-        for violations in (_too_close, _outside, _within, _parted):
-            found += violations(task, points, when, end)
+    ends = (task.start, "at the start (t = 0)"), (task.goal, "at the goals (the plan's end)")
+    found = [
+        check.violation(when, "move the drones named there, or ease the limit")
+        for points, when in ends
+        for check in _checks(task, PiecewisePolynomial.constant([0.0, 1.0], points))
+        if not check.holds
+    ]
     if found:
         raise InfeasibleError(found)
-
-
-def _worst(values: Array, limit: float, sense: str, size: float) -> list[tuple[int, float]]:
-    """Return the index of each value that is beyond its limit and the value, MOST at most."""
-    sign = 1.0 if sense == "min" else -1.0
-    least = sign * within(limit, sense, size, HALF)
-    order = np.argsort(sign * values)[:MOST].tolist()
-    return [(i, float(values[i])) for i in order if sign * values[i] < least]
-
-
-def _too_close(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
-    scaled = points * task.requirements.separation.scale
-    pairs = np.sort(cKDTree(scaled).query_pairs(1.0, output_type="ndarray"), axis=1)
-    ratios = np.linalg.norm(scaled[pairs[:, 0]] - scaled[pairs[:, 1]], axis=1)
-    for k, ratio in _worst(ratios, 1.0, "min", float(np.max(np.abs(scaled)))):
-        i, j = pairs[k]
-        apart = np.linalg.norm(points[i] - points[j])
-        remedy = f"they are {apart:.3g} m apart: move one {end} away from the other"
-        names = (task.names[i], task.names[j])
-        yield Violation("separation", ratio, 1.0, "min", "ratio", names, when, remedy)
-
-
-def _outside(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
-    arena = task.requirements.arena
-    if arena is not None:
-        inside = np.minimum(points - arena.lower, arena.upper - points).min(axis=1)
-        remedy = f"move the {end} inside, or the wall out"
-        for i, distance in _worst(inside, 0.0, "min", float(np.max(np.abs(points)))):
-            yield Violation("arena", distance, 0.0, "min", "m", (task.names[i],), when, remedy)
-
-
-def _within(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
-    limit = task.requirements.separation.radius
-    remedy = f"move the {end} away from it"
-    for k, prism in enumerate(task.requirements.keep_out):
-        distances = np.maximum(prism.clearance(points).distance, 0.0)
-        for i, distance in _worst(distances, limit, "min", float(np.max(np.abs(points)))):
-            where = (task.names[i], task.prisms[k])
-            yield Violation("keep_out", distance, limit, "min", "m", where, when, remedy)
-
-
-def _parted(task: SeparationTask, points: Array, when: str, end: str) -> Iterator[Violation]:
-    first, second, longest = task.tether_arrays
-    ratios = np.linalg.norm(points[first] - points[second], axis=1) / longest
-    size = float(np.max(np.abs(points)) / np.min(longest, initial=np.inf))
-    remedy = f"move the {end}s together, or take a longer cable"
-    for k, ratio in _worst(ratios, 1.0, "max", size):
-        names = (task.names[first[k]], task.names[second[k]])
-        yield Violation("span", ratio, 1.0, "max", "ratio", names, when, remedy)

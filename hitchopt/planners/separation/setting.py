@@ -9,10 +9,9 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 
-from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import tied_order
 from hitchopt.hitch.requirements import Arena
-from hitchopt.planners.separation.routes import Routes, routes_around
+from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.trajectory import PiecewisePolynomial
@@ -78,8 +77,8 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     Parameters
     ----------
     task: starts, goals and requirements.
-    patience: duration over that of the slowest flight; above 1, drones that would meet leave one
-        after the other, and at 1 all leave at once.
+    patience: duration over that of the slowest flight; above 1, drones leave one after the other,
+        and at 1 all leave at once.
 
     Raises
     ------
@@ -110,7 +109,8 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
         shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
         np.divide(ramps.rise, ramps.duration, out=rises, where=routes.lengths > 0.0)
-        leaving = departures(routes, shares, rises, task.requirements.separation.scale)
+        rank = np.argsort(tied_order(-shares, 1.0))  # who flies longest leaves first
+        leaving = (1.0 - shares) * rank / max(1, n - 1)
         own = [
             progress_along((s - leave) / share, float(rise))
             for leave, share, rise in zip(leaving, shares, rises, strict=True)
@@ -227,16 +227,6 @@ class Grid:
         return PiecewisePolynomial(duration * self.breaks, self.pieces_of(coefficients))
 
 
-CHOICES = 24
-"""Number of departure times that a drone can choose from."""
-
-DEPARTURE_SAMPLES = 96
-"""Number of samples over the whole time at which meetings are counted."""
-
-WANTED = 1.15
-"""Separation that samples aim at, larger than 1 as drones also move between samples."""
-
-
 def progress_along(s: Array, ramp: float) -> Array:
     """Return the share of a route flown at times ``s`` (from 0 to 1), with ramps of ``ramp``.
 
@@ -250,41 +240,6 @@ def progress_along(s: Array, ramp: float) -> Array:
     gone = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
     share: Array = np.interp(s, fine, gone / gone[-1])
     return share
-
-
-def departures(routes: Routes, shares: Array, ramps: Array, scale: Array) -> Array:
-    """Return when each drone leaves (N,), as a share of the whole time: the earliest free choice.
-
-    Drones with the longest flights choose first; one that meets others at every choice takes the
-    one with the fewest meetings. Quadratic in N, as all pairs are looked at.
-
-    Parameters
-    ----------
-    routes: one per drone.
-    shares: (N,) of the whole time that each one's flight takes.
-    ramps: (N,) of its flight that each one takes to get up to speed.
-    scale: (3,) [1/m], the norm of an offset times this is a separation.
-    """
-    n = len(shares)
-    time = np.linspace(0.0, 1.0, DEPARTURE_SAMPLES)
-    chosen = np.zeros(n)
-    flown = np.zeros((n, DEPARTURE_SAMPLES, 3))
-    done: list[int] = []
-    for i in tied_order(-shares, 1.0):
-        check_time()
-        delays = np.linspace(0.0, 1.0 - shares[i], CHOICES if shares[i] < 1.0 else 1)
-        s = (time - delays[:, None]) / shares[i]
-        points = routes.of(int(i), progress_along(s, float(ramps[i]))) * scale
-        if done:
-            offset = points[:, None] - flown[done]  # (choices, drones, samples, 3)
-            meetings = np.sum(np.sum(offset * offset, axis=-1) < WANTED * WANTED, axis=(1, 2))
-        else:
-            meetings = np.zeros(len(delays), dtype=np.intp)
-        best = int(np.argmin(meetings))
-        chosen[i] = delays[best]
-        flown[i] = points[best]
-        done.append(int(i))
-    return chosen
 
 
 def _smooth(x: Array) -> Array:
