@@ -73,11 +73,6 @@ class Wraps:
         return lengths
 
     @property
-    def at_clasps(self) -> tuple[Array, Array]:
-        """Tangent lengths (…, n) [m] at ``p_k`` of edges k-1 and k."""
-        return np.roll(self.tangents[..., 1], 1, axis=-1), self.tangents[..., 0]
-
-    @property
     def clasp_angles(self) -> Array:
         """(…, n) [rad]: angles ``β_k`` between the two edges at every clasp."""
         behind = np.roll(self.arriving, 1, axis=-2)

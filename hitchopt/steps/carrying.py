@@ -269,7 +269,7 @@ class Grasp(PullStep):
         """
         from hitchopt.planners.carrying.rest import HeldHitch
         from hitchopt.steps.held_moves import polygon_at, rolling_morph
-        from hitchopt.steps.holds import check_held, spaced
+        from hitchopt.steps.holds import check_held, spaced, unheld
         from hitchopt.steps.route_choice import end_of_morph
 
         team, polygons = task.before.team, task.holding.polygons
@@ -277,8 +277,9 @@ class Grasp(PullStep):
         free = task.within(slowly(without(task, self.object)), task.before)
         assert body.rim is not None
         places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
-        refusal: InfeasibleError | None = None
+        refused: list[tuple[InfeasibleError, StepTask | None]] = []
         for balanced in (False, True):
+            here: StepTask | None = None
             try:
                 legs = RolledLegs("balanced")
                 if not balanced:
@@ -293,11 +294,13 @@ class Grasp(PullStep):
                 here = replace(task, before=replace(plan.after, holding=holding))
                 check_held(here)
             except InfeasibleError as error:
-                refusal = refusal or error
+                refused.append((error, here))
             else:
                 return plan, here
-        assert refusal is not None
-        raise refusal
+        for refusal, tried in refused:
+            if tried is not None:
+                raise unheld(refusal, tried)
+        raise refused[-1][0]
 
 
 def without(task: StepTask, name: str) -> Requirements:

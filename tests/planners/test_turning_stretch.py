@@ -82,7 +82,7 @@ def test_a_duration_that_is_too_short_is_refused() -> None:
     limited = with_limit(timed, "body_rate_deg", 40.0)
     assert limited.edits[0].key == "limits.body_rate_deg"
     with pytest.raises(ho.InfeasibleError, match="duration"):
-        ho.solve(limited.problem)
+        ho.solve(limited.changed)
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
