@@ -12,7 +12,6 @@ import hitchopt as ho
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import read_problem
-from hitchopt.mission.repair import with_limit
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -79,10 +78,9 @@ def test_a_duration_that_is_too_short_is_refused() -> None:
     step = replace(step, duration=1.35)
     timed = replace(problem, mission=(step, *problem.mission[1:]))
     assert ho.solve(timed).certificate.certified
-    limited = with_limit(timed, "body_rate_deg", 40.0)
-    assert limited.edits[0].key == "limits.body_rate_deg"
+    limits = replace(timed.limits, body_rate=math.radians(40.0))
     with pytest.raises(ho.InfeasibleError, match="duration"):
-        ho.solve(limited.changed)
+        ho.solve(replace(timed, limits=limits))
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
