@@ -385,13 +385,23 @@ def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
 
 def _no_grip(task: GripTask, nearest: list[Grip]) -> InfeasibleError:
     """Return the refusal: what the nearest grip breaks most, or that it does not wrap."""
+    separation = task.requirements.separation
+    limits = {
+        "cable_clearance": separation.cable,
+        "crossing": separation.crossing,
+        "keep_out": separation.radius,
+        "legs": task.requirements.limits.leg,
+        "gap": LEAST_GAP,
+    }  # [m]
     name, ratio = "grip", 0.0
     for grip in nearest:
         margin, worst = task.shortest(grip)
         if margin < 0.0:
             name, ratio = worst, 1.0 + margin
+    limit, unit = limits.get(name, 1.0), "m" if name in limits else "ratio"
     remedy = "use cables of another length, or a larger section, or rest it on a rim"
     if task.robots > 3:
         remedy = f"use three cables; or {remedy}"
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
-    return InfeasibleError([Violation(name, ratio, 1.0, "min", "ratio", (), "", remedy)], note)
+    value = round(ratio * limit, PLACES)
+    return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
