@@ -260,7 +260,7 @@ class Grasp(PullStep):
 
         Legs end as near to the current fractions as limits allow, distances a little larger than
         they have to be; rolled legs are rolled more, since a load brings them nearer to each
-        other. Where the hitch cannot hold the object so, legs end balanced.
+        other.
 
         Parameters
         ----------
@@ -269,7 +269,7 @@ class Grasp(PullStep):
         """
         from hitchopt.planners.carrying.rest import HeldHitch
         from hitchopt.steps.held_moves import polygon_at, rolling_morph
-        from hitchopt.steps.holds import check_held, spaced, unheld
+        from hitchopt.steps.holds import check_held, spaced
         from hitchopt.steps.route_choice import end_of_morph
 
         team, polygons = task.before.team, task.holding.polygons
@@ -277,30 +277,17 @@ class Grasp(PullStep):
         free = task.within(slowly(without(task, self.object)), task.before)
         assert body.rim is not None
         places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
-        refused: list[tuple[InfeasibleError, StepTask | None]] = []
-        for balanced in (False, True):
-            here: StepTask | None = None
-            try:
-                legs = RolledLegs("balanced")
-                if not balanced:
-                    wide = spaced(free.requirements, SPREAD)
-                    near = end_of_morph(task.hitch, below, None, wide).hitch
-                    legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-                plan = rolling_morph(self, Morph(below, legs), free)
-                hitch = plan.after.hitch
-                assert hitch is not None
-                held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
-                holding = Holding(self.object, polygons, asked, held)
-                here = replace(task, before=replace(plan.after, holding=holding))
-                check_held(here)
-            except InfeasibleError as error:
-                refused.append((error, here))
-            else:
-                return plan, here
-        for refusal, tried in refused:
-            if tried is not None:
-                raise unheld(refusal, tried)
-        raise refused[-1][0]
+        wide = spaced(free.requirements, SPREAD)
+        near = end_of_morph(task.hitch, below, None, wide).hitch
+        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
+        plan = rolling_morph(self, Morph(below, legs), free)
+        hitch = plan.after.hitch
+        assert hitch is not None
+        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
+        holding = Holding(self.object, polygons, asked, held)
+        here = replace(task, before=replace(plan.after, holding=holding))
+        check_held(here)
+        return plan, here
 
 
 def without(task: StepTask, name: str) -> Requirements:

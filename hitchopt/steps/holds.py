@@ -76,6 +76,7 @@ def check_held(task: StepTask) -> None:
     """Raise InfeasibleError where the hitch does not hold the object at rest.
 
     Where it holds by rest, it also keeps all limits as it rises to the rim and takes the weight.
+    The refusal names the mass and the tension with which the hold at rest is certified.
     """
     holding = task.holding
     words = f"with objects.{holding.name} off its support"
@@ -86,17 +87,12 @@ def check_held(task: StepTask) -> None:
             moves = rim_move(task, gap_below(task.requirements), 0.0), transferred(task, 0.0, 1.0)
             checked(held_motion(task, moves, "lift"), words)
     except InfeasibleError as error:
-        raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
-
-
-def unheld(error: InfeasibleError, task: StepTask) -> InfeasibleError:
-    """Return the refusal of a hold with the mass and the tension that are certified at rest."""
-    ways, told = _what_holds(task), []
-    for each in error.violations:
-        more = ["raise limits.tilt_deg"] if each.constraint == "tilt" else []
-        more += [] if each.constraint in WEIGHTY else [each.remedy]
-        told.append(replace(each, remedy=", or ".join([*ways, *more])))
-    return InfeasibleError(told)
+        ways, told = _what_holds(task), []
+        for each in error.violations:
+            more = ["raise limits.tilt_deg"] if each.constraint == "tilt" else []
+            more += [] if each.constraint in WEIGHTY else [each.remedy]
+            told.append(replace(each, when=words, remedy=", or ".join([*ways, *more])))
+        raise InfeasibleError(told) from None
 
 
 def _check_bearing(task: StepTask) -> None:
@@ -181,10 +177,7 @@ def grip_closed(step: Step, task: StepTask, tension: float | None) -> StepPlan:
         task.hitch.fractions,
     )
     here = holding_otherwise(task, tension=asked, held=held)
-    try:
-        check_held(here)
-    except InfeasibleError as error:
-        raise unheld(error, here) from None
+    check_held(here)
     motion, _ = _passed(step, here, (team.tension, asked), (0.0, 1.0))
     return ended_holding(task, here.holding, motion, place_of(body))
 
