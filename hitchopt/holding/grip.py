@@ -401,15 +401,16 @@ def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
 
 def _no_grip(task: GripTask, nearest: list[Grip]) -> InfeasibleError:
     """Return the refusal: what the nearest grip breaks most, or that it does not wrap."""
-    name, ratio, limit = "grip", 0.0, 1.0
+    name, ratio = "grip", 0.0
     for grip in nearest:
         margin, worst = task.shortest(grip)
         if margin < 0.0:
-            name, ratio, limit = worst, 1.0 + margin, task.limits[worst]
+            name, ratio = worst, 1.0 + margin
+    limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
     cables = "shorter cables, whose legs do not meet" if name == "crossing" else "other cables"
     remedy = f"use {cables}, or a larger section, or rest it on a rim"
     if task.robots > 3:
         remedy += ", or use three cables"
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
-    unit, value = "1" if name == "grip" else "m", round(ratio * limit, 9)
+    value = round(ratio * limit, PLACES)
     return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)

@@ -43,7 +43,6 @@ from hitchopt.steps.certified_motions import (
     check_at_rest,
     check_start,
     infeasible,
-    seems_to_rest,
 )
 from hitchopt.steps.moving import plan_blended
 from hitchopt.steps.route_choice import split_hitch
@@ -82,7 +81,7 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
     planned = requirements.planned  # stops on the common clock may use the rest
     first_form = next((step for step in steps if isinstance(step, Form)), None)
     situation, assignment = _begun(progress, problem.team, problem.start, first_form, planned)
-    parts: list[Certified] = []
+    start, parts = situation.hitch, list[Certified]()
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         task = StepTask(situation, first, situation.at_objects(planned), optimiser)
@@ -91,8 +90,8 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
         except TimeLimitError:
             raise
         except HitchoptError as error:
-            if first == 0 and situation.hitch is not None:
-                check_at_rest(situation.hitch, planned, AT_START)
+            if first == 0 and start is not None:
+                check_at_rest(start, planned, AT_START)
             if not isinstance(error, InfeasibleError):
                 raise
             raise _in_step(error, first, group) from None
@@ -102,6 +101,8 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
         motion = replace(motion, requirements=requirements)
     certificate = merged(motion, [part.certificate for part in parts])
     if not certificate.certified:
+        if start is not None:
+            check_at_rest(start, planned, AT_START)
         raise _advised(Certified(motion, certificate), steps)
     if isinstance(problem.start, DronesStart):
         check_above_ground(motion)
@@ -216,8 +217,6 @@ def _begun(
         else:
             _tell(progress, "splitting the slack at the start")
             hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        if not seems_to_rest(hitch, requirements):
-            check_at_rest(hitch, requirements, AT_START)
         return Situation.formed(hitch), None
     named = Situation(team, start.drones)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))

@@ -20,7 +20,7 @@ from hitchopt.hitch.team import Quadrotor
 from hitchopt.holding.capacity import Capacity, rest_capacity
 from hitchopt.holding.grip import Grip, GripTask, best_grip, grip_capacity, largest_tension
 from hitchopt.objects import Section
-from hitchopt.planners.carrying.rest import ROOM, HoldPolygons
+from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
 from hitchopt.values import Array, instance, not_negative, points, positive, whole
 
@@ -170,7 +170,7 @@ class Holding(OneLine):
             return self.cable_length
         section, gap = self.task.section, self.task.clearance + ROOM
         closed, centre = self.grip.vertices, section.centroid
-        around = HoldPolygons.with_short_edges(closed, centre, (section,), gap).around
+        around = HoldPolygons.about(closed, centre, (section,), gap, STRETCHES).around
         try:
             return shortest_cable(ConvexPolygon(around), self.task.requirements)
         except InfeasibleError:

@@ -260,7 +260,7 @@ class Grasp(PullStep):
 
         Legs end as near to the current fractions as limits allow, distances a little larger than
         they have to be; rolled legs are rolled more, since a load brings them nearer to each
-        other. Where the hitch cannot hold the object so, legs end balanced.
+        other.
 
         Parameters
         ----------
@@ -277,27 +277,17 @@ class Grasp(PullStep):
         free = task.within(slowly(without(task, self.object)), task.before)
         assert body.rim is not None
         places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
-        refusal: InfeasibleError | None = None
-        for balanced in (False, True):
-            try:
-                legs = RolledLegs("balanced")
-                if not balanced:
-                    wide = spaced(free.requirements, SPREAD)
-                    near = end_of_morph(task.hitch, below, None, wide).hitch
-                    legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-                plan = rolling_morph(self, Morph(below, legs), free)
-                hitch = plan.after.hitch
-                assert hitch is not None
-                held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
-                holding = Holding(self.object, polygons, asked, held)
-                here = replace(task, before=replace(plan.after, holding=holding))
-                check_held(here)
-            except InfeasibleError as error:
-                refusal = refusal or error
-            else:
-                return plan, here
-        assert refusal is not None
-        raise refusal
+        wide = spaced(free.requirements, SPREAD)
+        near = end_of_morph(task.hitch, below, None, wide).hitch
+        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
+        plan = rolling_morph(self, Morph(below, legs), free)
+        hitch = plan.after.hitch
+        assert hitch is not None
+        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
+        holding = Holding(self.object, polygons, asked, held)
+        here = replace(task, before=replace(plan.after, holding=holding))
+        check_held(here)
+        return plan, here
 
 
 def without(task: StepTask, name: str) -> Requirements:

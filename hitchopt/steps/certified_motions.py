@@ -12,10 +12,7 @@ from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.hanging import above_ground
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.leg_program import LegTask
-from hitchopt.hitch.legs import reference_margin
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
@@ -24,7 +21,6 @@ from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import Stage
 from hitchopt.planners.morph.path import RigidPath
-from hitchopt.planners.timing.demands import loads_at_rest
 from hitchopt.planners.timing.flight import Flight, fly, turning_stretch
 from hitchopt.steps.step import Situation, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
@@ -89,28 +85,6 @@ def certificate_at_rest(hitch: Hitch, requirements: Requirements) -> Certificate
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     """Raise InfeasibleError where the hitch breaks a limit without moving."""
     checked(at_rest(hitch, requirements), when)
-
-
-def seems_to_rest(hitch: Hitch, requirements: Requirements) -> bool:
-    """Return whether a hitch at rest seems to satisfy all limits, without a certificate.
-
-    The certificate of a motion from or to it proves it: where that is refused, ``check_at_rest``
-    tells whether rest itself breaks a limit. With keep-outs or objects this says no.
-    """
-    team, limits, arena = hitch.team, requirements.limits, requirements.arena
-    if requirements.keep_out or requirements.objects:
-        return False
-    thrust, drones = loads_at_rest(team, hitch.cable_forces), hitch.drones
-    level = np.hypot(thrust[:, 0], thrust[:, 1])
-    fits = (
-        np.all(hitch.legs[team.layout.has_leg] >= limits.leg)
-        and np.all(length(thrust) <= team.max_thrust)
-        and np.all(np.arctan2(level, thrust[:, 2]) <= limits.tilt)
-        and (arena is None or np.all((drones >= arena.lower) & (drones <= arena.upper)))
-    )
-    shape = (hitch.polygon.vertices[None], hitch.q_legs[None], limits.leg, 1.0)
-    task = LegTask(team, requirements, *shape, roll=hitch.roll[None])
-    return bool(fits) and reference_margin(task) >= 1.0
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:

@@ -41,7 +41,7 @@ from hitchopt.steps.route_choice import NO_ROOM, remarked
 from hitchopt.steps.step import Step, StepPlan, StepTask
 from hitchopt.values import Array
 
-HALVINGS, EASED = 10, 0.95
+HALVINGS, EASED = 7, 0.95
 """Halvings of the range of masses, and the share of the largest one at rest that is suggested:
 lifting and carrying pull at it too."""
 
@@ -72,29 +72,22 @@ TURNING = SmoothLaw(0.5 * PRELOAD)
 """How tensions change, and how legs turn to lean."""
 
 
-def check_held(task: StepTask, spare: float = 1.0) -> None:
+def check_held(task: StepTask) -> None:
     """Raise InfeasibleError where the hitch does not hold the object at rest.
 
-    It names what to change: the mass and the tension with which the hold at rest is certified.
-
-    Parameters
-    ----------
-    spare: distances that the hitch keeps with the object's weight on it, over those to be kept;
-        where it holds by rest it keeps those themselves as it rises to the rim and takes the
-        weight.
+    Where it holds by rest, it also keeps all limits as it rises to the rim and takes the weight.
+    The refusal names the mass and the tension with which the hold at rest is certified.
     """
     holding = task.holding
-    name = f"objects.{holding.name}"
-    words = f"with {name} off its support"
+    words = f"with objects.{holding.name} off its support"
     try:
-        _check_bearing(replace(task, requirements=spaced(task.requirements, spare)))
+        _check_bearing(task)
         if isinstance(holding.held, HeldHitch):
-            words = f"as the clasps take {name}"
+            words = f"as the clasps take objects.{holding.name}"
             moves = rim_move(task, gap_below(task.requirements), 0.0), transferred(task, 0.0, 1.0)
             checked(held_motion(task, moves, "lift"), words)
     except InfeasibleError as error:
-        ways = _what_holds(task)
-        told = []
+        ways, told = _what_holds(task), []
         for each in error.violations:
             more = ["raise limits.tilt_deg"] if each.constraint == "tilt" else []
             more += [] if each.constraint in WEIGHTY else [each.remedy]
@@ -211,23 +204,10 @@ def grip_opened(step: Step, task: StepTask) -> StepPlan:
 def _passed(
     step: Step, task: StepTask, tension: tuple[Array, Array], closed: tuple[float, float]
 ) -> tuple[Motion, list[Move]]:
-    """Return the motion of ``_passing`` moves; it says how far legs lean against friction."""
-    moves = _passing(step.name, task, tension, closed)
-    motion = step.lasting(task, held_motion(task, moves, step.name))
-    if motion.team.cable_friction:
-        share = max(abs(end) for move in moves for end in move.lean)
-        words = f"legs lean against {share:.0%} of clasp friction" if share else NO_ROOM
-        motion = remarked(motion, words)
-    return motion, moves
-
-
-def _passing(
-    step: str, task: StepTask, tension: tuple[Array, Array], closed: tuple[float, float]
-) -> list[Move]:
-    """Return moves that close or open a hitch, the first that satisfy the checks KEPT.
+    """Return the motion that closes or opens a hitch, the first that satisfies the checks KEPT.
 
     Cables pull as hard as while the object is held, or less: as little as possible where the hitch
-    opens. Legs lean against clasp friction as far as drones stay apart.
+    opens. Legs lean against clasp friction as far as drones stay apart; the remark says how far.
 
     Parameters
     ----------
@@ -245,14 +225,14 @@ def _passing(
     tried = LOOSE if opening else (math.inf, *reversed(LOOSE))
     leans = LEANS if held.team.cable_friction else LEANS[-1:]
     most = PUSHED * held.body.friction * held.body.mass * GRAVITY
-    refused: InfeasibleError | None = None
+    pushed, refused = list[InfeasibleError](), list[InfeasibleError]()
     for value, lean in product(dict.fromkeys(min(each, largest) for each in tried), leans):
         between = np.minimum(holding.tension, value)
         if (push := held.largest_push(between)) > most:
             remedy = f"give it more weight, raise {name}.friction, or give it a rim"
             when = "on its support, which its edges push it along as they close around it"
             broken = Violation("grip", push, most, "max", "N", (name,), when, remedy)
-            refused = InfeasibleError([broken])
+            pushed.append(InfeasibleError([broken]))
             continue
         lax = holding_otherwise(task, tension=between)
         ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
@@ -263,20 +243,23 @@ def _passing(
         signed = -lean if opening else lean
         try:
             moves = [*first, *_leaning(lax, *closed, signed), *last]
-            motion = held_motion(task, moves, step)
+            motion = held_motion(task, moves, step.name)
         except InfeasibleError as error:  # legs cannot lean so far
-            refused = refused or error
+            refused.append(error)
             continue
         for check in filter(None, (RULE_OF[each].check(motion) for each in KEPT)):
             if not check.holds:
                 when = f"as the hitch {'opens' if opening else 'closes'} around {name}"
                 remedy = "use lighter cables or other lengths of them, or smooth the outline"
-                refused = refused or InfeasibleError([check.violation(when, remedy)])
+                refused.append(InfeasibleError([check.violation(when, remedy)]))
                 break
         else:
-            return moves
-    assert refused is not None
-    raise refused
+            motion = step.lasting(task, motion)
+            if held.team.cable_friction:
+                words = f"legs lean against {lean:.0%} of clasp friction" if lean else NO_ROOM
+                motion = remarked(motion, words)
+            return motion, moves
+    raise [*refused, *pushed][0]
 
 
 def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError, TimeLimitError, UnitWarning
+from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.steps.step import (
+    IDLE,
     PLAN_DURATION,
     Edited,
     Knob,
@@ -63,15 +64,10 @@ from hitchopt.values import MAX_COORDINATE, Array, finite, flag, positive, seque
 from hitchopt.values.units import warn_of_unit
 
 if TYPE_CHECKING:
-    from hitchopt.hitch.requirements import Requirements
     from hitchopt.motion.motion import Motion
     from hitchopt.planners.morph.actions import Action, Flying
     from hitchopt.planners.timing.flight import Flight
-    from hitchopt.steps.certified_motions import Certified
-    from hitchopt.steps.route_choice import End, Route
-
-IDLE = 0.01
-"""Duration [s] of a step that moves nothing and was given none."""
+    from hitchopt.steps.route_choice import End
 
 
 class HitchStep(Step):
@@ -116,46 +112,40 @@ class ShapeStep(HitchStep):
         """Return the hitch after the step."""
 
     @abstractmethod
-    def own_route(self, task: StepTask, end: End) -> Route[Any]:
-        """Return the step's own route, straight and by its own law of the legs."""
+    def own_motion(self, task: StepTask, end: End) -> Motion:
+        """Return the motion on the step's own route, straight and by its own law of the legs."""
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
-        from hitchopt.steps.certified_motions import seems_to_rest
-
-        end = self.end(task)
-        seems = seems_to_rest(end.hitch, task.requirements)
-        if not seems:
-            self.check_end(end.hitch, task)
-        try:
-            found, words = self._route(task, end)
-        except TimeLimitError:
-            raise
-        except HitchoptError:
-            if seems:
-                self.check_end(end.hitch, task)
-            raise
-        motion = found.motion
-        if words:
-            (phase,) = motion.phases
-            motion = replace(motion, phases=(replace(phase, remark=f"{phase.remark}: {words}"),))
-        return task.ended(motion, end.hitch, found.certificate)
-
-    def _route(self, task: StepTask, end: End) -> tuple[Certified, str]:
-        """Return the step's own motion or an optimised one, and why the other one is not taken."""
         from hitchopt.motion.motion import Phase
-        from hitchopt.steps.route_choice import OptimisedRoute, routed
+        from hitchopt.steps.certified_motions import checked
+        from hitchopt.steps.route_choice import optimised, routed
 
-        own = self.own_route(task, end)
+        end, duration = self.end(task), self.given_duration
         lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        ends, duration = (task.hitch, end.hitch), self.given_duration
-        other = OptimisedRoute(*ends, task.requirements, phase, duration, lead)
+        asked = task.hitch, end.hitch, task.requirements, phase, duration
+        routes = [
+            lambda: checked(self.own_motion(task, end)),
+            lambda: optimised(*asked, lead=lead),
+        ]
+
+        def check_rest() -> None:
+            for hitch in (task.hitch, end.hitch):
+                self.check_end(hitch, task)
+
         what = "other route" if duration is None else "route that is fast enough either"
-        fastest = task.optimiser and (lead or tension is not None)
-        routes: list[Route[Any] | OptimisedRoute] = [own]
-        routes += [other] if task.optimiser else []
-        return routed(routes, f"the optimiser found no {what}", fastest=fastest)
+        found, words = routed(
+            routes if task.optimiser else routes[:1],
+            f"the optimiser found no {what}",
+            fastest=lead or tension is not None,
+            before_others=check_rest,
+        )
+        motion = found.motion
+        if words:
+            (flown,) = motion.phases
+            motion = replace(motion, phases=(replace(flown, remark=f"{flown.remark}: {words}"),))
+        return task.ended(motion, end.hitch, found.certificate)
 
 
 class ActionStep(ShapeStep):
@@ -171,24 +161,18 @@ class ActionStep(ShapeStep):
 
         return end_of_action(self.action(task), self.legs, task.requirements)
 
-    def own_route(self, task: StepTask, end: End) -> Route[Flying]:
-        """Return the route of the action to the hitch that it ends with."""
+    def own_motion(self, task: StepTask, end: End) -> Motion:
+        """Return the motion of the action to the hitch that it ends with."""
         from hitchopt.planners.morph.actions import ActionFlight
-        from hitchopt.steps.route_choice import Route
 
         action = self.action(task)
+        planner = ActionFlight(action, end.hitch, task.requirements, self.given_duration)
+        found = planner.solve()
+        remark = self._remark(action, end, found)
+        return self.motion(task, found.flight, end.hitch, remark)
 
-        def motion_of(found: Flying) -> Motion:
-            remark = self._remark(action, end, found, task.requirements)
-            return self.motion(task, found.flight, end.hitch, remark)
-
-        asked = (action, end.hitch, task.requirements, self.given_duration)
-        return Route(ActionFlight(*asked), motion_of)
-
-    def _remark(self, action: Action, end: End, found: Flying, requirements: Requirements) -> str:
+    def _remark(self, action: Action, end: End, found: Flying) -> str:
         """Return which drones move that the paper does not name, and why."""
-        from hitchopt.steps.route_choice import broken_on_the_way
-
         parts = []
         if found.turning:
             reason = "tensions differ, so legs turn with both edges at their vertex"
@@ -199,9 +183,7 @@ class ActionStep(ShapeStep):
             reasons = ["legs are to change"] if self.legs is not None else []
             reasons += [end.reason] if end.reason else []
             if found.worst is not None:
-                path = action.path(end.hitch)
-                altitude = action.start.altitude
-                reasons.append(broken_on_the_way(path, found.worst, altitude, requirements))
+                reasons.append(f"limits bind at {found.worst:.0%} of the path")
             parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
         return "; ".join(parts)
 
@@ -385,13 +367,12 @@ class Morph(ShapeStep):
 
         return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
-    def own_route(self, task: StepTask, end: End) -> Route[Flight | None]:
-        """Return the route along straight lines."""
+    def own_motion(self, task: StepTask, end: End) -> Motion:
+        """Return the motion along straight lines."""
         from hitchopt.planners.morph.morph import StraightMorph
-        from hitchopt.steps.route_choice import Route
 
         planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
-        return Route(planner, lambda flight: self.motion(task, flight, end.hitch))
+        return self.motion(task, planner.solve(), end.hitch)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
         """Return the step with its polygon scaled about its centroid, which is the centre then."""
@@ -623,7 +604,7 @@ class FollowVertex(ActionStep):
         """Return the plan along the points; there is no other route."""
         end = self.end(task)
         self.check_end(end.hitch, task)
-        return task.ended(self.own_route(task, end).motion(), end.hitch)
+        return task.ended(self.own_motion(task, end), end.hitch)
 
     def advice(self, check: str) -> str:
         """Return that more time helps, where it does."""

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,13 +16,10 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners import Planner
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
-from hitchopt.planners.morph.morph import StraightMorph
-from hitchopt.planners.morph.path import ShapePath, shapes_along
+from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
-from hitchopt.planners.timing.profile import flight_estimate
 from hitchopt.steps.certified_motions import (
     Certified,
     certificate_at_rest,
@@ -34,11 +29,8 @@ from hitchopt.steps.certified_motions import (
     infeasible,
     resting,
 )
-from hitchopt.steps.step import StepPlan
+from hitchopt.steps.step import IDLE, StepPlan
 from hitchopt.steps.step_keys import RolledLegs, SlackSplit
-
-if TYPE_CHECKING:
-    from hitchopt.planners.optimise.search import OptimisedMorph
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,25 +111,6 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     return End(end, f"{reason} at the end")
 
 
-def broken_on_the_way(
-    path: ShapePath, s: float, altitude: float, requirements: Requirements
-) -> str:
-    """Return what the path's hitch at s breaks, or comes closest to breaking, in words."""
-    shape = shapes_along(path, np.array([s]))
-    given, roll = shape.legs[0], 0.0 if shape.roll is None else shape.roll[0]
-    legs = np.where(path.team.layout.has_leg, given, np.inf)
-    place = f"at {s:.0%} of the path"
-    if np.min(legs) <= 0.0:
-        k, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
-        name = f"{'qr'[end]}{k}"
-        limit, value = requirements.limits.leg, float(legs[k, end])
-        short = Violation("legs", value, limit, "min", "m", (name,), place, "")
-        return f"{_words(short)} {place}"
-    points = path.vertices.at(s)[:, :2]
-    broken = broken_at_rest(Hitch(path.team, points, altitude, given[:, 0], roll), requirements)
-    return f"{broken} {place}" if broken else f"distances would all but reach their limits {place}"
-
-
 def broken_at_rest(hitch: Hitch, requirements: Requirements) -> str:
     """Return the first limit that the hitch breaks, in words; nothing if it keeps them all."""
     broken = certificate_at_rest(hitch, requirements).violated
@@ -168,124 +141,78 @@ def _nearest(
     )
 
 
-Solution = TypeVar("Solution")
-
 FASTER = "faster than the step's own route"
 SHUT = "the step's own route is infeasible"
 SLOWER = "the step's own route takes longer"
 
 
-@dataclass(frozen=True, eq=False)
-class Route(Generic[Solution]):
-    """A planner whose solution becomes the motion of a step.
+def optimised(
+    start: Hitch,
+    end: Hitch,
+    requirements: Requirements,
+    phase: Phase,
+    duration: float | None = None,
+    *,
+    lead: bool = False,
+) -> Certified:
+    """Return the fastest motion that the optimiser finds from one hitch to another.
 
-    Attributes
-    ----------
-    planner: what is asked.
-    motion_of: gives the motion of its solution.
-    """
-
-    planner: Planner[object, Solution]
-    motion_of: Callable[[Solution], Motion]
-
-    @property
-    def problem(self) -> object:
-        """The planner's problem."""
-        return self.planner.problem
-
-    def motion(self) -> Motion:
-        """Return the motion, whatever it breaks."""
-        return self.motion_of(self.planner.solve())
-
-    def solve(self) -> Certified:
-        """Return the motion with its certificate; raises InfeasibleError for what it breaks."""
-        return checked(self.motion())
-
-    def within(self, duration: float) -> Certified | None:
-        """Return the same if it takes no longer [s]; straight ones are estimated first.
-
-        Raises InfeasibleError for what it breaks.
-        """
-        if isinstance(self.planner, StraightMorph):
-            least = flight_estimate(self.planner.path, self.planner.requirements.limits)
-            if duration < least < math.inf:
-                return None
-        motion = self.motion()
-        return checked(motion) if motion.duration <= duration else None
-
-
-@dataclass(frozen=True, eq=False)
-class OptimisedRoute:
-    """The fastest route that the optimiser finds from one hitch to another.
-
-    Attributes
+    Parameters
     ----------
     start, end: at one altitude, both within all limits at rest.
     requirements: what the motion must satisfy.
     phase: the step's name and index, and within what tensions may change meanwhile.
     duration: exactly that long [s], or None.
     lead: also try legs that lead and lag.
+
+    Raises
+    ------
+    InfeasibleError: it takes longer than ``duration``, or breaks a limit then.
+    HitchoptError: no route was found.
     """
+    from hitchopt.planners.morph.legs import leading
+    from hitchopt.planners.optimise.search import OptimisedMorph
 
-    start: Hitch
-    end: Hitch
-    requirements: Requirements
-    phase: Phase
-    duration: float | None = None
-    lead: bool = False
+    limits = requirements.limits
+    accepted: list[tuple[Flight, Certificate]] = []
 
-    @property
-    def problem(self) -> object:
-        """The paths that the search starts from."""
-        return self._planner([]).problem
+    def motion(flight: Flight, remark: str = "") -> Motion:
+        flown = replace(phase, end=flight.duration, remark=remark)
+        return flying(flight, start.team, requirements, [flown])
 
-    def solve(self) -> Certified:
-        """Return the fastest motion that was found, flown in the step's duration."""
-        accepted: list[tuple[Flight, Certificate]] = []
-        found = self._planner(accepted).solve()
-        if not found:
-            raise HitchoptError("no route was found")
-        flight, remark = found[0].flight, f"on an optimised route, first guess {found[0].name}"
-        if self.duration is not None:
-            check_duration(self.duration, flight.duration)
-            return checked(self._motion(flight.lasting(self.duration), remark))
-        certificate = next(each for one, each in accepted if one is flight)
-        return Certified(self._motion(flight, remark), certificate)
-
-    def _planner(self, accepted: list[tuple[Flight, Certificate]]) -> OptimisedMorph:
-        """Return the search for paths; ``accepted`` takes flights that are certified."""
-        from hitchopt.planners.optimise.search import OptimisedMorph
-
-        ends = self.start, self.end
-        judge = partial(self._judged, accepted)
-        return OptimisedMorph(*ends, self.requirements, judge, self.phase.tension)
-
-    def _motion(self, flight: Flight, remark: str = "") -> Motion:
-        phase = replace(self.phase, end=flight.duration, remark=remark)
-        return flying(flight, self.start.team, self.requirements, [phase])
-
-    def _judged(self, accepted: list[tuple[Flight, Certificate]], path: ShapePath) -> Flight | None:
+    def judged(path: ShapePath) -> Flight | None:
         """Return the flight along a path, or one on which legs lead and lag, if it is certified."""
-        from hitchopt.planners.morph.legs import leading
-
-        limits = self.requirements.limits
-        led = (p for p in leading(path, limits) if legs_clear(p, self.requirements))
-        for tried in (*(led if self.lead else ()), path):
+        led = (p for p in leading(path, limits) if legs_clear(p, requirements))
+        for tried in (*(led if lead else ()), path):
             try:
                 flight = fly(tried, limits)
             except HitchoptError:
                 if tried is path:
                     raise
                 continue
-            certificate = certified(self._motion(flight)).certificate
+            certificate = certified(motion(flight)).certificate
             if certificate.certified:
                 accepted.append((flight, certificate))
                 return flight
         return None
 
+    found = OptimisedMorph(start, end, requirements, judged, phase.tension).solve()
+    if not found:
+        raise HitchoptError("no route was found")
+    flight, remark = found[0].flight, f"on an optimised route, first guess {found[0].name}"
+    if duration is not None:
+        check_duration(duration, flight.duration)
+        return checked(motion(flight.lasting(duration), remark))
+    certificate = next(each for one, each in accepted if one is flight)
+    return Certified(motion(flight, remark), certificate)
+
 
 def routed(
-    routes: Sequence[Route[Any] | OptimisedRoute], note: str, *, fastest: bool = False
+    routes: Sequence[Callable[[], Certified]],
+    note: str,
+    *,
+    fastest: bool = False,
+    before_others: Callable[[], object] = lambda: None,
 ) -> tuple[Certified, str]:
     """Return a motion that satisfies all limits, and why it is not that of the first route.
 
@@ -293,46 +220,39 @@ def routed(
     ----------
     routes: in the order in which they are tried, the step's own first.
     note: added to the refusal where more than one was tried.
-    fastest: try the last one first, and then those that may be faster.
+    fastest: try all of them, and return the fastest motion.
+    before_others: called where the first one is refused; it may raise what none can satisfy.
 
     Raises
     ------
-    InfeasibleError: none does; says what binds on the first of them.
+    InfeasibleError: none does; says what binds on the first of them. A route that only takes too
+        long is told before others, that which takes the least time first.
     HitchoptError: as the first of them, where none tells what binds.
     """
-    found: Certified | None = None
-    taken = 0
-    refusals: dict[int, HitchoptError] = {}
-    numbered = list(enumerate(routes))
-    for i, route in reversed(numbered) if fastest else numbered:
+    found: dict[int, Certified] = {}
+    refusals: list[HitchoptError] = []
+    for i, route in enumerate(routes):
         try:
-            if found is None:
-                found, taken = route.solve(), i
-            elif fastest and isinstance(route, Route):
-                faster = route.within(found.motion.duration)
-                found, taken = (faster, i) if faster else (found, taken)
+            found[i] = route()
         except TimeLimitError:
             raise
         except HitchoptError as error:
-            refusals[i] = error
-    if found is None:
-        raise _refusal([refusals[i] for i, _ in numbered], note)
-    return found, "" if taken == 0 else SHUT if 0 in refusals else FASTER
-
-
-def _refusal(refusals: Sequence[HitchoptError], note: str) -> HitchoptError:
-    """Return what is said where no route satisfies all limits.
-
-    A route that only takes too long is told before others, that which takes the least time first.
-    """
+            refusals.append(error)
+        if found and not fastest:
+            break
+        if i == 0 and refusals:
+            before_others()
+    if found:
+        best = min(found, key=lambda i: found[i].motion.duration)
+        return found[best], "" if best == 0 else SHUT if 0 not in found else FASTER
     own = refusals[0]
     told = [refusal for refusal in refusals if isinstance(refusal, InfeasibleError)]
     if not told:
-        return own
+        raise own
     first = min(told, key=_shortest)  # the first one where none has a time
     if first is not own and isinstance(own, InfeasibleError):
         note = SHUT if _shortest(own) == math.inf else SLOWER
-    return InfeasibleError(first.violations, first.note or (note if len(refusals) > 1 else ""))
+    raise InfeasibleError(first.violations, first.note or (note if len(refusals) > 1 else ""))
 
 
 def _shortest(refusal: InfeasibleError) -> float:
@@ -394,7 +314,12 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
 
 
 def worked(
-    hitch: Hitch, requirements: Requirements, seconds: float | None, phase: Phase
+    hitch: Hitch,
+    requirements: Requirements,
+    seconds: float | None,
+    phase: Phase,
+    *,
+    needed: bool = True,
 ) -> Certified:
     """Return the motion in which drones swing until the clasps' friction has lost its memory.
 
@@ -407,6 +332,7 @@ def worked(
     seconds: how long [s]; None for SWINGS of SWING, up to LONGER times as long where limits of
         motion need that.
     phase: its name, step and remark; the times are set.
+    needed: it may not be left out where limits leave no room for it.
 
     Raises
     ------
@@ -435,7 +361,12 @@ def worked(
             return judged
     if judged is None:
         return certified(remarked(rest, "no leg can lean against friction"))
-    raise infeasible(judged.certificate, judged.motion)
+    if needed:
+        raise infeasible(judged.certificate, judged.motion)
+    left = resting(hitch, requirements, IDLE, phase)
+    return certified(
+        remarked(left, "clasps keep their friction: limits leave no room to work them")
+    )
 
 
 def remarked(motion: Motion, words: str) -> Motion:

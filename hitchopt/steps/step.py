@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 DECIMALS = 9
 """Decimals of numbers in edits: far below any tolerance, and short enough to read."""
 
+IDLE = 0.01
+"""Duration [s] of a step that moves nothing and was given none."""
+
 PLAN_DURATION = "plan duration"
 """The plan's duration as a constraint, told apart from a step's, which is too short."""
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -52,7 +52,7 @@ from hitchopt.values import Array, instance
 if TYPE_CHECKING:
     from hitchopt.hitch.requirements import Requirements
     from hitchopt.motion.motion import Motion
-    from hitchopt.planners.forming.stages import Stage
+    from hitchopt.steps.certified_motions import Certified
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -159,9 +159,10 @@ class Form(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
-        from hitchopt.motion.motion import joined_motions
+        from hitchopt.motion.motion import Phase, joined_motions
         from hitchopt.planners.forming.stages import tied
         from hitchopt.steps import certified_motions as motions
+        from hitchopt.steps.route_choice import worked
 
         i, requirements = task.index, task.requirements
         wanted = self._wanted(task.before.team, requirements)
@@ -176,7 +177,9 @@ class Form(Step):
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
         if wanted.team.cable_friction > 0.0 and self.settle is not False:
-            parts.append(self._settled(wanted, task))
+            seconds = None if isinstance(self.settle, str) else self.settle
+            phase, needed = Phase("settle", i, 0.0, 0.0), seconds is not None
+            parts.append(worked(wanted, requirements, seconds, phase, needed=needed).motion)
         after = replace(
             task.before,
             drones=wanted.drones,
@@ -214,23 +217,6 @@ class Form(Step):
                 return hitch
         return spread
 
-    def _settled(self, hitch: Hitch, task: StepTask) -> Motion:
-        """Return the motion that works the clasps; at rest, where ``auto`` finds no room for it."""
-        from hitchopt.motion.motion import Phase
-        from hitchopt.steps.certified_motions import resting
-        from hitchopt.steps.moving import IDLE
-        from hitchopt.steps.route_choice import worked
-
-        phase = Phase("settle", task.index, 0.0, 0.0)
-        seconds = None if isinstance(self.settle, str) else self.settle
-        try:
-            return worked(hitch, task.requirements, seconds, phase).motion
-        except InfeasibleError:
-            if seconds is not None:
-                raise
-            remark = "clasps keep their friction: limits leave no room to work them"
-            return resting(hitch, task.requirements, IDLE, replace(phase, remark=remark))
-
     def knobs(self) -> Iterator[Knob]:
         """Yield the duration, and the swap's radius where it is larger than it needs to be."""
         yield from super().knobs()
@@ -256,15 +242,16 @@ def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
     InfeasibleError: none; says what binds on the first of them.
     """
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import staged
-    from hitchopt.steps.route_choice import Route, routed
+    from hitchopt.steps.certified_motions import checked, staged
+    from hitchopt.steps.route_choice import routed
 
     asked = task.before.team, task.before.drones, goal, task.requirements
 
-    def motion_of(stages: list[Stage]) -> Motion:
-        return staged(stages, hitch, task.index, task.requirements)
+    def flown(planner: type[DirectApproach | GatheredApproach]) -> Certified:
+        stages = planner(*asked).solve()
+        return checked(staged(stages, hitch, task.index, task.requirements))
 
-    routes = [Route(planner(*asked), motion_of) for planner in (DirectApproach, GatheredApproach)]
+    routes = [partial(flown, planner) for planner in (DirectApproach, GatheredApproach)]
     return routed(routes, "no other route to the pre-hitch was found")[0].motion
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 import hitchopt as ho
 from hitchopt.motion.motion import Motion
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 MASS, TO = 0.2, [-0.3, 0.9, 0.1]
@@ -100,6 +102,11 @@ def plan(name: str) -> ho.Plan:
     found = ho.solve(ho.problem_from_dict(problem))
     assert found.certificate.certified
     return found
+
+
+def with_contacts(motion: Motion, coefficients: Array) -> Motion:
+    """Return the motion with other contacts of its edges."""
+    return replace(motion, contacts=PiecewisePolynomial(motion.drones.breaks, coefficients))
 
 
 def lifted(motion: Motion) -> Array:

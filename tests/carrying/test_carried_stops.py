@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import RADIUS, plan
-from clock_balance import derivatives, sampled, unbalanced
-from test_gripped_drum import ratios
+from carried_plans import plan
+from clock_balance import sampled, unbalanced
 
 import hitchopt as ho
-from hitchopt.checks import support
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.checks.rule import Finding
 from hitchopt.checks.stops import CarriedInertia, ClockLimits, start_phases, stop_phases, stop_table
-from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import retimed
 from hitchopt.objects import SolidObject
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.values import Array
 
@@ -92,81 +86,6 @@ def test_checks_hold_of_the_plan_on_clocks_that_are_kept(kind: str) -> None:
 def replaced(body: SolidObject, **changes: Any) -> SolidObject:
     names = ("section", "lower", "upper", "mass", "friction", "at", "yaw", "rim", "fixed")
     return SolidObject(**{name: getattr(body, name) for name in names} | changes)
-
-
-def rubbed(motion: Motion, friction: float) -> Motion:
-    """The motion with another friction of what is carried."""
-    objects = dict(motion.requirements.objects)
-    name, body = next(iter(objects.items()))
-    objects[name] = replaced(body, friction=friction)
-    return replace(motion, requirements=replace(motion.requirements, objects=objects))
-
-
-def on_clock(part: PiecewisePolynomial, jets: Array) -> Array:
-    """Second derivatives by time (samples, *shape) on a clock."""
-    first, second = derivatives(part, jets[:, 0], 2)
-    s, a = jets[:, 1, None, None], jets[:, 2, None, None]
-    found: Array = s**2 * second + a * first
-    return found
-
-
-def sliding(motion: Motion, jets: Array) -> float:
-    """The friction that carries the rim along, over what there is."""
-    a = on_clock(motion.vertices, jets)
-    needed = np.linalg.norm(a[..., :2], axis=-1) / (GRAVITY + a[..., 2])
-    return float(np.max(needed)) / 0.032
-
-
-def tipping(motion: Motion, jets: Array) -> float:
-    """How far the force line moves from where it is at the plan's own rate, over 4 mm."""
-    own = np.column_stack([jets[:, 0], np.ones(len(jets)), np.zeros((len(jets), 2))])
-    lines = []
-    for each in (jets, own):
-        a = on_clock(motion.object_poses, each)[:, 0]
-        lines.append(0.1 * a[:, :2] / (GRAVITY + a[:, 2:3]))  # its centre is so far below the rim
-    return float(np.max(np.linalg.norm(lines[0] - lines[1], axis=-1))) / 0.004
-
-
-def slipping(motion: Motion, jets: Array) -> float:
-    """The least ratio of slip load to load that there has to be, over that there is."""
-    a = on_clock(motion.object_poses, jets)[:, 0]
-    own = motion.object_poses.differentiated(2).at(jets[:, 0])[:, 0]
-    load = GRAVITY + a[:, 2] + RADIUS * np.linalg.norm(a[:, 3:], axis=-1)
-    slip = ratios(motion, jets[:, 0]) * (GRAVITY + own[:, 2])
-    return float(np.max(1.5 * load / slip))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kind", "friction", "items", "measure"),
-    [
-        ("tray", 0.032, slice(3, 6), sliding),
-        ("tray", 0.5, slice(6, 7), tipping),
-        ("drum", 0.402, slice(1, 2), slipping),
-    ],
-)
-def test_friction_the_force_line_and_grip_bind_by_themselves(
-    kind: str,
-    friction: float,
-    items: slice,
-    measure: Callable[[Motion, Array], float],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    finder = replace(support.SUPPORT.finders[0], find=lambda *_: Finding(0.004, 0.0))
-    monkeypatch.setattr(support, "SUPPORT", replace(support.SUPPORT, finders=(finder,)))
-    motion = rubbed(plan(kind).motion, friction)
-    inertia = CarriedInertia.of(motion)
-    assert inertia is not None
-    own = inertia.slack[:, items].copy()
-    inertia.slack[:] = np.inf
-    inertia.slack[:, items] = own
-    found: dict[bool, list[float]] = {True: [], False: []}
-    for start, duration in zip(*random_stops(motion, 2, 150), strict=True):
-        clock = stop_phases(np.array([start]), np.array([duration]))
-        found[kept(inertia, clock)].append(measure(motion, sampled(clock)))
-    assert max(found[True]) <= 1.0
-    assert max(found[True]) > 0.7
-    assert max(found[False]) > 1.0
 
 
 def pausing(plan: ho.Plan, time: float) -> tuple[Player, float]:

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problem_cases import TEMPLATE, hitch_start, triangle
+from problem_cases import hitch_start, triangle
 
 from hitchopt.errors import MAX_LISTED, HitchoptError, InputError, JointInputError
 from hitchopt.geometry import ConvexArc, ConvexPolygon
-from hitchopt.mission.loading import load_problem, problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.steps import (
     Adjust,
@@ -137,33 +137,6 @@ def test_defaults_are_those_of_the_interface() -> None:
         "crossing": 0.05,
         "object": 0.035,
     }
-
-
-def test_the_templates_commented_values_are_the_defaults() -> None:
-    text = TEMPLATE.read_text(encoding="utf-8")
-    lines = []
-    for line in text.splitlines():
-        bare = line.replace("# ", "", 1)
-        section = line.startswith(("# limits:", "# separation:", "#   "))
-        lines.append(bare if section or (line.startswith("  # ") and ": " in bare[:18]) else line)
-    shown = read_yaml_text("\n".join(lines))
-    team = shown["team"]
-    assert set(team) >= {"topology", "cable_density", "cable_friction", "tension", "quadrotor"}
-    assert set(shown["limits"]) >= {"speed", "jerk", "tilt_deg", "duration"}
-    with_defaults = problem_from_dict(shown)
-    without = load_problem(TEMPLATE)
-    assert with_defaults.limits == without.limits
-    assert with_defaults.separation == without.separation
-    for a, b in zip(arrays_of(with_defaults), arrays_of(without), strict=True):
-        assert np.array_equal(a, b)
-
-
-def read_yaml_text(text: str) -> dict[str, Any]:
-    from hitchopt.storage.yaml_file import parse_yaml
-
-    data: Any = parse_yaml(text)
-    assert isinstance(data, dict)
-    return dict(data)
 
 
 def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> None:

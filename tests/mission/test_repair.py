@@ -29,6 +29,9 @@ SMALLEST = {
     "above_the_arena": "arena.upper[2]",
     "star_tip": "mission[0].morph.legs",
     "form_starts_overlap": "start.drones",
+    "form_cable_too_short": "mission[0].form.swap.radius",
+    "form_ceiling_too_low": "arena.upper[2]",
+    "form_start_overstretched": "start.drones",
 }
 
 PATIENCE = 600.0

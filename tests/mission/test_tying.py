@@ -278,15 +278,6 @@ def test_nobody_flies_below_the_ground(low: str) -> None:
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stem", ["cable_too_short", "ceiling_too_low", "start_overstretched"])
-def test_what_cannot_be_formed_is_told_with_what_would_mend_it(stem: str) -> None:
-    problem = load_problem(PROBLEMS / "infeasible" / f"form_{stem}.yaml")
-    found = ho.suggestions(problem, budget=300.0)  # seconds, were the machine not busy
-    assert found
-    assert ho.solve(found[0].change.problem).certificate.certified
-
-
 def formed_legs(plan: ho.Plan) -> Array:
     """(n, 2) [m]: of the hitch at the end of the plan."""
     legs: Array = plan.at(plan.duration).legs

@@ -12,7 +12,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding.grip import GripTask, best_grip, largest_tension
 from hitchopt.objects import SolidObject
-from hitchopt.planners.carrying.rest import HoldPolygons
+from hitchopt.planners.carrying.rest import STRETCHES, HoldPolygons
 from hitchopt.values import Array
 
 SEARCHED = 0.9
@@ -64,7 +64,7 @@ def grip_polygons(
     except InfeasibleError as error:
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
-    return HoldPolygons.with_short_edges(closed, body.centre_of_mass[:2], (body.section,), gap)
+    return HoldPolygons.about(closed, body.centre_of_mass[:2], (body.section,), gap, STRETCHES)
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:

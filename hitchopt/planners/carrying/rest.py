@@ -264,8 +264,9 @@ def _shapes(robots: int) -> Array:
     return found
 
 
-STRETCHES = np.geomspace(0.25, 4.0, 81)
-"""Proportions that are tried for a polygon around an object, over those with which it is held."""
+ALIKE, STRETCHES = np.ones(1), np.geomspace(0.25, 4.0, 81)
+"""Proportions of a polygon around an object that rests on it, and those that are tried around one
+that is gripped, over those with which it is held."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,34 +284,27 @@ class HoldPolygons:
 
     @classmethod
     def about(
-        cls, closed: Array, centre: Array, sections: tuple[Section, ...], gap: float
+        cls,
+        closed: Array,
+        centre: Array,
+        sections: tuple[Section, ...],
+        gap: float,
+        stretches: Array = ALIKE,
     ) -> HoldPolygons:
-        """Return a polygon and the one of its shape about a centre that keeps off sections.
-
-        Parameters
-        ----------
-        closed: (n, 2) [m], clockwise, the centre (2,) [m] inside of it.
-        gap: between edges and sections [m].
-        """
-        around = centre + _off(closed - centre, centre, sections, gap)
-        return cls(ConvexPolygon(around).vertices, ConvexPolygon(closed).vertices)
-
-    @classmethod
-    def with_short_edges(
-        cls, closed: Array, centre: Array, sections: tuple[Section, ...], gap: float
-    ) -> HoldPolygons:
-        """Return a polygon and a stretched one that keeps off sections: of short edges.
+        """Return a polygon and the one about a centre, stretched, that keeps off sections.
 
         Of the stretches along the polygon's axes the one whose longest edge is the shortest leaves
         the most cable to legs, which keeps drones apart.
 
         Parameters
         ----------
-        closed, centre, sections, gap: as of ``about``.
+        closed: (n, 2) [m], clockwise, the centre (2,) [m] inside of it.
+        gap: between edges and sections [m].
+        stretches: proportions that are tried, over the polygon's own.
         """
         away = closed - centre
         axes = np.linalg.eigh(away.T @ away)[1]
-        stretch = np.stack([np.sqrt(STRETCHES), 1.0 / np.sqrt(STRETCHES)], axis=-1)
+        stretch = np.stack([np.sqrt(stretches), 1.0 / np.sqrt(stretches)], axis=-1)
         found = [_off(away @ (axes * each) @ axes.T, centre, sections, gap) for each in stretch]
         around = min(found, key=lambda each: float(np.max(length(np.roll(each, -1, 0) - each))))
         return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(closed).vertices)

@@ -1,7 +1,8 @@
-"""A tray carried by three robots: what the certificate says against samples and force balances."""
+"""Objects on clasps: what the certificate says against samples and force balances; flat trays."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,16 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.exports.exporting import export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.hitch import cable_slack
 from hitchopt.live.abort import Aborts
+from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import Hold, HoldBy, Motion
+from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_frame
-from hitchopt.planners.carrying.rest import GENTLE
+from hitchopt.planners.carrying.rest import GENTLE, STRETCHES, HeldHitch, HoldPolygons
+from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 
 @pytest.fixture(scope="module")
@@ -112,27 +118,6 @@ def test_the_rim_lies_on_straight_legs(motion: Motion) -> None:
     heights = start[..., 2] + (np.sqrt(b**2 - a * c) - b) / a * along[..., 2]
     np.testing.assert_allclose(heights, 0.25, atol=2e-3)
     assert np.max(start[..., 2]) < 0.25 - 0.01
-
-
-def test_cables_that_run_level_below_the_rim_are_as_long_as_they_are(motion: Motion) -> None:
-    """Legs run level from the clasp to the rim's edge and rise there; straight ones are longer."""
-    t, layout = lifted(motion), motion.team.layout
-    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
-    t = t[pushed < 0.01]
-    poses = motion.object_poses.at(t)[:, None, 0]
-    clasps = in_frame(poses, motion.vertices.at(t))
-    clasps[..., 2] = 0.25
-    start, end = clasps[:, layout.anchors], in_frame(poses, motion.drones.at(t))
-    along = (end - start)[..., :2]
-    along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    inward = np.sum(start[..., :2] * along, axis=-1)
-    level = np.sqrt(inward**2 - np.sum(start[..., :2] ** 2, axis=-1) + 0.3**2) - inward
-    bend = start.copy()
-    bend[..., :2] += level[..., None] * along
-    legs = level + np.linalg.norm(end - bend, axis=-1)
-    edges = np.linalg.norm(layout.edges(clasps), axis=-1)
-    lengths = legs[:, 0::2] + edges + legs[:, 1::2]
-    np.testing.assert_allclose(lengths, 2.2, atol=1e-3)
 
 
 def test_what_rests_on_clasps_is_carried_gently(motion: Motion) -> None:
@@ -253,41 +238,163 @@ def test_equilibrium_counts_what_is_carried(motion: Motion) -> None:
     assert not check.holds
 
 
-@pytest.mark.slow
-def test_six_hold_a_tray_by_rolled_legs_that_cross() -> None:
-    """Legs of one cable pass each other; with a load they would touch at the least roll."""
-    x, y = 0.3, -0.2
-    angles = -2.0 * np.pi * np.arange(6) / 6
-    polygon = np.column_stack([x + 0.45 * np.cos(angles), y + 0.45 * np.sin(angles)])
-    body = {"circle": 0.1, "to": 0.3, "mass": MASS, "rim": {"circle": 0.3, "at": 0.25}}
-    steps = ("enclose", "grasp", "set_down", "loosen", "leave")
-    mission: list[dict[str, Any]] = [{name: {"object": "tray"}} for name in steps]
-    mission.insert(2, {"lift": {"by": 0.1}})
-    problem = {
-        "team": {"robots": 6, "cable_length": 1.4, "tension": 1.0, "cable_density": 0.01},
-        "limits": {"tilt_deg": 60},
-        "objects": {"tray": {**body, "at": [x, y, 0.0]}},
-        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 0.8}},
-        "mission": mission,
-    }
-    found = ho.solve(ho.problem_from_dict(problem))
-    assert found.certificate.certified
-    t = lifted(found.motion)
-    p, drones = found.motion.vertices.at(t), found.motion.drones.at(t)
-    legs = drones - p[:, found.motion.team.layout.anchors]
-    rise = legs[..., 2] / np.linalg.norm(legs, axis=-1)
-    assert np.all(np.abs(rise[:, 0::2] - rise[:, 1::2]) > 0.05)
-    shares = np.linspace(0.0, 1.0, 201)[:, None]
-    for k in range(6):
-        one = p[150, k] + shares * legs[150, 2 * k]
-        other = p[150, (k + 1) % 6] + shares * legs[150, 2 * k + 1]
-        gaps = np.linalg.norm(one[:, None] - other[None], axis=-1)
-        assert np.min(gaps) > 0.05
-
-
 def test_a_plan_with_a_load_is_not_stretched_far(motion: Motion, tmp_path: Path) -> None:
     options = ExportOptions(format="csv", stretch=2.0)
     with pytest.raises(ho.InfeasibleError, match="inertia of what is carried") as caught:
         export_motion(motion, "tray", options, tmp_path / "out")
     assert caught.value.violations[0].constraint == "equilibrium"
     assert not (tmp_path / "out").exists()
+
+
+FILE = Path(__file__).parents[2] / "problems" / "carry_tray.yaml"
+
+
+def on_a_pillar(**objects: Any) -> dict[str, Any]:
+    """Return the problem of the collection with some keys of its objects changed."""
+    given: Any = parse_yaml(FILE.read_text(), FILE.name)
+    for name, keys in objects.items():
+        given["objects"][name] |= keys
+    return given  # type: ignore[no-any-return]
+
+
+@pytest.fixture(scope="module")
+def flat() -> ho.Plan:
+    return ho.solve(FILE)
+
+
+def test_a_flat_tray_is_carried_from_below(flat: ho.Plan) -> None:
+    assert flat.certificate.certified
+    motion = flat.motion
+    names = list(motion.requirements.objects)
+    lift = next(phase for phase in motion.phases if phase.name == "carry")
+    times = np.linspace(lift.start, lift.end, 40)
+    there = flat.at(times)
+    underside = there.object_poses[:, names.index("tray"), 2]
+    assert np.all(there.vertices[..., 2] <= underside[:, None] + 1e-6)
+    level = there.vertices[..., :2] - there.object_poses[:, None, names.index("tray"), :2]
+    assert np.all(np.linalg.norm(level, axis=-1) < 0.33)
+    end = flat.at(flat.duration).object_poses[names.index("tray"), :3]
+    assert end == pytest.approx([0.2, 1.8, 0.5], abs=1e-6)
+
+
+def test_cables_keep_off_the_pillar(flat: ho.Plan) -> None:
+    """By samples of edges, the pillar standing upright: level distances to its axis."""
+    grasp, lift = (
+        next(phase for phase in flat.phases if phase.name == name) for name in ("grasp", "lift")
+    )
+    vertices = flat.at(np.linspace(grasp.start, lift.start + 2.0, 200)).vertices
+    starts, along = vertices[..., :2], np.roll(vertices, -1, axis=1)[..., :2] - vertices[..., :2]
+    to = np.array([1.5, 0.0]) - starts
+    share = np.clip(np.sum(to * along, -1) / np.sum(along * along, -1), 0.0, 1.0)
+    apart = np.linalg.norm(to - share[..., None] * along, axis=-1) - 0.06
+    worst = flat.certificate["object_clearance"].worst
+    assert worst is not None
+    assert float(np.min(apart)) >= worst - 1e-9
+    assert worst >= 0.035
+
+
+@pytest.mark.parametrize(
+    ("name", "radius"), [("pillar", 0.3), pytest.param("stand", 0.31, marks=pytest.mark.slow)]
+)
+def test_what_is_in_the_way_is_refused_by_its_name(name: str, radius: float) -> None:
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.solve(any_problem_from_dict(on_a_pillar(**{name: {"circle": radius}})))
+    broken = caught.value.violations[0]
+    assert broken.constraint == "object_clearance"
+    assert name in broken.where
+    assert (broken.value, broken.limit) == (0.0, 0.035)
+
+
+@pytest.mark.parametrize("height", [-0.01, 0.06])
+def test_a_rim_is_on_its_body(height: float) -> None:
+    rim = ho.Rim(ho.Section(radius=0.33), height)
+    with pytest.raises(ho.InputError, match=r"from the body's floor, 0 m, to its ceiling, 0\.05 m"):
+        ho.SolidObject(ho.Section(radius=0.33), 0.0, 0.05, rim=rim)
+
+
+GAP = 0.08
+BOX = ho.Section(outline=np.array([[-0.2, -0.15], [-0.2, 0.15], [0.2, 0.15], [0.2, -0.15]]))
+DISC = ho.Section(radius=0.2)
+CENTRE = np.zeros(2)
+
+
+def ring(n: int, x: float, y: float, turn: float = 0.0) -> Array:
+    """Return a clockwise polygon (n, 2) [m] on an ellipse."""
+    angles = turn - 2.0 * np.pi * np.arange(n) / n
+    return np.column_stack([x * np.cos(angles), y * np.sin(angles)])
+
+
+def edge_lengths(polygon: Array) -> Array:
+    lengths: Array = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
+    return lengths
+
+
+@pytest.mark.parametrize(
+    ("section", "closed"),
+    [(BOX, ring(4, 0.356, 0.171)), (DISC, ring(3, 0.22, 0.22)), (BOX, ring(3, 0.4, 0.45, 0.3))],
+)
+def test_edges_around_keep_off_and_are_short(section: ho.Section, closed: Array) -> None:
+    sections = (section,)
+    short = HoldPolygons.about(closed, CENTRE, sections, GAP, STRETCHES).around
+    alike = HoldPolygons.about(closed, CENTRE, sections, GAP).around
+    for around in (short, alike):
+        gaps = section.segment_distance(around, np.roll(around, -1, axis=0))
+        assert np.min(gaps) == pytest.approx(GAP, abs=1e-9)
+    assert np.max(edge_lengths(short)) <= np.max(edge_lengths(alike)) * (1.0 + 1e-12)
+
+
+@pytest.mark.slow
+def test_a_flat_grip_has_a_nearly_square_hitch_around_it() -> None:
+    """The shortest rhombus around a box, by a search over its half diagonals a and b.
+
+    Its edges are ``GAP`` from the corners where ``a b - x b - y a = GAP hypot(a, b)``.
+    """
+    closed = ring(4, 0.356, 0.171)
+    found = HoldPolygons.about(closed, CENTRE, (BOX,), GAP, STRETCHES).around
+    a = np.linspace(0.3, 0.9, 6001)
+    b = np.linspace(0.2, 0.9, 7001)[:, None]
+    off = (a * b - 0.2 * b - 0.15 * a) / np.hypot(a, b)
+    shortest = float(np.min(np.hypot(a, b), where=off >= GAP, initial=math.inf))
+    assert np.max(edge_lengths(found)) == pytest.approx(shortest, rel=2e-3)
+    assert np.max(edge_lengths(HoldPolygons.about(closed, CENTRE, (BOX,), GAP).around)) > 0.77
+
+
+def below_a_rim(roll: float) -> tuple[HeldHitch, ho.Hitch]:
+    """Return a hitch of six below a rim, and the one that it closes from."""
+    team = ho.Team(robots=6, cable_length=1.4, tension=1.0, cable_density=0.01)
+    polygon = ring(6, 0.26, 0.26)
+    legs = 0.4 * cable_slack(team, ho.ConvexPolygon(polygon))
+    hitch = ho.Hitch(team, polygon, 0.25, legs, roll)
+    rim = ho.Rim(ho.Section(radius=0.3), 0.25)
+    tray = SolidObject(ho.Section(radius=0.1), 0.0, 0.3, 0.2, rim=rim)
+    places = np.column_stack([polygon, np.full(6, 0.25)])
+    return HeldHitch(team, tray, places, hitch.fractions, hitch.roll), hitch
+
+
+@pytest.mark.parametrize("roll", [0.0, 0.15, -0.2])
+def test_legs_below_a_rim_are_those_that_they_were_before(roll: float) -> None:
+    held, hitch = below_a_rim(roll)
+    drones, _ = held.drones(held.team.tension, np.zeros((6, 3)))
+    np.testing.assert_allclose(drones, hitch.drones, atol=1e-9)
+
+
+@pytest.mark.parametrize("taken", [None, 0.03, 0.1])
+@pytest.mark.parametrize("roll", [0.0, 0.15, -0.2])
+def test_rolled_legs_carry_what_lies_on_clasps(roll: float, taken: float | None) -> None:
+    """Legs and edges balance the weight at every clasp; directions from the drones alone.
+
+    A rim takes a share of what edges pull with, and nothing of what legs do.
+    """
+    held, _ = below_a_rim(roll)
+    light = ho.Team(robots=6, cable_length=1.4, tension=1.0)
+    held = HeldHitch(light, held.body, held.places, held.fractions, held.roll)
+    weight = np.array([0.0, 0.0, -0.2 * 9.81 / 6.0])
+    share = None if taken is None else np.array(taken)
+    drones, _ = held.drones(light.tension, np.tile(weight, (6, 1)), share)
+    q = drones[0::2] - held.places
+    r = np.roll(drones[1::2], 1, axis=0) - held.places
+    onward = np.roll(held.places, -1, axis=0) - held.places
+    pulls = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in (q, r, onward)]
+    pulls[2] *= 1.0 - (taken or 0.0)
+    force = pulls[0] + pulls[1] + pulls[2] - np.roll(pulls[2], 1, axis=0)
+    np.testing.assert_allclose(force + weight, 0.0, atol=1e-9)

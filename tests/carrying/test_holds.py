@@ -1,0 +1,255 @@
+"""Holds near their limits: what is planned all the same, and what refusals of others say."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import carried_plans as plans
+import numpy as np
+import pytest
+from problem_edits import edited
+
+import hitchopt as ho
+from hitchopt.checks.clearance import OBJECT_CLEARANCE
+from hitchopt.objects.placing import footing
+from hitchopt.planners.carrying.moves import SmoothLaw
+
+
+def hold(
+    body: dict[str, Any], robots: int, length: float, *, radius: float = 0.45, **keys: Any
+) -> dict[str, Any]:
+    """Return the problem of moving a body with cables of a length [m]; keys of team and step."""
+    angles = 0.3 - 2.0 * np.pi * np.arange(robots) / robots
+    polygon = np.array([0.4, -0.3]) + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    step = {name: keys.pop(name) for name in ("tension", "yaw_deg") if name in keys}
+    team = {"robots": robots, "cable_length": length, "tension": 1.0, "cable_density": 0.01}
+    return {
+        "team": team | keys,
+        "limits": {"tilt_deg": 60},
+        "objects": {"body": {"at": [0.4, -0.3, 0.0], **body}},
+        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.0}},
+        "mission": [{"transport_object": {"object": "body", "to": [0.4, 0.7, 0.0], **step}}],
+    }
+
+
+def tray(robots: int, mass: float, length: float, **keys: Any) -> dict[str, Any]:
+    rim = {"circle": 0.3, "at": keys.pop("at", 0.25)}
+    return hold({"circle": 0.08, "to": 0.3, "mass": mass, "rim": rim}, robots, length, **keys)
+
+
+def solved(problem: dict[str, Any]) -> ho.Plan:
+    return ho.solve(ho.problem_from_dict(problem))
+
+
+def refusal(problem: dict[str, Any]) -> ho.InfeasibleError:
+    with pytest.raises(ho.InfeasibleError) as caught:
+        solved(problem)
+    return caught.value
+
+
+DRUM = {"circle": 0.2, "mass": 0.114, "friction": 0.5}
+TILTED = tray(3, 0.3, 2.04, radius=0.5) | {"limits": {"tilt_deg": 45}}
+TILTED["team"] |= {"tension": 1.29, "cable_density": 0.0}
+HALF, DEPTH = 0.18, 0.1789254703500502
+SQUARE = [[-HALF, -DEPTH], [HALF, -DEPTH], [HALF, DEPTH], [-HALF, DEPTH]]
+BOX = {"outline": SQUARE, "mass": 0.088, "friction": 0.67}
+PLANNED: dict[str, tuple[dict[str, Any], str, float, float]] = {
+    "legs are rolled before a hitch gets small": (
+        tray(6, 0.2, 1.8, radius=0.5), "crossing", 0.05, 1.0,
+    ),
+    "inertia does not bring legs together": (tray(5, 0.4, 2.2), "crossing", 0.05, 1.0),
+    "weight passes as slowly as drones need": (tray(4, 0.5, 2.2), "equilibrium", 0.0, 0.005),
+    "clasps rise as slowly as tilt needs": (TILTED, "tilt", 44.8, 45.0),
+    "cables keep off the ground": (tray(4, 0.2, 2.2, at=0.08), "object_clearance", 0.035, 1.0),
+    "a grip that hardly holds is moved gently": (
+        hold(DRUM, 3, 1.6, radius=0.56, tension=1.3, cable_friction=0.15, cable_density=0.0),
+        "grip", 1.5, 1.52,
+    ),
+    "clasps that turn easily are carried gently": (
+        hold(BOX, 3, 2.15, tension=1.3, cable_density=0.0), "equilibrium", 0.0, 0.005,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PLANNED)
+def test_holds_near_a_limit_are_planned(name: str) -> None:
+    problem, check, least, most = PLANNED[name]
+    worst = solved(problem).certificate[check].worst
+    assert worst is not None
+    assert least <= worst <= most
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("problem", "binding"),
+    [
+        (tray(3, 0.35, 2.2, tension=1.0), "load"),
+        (tray(5, 0.8, 2.2, tension=1.0), "load"),
+        (hold(DRUM, 3, 1.6, radius=0.56, tension=1.0, cable_friction=0.15), "grip"),
+    ],
+)
+def test_a_refused_hold_names_a_mass_and_a_tension_that_are_planned(
+    problem: dict[str, Any], binding: str
+) -> None:
+    violation = refusal(problem).violations[0]
+    assert violation.constraint == binding
+    lighter = re.search(r"objects\.body\.mass to ([\d.]+) kg", violation.remedy)
+    assert lighter
+    body = problem["objects"]["body"]
+    assert 0.5 * body["mass"] < float(lighter[1]) < body["mass"]
+    solved(problem | {"objects": {"body": body | {"mass": float(lighter[1])}}})
+    other = re.search(r"tension of ([\d.]+) N", violation.remedy)
+    assert other
+    step = problem["mission"][0]["transport_object"] | {"tension": float(other[1])}
+    solved(problem | {"mission": [{"transport_object": step}]})
+
+
+@pytest.mark.slow
+def test_what_is_suggested_for_a_refused_hold_is_planned() -> None:
+    given = tray(3, 0.35, 2.2, tension=1.0)
+    found = ho.suggestions(ho.problem_from_dict(given), 600.0)
+    assert "objects.body.mass" in {suggestion.change.key for suggestion in found}
+    for suggestion in found:
+        solved(edited(given, suggestion.change.edits))
+
+
+def steps_of(problem: dict[str, Any], *steps: dict[str, Any]) -> dict[str, Any]:
+    return {**problem, "mission": list(steps)}
+
+
+ENCLOSED, LEFT = {"enclose": {"object": "tray"}}, {"leave": {"object": "tray"}}
+ENCLOSED_DRUM = {"enclose": {"object": "drum"}}
+ON_TOP = plans.tray()
+ON_TOP["objects"]["cup"] = {"circle": 0.03, "to": 0.1, "mass": 0.02, "at": [1.1, 0.2, 0.3]}
+HIGH = plans.tray()
+HIGH["mission"][0]["transport_object"]["by"] = 0.6
+TENSE = plans.tray() | {"limits": {}}
+TENSE["mission"][0]["transport_object"]["tension"] = 1.6
+RIMMED = plans.drum(circle=0.1, rim={"circle": 0.25, "at": 0.25})
+# Six straight parts with 1.3 N each lift 7.8 N at most, were they upright.
+LOADED = plans.drum(mass=0.82, friction=20.0)
+LOADED["limits"]["tilt_deg"] = 70
+LOADED["team"] |= {"cable_length": 2.15, "cable_friction": 0.0, "cable_density": 0.0}
+LOW = plans.tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.53]}}
+LOW["start"]["hitch"]["altitude"] = 0.5
+SMALL = plans.drum()
+SMALL["start"]["hitch"]["polygon"] = [[1.7, 0.2], [1.1, -0.1464], [1.1, 0.5464]]
+SMALL["team"] |= {"cable_friction": 0.15, "cable_density": 0.0}
+EDGE = tray(4, 0.2, 2.2)
+EDGE["objects"]["table"] = {"circle": 0.3, "to": 0.1, "fixed": True, "at": [0.685, 0.7, 0.0]}
+EDGE["mission"][0]["transport_object"]["to"] = [0.4, 0.7, 0.1]
+CRATE, TRAY = ([[-half, -half], [half, -half], [half, half], [-half, half]] for half in (0.25, 0.3))
+NARROW = {"outline": CRATE, "rim": {"outline": TRAY, "at": 0.2}}
+REFUSED: list[tuple[dict[str, Any], str, str]] = [
+    (plans.tray(mass=0.6), "load", r"lower objects.tray.mass to 0\."),
+    (plans.tray(rim={"circle": 0.12, "at": 0.25}), "support", "give objects.tray a wider rim"),
+    (hold(NARROW, 6, 2.2), "support", "hitchopt fit"),
+    (tray(4, 0.2, 2.2, at=0.07), "object_clearance", "stand it on something"),
+    (TENSE, "tilt", "limits.tilt_deg"),
+    (
+        plans.tray(rim={"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}),
+        "objects.tray.rim", "",
+    ),
+    (plans.tray(friction=0.0), "objects.tray.friction", "takes it along"),
+    (ON_TOP, "objects.cup.at", "carry objects.cup away"),
+    (HIGH, "mission[0].transport_object.by", r"a height belongs to lift: 0\.6"),
+    (EDGE, "mission[0]", "farther in"),
+    (steps_of(LOW, ENCLOSED), "arena", r"at the end of step 0 \(enclose\)"),
+    (steps_of(SMALL, ENCLOSED_DRUM), "equilibrium", r"as large as around objects\.drum, 0\.5\d? m"),
+    (
+        steps_of(plans.tray(), {"lift": {"by": 0.2}}),
+        "mission[0].lift", "must be one holding an object that stands",
+    ),
+    (
+        steps_of(plans.tray(), {"enclose": {"object": "tr"}}),
+        "mission[0].enclose.object", "must be one of objects: tray, table",
+    ),
+    (
+        steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),
+        "mission[2].move_vertex", "morph before",
+    ),
+    (
+        steps_of(plans.tray(), {"enclose": {"object": "table"}}),
+        "objects.table.fixed", "false where it is held",
+    ),
+    (
+        steps_of(plans.tray(), {"grasp": {"object": "tray", "tension": -1}}),
+        "mission[0].grasp.tension", "greater than",
+    ),
+    ({**plans.drum(), "limits": {}}, "tilt", "need limits.tilt_deg of 51, above 45.*1.29 N or"),
+    (plans.drum(mass=0.13), "grip", r"objects.drum.mass to 0\.1.*a tension of 1\."),
+    (
+        steps_of(RIMMED, ENCLOSED_DRUM, {"grasp": {"object": "drum", "by": "grip"}}),
+        "mission[1].grasp.by", "rest where the object has a rim",
+    ),
+    (
+        steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}),
+        "objects.drum.rim", "grasp it by: grip",
+    ),
+    (LOADED, "equilibrium", "objects.drum.mass to"),
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("problem", "name", "words"), REFUSED)
+def test_what_cannot_be_held_is_refused_with_what_to_change(
+    problem: dict[str, Any], name: str, words: str
+) -> None:
+    """By the key of the file, or by the limit that binds."""
+    with pytest.raises(ho.HitchoptError) as caught:
+        solved(problem)
+    error = caught.value
+    if isinstance(error, ho.InfeasibleError):
+        assert name in {violation.constraint for violation in error.violations}
+    else:
+        assert isinstance(error, ho.InputError)
+        assert error.key == name
+    assert re.search(words, str(error)), str(error)
+
+
+def test_bends_of_edges_below_the_ground_count() -> None:
+    motion = plans.plan("drum").motion
+    assert motion.contacts is not None
+    lowered = motion.contacts.coefficients.copy()
+    lowered[:, 1, 0, 2] = -0.3
+    found = OBJECT_CLEARANCE.check(plans.with_contacts(motion, lowered))
+    assert found is not None
+    assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
+
+
+@pytest.mark.parametrize("away", [0.0, 1.0, 5.0, -300.0])
+def test_how_wide_an_object_stands_does_not_depend_on_its_origin(away: float) -> None:
+    square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) + away
+    post = ho.SolidObject(ho.Section(radius=0.06), 0.0, 0.5, fixed=True)
+    box = ho.SolidObject(ho.Section(square), at=[-away, -away, 0.5])
+    assert footing({"post": post, "box": box}, "box") == pytest.approx(0.06, abs=0.003)
+    thin = ho.SolidObject(ho.Section(radius=1e-4), 0.0, 0.5, at=[1e-3, 5e-4, 0.0], fixed=True)
+    assert footing({"post": thin, "box": box}, "box") <= 0.002
+    assert footing({"box": box}, "box") == np.inf
+
+
+@pytest.mark.parametrize("limits", [(0.5, 1.0, 20.0), (5.0, 1.0, 20.0), (0.1, 3.0, 0.5)])
+def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, float]) -> None:
+    law = SmoothLaw.fastest(*limits)
+    t = np.linspace(0.0, law.duration, 20_001)
+    share, speed, change = law.jet(t).T
+    assert share[0] == 0.0
+    assert share[-1] == pytest.approx(1.0)
+    assert np.all(np.diff(share) >= -1e-13)
+    np.testing.assert_allclose(np.gradient(share, t)[1:-1], speed[1:-1], atol=1e-6)
+    np.testing.assert_allclose(np.gradient(speed, t)[1:-1], change[1:-1], atol=1e-4)
+    jerk = np.gradient(change, t)
+    used = np.array([np.max(np.abs(each)) for each in (speed, change, jerk)]) / limits
+    assert np.max(used) == pytest.approx(1.0, rel=2e-3)
+    assert np.all(jerk[[0, -1]] < 1e-3 * np.max(jerk))
+
+
+def test_a_slower_law_takes_longer() -> None:
+    law = SmoothLaw.fastest(0.5, 1.0, 20.0)
+    assert law.slowed(2.0).duration == pytest.approx(2.0 * law.duration)
+    breaks = law.breaks(0.3)
+    assert np.all(np.diff(breaks) > 0.0)
+    assert breaks[0] == 0.0
+    assert breaks[-1] == law.duration
