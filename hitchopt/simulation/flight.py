@@ -252,7 +252,14 @@ class _Run:
         self._world = world
         self._motors = Motors(world, team.max_thrust, settings.lag)
         self._loads = HungLoads(world, team) if np.any(team.load) else None
-        self._recorder = _Recorder(world, task, self._motors)
+        self._contacts = ClaspContacts(world, team)
+        self._objects = ObjectContacts(world, task.cargo)
+        self._starts = np.searchsorted(world.edge_cables, np.arange(team.robots))
+        self._peaks: Array = np.zeros(team.robots)
+        self._searched = self._framed = -np.inf
+        self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
+        self._rows: list[tuple[NDArray[Any], ...]] = []
+        self._touches: dict[tuple[str, str], Touch] = {}
         self._least_bearing = least_bearing(task)
         self._gains = PositionGains.of(team, settings)
         self._feedback = None
@@ -287,7 +294,8 @@ class _Run:
             self._damping = DAMPING * (1.0 - share)
             self._step(time, 0, share if formed else 1.0, (1.0 - share) * loose)
         world.model.flex_friction[:] = friction
-        self._recorder.clear()
+        self._contacts.collect()
+        self._peaks[:] = 0.0
         self._sample(0.0, 0)
         current = 0
         for time in self._times(0.0, end):
@@ -367,7 +375,7 @@ class _Run:
         check_valid(world, time)
         if self._feedback is not None and time >= 0.0:
             self._feedback.observe(time + self._period, self._least_bearing[index])
-        self._recorder.observe(time, index)
+        self._observe(time, index)
 
     def _outward_pulls(self, index: int) -> Array:
         """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch.
@@ -381,23 +389,51 @@ class _Run:
             pulls[:, 2] = 0.0
         return pulls
 
+    def _observe(self, time: float, index: int) -> None:
+        """Update peaks, contacts and shapes after a step, in which sample ``index`` applied."""
+        world = self._world
+        self._contacts.gather()
+        largest = np.maximum.reduceat(tensions(world), self._starts)
+        np.maximum(self._peaks, largest, out=self._peaks)
+        if time >= 0.0 and time - self._searched >= TOUCH_PERIOD - ROUNDING:
+            self._searched = time
+            for pair in (*touching(world), *self._objects.wrong(index)):
+                self._touches.setdefault(pair, Touch(time, *pair))
+        if time - self._framed >= FRAME_PERIOD - ROUNDING:
+            self._framed = time
+            state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
+            self._frames.append((time, *state))
+
     def _sample(self, time: float, index: int) -> None:
-        """Record a sample at ``time`` [s], at which setpoint ``index`` applies."""
+        """Record the state at ``time`` [s], at which setpoint ``index`` applies, and the peaks."""
+        world, motors = self._world, self._motors
         commanded = self._task.setpoints.positions[index]
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
-        self._recorder.sample(time, commanded, self._least_bearing[index])
+        contacts = self._contacts.collect(self._least_bearing[index])
+        means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
+        state = (means, self._peaks.copy(), motors.thrusts.copy(), motors.saturated.copy())
+        things = (world.poses, self._objects.cables)
+        self._rows.append((np.array(time), world.drones, commanded, *contacts, *state, *things))
+        self._peaks[:] = 0.0
 
     def flight(self, error: InvalidRunError | None) -> Flight:
         """Return the flight as far as it was simulated."""
-        recorder, world = self._recorder, self._world
-        if not recorder.rows:  # ended while it settled
+        world = self._world
+        if not self._rows:  # ended while it settled
             self._sample(0.0, 0)
+        t, nodes, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
+        film = Film(
+            np.array(t),
+            np.array(nodes, dtype=np.float32),
+            world.cable_vertices,
+            np.array(poses, dtype=np.float32),
+        )
         return Flight(
             self._task,
-            Record(*(np.array(column) for column in zip(*recorder.rows, strict=True))),
-            recorder.film,
-            tuple(recorder.touches.values()),
+            Record(*(np.array(column) for column in zip(*self._rows, strict=True))),
+            film,
+            tuple(self._touches.values()),
             self._linking,
             self._rested,
             self._pulled,
@@ -445,70 +481,3 @@ def _place_of(lost: Loss | None, task: Task) -> tuple[int, float] | None:
         bound = f"before the flight ends at {task.duration:g} s"
         raise InputError("--lose", lost.time, bound, "lose it in flight")
     return names.index(lost.drone), lost.time
-
-
-class _Recorder:
-    """Recorder of samples on request, and of shapes, peaks and contacts in between.
-
-    Attributes
-    ----------
-    rows: of the record so far.
-    touches: first contacts so far, in order of time.
-    """
-
-    def __init__(self, world: World, task: Task, motors: Motors) -> None:
-        self._world, self._motors, team = world, motors, task.team
-        self._contacts = ClaspContacts(world, team)
-        self._objects = ObjectContacts(world, task.cargo)
-        self._starts = np.searchsorted(world.edge_cables, np.arange(team.robots))
-        self._peaks: Array = np.zeros(team.robots)
-        self._searched = self._framed = -np.inf
-        self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
-        self.rows: list[tuple[NDArray[Any], ...]] = []
-        self.touches: dict[tuple[str, str], Touch] = {}
-
-    def observe(self, time: float, index: int) -> None:
-        """Update peaks, contacts and shapes after a step, in which sample ``index`` applied."""
-        world = self._world
-        self._contacts.gather()
-        largest = np.maximum.reduceat(tensions(world), self._starts)
-        np.maximum(self._peaks, largest, out=self._peaks)
-        if time >= 0.0 and time - self._searched >= TOUCH_PERIOD - ROUNDING:
-            self._searched = time
-            for pair in (*touching(world), *self._objects.wrong(index)):
-                self.touches.setdefault(pair, Touch(time, *pair))
-        if time - self._framed >= FRAME_PERIOD - ROUNDING:
-            self._framed = time
-            state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
-            self._frames.append((time, *state))
-
-    def clear(self) -> None:
-        """Discard what was gathered since the last sample."""
-        self._contacts.collect()
-        self._peaks[:] = 0.0
-
-    def sample(self, time: float, commanded: Array, least_bearing: Array) -> None:
-        """Add a row: the present state, and what was gathered since the last sample.
-
-        Parameters
-        ----------
-        time: [s]
-        commanded: commanded positions of the drones (2n, 3) [m].
-        least_bearing: (clasps,) [N], the contact force from which on a clasp bears.
-        """
-        world, motors = self._world, self._motors
-        contacts = self._contacts.collect(least_bearing)
-        means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
-        state = (means, self._peaks.copy(), motors.thrusts.copy(), motors.saturated.copy())
-        things = (world.poses, self._objects.cables)
-        self.rows.append((np.array(time), world.drones, commanded, *contacts, *state, *things))
-        self._peaks[:] = 0.0
-
-    @property
-    def film(self) -> Film:
-        """Film of all shapes so far."""
-        nodes, poses = (
-            np.array([frame[i] for frame in self._frames], dtype=np.float32) for i in (1, 2)
-        )
-        t = np.array([frame[0] for frame in self._frames])
-        return Film(t, nodes, self._world.cable_vertices, poses)

@@ -433,10 +433,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
 
 
 def _edge_ends(task: Task) -> tuple[Array, Array]:
-    """Return unit vectors (samples, n, 3) along edges where they begin and where they end.
-
-    Samples are those of ``bend_lengths``.
-    """
+    """Return unit vectors (samples, n, 3) along edges at both ends, as ``bend_lengths`` samples."""
     layout, motion = task.team.layout, task.motion
     carrying = task.formed & np.any(task.cargo.carried, axis=-1)
     if motion is None or motion.contacts is None or not carrying.any():
@@ -450,8 +447,7 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
 
 def _angles(first: Array, second: Array) -> Array:
     """Return the angles (…) [rad] between unit vectors (…, 3)."""
-    angles: Array = np.arccos(np.clip(np.sum(first * second, axis=-1), -1.0, 1.0))
-    return angles
+    return np.asarray(np.arccos(np.clip(np.sum(first * second, axis=-1), -1.0, 1.0)))
 
 
 def linking_number(one: Array, other: Array) -> int:

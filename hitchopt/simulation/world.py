@@ -148,8 +148,7 @@ class World:
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
         ends = np.repeat(0.5 * ropes.density * ropes.segment_lengths, 2)  # half of the last segment
         self.objects = {} if objects is None else dict(objects)
-        drones_of = (self.masses + ends, self.inertia, rigid)
-        text = _describe(ropes, *drones_of, ground, gravity, self.objects)
+        text = _describe(self, self.masses + ends, gravity)
         self.model = model = mujoco.MjModel.from_xml_string(text)
         self.data = mujoco.MjData(model)
         names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
@@ -316,19 +315,9 @@ def check_valid(world: World, time: float) -> None:
             raise InvalidRunError(quantity, float(values[worst]), limit, unit, time, where)
 
 
-def _describe(
-    ropes: Ropes,
-    masses: Array,
-    inertia: Array,
-    rigid: bool,
-    ground: float,
-    gravity: float,
-    objects: Mapping[str, SolidObject],
-) -> str:
-    """Return the model in MuJoCo's XML, its ropes straight; parameters are those of ``World``.
-
-    Masses contain the last half segment of a cable.
-    """
+def _describe(world: World, masses: Array, gravity: float) -> str:
+    """Return the model in MuJoCo's XML, ropes straight; ``masses`` (2n,) [kg] hold their ends."""
+    ropes, ground, objects = world.ropes, world.ground, world.objects
     bodies, flexes, equalities = "", "", ""
     edge = min(EDGE_TIME, EDGE_STEPS * ropes.preset.time_step) if objects else EDGE_TIME
     radius = _text(0.5 * ropes.preset.diameter)
@@ -345,8 +334,8 @@ def _describe(
             mass, turning, moves, shape = ropes.density * length, TINY_INERTIA, SLIDES, ball
             if i in (0, count):
                 mass, shape = masses[drone], ellipsoid
-                if rigid:
-                    turning, moves = _text(inertia[drone]), "<freejoint/>"
+                if world.rigid:
+                    turning, moves = _text(world.inertia[drone]), "<freejoint/>"
             bodies += (
                 f'<body name="{name}" pos="{_text([i * length, k, ground + 1.0])}">'
                 f'<inertial pos="0 0 0" mass="{_text(mass)}" diaginertia="{turning}"/>'

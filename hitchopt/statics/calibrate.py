@@ -306,6 +306,8 @@ class _Balance:
     tensions: (windows, n) [N], the first guess.
     pulls, unsure: (windows, n, 2), logarithms of ratios that a coefficient of 1 causes, and their
         standard errors for that; zero where cables do not slide.
+    expected, spread: of the unknowns of all windows (g,), and the standard deviations.
+    scales: (2,), scatter of displacements [m] and of forces on clasps [N].
     """
 
     energy: HitchEnergy
@@ -314,6 +316,9 @@ class _Balance:
     tensions: Array
     pulls: Array
     unsure: Array
+    expected: Array
+    spread: Array
+    scales: Array
 
     @classmethod
     def of(
@@ -337,8 +342,8 @@ class _Balance:
         clasps = windows.vertices[:, team.layout.clasps]
         x = np.concatenate([windows.drones, clasps], axis=1)
         kind = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
-        none = np.zeros((*windows.tensions.shape, 2))
-        return cls(energy, x, kind, windows.tensions, none, none)
+        none, empty = np.zeros((*windows.tensions.shape, 2)), np.zeros(0)
+        return cls(energy, x, kind, windows.tensions, none, none, empty, empty, empty)
 
     @property
     def ends(self) -> Array:
@@ -367,7 +372,7 @@ class _Balance:
         own = np.concatenate([self.tensions[..., None], 0.0 * self.pulls], axis=-1)
         unknown = np.concatenate([expected, own.ravel()])
         for _ in range(ROUNDS):
-            rows = _Rows(self, expected, spread, scales)
+            rows = replace(self, expected=expected, spread=spread, scales=scales)
             found = least_squares(
                 rows.values, unknown, rows.jacobian, loss="soft_l1", x_scale="jac", tr_solver="lsmr"
             )
@@ -382,58 +387,39 @@ class _Balance:
         errors = np.sqrt(variance * np.diag(columns[:g]))
         return unknown[:g], errors, unknown[g:].reshape(own.shape)[..., 0]
 
-
-@dataclass(frozen=True, eq=False)
-class _Rows:
-    """The problem of least squares of a balance.
-
-    Attributes
-    ----------
-    balance: what is unknown, and where it acts.
-    expected, spread: of the unknowns of all windows (g,).
-    scales: (2,), scatter of displacements [m] and of forces on clasps [N].
-    """
-
-    balance: _Balance
-    expected: Array
-    spread: Array
-    scales: Array
-
     def _split(self, unknown: Array) -> tuple[Array, Array, Array]:
         """Return the weights of forces (nodes,), forces (windows, nodes, 3), and frictions."""
-        balance, energy, g = self.balance, self.balance.energy, len(self.expected)
-        own = unknown[g:].reshape(*balance.tensions.shape, 3)
-        at_ends = energy.law.forces(balance.ends, own[..., 0], own[..., 1:])[0]
+        energy, g = self.energy, len(self.expected)
+        own = unknown[g:].reshape(*self.tensions.shape, 3)
+        at_ends = energy.law.forces(self.ends, own[..., 0], own[..., 1:])[0]
         pulls = energy.pulls(at_ends)
         pulls[:, : energy.drones, :2] -= unknown[g - 4 : g - 2]
         weights = np.full(pulls.shape[1], 1.0 / self.scales[1])
-        weights[: energy.drones] = np.exp(unknown[balance.kinds]) / self.scales[0]
+        weights[: energy.drones] = np.exp(unknown[self.kinds]) / self.scales[0]
         return weights, pulls, own[..., 1:]
 
     def _scatters(self) -> Array:
         """Return the standard deviations (windows, n, 2) of the ratios' logarithms."""
-        balance = self.balance
-        sliding = np.hypot(LEAST_SCATTER, USUAL_FRICTION * balance.unsure)
-        return np.where(balance.pulls != 0.0, sliding, STICKING * balance.bends)
+        sliding = np.hypot(LEAST_SCATTER, USUAL_FRICTION * self.unsure)
+        return np.where(self.pulls != 0.0, sliding, STICKING * self.bends)
 
     def values(self, unknown: Array) -> Array:
         """Return the residuals of drones and clasps, of frictions, and of what is expected."""
-        balance, g = self.balance, len(self.expected)
+        g, drones = len(self.expected), self.energy.drones
         weights, pulls, used = self._split(unknown)
         residuals = weights[:, None] * pulls
-        drones = balance.energy.drones
-        residuals[:, :drones] += (balance.x[:, :drones] - balance.energy.places) / self.scales[0]
-        ratios = used * balance.bends - unknown[g - 2] * balance.pulls
-        ratios -= 0.5 * unknown[g - 1] * (balance.pulls != 0.0)
+        residuals[:, :drones] += (self.x[:, :drones] - self.energy.places) / self.scales[0]
+        ratios = used * self.bends - unknown[g - 2] * self.pulls
+        ratios -= 0.5 * unknown[g - 1] * (self.pulls != 0.0)
         beforehand = (unknown[:g] - self.expected) / self.spread
         return np.concatenate([residuals.ravel(), (ratios / self._scatters()).ravel(), beforehand])
 
     def jacobian(self, unknown: Array) -> csr_array:
         """Return the derivatives of ``values``, sparse."""
-        balance, energy, g = self.balance, self.balance.energy, len(self.expected)
+        energy, g = self.energy, len(self.expected)
         weights, pulls, used = self._split(unknown)
         shape, drones = pulls.shape, energy.drones
-        own = g + np.arange(3 * balance.tensions.size).reshape(*balance.tensions.shape, 3)
+        own = g + np.arange(3 * self.tensions.size).reshape(*self.tensions.shape, 3)
         T = unknown[own[..., 0]]
         node = 3 * np.arange(shape[0] * shape[1]).reshape(shape[:2])[..., None] + np.arange(3)
         parts: list[tuple[Array, ...]] = []
@@ -445,18 +431,18 @@ class _Rows:
         of_cables = node[:, energy.nodes]
         for j in range(3):  # cables depend on none but their own unknowns
             step = 1j * IMAGINARY * np.eye(3)[j]
-            moved = energy.law.forces(balance.ends + 0j, T + step[0], used + step[1:])[0]
+            moved = energy.law.forces(self.ends + 0j, T + step[0], used + step[1:])[0]
             slopes = weights[energy.nodes][..., None] * moved.imag / IMAGINARY
             add(slopes, of_cables, own[..., j][..., None, None])
         pulled = (weights[:, None] * pulls)[:, :drones]
-        add(pulled, node[:, :drones], balance.kinds[:, None])
+        add(pulled, node[:, :drones], self.kinds[:, None])
         blown = -np.broadcast_to(weights[:drones, None], (*shape[:1], drones, 2))
         add(blown, node[:, :drones, :2], g - 4 + np.arange(2))
-        last, scatters = balance.x.size, self._scatters()
+        last, scatters = self.x.size, self._scatters()
         ratio = last + np.arange(used.size).reshape(used.shape)
-        add(balance.bends / scatters, ratio, own[..., 1:])
-        add(-balance.pulls / scatters, ratio, g - 2)
-        add(-0.5 * (balance.pulls != 0.0) / scatters, ratio, g - 1)
+        add(self.bends / scatters, ratio, own[..., 1:])
+        add(-self.pulls / scatters, ratio, g - 2)
+        add(-0.5 * (self.pulls != 0.0) / scatters, ratio, g - 1)
         add(1.0 / self.spread, last + used.size + np.arange(g), np.arange(g))
         entries, rows, columns = map(np.concatenate, zip(*parts, strict=True))
         size = last + used.size + g, len(unknown)

@@ -196,7 +196,7 @@ def _inner_boundary(section: Section, inset: float) -> Array:
         circle: Array = centre + depth * np.column_stack([np.cos(angles), np.sin(angles)])
         return circle
     corners = HalfspaceIntersection(np.column_stack([outward, -depth]), np.zeros(2)).intersections
-    corners = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]))]
+    corners = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]) % (2.0 * np.pi))]
     ring = np.vstack([corners, corners[:1]])
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(ring, axis=0).T)))
     places = np.unique(np.append(along[:-1], np.linspace(0.0, along[-1], POINTS, endpoint=False)))

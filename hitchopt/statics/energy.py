@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Index
@@ -196,18 +196,6 @@ def bends_of(units: Any) -> Any:
     return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
 
 
-def least_tension(weight: float, chords: Array) -> Array:
-    """Return (…, n) [N] the tension at which the longest span hangs by its chord over SAG_RATIO.
-
-    Parameters
-    ----------
-    weight: of the cables per length [N/m].
-    chords: (…, n, 3) [m], lengths of the spans.
-    """
-    least: Array = weight * SAG_RATIO / 8.0 * np.max(chords, axis=-1)
-    return least
-
-
 @dataclass(frozen=True, eq=False)
 class Linear:
     """Derivatives of cables that have settled, S samples of n.
@@ -323,14 +311,15 @@ class HitchEnergy:
         """Return the displacements (S, nodes, 3, …) [m] that forces of this shape [N] cause."""
         free = np.flatnonzero(np.tile(np.repeat(self.free, 3), len(forces)))
         found = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
-        found[free] = _factors(matrix[free][:, free]).solve(forces.reshape(found.shape)[free])
+        options = {"SymmetricMode": True}  # all but symmetric: its diagonal has the pivots
+        factors = splu(
+            matrix[free][:, free],
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options=options,
+        )
+        found[free] = factors.solve(forces.reshape(found.shape)[free])
         return found.reshape(forces.shape)
-
-
-def _factors(matrix: csc_array) -> SuperLU:
-    """Return the factors of a matrix that is all but symmetric: its diagonal has the pivots."""
-    options = {"SymmetricMode": True}
-    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
 
 
 def hitch_energy(
@@ -379,7 +368,7 @@ def hitch_energy(
         team.cable_length / axial_stiffness,
         reference,
         0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
-        least_tension(weight, chords),
+        weight * SAG_RATIO / 8.0 * np.max(chords, axis=-1),
     )
     held = np.isinf(stiffness)
     free = np.concatenate([~held, np.ones(len(layout.clasps), dtype=np.bool_)])

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull, QhullError
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
@@ -36,31 +35,18 @@ def section_of(outline: Any) -> tuple[Array | None, Section, list[str]]:
     elif hasattr(outline, "__geo_interface__"):
         found = outline_of_geometry(outline)
     else:
-        found = _points(outline)
+        remedy = "give points in metres, a radius, or a drawing"
+        found = points("outline", outline, (3, 2), "a list of at least 3 points [x, y]", remedy)
     found = points("outline", found, (3, 2), "points [x, y]", "write [[x, y], …] in metres")
-    try:
+    with contextlib.suppress(InputError):
         return found, Section(found), []
-    except InputError:
-        hull = _hull(found)
-    corners = len(hull)
-    note = f"the outline is concave: its convex hull of {corners} corners is used"
-    return found, Section(hull), [note]
-
-
-def _points(outline: Sequence[Any] | ArrayLike) -> Array:
-    return points(
-        "outline", outline, (3, 2), "a list of at least 3 points [x, y]",
-        "give points in metres, a radius, or a drawing",
-    )  # fmt: skip
-
-
-def _hull(found: Array) -> Array:
-    """Return the corners of the convex hull, counter-clockwise."""
     try:
-        return found[ConvexHull(found).vertices]
+        hull = found[ConvexHull(found).vertices]
     except QhullError:
         bound, remedy = "an outline around an area", "give three points that are not in line"
         raise InputError("outline", found.tolist(), bound, remedy) from None
+    note = f"the outline is concave: its convex hull of {len(hull)} corners is used"
+    return found, Section(hull), [note]
 
 
 SAFETY = 1.5
