@@ -368,7 +368,8 @@ certificate says everything; but a drone whose cable breaks or goes slack flies 
 SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
 """Remedy for checks that a slower flight eases."""
 
-CLEARER = "plan with a wider margin there, or choose another format"  # Remedy for the others
+CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
+"""Remedy for the others."""
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "

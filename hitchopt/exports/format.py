@@ -204,7 +204,6 @@ class Format(Protocol):
     several: those of them of which every drone has a file.
     frames: those that its files may be in, the usual one first.
     rate: samples a second if nothing else is asked [Hz]; 0 where nothing is sampled.
-    rates: higher ones for plans of which lines between samples lose a limit [Hz].
     accuracy: the largest position error that it is meant to have [m].
     feed_forward: whether the consumer needs the cable's pull in its acceleration, and what is done.
     carries_pull: whether the files hold the cable's pull, as a force or in an acceleration.
@@ -217,7 +216,6 @@ class Format(Protocol):
     several: tuple[str, ...] = ()
     frames: tuple[str, ...]
     rate: float = 0.0
-    rates: tuple[float, ...] = ()
     accuracy: float
     feed_forward: str
     carries_pull: bool = False
@@ -241,9 +239,6 @@ class Format(Protocol):
         """
         (file,) = self.files(task)
         yield Candidate({file: partial(self.write, task=task)})
-        for rate in () if task.options.rate is not None else self.rates:
-            note = f"at {rate:g} Hz: lines between fewer samples lose a limit"
-            yield Candidate({file: partial(self.write, task=replace(task, rate=rate))}, (note,))
 
     def write(self, path: Path, task: Task) -> None:
         """Write the one file of a task; raise OSError if it cannot be written."""

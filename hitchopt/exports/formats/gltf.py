@@ -50,7 +50,6 @@ class Gltf(Format):
     endings = (".glb",)
     frames = ("enu",)
     rate = 30.0
-    rates = (60.0, 120.0)
     accuracy = 2e-3
     feed_forward = "not in this file: it is a picture that moves, which nobody flies"
     carries_pull = True  # drones are tilted by it

@@ -39,7 +39,6 @@ from hitchopt.exports.format import (
     Format,
     Loaded,
     Task,
-    warning,
 )
 from hitchopt.exports.recording import Recording, read_columns, read_text, recording_of_samples
 from hitchopt.trajectory import PiecewisePolynomial
@@ -120,27 +119,16 @@ class MavsdkDroneShow(Format):
         return labels[:3] == ["idx", "t", "px"]
 
     def load(self, files: Sequence[Path]) -> Loaded:
-        """Return what CSV files hold, one drone each; shorter ones rest at their end.
+        """Return what CSV files hold, one drone each.
 
         Nobody knows the pull in their accelerations, so cubics run through positions and
         velocities.
         """
         tables = [read_table(path) for path in files]
         names = tuple(path.stem for path in files)
-        lengths = [len(table) for table in tables]
-        findings = []
-        if len(set(lengths)) > 1:
-            shortest = int(np.argmin(lengths))
-            rows = f"has {lengths[shortest]} rows, others up to {max(lengths)}"
-            findings = [warning("duration", names[shortest], f"{rows}; let it rest at its end")]
-            longest = max(tables, key=len)[:, 0]
-            for i, table in enumerate(tables):
-                rest = np.zeros((len(longest) - len(table), table.shape[1]))
-                rest[:, 0], rest[:, 1:4] = longest[len(table) :], table[-1, 1:4]
-                tables[i] = np.concatenate([table, rest])
         facts = (DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
         recording = recording_of_tables(names, tables, None)
-        return Loaded(self.name, recording, tuple(facts), tuple(findings), streamed=True)
+        return Loaded(self.name, recording, tuple(facts), streamed=True)
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the curves through the plan's setpoints as the receiver flies them.

@@ -530,7 +530,6 @@ class SkybrushCsv(Format):
     several = (".csv",)  # outside of a zip
     frames = ("nwu",)
     rate = 20.0
-    rates = (40.0, 100.0)
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
 
