@@ -218,10 +218,12 @@ class SolverStep:
     Attributes
     ----------
     stride: [m], how far a coordinate of a vertex or drone may go.
+    parts: of every step between knots, at whose ends distances are enforced as well.
     fastest: minimise the time, not the energy.
     """
 
     stride: float
+    parts: int = 1
     fastest: bool = False
 
     @property
@@ -249,10 +251,9 @@ class Search:
     end_margins: tuple[float, float]
     margin: float = 1.02
 
-    def margins(self, steps: int) -> Array:
-        """Return (steps - 1,): the margins at the inner knots, near an end at most that of it."""
+    def margins(self, steps: int, places: Array) -> Array:
+        """Return (K,): the margins at places in steps from the start, near ends at most theirs."""
         first, last = (min(m, self.margin) for m in self.end_margins)
-        places = np.arange(1.0, steps)
         out, back = (np.minimum(a / RAMP, 1.0) for a in (places, steps - places))
         return np.minimum(first + out * (self.margin - first), last + back * (self.margin - last))
 
@@ -266,7 +267,7 @@ def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Arra
     stride: [m], how far a coordinate of a vertex or drone may go.
     """
     columns, table, team = path.columns, path.table[1:-1], path.team
-    margins = search.margins(path.steps)
+    margins = search.margins(path.steps, np.arange(1.0, path.steps))
     arena, limits = search.requirements.arena, search.requirements.limits
     lower = np.full(table.shape, -np.inf)
     upper = np.full(table.shape, np.inf)

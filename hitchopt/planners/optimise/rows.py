@@ -20,6 +20,10 @@ from hitchopt.values import Array, Indices
 PENALTY_WEIGHT = 100.0
 """[1/m] Penalty weight of bodies that stay too near: more than any path gains by leaving them."""
 
+BETWEEN = 0.4
+"""Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
+otherwise."""
+
 
 @dataclass(frozen=True, eq=False)
 class Symbols:
@@ -147,36 +151,44 @@ class Program:
 
 
 def keep_apart(draft: Draft, x: int, path: KnotPath, search: Search, step: SolverStep) -> None:
-    """Keep all near pairs apart at the knots: drones by squares, others by their normals.
+    """Keep all near pairs apart: drones at the knots by squares, all others by their normals.
 
+    Between the knots the path is its chord from knot to knot and a bow, which is taken to stay.
     Those that are too near now, as in a first guess, are parted as far as a step can.
     """
-    columns, inner = path.columns, path.table[1:-1]
-    separation, margins = search.requirements.separation, search.margins(path.steps)
-    pairs = near_pairs(inner[:, columns.nodes], separation, margins, step.reach)
-    drones = pairs.chosen(pairs.kind == SEPARATION)
-    if len(drones.frame):
-        _keep_drones_apart(draft, x, path, drones)
-    others = pairs.chosen(pairs.kind != SEPARATION)
+    columns, inner, parts = path.columns, path.table[1:-1], step.parts
+    places = np.arange(1, parts * path.steps) / parts
+    there = path.table[1:-1] if parts == 1 else path.at(places / path.steps).table
+    at_knot = places % 1.0 == 0.0
+    margins = search.margins(path.steps, places)
+    reach = np.where(at_knot, 1.0, BETWEEN) * step.reach
+    separation = search.requirements.separation
+    pairs = near_pairs(there[:, columns.nodes], separation, margins, reach)
+    by_squares = (pairs.kind == SEPARATION) & at_knot[pairs.frame]
+    if np.any(by_squares):
+        _keep_drones_apart(draft, x, path, pairs.chosen(by_squares), parts)
+    others = pairs.chosen(~by_squares)
     if not len(others.frame):
         return
     pair, *ends = others.sides()
     nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
-    variables = columns.size * others.frame[pair, None] + nodes  # (r, 4)
     slopes = np.concatenate([others.normal[pair], -others.normal[pair]], axis=1)
-    first = 4 * np.arange(len(pair) + 1)
-    entries = (slopes.ravel(), variables.ravel(), first)
-    rows = sparse.csr_matrix(entries, shape=(len(pair), inner.size)).tocsc()
+    entries = (slopes.ravel(), (columns.size * others.frame[pair, None] + nodes).ravel())
+    sums = sparse.csr_matrix((*entries, 4 * np.arange(len(pair) + 1)), (len(pair), there.size))
+    share = np.maximum(1.0 - np.abs(places[:, None] - np.arange(1.0, path.steps)), 0.0)
+    rows = sparse.csc_matrix(sums @ sparse.kron(share, sparse.eye(columns.size), "csr"))
     now = rows @ inner.ravel()
-    draft.soft_bound(linear_value(draft, x, rows), others.enforced[pair], now, PENALTY_WEIGHT)
+    bow = sums @ there.ravel() - now
+    least = others.enforced[pair] - bow
+    draft.soft_bound(linear_value(draft, x, rows), least, now, PENALTY_WEIGHT)
 
 
-def _keep_drones_apart(draft: Draft, x: int, path: KnotPath, drones: NearPairs) -> None:
-    """Keep pairs of drones apart, by squares."""
+def _keep_drones_apart(draft: Draft, x: int, path: KnotPath, drones: NearPairs, parts: int) -> None:
+    """Keep pairs of drones apart at knots, by squares."""
     columns, now = path.columns, path.table[1:-1].ravel()
+    knot = drones.frame[:, None] // parts
     first, second = (
-        columns.size * drones.frame[:, None] + columns.nodes[node[:, 0]]
-        for node in (drones.first, drones.second)
+        columns.size * knot + columns.nodes[node[:, 0]] for node in (drones.first, drones.second)
     )
     squared = np.sum((now[first] - now[second]) ** 2, axis=1)
     apart = drones.enforced
@@ -236,20 +248,20 @@ class NearPairs:
         return end_combinations(self.kind, self.first, self.second)
 
 
-def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: float) -> NearPairs:
-    """Return all pairs that come within ``reach`` [m] of the distance to enforce.
+def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Array) -> NearPairs:
+    """Return all pairs that come within ``reach`` of the distance to enforce.
 
     Parameters
     ----------
     nodes: (K, 3n, 2) [m]
     separation: distances to enforce.
     margins: (K,), how many times those.
-    reach: [m]
+    reach: (K,) [m]
     """
     parts = Parts.of(nodes.shape[1] // 3)
     limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
     corners = nodes[:, parts.nodes]
-    cutoff = float(np.max(limits * np.max(margins))) + reach
+    cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
     boxes = corners.min(axis=2), corners.max(axis=2)
     frame, i, j, kind = parts.near(*boxes, limits, cutoff)
     ends = [nodes[frame[:, None], parts.nodes[body]] for body in (i, j)]
@@ -260,4 +272,4 @@ def near_pairs(nodes: Array, separation: Separation, margins: Array, reach: floa
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     enforced = limits[kind] * margins[frame]
     found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, enforced)
-    return found.chosen(distance < enforced + reach)
+    return found.chosen(distance < enforced + reach[frame])

@@ -28,9 +28,10 @@ from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
-ROUNDS = ((1, 1.03), (2, 1.1), (4, 1.1))
+ROUNDS = ((1, 8, 1.03), (2, 8, 1.05))
 """Rounds of refinement until a path is clear and the judge accepts it: how many times the first
-knots' steps, at whose ends distances are enforced, and how many times their limits."""
+knots' steps, parts of every step at whose ends distances are enforced, how many times their
+limits."""
 
 FIRST_STEP = SolverStep(0.17)
 """Step of the optimiser from a guess."""
@@ -152,15 +153,15 @@ def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath 
 def _refined(path: KnotPath, search: Search) -> Candidate | None:
     """Return a path of least energy refined, or a faster one near it, with its flight.
 
-    Where limits are broken between the knots, more knots are added; a path on which none is has
-    its least energy already.
+    Where limits are broken between the knots, rows are added there, then knots; a path on which
+    none is has its least energy already.
     """
     steps = path.steps
-    for finer, margin in ROUNDS:
+    for finer, parts, margin in ROUNDS:
         if path.steps != finer * steps:
             path = path.resampled(finer * steps + 1)
-        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE)
-        as_it_is = [path] if finer == 1 else []
+        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, parts)
+        as_it_is = [path] if (finer, parts, margin) == ROUNDS[0] else []
         for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
             path = moved
             if clear(path, search):
