@@ -341,9 +341,10 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
         """Return values (rows,) at vertices x (2 n,) [m], and their slopes by differences."""
         if x.tobytes() not in known:
             moves = STEP * np.eye(x.size)
-            both = values(np.stack([x + moves, x - moves]))
+            here, *around = values(x + np.concatenate([np.zeros((1, x.size)), moves, -moves]))
             known.clear()
-            known[x.tobytes()] = values(x), ((both[0] - both[1]) / (2.0 * STEP)).T
+            after, before = np.split(np.array(around), 2)
+            known[x.tobytes()] = here, ((after - before) / (2.0 * STEP)).T
         return known[x.tobytes()]
 
     check_time()

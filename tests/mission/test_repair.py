@@ -182,6 +182,8 @@ def test_no_time_gives_no_suggestion() -> None:
 @pytest.mark.slow
 def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
     data = mapping(INFEASIBLE[0].parents[1] / "grip_drum.yaml")
+    form, carry, *_ = data["mission"]
+    data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
     (name, body), *_ = data["objects"].items()
     body["mass"] *= 2.2
     found = {s.change.key: s.change for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
