@@ -5,7 +5,7 @@ from collections import OrderedDict
 import casadi as ca
 import numpy as np
 import pytest
-from optimise_cases import ends
+from optimise_cases import FREE, PENTAGON, ends
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
@@ -16,7 +16,12 @@ from hitchopt.planners.optimise.knots import (
     Search,
     SolverStep,
 )
-from hitchopt.planners.optimise.program import MorphProgram, build_program, solve_program
+from hitchopt.planners.optimise.program import (
+    MorphProgram,
+    build_program,
+    iterates,
+    solve_program,
+)
 from hitchopt.planners.optimise.rows import (
     Program,
 )
@@ -63,7 +68,7 @@ def program_of(
     [
         (SolverStep(0.17), None),
         (SolverStep(0.17, fastest=True), None),
-        (SolverStep(0.12), (0.2, 0.6)),
+        (SolverStep(0.12, 4), (0.2, 0.6)),
         (SolverStep(0.12, fastest=True), (0.2, 0.6)),
     ],
 )
@@ -107,6 +112,24 @@ def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
     assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
     assert np.all(np.asarray(rows).ravel() <= program.numbers["ubg"] + 1e-4)
     assert float(cost) <= float(value(program.numbers["x0"])[0]) + 1e-6
+
+
+def smallest_distance(path: KnotPath, parts: int) -> float:
+    """Smallest distance of two drones at ends of all parts of steps [m]."""
+    drones = path.at(np.linspace(0.0, 1.0, parts * path.steps + 1)).table[:, path.columns.drones]
+    first, second = np.triu_indices(drones.shape[1], 1)
+    return float(np.min(np.linalg.norm(drones[:, first] - drones[:, second], axis=-1)))
+
+
+def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
+    last = PENTAGON.renumbered(2)
+    start, end = ends(Team(5, 2.6), PENTAGON, last)
+    polygons = list(guesses(PENTAGON, last, 9).values())[1]
+    first, limit = KnotPath.through("turned", start, end, polygons), 2.0 * FREE.separation.radius
+    for parts, kept in ((1, False), (8, True)):
+        *_, path = iterates(first, search(None, 1.03, (1.5, 1.5)), SolverStep(0.17, parts), 12)
+        assert smallest_distance(path, 1) > limit
+        assert (smallest_distance(path, 8) > limit) == kept
 
 
 def test_a_stored_solver_finds_what_a_new_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
