@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -28,19 +28,19 @@ from hitchopt.errors import (
 )
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.hitch import balanced_legs, fitting_polygon
+from hitchopt.hitch.hitch import balanced_legs
+from hitchopt.hitch.requirements import Arena
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.solving import solve_problem
-from hitchopt.steps import Step
 from hitchopt.steps.holds import EASED
 from hitchopt.steps.route_choice import split_hitch
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,
-    Edited,
+    Edits,
     Knob,
     eased,
-    outline_scaled,
+    outline_edit,
     points_scaled,
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
@@ -91,7 +91,7 @@ class Change(OneLine):
     unit: str
     relative: float
     problem: Problem
-    edits: tuple[Edit, ...]
+    edits: Edits
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
@@ -171,13 +171,13 @@ def find_suggestions(
     knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
     spread = map(judged, spread_changes(problem, error))
     found = [verdict for verdict in spread if isinstance(verdict, Suggestion)]
-    found += _smallest(knobs, judged)
+    found += _smallest(problem, knobs, judged)
     if not found and error.note:  # the optimiser was needed and may be needed still
-        found = _smallest(knobs, partial(judged, optimiser=True))
+        found = _smallest(problem, knobs, partial(judged, optimiser=True))
     return tuple(sorted(found, key=lambda s: abs(s.change.relative))[:ENOUGH])
 
 
-def _smallest(knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
+def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
     """Return the smallest changes of the knobs of which the smallest sizes do.
 
     Sizes that are known to be needed come first: they may be enough. Then all knobs are tried with
@@ -196,15 +196,16 @@ def _smallest(knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
         last, knob = turn, knobs[i]
         if i in done:
             continue
-        verdict = judge(change_of(knob, size))
+        verdict = judge(change_of(problem, knob, size))
         if isinstance(verdict, Suggestion):
-            found.append(_narrowed(knob, failed.get(i, knob.least), size, verdict, judge))
+            least = failed.get(i, knob.least)
+            found.append(_narrowed(problem, knob, least, size, verdict, judge))
             done.add(i)
         # Where other things are broken beyond the least, larger changes would break them the more.
         elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
             done.add(i)
         elif i not in failed and knob.relaxes:
-            largest = judge(change_of(knob, _sizes(knob)[-1]))
+            largest = judge(change_of(problem, knob, _sizes(knob)[-1]))
             if not isinstance(largest, Suggestion):
                 done.add(i)
         failed[i] = size
@@ -219,12 +220,12 @@ def _sizes(knob: Knob) -> list[float]:
 
 
 def _narrowed(
-    knob: Knob, failed: float, size: float, found: Suggestion, judge: Judge
+    problem: Problem, knob: Knob, failed: float, size: float, found: Suggestion, judge: Judge
 ) -> Suggestion:
     """Return the smallest change between a size that failed and one that did, by bisection."""
     while size - failed > RESOLUTION * (1.0 + size):
         middle = 0.5 * (failed + size)
-        change = change_of(knob, middle)
+        change = change_of(problem, knob, middle)
         same = change is not None and change.new == found.change.new  # rounded to it
         verdict = found if same else judge(change)
         if verdict is None:  # no change, or no time
@@ -236,7 +237,7 @@ def _narrowed(
     return found
 
 
-def change_of(knob: Knob, size: float) -> Change | None:
+def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
     """Return the change of a relative size, rounded away from the old value to DIGITS.
 
     There is none where a record refuses the value, such as an outline that a wall or a step no
@@ -245,12 +246,51 @@ def change_of(knob: Knob, size: float) -> Change | None:
     extent = knob.extent or knob.old
     value = knob.old + knob.sign * size * extent
     new = tidy(value, knob.sign, knob.extent or abs(value))
+    edits = knob.edits(new)
     try:
-        edited = knob.put(new)
+        changed = with_edits(problem, edits)
     except InputError:
         return None
     said = knob.key, knob.words, knob.old, new, knob.unit, (new - knob.old) / extent
-    return Change(*said, edited.changed, edited.edits)
+    return Change(*said, changed, edits)
+
+
+def with_edits(problem: Problem, edits: Edits) -> Problem:
+    """Return the problem that its file describes with these edits.
+
+    Raises
+    ------
+    InputError: a value that a record refuses, or parts that do not fit one another.
+    """
+    parts = {name: getattr(problem, name) for name in ("team", "start", "mission", "arena")}
+    parts |= {"limits": problem.limits, "objects": problem.objects}
+    for edit in edits:
+        name, *path = re.findall(r"[^.\[\]]+", edit.key)
+        if name == "start":
+            del path[0]  # its kind
+        elif name == "mission":
+            del path[1]
+        parts[name] = _put(parts[name], path, edit.value)
+    return replace(problem, **parts)
+
+
+def _put(record: Any, path: Sequence[str], value: Any) -> Any:
+    """Return a record with the value at a path of a problem file's keys."""
+    if not path:
+        return Arena(**value) if isinstance(record, Arena) else value
+    key, *rest = path
+    if isinstance(record, tuple):
+        i = int(key)
+        return (*record[:i], _put(record[i], rest, value), *record[i + 1 :])
+    if isinstance(record, Mapping):
+        return {**record, key: _put(record[key], rest, value)}
+    if key == "quadrotor":
+        kinds = value if isinstance(value, list) else [value]
+        found = tuple(Quadrotor(**kind) for kind in kinds)
+        return replace(record, quadrotor=found if isinstance(value, list) else found[0])
+    name = key.removesuffix("_deg")
+    changed = _put(getattr(record, name), rest, value)
+    return replace(record, **{name: changed if name == key else math.radians(changed)})
 
 
 def tidy(value: float, sign: int, scale: float) -> float:
@@ -330,11 +370,12 @@ def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
         own = _needed((v for v in violations if f"step {i} " in v.when), "duration")
         for knob in step.knobs():
 
-            def put(new: float, i: int = i, put: Callable[[float], Edited] = knob.put) -> Edited:
-                return _with_step(problem, i, put(new))
+            def written(new: float, i: int = i, knob: Knob = knob) -> Edits:
+                return _in_step(problem, i, knob.edits(new))
 
-            key = f"mission[{i}].{step.name}.{knob.key}"
-            yield replace(knob, key=key, put=put, least=own if "duration" in knob.covers else 0.0)
+            (key,) = (each.key for each in _in_step(problem, i, (Edit(knob.key, 0.0),)))
+            least = own if "duration" in knob.covers else 0.0
+            yield replace(knob, key=key, written=written, least=least)
     yield from _walls(problem, violations)
 
 
@@ -345,14 +386,13 @@ def _starts(problem: Problem) -> Iterator[Knob]:
         return
     middles, arms = 0.5 * (start.q + start.r)[:, :2], 0.5 * (start.r - start.q)[:, :2]
 
-    def placed(middle: float, arm: float) -> Edited:
-        """Return the start with middles apart and arms as long by factors."""
+    def placed(middle: float, arm: float) -> Edits:
+        """Return the edits that put middles apart and arms as long by factors."""
         centres = points_scaled(middles, middle, np.mean(middles, axis=0))
         places = {"q": start.q.copy(), "r": start.r.copy()}
         for sign, place in zip((-1.0, 1.0), places.values(), strict=True):
             place[:, :2] = np.round(centres + sign * arm * arms, DECIMALS)
-        edits = tuple(Edit(f"start.drones.{name}", p.tolist()) for name, p in places.items())
-        return Edited(replace(problem, start=DronesStart(**places)), edits)
+        return tuple(Edit(f"start.drones.{name}", p.tolist()) for name, p in places.items())
 
     key, words = "start.drones", "two drones of a robot"
     apart, drawn = (lambda factor: placed(factor, 1.0)), (lambda factor: placed(1.0, factor))
@@ -361,21 +401,15 @@ def _starts(problem: Problem) -> Iterator[Knob]:
 
 
 def _team(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
-    """Yield cables, of a single robot that is named and of all, the outlines, and forces."""
+    """Yield cables, the outlines, and forces."""
     team = problem.team
     length, tension = _values(problem, "cable_length", "m"), _values(problem, "tension", "N")
-    yield from _single(problem, "cable_length", "m", SPACE, violations)
     yield replace(length, words="all cables", covers=SPACE)
     yield replace(length, words="all cables", sign=-1, covers=TOO_CLOSE | {"arena"})
-    put = partial(with_outlines_scaled, problem)
-    larger = Knob("polygon", 1.0, "times", put, 1, TOO_CLOSE, "scale of all polygons")
+    written = partial(outlines_scaled, problem)
+    larger = Knob("polygon", 1.0, "times", written, 1, TOO_CLOSE, "scale of all polygons")
     yield replace(larger, sign=-1, covers=SPACE | RATES | TIMES | {"arena"})
     yield larger
-    if np.ptp(team.tension) > 0.0:
-        # Tensions that differ turn legs, so that an odd one may be what brings drones together.
-        covers = FORCES | SPACE | {"crossing"}
-        for knob in _single(problem, "tension", "N", covers, violations):
-            yield replace(knob, sign=-1)
     yield replace(tension, sign=-1, covers=FORCES)
     yield replace(tension, covers=HEAVY, least=_needed(violations, "load"))
     if np.any(team.load > 0.0):
@@ -393,25 +427,22 @@ def _team_values(problem: Problem, name: str) -> Array:
     return values
 
 
-def with_team_values(problem: Problem, name: str, values: Array) -> Edited:
-    """Return the problem with other ``_team_values``."""
+def team_edit(problem: Problem, name: str, values: Array) -> Edit:
+    """Return what to write for other ``_team_values``: one value where all are the same."""
     rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
-    changed: dict[str, Any] = {name: np.array(rounded)}
     if name == "max_thrust":
-        pairs = zip(problem.team.quadrotor, rounded, strict=True)
-        kinds = tuple(replace(kind, max_thrust=value) for kind, value in pairs)
-        name, changed = "quadrotor", {"quadrotor": kinds}
+        name = "quadrotor"
         rounded = [  # mass and thrust, and whatever else is not its default
-            {
-                key: value
-                for key, value in vars(kind).items()
-                if key in ("mass", "max_thrust") or value != getattr(Quadrotor, key)
+            {"mass": kind.mass, "max_thrust": value}
+            | {
+                key: other
+                for key, other in vars(kind).items()
+                if key not in ("mass", "max_thrust") and other != getattr(Quadrotor, key)
             }
-            for kind in kinds
+            for kind, value in zip(problem.team.quadrotor, rounded, strict=True)
         ]
     same = all(value == rounded[0] for value in rounded)
-    edit = Edit(f"team.{name}", rounded[0] if same else rounded)
-    return Edited(replace(problem, team=replace(problem.team, **changed)), (edit,))
+    return Edit(f"team.{name}", rounded[0] if same else rounded)
 
 
 def _values(problem: Problem, name: str, unit: str) -> Knob:
@@ -421,59 +452,31 @@ def _values(problem: Problem, name: str, unit: str) -> Knob:
     ratios = np.ones(len(values)) if same else values
     old, words = (float(values[0]), "") if same else (1.0, f"every {name}")
 
-    def put(new: float) -> Edited:
-        return with_team_values(problem, name, new * ratios)
+    def written(new: float) -> Edits:
+        return (team_edit(problem, name, new * ratios),)
 
-    return Knob(f"team.{name}", old, unit if same else "times", put, words=words)
-
-
-def _single(
-    problem: Problem, name: str, unit: str, covers: frozenset[str], violations: Sequence[Violation]
-) -> Iterator[Knob]:
-    """Yield the value of the robot that is named first, as of q0, r-leg 2, cable 1."""
-    values, pattern = _team_values(problem, name), r"(?:q|r|q-leg |r-leg |cable |edge )(\d+)"
-    found = (re.fullmatch(pattern, each) for violation in violations for each in violation.where)
-    for k in [int(match[1]) for match in found if match][:1]:
-
-        def put(new: float, k: int = k) -> Edited:
-            changed = np.where(np.arange(len(values)) == k, new, values)
-            return with_team_values(problem, name, changed)
-
-        words = "one cable" if name == "cable_length" else f"one {name}"
-        yield Knob(f"team.{name}[{k}]", float(values[k]), unit, put, covers=covers, words=words)
+    return Knob(f"team.{name}", old, unit if same else "times", written, words=words)
 
 
-def with_outlines_scaled(problem: Problem, factor: float) -> Edited:
-    """Return the problem with the start's outline and those of all steps scaled.
+def outlines_scaled(problem: Problem, factor: float) -> Edits:
+    """Return the edits that scale the start's outline and those of all steps.
 
     Each about its own centroid; points that vertices are moved to go with the outline they are of.
     """
-    start = problem.start
-    centre = np.zeros(2)
-    edits: list[Edit] = []
-    if isinstance(start, HitchStart):
-        outline = fitting_polygon(problem.team, start.polygon)
-        centre = outline.centroid
-        start = replace(start, polygon=outline_scaled(outline, factor))
-        edits.append(Edit("start.hitch.polygon", start.polygon.vertices.tolist()))
-    changed = replace(problem, start=start) if edits else problem
-    steps: list[Step] = []
+    centre, edits = np.zeros(2), list[Edit]()
+    if isinstance(problem.start, HitchStart):
+        centre = problem.start.polygon.centroid
+        edits.append(outline_edit("start.hitch.polygon", problem.start.polygon, factor))
     for i, step in enumerate(problem.mission):
-        edited, centre = step.scaled(factor, centre)
-        steps.append(edited.changed)
-        edits += [_in_step(problem, i, edit) for edit in edited.edits]
-    return Edited(replace(changed, mission=tuple(steps)), tuple(edits))
+        own, centre = step.scaled(factor, centre)
+        edits += _in_step(problem, i, own)
+    return tuple(edits)
 
 
-def _with_step(problem: Problem, i: int, edited: Edited) -> Edited:
-    """Return the problem with step i edited."""
-    mission = (*problem.mission[:i], edited.changed, *problem.mission[i + 1 :])
-    edits = tuple(_in_step(problem, i, edit) for edit in edited.edits)
-    return Edited(replace(problem, mission=mission), edits)
-
-
-def _in_step(problem: Problem, i: int, edit: Edit) -> Edit:
-    return Edit(f"mission[{i}].{problem.mission[i].name}.{edit.key}", edit.value)
+def _in_step(problem: Problem, i: int, edits: Edits) -> Edits:
+    """Return edits of step i, by their keys in the file."""
+    name = problem.mission[i].name
+    return tuple(Edit(f"mission[{i}].{name}.{edit.key}", edit.value) for edit in edits)
 
 
 def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
@@ -485,37 +488,20 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
         told = (f"objects.{name}" in v.when or name in v.where for v in violations)
         if body.fixed or not any(told):
             continue
-
-        def put(key: str, value: float, name: str = name) -> Edited:
-            changes: dict[str, Any] = {key: value}
-            objects = {**problem.objects, name: replace(problem.objects[name], **changes)}
-            edits = (Edit(f"objects.{name}.{key}", value),)
-            return Edited(replace(problem, objects=objects), edits)
-
-        key, lighter = f"objects.{name}.mass", partial(put, "mass")
         covers = HELD | HEAVY | FORCES | TOO_CLOSE | BALANCE
         least = round(1.0 - share, 9)
-        yield Knob(key, body.mass, "kg", lighter, -1, covers, least=least)
+        yield Knob(f"objects.{name}.mass", body.mass, "kg", None, -1, covers, least=least)
         if 0.0 < body.friction <= share * ROUGHEST:
-            key, rougher = f"objects.{name}.friction", partial(put, "friction")
-            rough = Knob(key, body.friction, "", rougher, 1, HELD, least=1.0 / share - 1.0)
-            yield replace(rough, most=ROUGHEST / body.friction - 1.0)
+            least, most = 1.0 / share - 1.0, ROUGHEST / body.friction - 1.0
+            key = f"objects.{name}.friction"
+            yield Knob(key, body.friction, "", covers=HELD, least=least, most=most)
 
 
 def _limit(problem: Problem, name: str, unit: str, covers: Iterable[str]) -> Knob:
     """Return the knob of a limit, by its key in the file."""
     value = getattr(problem.limits, name.removesuffix("_deg"))
     old = round(math.degrees(value), 9) if name.endswith("_deg") else float(value)
-    put = partial(with_limit, problem, name)
-    return Knob(f"limits.{name}", old, unit, put, covers=frozenset(covers), relaxes=True)
-
-
-def with_limit(problem: Problem, name: str, value: float) -> Edited:
-    """Return the problem with another limit; name and unit are the file's."""
-    angle = name.removesuffix("_deg")
-    changed = {angle: value if angle == name else math.radians(value)}
-    limits = replace(problem.limits, **changed)
-    return Edited(replace(problem, limits=limits), (Edit(f"limits.{name}", value),))
+    return Knob(f"limits.{name}", old, unit, covers=frozenset(covers), relaxes=True)
 
 
 def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
@@ -528,16 +514,16 @@ def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
         extent = float((arena.upper - arena.lower)[axis])
         for side, sign in (("lower", -1), ("upper", 1)):
 
-            def put(new: float, side: str = side, axis: int = axis) -> Edited:
-                corners = {name: getattr(arena, name).copy() for name in ("lower", "upper")}
+            def written(new: float, side: str = side, axis: int = axis) -> Edits:
+                corners = {name: getattr(arena, name).tolist() for name in ("lower", "upper")}
                 corners[side][axis] = new
-                value = {name: corner.tolist() for name, corner in corners.items()}
-                edited = replace(problem, arena=replace(arena, **corners))
-                return Edited(edited, (Edit("arena", value),))
+                return (Edit("arena", corners),)
 
             key, old = f"arena.{side}[{axis}]", float(getattr(arena, side)[axis])
             covers, least = frozenset({"arena"}), beyond / extent
-            knob = Knob(key, old, "m", put, sign, covers, "one wall", extent, least, relaxes=True)
+            knob = Knob(
+                key, old, "m", written, sign, covers, "one wall", extent, least, relaxes=True
+            )
             yield knob
 
 
@@ -549,18 +535,13 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
     if not broken_constraints(error) <= SPACE | {"crossing", "arena"}:
         return
     outline, start, team = problem.start_outline, problem.start, problem.team
-    places: list[tuple[SlackSplit | None, Outline | None, Edited]] = []
+    places: list[tuple[SlackSplit | None, Outline | None, Edits]] = []
     if isinstance(start, HitchStart):
-        changed = replace(problem, start=replace(start, legs="spread"))
-        edited = Edited(changed, (Edit("start.hitch.legs", "spread"),))
-        places.append((start.legs, outline, edited))
+        places.append((start.legs, outline, (Edit("start.hitch.legs", "spread"),)))
     for i, step in enumerate(problem.mission):
         outline, legs = step.polygon_left(team, outline), getattr(step, "legs", None)
-        if legs is not None:
-            spread: Any = {"legs": "spread"}
-            edited = Edited(replace(step, **spread), (Edit("legs", "spread"),))
-            places.append((legs, outline, _with_step(problem, i, edited)))
-    for legs, shape, edited in places:
+        places.append((legs, outline, _in_step(problem, i, (Edit("legs", "spread"),))))
+    for legs, shape, edits in places:
         sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
         if shape is None or sharing is None or (isinstance(sharing, str) and sharing == "spread"):
             continue
@@ -571,5 +552,5 @@ def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]
             continue
         relative = float(np.max(np.abs(best - given) / team.cable_length))
         words = legs if isinstance(legs, str) else "as given"
-        said = edited.edits[0].key, "", words, "spread", "", relative
-        yield Change(*said, edited.changed, edited.edits)
+        said = edits[0].key, "", words, "spread", "", relative
+        yield Change(*said, with_edits(problem, edits), edits)

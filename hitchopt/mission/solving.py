@@ -38,7 +38,6 @@ from hitchopt.objects.placing import in_world
 from hitchopt.steps import Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
-    certified,
     check_above_ground,
     check_at_rest,
     check_start,
@@ -46,7 +45,7 @@ from hitchopt.steps.certified_motions import (
 )
 from hitchopt.steps.moving import plan_blended
 from hitchopt.steps.route_choice import split_hitch
-from hitchopt.steps.step import Situation, StepTask
+from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.values import Array
 
 AT_START = "at the start (t = 0)"
@@ -81,12 +80,12 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
     planned = requirements.planned  # stops on the common clock may use the rest
     first_form = next((step for step in steps if isinstance(step, Form)), None)
     situation, assignment = _begun(progress, problem.team, problem.start, first_form, planned)
-    start, parts = situation.hitch, list[Certified]()
+    start, parts = situation.hitch, list[StepPlan]()
     for first, group in _groups(steps):
         _tell(progress, f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         task = StepTask(situation, first, situation.at_objects(planned), optimiser)
         try:
-            part, situation = _step(progress, group, task)
+            part = _step(progress, group, task)
         except TimeLimitError:
             raise
         except HitchoptError as error:
@@ -96,6 +95,7 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
                 raise
             raise _in_step(error, first, group) from None
         parts.append(part)
+        situation = part.after
     motion = joined_motions([part.motion for part in parts])
     if motion.requirements is not requirements:
         motion = replace(motion, requirements=requirements)
@@ -230,17 +230,13 @@ def _begun(
 
 
 @remembered
-def _step(
-    progress: Progress | None, group: tuple[Step, ...], task: StepTask
-) -> tuple[Certified, Situation]:
-    """Return the certified motion of steps without a stop, and where it ends."""
+def _step(progress: Progress | None, group: tuple[Step, ...], task: StepTask) -> StepPlan:
+    """Return the certified plan of steps without a stop."""
     step = group[0]
     planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
-    certificate = planned.certificate
-    if certificate is None:
-        _tell(progress, f"certifying step {task.index} ({step.name})")
-        certificate = certified(planned.motion).certificate
-    return Certified(planned.motion, certificate), planned.after
+    _tell(progress, f"certifying step {task.index} ({step.name})")
+    _ = planned.certificate  # is remembered with the plan
+    return planned
 
 
 def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:

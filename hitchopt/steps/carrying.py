@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
@@ -26,7 +25,6 @@ from hitchopt.steps.step import (
     StepPlan,
     StepTask,
     eased,
-    step_edit,
 )
 from hitchopt.steps.step_keys import (
     Key,
@@ -104,12 +102,12 @@ class Enclose(Step):
             there,
             Morph(polygon),
         ]
-        above, here = held.in_turn(self, ways, task)
+        above = held.in_turn(self, ways, task)
         down = self.part(
             Transport(np.append(polygon.centroid, inside)),
-            task.within(slowly(requirements), here),
+            task.within(slowly(requirements), above.after),
         )
-        motion = held.one_phase([above, down.motion], task, self.name)
+        motion = held.one_phase([above.motion, down.motion], task, self.name)
         holding = Holding(self.object, polygons, task.before.team.tension)
         return StepPlan(self.lasting(task, motion), replace(down.after, holding=holding))
 
@@ -202,7 +200,7 @@ class PullStep(Step):
         """Yield the tension, and what else repair may change."""
         yield from super().knobs()
         if self.tension is not None:
-            pull = Knob("tension", self.tension, "N", partial(step_edit, self, "tension"))
+            pull = Knob("tension", self.tension, "N")
             yield replace(pull, covers=BALANCE | {"load", "grip"})
             yield replace(
                 pull, sign=-1, covers=BALANCE | eased("tension") | eased("length") | {"crossing"}
@@ -268,7 +266,7 @@ class Grasp(PullStep):
         asked: (n,) [N], tensions with which it is held.
         """
         from hitchopt.planners.carrying.rest import HeldHitch
-        from hitchopt.steps.held_moves import polygon_at, rolling_morph
+        from hitchopt.steps.held_moves import polygon_at
         from hitchopt.steps.holds import check_held, spaced
         from hitchopt.steps.route_choice import end_of_morph
 
@@ -280,7 +278,7 @@ class Grasp(PullStep):
         wide = spaced(free.requirements, SPREAD)
         near = end_of_morph(task.hitch, below, None, wide).hitch
         legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-        plan = rolling_morph(self, Morph(below, legs), free)
+        plan = self.part(Morph(below, legs), free)
         hitch = plan.after.hitch
         assert hitch is not None
         held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
@@ -440,7 +438,7 @@ class Loosen(Step):
         low = held.ended_holding(task, freed, sinking, held.place_of(body), gap).after
         around = Morph(held.polygon_at(body, holding.polygons.around))
         slow = slowly(without(task, self.object))
-        opening = held.rolling_morph(self, around, task.within(slow, low))
+        opening = self.part(around, task.within(slow, low))
         motion = held.one_phase([sinking, opening.motion], task, self.name, sinking.phases[0].hold)
         after = replace(opening.after, holding=replace(freed, held=None))
         return StepPlan(self.lasting(task, motion), after)

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hitchopt.checks import Certificate, Check, certify
-from hitchopt.checks.hanging import above_ground
+from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
-from hitchopt.planners.forming.stages import Stage
+from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.morph.path import RigidPath
-from hitchopt.planners.timing.flight import Flight, fly, turning_stretch
-from hitchopt.steps.step import Situation, StepTask
+from hitchopt.planners.timing.flight import Flight, fly
+from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -33,29 +30,23 @@ LEVEL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Certified:
-    """A motion and the certificate that holds for it."""
+    """The motion of a whole plan and the certificate that holds for it."""
 
     motion: Motion
     certificate: Certificate
 
 
-def certified(motion: Motion) -> Certified:
-    """Return the motion of one step with its certificate, the whole plan's duration left open."""
-    return Certified(motion, certify(motion.untimed, part=True))
-
-
-def checked(motion: Motion, when: str = "") -> Certified:
-    """Return the motion with its certificate, or raise InfeasibleError for what it breaks.
+def checked(planned: StepPlan, when: str = "") -> StepPlan:
+    """Return the plan of a step or a part of it; raise InfeasibleError for what it breaks.
 
     Parameters
     ----------
-    motion: of one step or a part of it.
+    planned: what is checked.
     when: said in place of the time, for a motion at rest.
     """
-    found = certified(motion)
-    if not found.certificate.certified:
-        raise infeasible(found.certificate, motion, when)
-    return found
+    if not planned.certificate.certified:
+        raise infeasible(planned.certificate, planned.motion, when)
+    return planned
 
 
 def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:
@@ -72,14 +63,10 @@ def flying(
     return Motion(team, requirements, **vars(flight), phases=tuple(phases))
 
 
-def at_rest(hitch: Hitch, requirements: Requirements) -> Motion:
-    """Return the motion of the hitch without any motion, as long as limits do not matter."""
-    return resting(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
-
-
-def certificate_at_rest(hitch: Hitch, requirements: Requirements) -> Certificate:
-    """Return the certificate of the hitch without any motion."""
-    return certified(at_rest(hitch, requirements)).certificate
+def at_rest(hitch: Hitch, requirements: Requirements) -> StepPlan:
+    """Return the plan in which a hitch stays, for as long as limits do not matter."""
+    motion = resting(hitch, requirements, 1.0, Phase("hold", 0, 0.0, 1.0))
+    return StepPlan(motion, Situation.formed(hitch))
 
 
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
@@ -163,7 +150,9 @@ TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
 def hovering(task: StepTask, seconds: float) -> Motion:
     """Return the motion in which drones on free cables stay: parked, or hovering."""
     rest = PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
-    motion = free_motion(Stage("parked", rest, CableState.GROUND), task)
+    motion = stage(
+        "parked", rest, task.before.team, task.requirements, task.index, CableState.GROUND
+    )
     (phase,) = motion.phases
     hanging = phase.state is CableState.FREE
     return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
@@ -173,7 +162,7 @@ def check_start(task: StepTask) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
     still = hovering(task, 1.0)
     try:
-        checked(still, "at the start (t = 0)")
+        checked(StepPlan(still, task.before), "at the start (t = 0)")
     except InfeasibleError as error:
         found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
@@ -206,47 +195,6 @@ def check_above_ground(motion: Motion) -> None:
     when = f"over the ground at about t = {motion.drones.breaks[piece]:.4g} s"
     remedy = "keep altitudes above 0, or give an arena with a lower floor"
     raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
-
-
-def staged(stages: Sequence[Stage], hitch: Hitch, i: int, requirements: Requirements) -> Motion:
-    """Return the motion of stages one after the other, ``hitch`` being what they make or had."""
-    return joined_motions([_staged(stage, hitch, i, requirements) for stage in stages])
-
-
-def _staged(stage: Stage, hitch: Hitch, i: int, requirements: Requirements) -> Motion:
-    """Return the motion of a stage."""
-    phase = Phase(stage.name, i, 0.0, stage.drones.duration, state=stage.state)
-    curves = Flight(stage.drones, stage.vertices(hitch), stage.legs(hitch), stage.tensions(hitch))
-    return _raised(flying(curves, hitch.team, requirements, [phase]))
-
-
-def free_motion(stage: Stage, task: StepTask) -> Motion:
-    """Return the motion of drones on free cables, of which no hitch is made."""
-    phase = Phase(stage.name, task.index, 0.0, stage.drones.duration, state=stage.state)
-    return _raised(Motion.single(task.before.team, task.requirements, stage.drones, [phase]))
-
-
-def _raised(motion: Motion) -> Motion:
-    """Return the motion of one phase, its cables hanging free where they are clear of the ground.
-
-    A stage that begins or ends on the ground is meant to have them lie there.
-    """
-    (phase,) = motion.phases
-    if phase.state is CableState.GROUND and above_ground(motion):
-        motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
-    return _turning_slowly(motion)
-
-
-def _turning_slowly(motion: Motion) -> Motion:
-    """Return the motion, from rest to rest, slowed until no thrust turns faster than allowed."""
-    limit = motion.requirements.limits.body_rate
-    if limit is None:
-        return motion
-    breaks = motion.drones.breaks
-    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
-    forces = (PiecewisePolynomial(breaks, c) for c in (pulls, tautness(motion)))
-    factor = turning_stretch(motion.team, limit, (motion.drones, motion.vertices, *forces))
-    return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 
 def tying_site(

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
-from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ import numpy as np
 from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.gripping import GRIP
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.rule import CheckRule
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch
@@ -21,14 +20,12 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, Motion, Phase, joined_motions
 from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import in_world, poses_of, stacked_on
-from hitchopt.planners.carrying.moves import Move, SmoothLaw, held_flight
+from hitchopt.objects.placing import in_world, stacked_on
+from hitchopt.planners.carrying.moves import Move, SmoothLaw, move_motion
 from hitchopt.planners.carrying.rest import ROOM, HeldHitch
 from hitchopt.planners.timing.flight import check_duration, needed_stretch
 from hitchopt.steps.moving import Morph, Transport
-from hitchopt.steps.step import Holding, Situation, Step, StepPlan, StepTask
-from hitchopt.steps.step_keys import RolledLegs
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
 from hitchopt.values import Array
 
 LIFT_SPEED = 0.1
@@ -127,25 +124,30 @@ def transferred(task: StepTask, before: float, after: float) -> Move:
     return within_limits(task, changed_move(task, SmoothLaw(0.5 * PRELOAD), borne=(before, after)))
 
 
-def within_limits(task: StepTask, move: Move) -> Move:
-    """Return a move that is slowed down as far as limits of motion need."""
-    held = task.holding.held
-    assert held is not None
-
-    def longer(move: Move) -> float:
-        return needed_stretch(held.team, task.requirements.limits, *held_flight(held, move).parts)
-
-    return _slowed(move, longer)
-
-
-def _slowed(move: Move, longer: Callable[[Move], float]) -> Move:
-    """Return a move that is slowed down until it need not take ``longer``, by a factor."""
+def within_limits(task: StepTask, move: Move, *rules: CheckRule) -> Move:
+    """Return a move that is slowed down as far as limits of motion, and some rules, need."""
     for _ in range(STRETCHES):
-        factor = longer(move)
+        factor = _longer(task, move, rules)
         if not 1.0 < factor < math.inf:
             break
         move = replace(move, law=move.law.slowed(1.01 * factor))
     return move
+
+
+def _longer(task: StepTask, move: Move, rules: Sequence[CheckRule]) -> float:
+    """Return how much longer a move has to take to keep all limits, by estimates."""
+    try:
+        motion = held_motion(task, [move], "")
+        curves = motion.drones, motion.vertices, motion.pulls
+        factor = needed_stretch(motion.team, task.requirements.limits, *curves)
+        if factor > 1.0 or not rules:  # infinite where a limit is reached at rest itself
+            return SLOWER if rules and factor == math.inf else factor
+    except InfeasibleError:
+        if not rules:
+            raise
+        return SLOWER
+    checks = (rule.check(motion) for rule in rules)
+    return 1.0 if all(check is None or check.holds for check in checks) else SLOWER
 
 
 def tension_moves(task: StepTask, before: Array, after: Array, gap: float) -> list[Move]:
@@ -163,58 +165,20 @@ def rim_move(task: StepTask, before: float, after: float) -> Move:
     return within_limits(task, changed_move(task, law, below=(before, after)))
 
 
-def in_turn(
-    step: Step, ways: Sequence[Transport | Morph], task: StepTask
-) -> tuple[Motion, Situation]:
-    """Return the motion of moves without an object as parts of a step, and where it ends.
+def in_turn(step: Step, ways: Sequence[Transport | Morph], task: StepTask) -> StepPlan:
+    """Return the plan of moves without an object as parts of a step.
 
-    One to where the hitch is already is left out.
+    One to where the hitch already is is left out.
     """
     motions, here = [], task
     for way in ways:
-        hitch = here.hitch
-        if isinstance(way, Transport):
-            place = np.append(hitch.polygon.centroid, hitch.altitude)
-            if np.max(np.abs(place - way.to)) < LEVEL:
-                continue
-            planned = step.part(way, here)
-        else:
-            planned = rolling_morph(step, way, here)
+        place = np.append(here.hitch.polygon.centroid, here.hitch.altitude)
+        if isinstance(way, Transport) and np.max(np.abs(place - way.to)) < LEVEL:
+            continue
+        planned = step.part(way, here)
         motions.append(planned.motion)
         here = here.within(here.requirements, planned.after)
-    return joined_motions(motions), here.before
-
-
-def rolling_morph(step: Step, morph: Morph, task: StepTask) -> StepPlan:
-    """Return the plan of a morph, as a part of a step.
-
-    Where legs that are rolled only at one of its ends have no way, they are rolled before it, or
-    back after it.
-
-    Raises
-    ------
-    InfeasibleError: no way, with what breaks without that.
-    """
-    try:
-        return step.part(morph, task)
-    except InfeasibleError as error:
-        start, end = task.hitch, morph.end(task).hitch
-        more = np.where(np.abs(end.roll) > np.abs(start.roll), end.roll, start.roll)
-        legs = (start.q_legs, more), (end.q_legs, more), (end.q_legs, end.roll)
-        outlines = start.polygon, end.polygon, end.polygon
-        ways = [Morph(at, RolledLegs(*each)) for at, each in zip(outlines, legs, strict=True)]
-        wanted = [bool(np.any(more != start.roll)), True, bool(np.any(more != end.roll))]
-        if sum(wanted) == 1:
-            raise
-        motions, here = [], task
-        for each in compress(ways, wanted):
-            try:
-                planned = step.part(each, here)
-            except InfeasibleError:
-                raise error from None
-            motions.append(planned.motion)
-            here = here.within(here.requirements, planned.after)
-        return StepPlan(joined_motions(motions), planned.after)
+    return StepPlan(joined_motions(motions), here.before)
 
 
 def held_plan(step: Step, task: StepTask, after: Holding, moves: Sequence[Move]) -> StepPlan:
@@ -252,33 +216,11 @@ def ended_holding(
 
 def held_motion(task: StepTask, moves: Sequence[Move], name: str) -> Motion:
     """Return the motion of moves one after the other with a held object, as one phase."""
-    holding, requirements = task.holding, task.requirements
-    held = holding.held
+    held, requirements = task.holding.held, task.requirements
     assert held is not None
-    hold = Hold(holding.name, held.by, tuple(range(task.before.team.robots)))
-    parts = []
-    for each in (held_flight(held, move) for move in moves):
-        breaks = each.pose.breaks
-        index = list(requirements.objects).index(holding.name)
-        poses = np.repeat(
-            poses_of(requirements.objects)[None, :, :, None], each.pose.pieces, axis=0
-        )
-        poses = np.repeat(poses, each.pose.degree + 1, axis=-1)
-        poses[:, index] = each.pose.coefficients
-        share = np.zeros((each.borne.pieces, len(requirements.objects), each.borne.degree + 1))
-        share[:, index] = each.borne.coefficients
-        parts.append(
-            Motion(
-                task.before.team,
-                requirements,
-                **vars(each.flight),
-                phases=(Phase(name, task.index, 0.0, each.flight.duration),),
-                poses=PiecewisePolynomial(breaks, poses),
-                borne=PiecewisePolynomial(breaks, share),
-                contacts=each.contacts,
-                leg_tensions=each.leg_tensions,
-            )
-        )
+    hold = Hold(task.holding.name, held.by, tuple(range(held.team.robots)))
+    phase = Phase(name, task.index, 0.0, 1.0, hold=hold)
+    parts = [move_motion(held, move, requirements, phase) for move in moves]
     return one_phase(parts, task, name, hold)
 
 
@@ -339,20 +281,6 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
         top = min(speed, limits.speed, limits.vertex_speed)
         law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
     lifted = holding_otherwise(task, borne=True)
-    return _slowed(changed_move(lifted, law, start=start, end=to), partial(_longer, lifted))
-
-
-def _longer(task: StepTask, move: Move) -> float:
-    """Return how much longer a carried move has to take to keep all limits, by estimates."""
-    held, limits = task.holding.held, task.requirements.limits
-    assert held is not None
-    try:
-        factor = needed_stretch(held.team, limits, *held_flight(held, move).parts)
-        if factor > 1.0:
-            return factor if factor < math.inf else SLOWER  # at rest a limit itself is reached
-        motion = held_motion(task, [move], "carry")
-    except InfeasibleError:
-        return SLOWER
-    rules = (GRIP, QUICK_EQUILIBRIUM, RULE_OF["separation"], RULE_OF["crossing"])
-    checks = (rule.check(motion) for rule in rules)
-    return 1.0 if all(check is None or check.holds for check in checks) else SLOWER
+    move = changed_move(lifted, law, start=start, end=to)
+    rules = GRIP, QUICK_EQUILIBRIUM, RULE_OF["separation"], RULE_OF["crossing"]
+    return within_limits(lifted, move, *rules)

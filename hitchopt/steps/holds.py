@@ -37,7 +37,7 @@ from hitchopt.steps.held_moves import (
     transferred,
     within_limits,
 )
-from hitchopt.steps.route_choice import NO_ROOM, remarked
+from hitchopt.steps.route_choice import NO_ROOM
 from hitchopt.steps.step import Step, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -85,7 +85,7 @@ def check_held(task: StepTask) -> None:
         if isinstance(holding.held, HeldHitch):
             words = f"as the clasps take objects.{holding.name}"
             moves = rim_move(task, gap_below(task.requirements), 0.0), transferred(task, 0.0, 1.0)
-            checked(held_motion(task, moves, "lift"), words)
+            checked(StepPlan(held_motion(task, moves, "lift"), task.before), words)
     except InfeasibleError as error:
         ways, told = _what_holds(task), []
         for each in error.violations:
@@ -101,7 +101,8 @@ def _check_bearing(task: StepTask) -> None:
     if isinstance(held, HeldHitch):  # without the rim, which bends legs that do not carry it
         held.at_rest(task.holding.tension, held.body.mass)
     bearing = holding_otherwise(task, borne=True)
-    checked(held_motion(bearing, [resting_move(bearing, 1.0)], "hold"))
+    motion = held_motion(bearing, [resting_move(bearing, 1.0)], "hold")
+    checked(StepPlan(motion, bearing.before))
 
 
 def _bears(task: StepTask) -> bool:
@@ -178,8 +179,8 @@ def grip_closed(step: Step, task: StepTask, tension: float | None) -> StepPlan:
     )
     here = holding_otherwise(task, tension=asked, held=held)
     check_held(here)
-    motion, _ = _passed(step, here, (team.tension, asked), (0.0, 1.0))
-    return ended_holding(task, here.holding, motion, place_of(body))
+    motion, _, words = _passed(step, here, (team.tension, asked), (0.0, 1.0))
+    return ended_holding(task, here.holding, motion, place_of(body)).remarked(words)
 
 
 def grip_opened(step: Step, task: StepTask) -> StepPlan:
@@ -192,18 +193,19 @@ def grip_opened(step: Step, task: StepTask) -> StepPlan:
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
     assert isinstance(held, GrippedHitch)
-    motion, moves = _passed(step, task, (holding.tension, team.tension), (1.0, 0.0))
+    motion, moves, words = _passed(step, task, (holding.tension, team.tension), (1.0, 0.0))
     _check_let_go(holding.name, held, moves)
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
     hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
     freed = replace(holding, tension=team.tension, held=None)
     drones = motion.drones.at(motion.duration)
-    return StepPlan(motion, replace(task.before, drones=drones, hitch=hitch, holding=freed))
+    after = replace(task.before, drones=drones, hitch=hitch, holding=freed)
+    return StepPlan(motion, after).remarked(words)
 
 
 def _passed(
     step: Step, task: StepTask, tension: tuple[Array, Array], closed: tuple[float, float]
-) -> tuple[Motion, list[Move]]:
+) -> tuple[Motion, list[Move], str]:
     """Return the motion that closes or opens a hitch, the first that satisfies the checks KEPT.
 
     Cables pull as hard as while the object is held, or less: as little as possible where the hitch
@@ -254,11 +256,9 @@ def _passed(
                 refused.append(InfeasibleError([check.violation(when, remedy)]))
                 break
         else:
-            motion = step.lasting(task, motion)
-            if held.team.cable_friction:
-                words = f"legs lean against {lean:.0%} of clasp friction" if lean else NO_ROOM
-                motion = remarked(motion, words)
-            return motion, moves
+            words = f"legs lean against {lean:.0%} of clasp friction" if lean else NO_ROOM
+            rubbing = bool(held.team.cable_friction)
+            return step.lasting(task, motion), moves, words if rubbing else ""
     raise [*refused, *pushed][0]
 
 

@@ -17,7 +17,8 @@ from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.steps.step import (
     IDLE,
     PLAN_DURATION,
-    Edited,
+    Edit,
+    Edits,
     Knob,
     Situation,
     Stage,
@@ -30,7 +31,6 @@ from hitchopt.steps.step import (
     lasting_knobs,
     outline_edit,
     points_scaled,
-    step_edit,
 )
 from hitchopt.steps.step_keys import (
     LEGS_TEXT,
@@ -124,10 +124,9 @@ class ShapeStep(HitchStep):
         end, duration = self.end(task), self.given_duration
         lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        asked = task.hitch, end.hitch, task.requirements, phase, duration
         routes = [
-            lambda: checked(self.own_motion(task, end)),
-            lambda: optimised(*asked, lead=lead),
+            lambda: checked(task.ended(self.own_motion(task, end), end.hitch)),
+            lambda: optimised(task, end.hitch, phase, duration, lead=lead),
         ]
 
         def check_rest() -> None:
@@ -141,11 +140,7 @@ class ShapeStep(HitchStep):
             fastest=lead or tension is not None,
             before_others=check_rest,
         )
-        motion = found.motion
-        if words:
-            (flown,) = motion.phases
-            motion = replace(motion, phases=(replace(flown, remark=f"{flown.remark}: {words}"),))
-        return task.ended(motion, end.hitch, found.certificate)
+        return found.remarked(words)
 
 
 class ActionStep(ShapeStep):
@@ -276,8 +271,7 @@ class Settle(Step):
         from hitchopt.steps.route_choice import worked
 
         phase = Phase(self.name, task.index, 0.0, 0.0)
-        found = worked(task.hitch, task.requirements, self.given_duration, phase)
-        return task.ended(found.motion, task.hitch, found.certificate)
+        return worked(task, self.given_duration, phase)
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the seconds, where they are given."""
@@ -374,9 +368,9 @@ class Morph(ShapeStep):
         planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
         return self.motion(task, planner.solve(), end.hitch)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
-        """Return the step with its polygon scaled about its centroid, which is the centre then."""
-        return outline_edit(self, factor)
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
+        """Return the edit that scales its polygon about its centroid, which is the centre then."""
+        return (outline_edit("polygon", self.polygon, factor),), self.polygon.centroid
 
 
 class MoveStep(ActionStep):
@@ -408,12 +402,11 @@ class MoveStep(ActionStep):
         """The key that tells where to, and its value."""
         return ("by", self.by) if self.to is None else ("to", self.to)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:
-        """Return the step with its place scaled about ``centre``, or its offset."""
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
+        """Return the edit that scales its place about ``centre``, or its offset."""
         key, value = self.moved_key
         about = np.zeros(2) if key == "by" else centre
-        points = points_scaled(np.asarray(value), factor, about)
-        return step_edit(self, key, points, points.tolist()), centre
+        return (Edit(key, points_scaled(np.asarray(value), factor, about).tolist()),), centre
 
 
 _PLACE = of_shape((2,), "a point [x, y]")
@@ -615,24 +608,22 @@ class FollowVertex(ActionStep):
     def knobs(self) -> Iterator[Knob]:
         """Yield the points' times."""
 
-        def put(factor: float) -> Edited:
-            return self._rewritten(points_scaled(times, factor, np.zeros(1)), points)
+        def slower(factor: float) -> Edits:
+            times = points_scaled(self.path[:, 0], factor, np.zeros(1))
+            return self._rewritten(times, self.path[:, 1:])
 
-        times, points = self.path[:, 0], self.path[:, 1:]
-        longer = Knob(
-            "path", 1.0, "times", put, 1, eased("time") | eased("tension"), "times of its points"
-        )
+        covers = eased("time") | eased("tension")
+        longer = Knob("path", 1.0, "times", slower, 1, covers, "times of its points")
         yield longer
         yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:
-        """Return the step with its points scaled about the centre."""
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
+        """Return the edit that scales its points about the centre."""
         points = points_scaled(self.path[:, 1:], factor, centre)
         return self._rewritten(self.path[:, 0], points), centre
 
-    def _rewritten(self, times: Array, points: Array) -> Edited:
-        path = np.column_stack([times, points])
-        return step_edit(self, "path", path, path.tolist())
+    def _rewritten(self, times: Array, points: Array) -> Edits:
+        return (Edit("path", np.column_stack([times, points]).tolist()),)
 
 
 def _turned(key: str, value: object) -> float:
@@ -693,9 +684,9 @@ class Transport(HitchStep):
             flight = fly(path, limits, self.duration)
         return task.ended(self.motion(task, flight, end), end)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
-        """Return the step as it is, and the place that the hitch is carried to."""
-        return Edited(self), self.to[:2]
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
+        """Return nothing, and the place that the hitch is carried to."""
+        return (), self.to[:2]
 
 
 def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:

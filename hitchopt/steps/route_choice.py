@@ -9,27 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.checks import Certificate
 from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.motion import Phase
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
-from hitchopt.steps.certified_motions import (
-    Certified,
-    certificate_at_rest,
-    certified,
-    checked,
-    flying,
-    infeasible,
-    resting,
-)
-from hitchopt.steps.step import IDLE, StepPlan
+from hitchopt.steps.certified_motions import at_rest, checked, flying, infeasible, resting
+from hitchopt.steps.step import IDLE, StepPlan, StepTask
 from hitchopt.steps.step_keys import RolledLegs, SlackSplit
 
 
@@ -113,7 +104,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
 
 def broken_at_rest(hitch: Hitch, requirements: Requirements) -> str:
     """Return the first limit that the hitch breaks, in words; nothing if it keeps them all."""
-    broken = certificate_at_rest(hitch, requirements).violated
+    broken = at_rest(hitch, requirements).certificate.violated
     return _words(broken[0].violation("", "")) if broken else ""
 
 
@@ -147,20 +138,14 @@ SLOWER = "the step's own route takes longer"
 
 
 def optimised(
-    start: Hitch,
-    end: Hitch,
-    requirements: Requirements,
-    phase: Phase,
-    duration: float | None = None,
-    *,
-    lead: bool = False,
-) -> Certified:
-    """Return the fastest motion that the optimiser finds from one hitch to another.
+    task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
+) -> StepPlan:
+    """Return the fastest plan that the optimiser finds from the task's hitch to another.
 
     Parameters
     ----------
-    start, end: at one altitude, both within all limits at rest.
-    requirements: what the motion must satisfy.
+    task: what is asked.
+    end: at the same altitude; both hitches are within all limits at rest.
     phase: the step's name and index, and within what tensions may change meanwhile.
     duration: exactly that long [s], or None.
     lead: also try legs that lead and lag.
@@ -173,12 +158,12 @@ def optimised(
     from hitchopt.planners.morph.legs import leading
     from hitchopt.planners.optimise.search import OptimisedMorph
 
-    limits = requirements.limits
-    accepted: list[tuple[Flight, Certificate]] = []
+    start, requirements, limits = task.hitch, task.requirements, task.requirements.limits
+    accepted: dict[Flight, StepPlan] = {}
 
-    def motion(flight: Flight, remark: str = "") -> Motion:
-        flown = replace(phase, end=flight.duration, remark=remark)
-        return flying(flight, start.team, requirements, [flown])
+    def planned(flight: Flight) -> StepPlan:
+        flown = replace(phase, end=flight.duration)
+        return task.ended(flying(flight, start.team, requirements, [flown]), end)
 
     def judged(path: ShapePath) -> Flight | None:
         """Return the flight along a path, or one on which legs lead and lag, if it is certified."""
@@ -190,37 +175,36 @@ def optimised(
                 if tried is path:
                     raise
                 continue
-            certificate = certified(motion(flight)).certificate
-            if certificate.certified:
-                accepted.append((flight, certificate))
+            found = planned(flight)
+            if found.certificate.certified:
+                accepted[flight] = found
                 return flight
         return None
 
     found = OptimisedMorph(start, end, requirements, judged, phase.tension).solve()
     if not found:
         raise HitchoptError("no route was found")
-    flight, remark = found[0].flight, f"on an optimised route, first guess {found[0].name}"
-    if duration is not None:
-        check_duration(duration, flight.duration)
-        return checked(motion(flight.lasting(duration), remark))
-    certificate = next(each for one, each in accepted if one is flight)
-    return Certified(motion(flight, remark), certificate)
+    best, words = found[0].flight, f"on an optimised route, first guess {found[0].name}"
+    if duration is None:
+        return accepted[best].remarked(words)
+    check_duration(duration, best.duration)
+    return checked(planned(best.lasting(duration)).remarked(words))
 
 
 def routed(
-    routes: Sequence[Callable[[], Certified]],
+    routes: Sequence[Callable[[], StepPlan]],
     note: str,
     *,
     fastest: bool = False,
     before_others: Callable[[], object] = lambda: None,
-) -> tuple[Certified, str]:
-    """Return a motion that satisfies all limits, and why it is not that of the first route.
+) -> tuple[StepPlan, str]:
+    """Return a plan that satisfies all limits, and why it is not that of the first route.
 
     Parameters
     ----------
     routes: in the order in which they are tried, the step's own first.
     note: added to the refusal where more than one was tried.
-    fastest: try all of them, and return the fastest motion.
+    fastest: try all of them, and return the fastest plan.
     before_others: called where the first one is refused; it may raise what none can satisfy.
 
     Raises
@@ -229,7 +213,7 @@ def routed(
         long is told before others, that which takes the least time first.
     HitchoptError: as the first of them, where none tells what binds.
     """
-    found: dict[int, Certified] = {}
+    found: dict[int, StepPlan] = {}
     refusals: list[HitchoptError] = []
     for i, route in enumerate(routes):
         try:
@@ -306,29 +290,21 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
         if share < 1.0:
             words += f" ({share:.0%} of what would do: limits leave room for no more)"
-        judged = certified(remarked(found.motion, words))
-        if judged.certificate.certified:
-            return replace(planned, motion=judged.motion, certificate=judged.certificate)
+        leant = replace(planned, motion=found.motion).remarked(words)
+        if leant.certificate.certified:
+            return leant
         most = REFUSED * share
-    return replace(planned, motion=remarked(motion, NO_ROOM))
+    return planned.remarked(NO_ROOM)
 
 
-def worked(
-    hitch: Hitch,
-    requirements: Requirements,
-    seconds: float | None,
-    phase: Phase,
-    *,
-    needed: bool = True,
-) -> Certified:
-    """Return the motion in which drones swing until the clasps' friction has lost its memory.
+def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
+    """Return the plan in which drones swing until the clasps' friction has lost its memory.
 
     They swing as far as limits allow, ``remark`` says how far.
 
     Parameters
     ----------
-    hitch: of cables with friction, at rest before and after.
-    requirements: what the motion must satisfy.
+    task: with a hitch of cables with friction, at rest before and after.
     seconds: how long [s]; None for SWINGS of SWING, up to LONGER times as long where limits of
         motion need that.
     phase: its name, step and remark; the times are set.
@@ -341,7 +317,7 @@ def worked(
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling
 
     lasts = SWING * (SWINGS + 0.5) if seconds is None else seconds
-    limits, judged = requirements.limits, None
+    hitch, requirements, tried = task.hitch, task.requirements, None
     rest = resting(hitch, requirements, lasts, phase)
     for share in SHARES:
         found = settling(rest, share)
@@ -351,28 +327,17 @@ def worked(
         motion = leaning.motion
         words = f"drones swing by up to {math.degrees(leaning.turned):.2g}°"
         curves = motion.drones, motion.vertices, motion.pulls
-        factor = needed_stretch(motion.team, limits, *curves)
+        factor = needed_stretch(motion.team, requirements.limits, *curves)
         if factor > 1.0 and seconds is None and factor <= LONGER:
             motion = motion.slowed(factor)
         if used < WHOLE:
             words += f" (at least {used:.0%} of what would do: legs have room for no more)"
-        judged = certified(remarked(motion, words))
-        if judged.certificate.certified:
-            return judged
-    if judged is None:
-        return certified(remarked(rest, "no leg can lean against friction"))
+        tried = task.ended(motion, hitch).remarked(words)
+        if tried.certificate.certified:
+            return tried
+    if tried is None:
+        return task.ended(rest, hitch).remarked("no leg can lean against friction")
     if needed:
-        raise infeasible(judged.certificate, judged.motion)
-    left = resting(hitch, requirements, IDLE, phase)
-    return certified(
-        remarked(left, "clasps keep their friction: limits leave no room to work them")
-    )
-
-
-def remarked(motion: Motion, words: str) -> Motion:
-    """Return the same motion, the remarks of its phases with these words at their end."""
-    phases = tuple(
-        replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
-        for phase in motion.phases
-    )
-    return replace(motion, phases=phases)
+        raise infeasible(tried.certificate, tried.motion)
+    left = task.ended(resting(hitch, requirements, IDLE, phase), hitch)
+    return left.remarked("clasps keep their friction: limits leave no room to work them")

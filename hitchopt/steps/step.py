@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import cache, partial
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -63,12 +63,8 @@ class Edit(OneLine):
     value: object
 
 
-@dataclass(frozen=True, eq=False)
-class Edited:
-    """A problem, or a step, with another value, and how a file says so."""
-
-    changed: Any
-    edits: tuple[Edit, ...] = ()
+Edits = tuple[Edit, ...]
+"""Edits that are made together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +75,7 @@ class Knob:
     ----------
     key: as the file has it; of a step's number, within the step.
     old, unit: its value, and the unit of it; ``times`` for a factor.
-    put: gives the problem with another value; for a step's number, the step.
+    written: gives what to write for another value; None for the value itself under the key.
     sign: 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most.
     covers: constraints that it can repair; where others are broken too it is not tried.
     words: what it is, where the key does not tell.
@@ -91,7 +87,7 @@ class Knob:
     key: str
     old: float
     unit: str
-    put: Callable[[float], Edited]
+    written: Callable[[float], Edits] | None = None
     sign: int = 1
     covers: frozenset[str] = frozenset()
     words: str = ""
@@ -104,23 +100,21 @@ class Knob:
         if self.sign < 0 and self.extent is None:
             object.__setattr__(self, "most", min(self.most, 1.0 - LEAST_LEFT))
 
+    def edits(self, value: float) -> Edits:
+        """Return what to write for another value."""
+        return (Edit(self.key, value),) if self.written is None else self.written(value)
+
 
 LEAST_LEFT = 0.1
 """Share of a quantity that is left where it is lowered the most."""
 
 
-def step_edit(step: Step, key: str, value: Any, written: object = None) -> Edited:
-    """Return the step with another value of a key; a file has it as ``written``, or alike."""
-    changed = replace(step, **{key: value})
-    return Edited(changed, (Edit(key, value if written is None else written),))
-
-
 def lasting_knobs(step: Step, key: str, *, longer: bool = False) -> Iterator[Knob]:
     """Yield the knobs of a duration [s] of a step: shorter, and longer where that may help."""
-    put, seconds = partial(step_edit, step, key), float(getattr(step, key))
+    seconds = float(getattr(step, key))
     if longer:  # which takes nothing away
-        yield Knob(key, seconds, "s", put, 1, frozenset({"duration"}), relaxes=True)
-    yield Knob(key, seconds, "s", put, -1, frozenset({PLAN_DURATION}))
+        yield Knob(key, seconds, "s", covers=frozenset({"duration"}), relaxes=True)
+    yield Knob(key, seconds, "s", sign=-1, covers=frozenset({PLAN_DURATION}))
 
 
 def points_scaled(points: Array, factor: float, centre: Array) -> Array:
@@ -128,15 +122,9 @@ def points_scaled(points: Array, factor: float, centre: Array) -> Array:
     return np.round(centre + factor * (points - centre), DECIMALS)
 
 
-def outline_scaled(outline: Outline, factor: float) -> Outline:
-    """Return the outline scaled about its centroid."""
-    return type(outline)(points_scaled(outline.vertices, factor, outline.centroid))
-
-
-def outline_edit(step: Any, factor: float) -> tuple[Edited, Array]:
-    """Return the step with its polygon scaled about its centroid, and that centroid."""
-    scaled = outline_scaled(step.polygon, factor)
-    return step_edit(step, "polygon", scaled, scaled.vertices.tolist()), step.polygon.centroid
+def outline_edit(key: str, outline: Outline, factor: float) -> Edit:
+    """Return the edit of an outline that is scaled about its centroid."""
+    return Edit(key, points_scaled(outline.vertices, factor, outline.centroid).tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +189,30 @@ class StepPlan:
     ----------
     motion: from rest to rest.
     after: where it ends.
-    certificate: of the step alone, its duration left open; None where it was not computed yet.
     """
 
     motion: Motion
     after: Situation
-    certificate: Certificate | None = None
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """Of the motion alone, the whole plan's duration left open; computed when first needed."""
+        from hitchopt.checks import certify
+
+        return certify(self.motion.untimed, part=True)
+
+    def remarked(self, words: str) -> StepPlan:
+        """Return the same plan, the remarks of its phases with these words at their end, if any."""
+        if not words:
+            return self
+        phases = [
+            replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
+            for phase in self.motion.phases
+        ]
+        made = StepPlan(self.motion.altered(phases=tuple(phases)), self.after)
+        if "certificate" in vars(self):  # which tells nothing of remarks
+            vars(made)["certificate"] = self.certificate
+        return made
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,12 +252,9 @@ class StepTask:
         """Return the same task in another situation, with other requirements."""
         return replace(self, before=situation, requirements=requirements)
 
-    def ended(
-        self, motion: Motion, hitch: Hitch, certificate: Certificate | None = None
-    ) -> StepPlan:
+    def ended(self, motion: Motion, hitch: Hitch) -> StepPlan:
         """Return the plan of a motion that ends with a hitch."""
-        after = replace(self.before, hitch=hitch, drones=hitch.drones)
-        return StepPlan(motion, after, certificate)
+        return StepPlan(motion, replace(self.before, hitch=hitch, drones=hitch.drones))
 
 
 class Stage(StrEnum):
@@ -393,15 +396,15 @@ class Step(OneLine, ABC):
         if self.given_duration is not None:
             yield from lasting_knobs(self, "duration", longer=True)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
-        """Return the step with its outline scaled, and the centre of the outline after it.
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
+        """Return the edits that scale its outline, and the centre of the outline after it.
 
         Parameters
         ----------
         factor: of all outlines.
         centre: (2,) [m], about which the outline before the step is scaled.
         """
-        return Edited(self), centre
+        return (), centre
 
 
 def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> Outline:

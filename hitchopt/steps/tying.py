@@ -16,8 +16,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import (
-    Edit,
-    Edited,
+    Edits,
     Knob,
     Step,
     StepPlan,
@@ -52,7 +51,6 @@ from hitchopt.values import Array, instance
 if TYPE_CHECKING:
     from hitchopt.hitch.requirements import Requirements
     from hitchopt.motion.motion import Motion
-    from hitchopt.steps.certified_motions import Certified
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -168,18 +166,14 @@ class Form(Step):
         wanted = self._wanted(task.before.team, requirements)
         motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
         high, pre = motions.tying_site(wanted, self.swap, None, requirements)
-        tying = motions.staged(
-            tied(pre, high, requirements.limits, self.swap), high, i, requirements
-        )
+        tying = joined_motions(tied(pre, high, requirements, self.swap, i))
         if pre.shortfall > 0.0:
-            motions.checked(tying)  # no use to go there if nothing can be tied
-        parts = [_approach(task, pre.drones, high), tying]
+            motions.checked(
+                StepPlan(tying, task.before)
+            )  # no use to go there if nothing can be tied
+        parts = [_approach(task, pre.drones), tying]
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
-        if wanted.team.cable_friction > 0.0 and self.settle is not False:
-            seconds = None if isinstance(self.settle, str) else self.settle
-            phase, needed = Phase("settle", i, 0.0, 0.0), seconds is not None
-            parts.append(worked(wanted, requirements, seconds, phase, needed=needed).motion)
         after = replace(
             task.before,
             drones=wanted.drones,
@@ -187,6 +181,10 @@ class Form(Step):
             senses=np.sign(pre.turns.rise),
             swap=self.swap,
         )
+        if wanted.team.cable_friction > 0.0 and self.settle is not False:
+            seconds = None if isinstance(self.settle, str) else self.settle
+            phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
+            parts.append(worked(tied_task, seconds, phase, needed=seconds is not None).motion)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
@@ -197,7 +195,7 @@ class Form(Step):
         and are spread beyond that. Drones that stand close lose little of a distance that has
         downwash in it; the one to cables has nothing to spare for a gust as a hitch is drawn tight.
         """
-        from hitchopt.steps.certified_motions import certificate_at_rest
+        from hitchopt.steps.certified_motions import at_rest
         from hitchopt.steps.route_choice import split_hitch
 
         legs: SlackSplit = "spread" if self.legs is None else self.legs
@@ -205,7 +203,7 @@ class Form(Step):
         if self.legs is not None:
             return spread
         cable = requirements.separation.cable
-        clearance = certificate_at_rest(spread, requirements)["cable_clearance"].bound
+        clearance = at_rest(spread, requirements).certificate["cable_clearance"].bound
         for margin in CABLE_MARGINS:
             if clearance >= margin * cable:
                 break
@@ -213,7 +211,7 @@ class Form(Step):
             wider = replace(requirements, separation=separation)
             same_roll = RolledLegs("spread", spread.roll)
             hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)
-            if certificate_at_rest(hitch, wider).certified:
+            if at_rest(hitch, wider).certificate.certified:
                 return hitch
         return spread
 
@@ -222,34 +220,29 @@ class Form(Step):
         yield from super().knobs()
         if self.swap.radius > SwapSettings.radius:
             covers = eased("length") | {"interlacing", "arena", "crossing"}
+            yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
-            def put(radius: float) -> Edited:
-                changed = replace(self, swap=replace(self.swap, radius=radius))
-                return Edited(changed, (Edit("swap.radius", radius),))
-
-            yield Knob("swap.radius", self.swap.radius, "m", put, -1, covers)
-
-    def scaled(self, factor: float, centre: Array) -> tuple[Edited, Array]:  # noqa: ARG002
-        """Return the step with its polygon scaled about its centroid, which is the centre then."""
-        return outline_edit(self, factor)
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
+        """Return the edit that scales its polygon about its centroid, which is the centre then."""
+        return (outline_edit("polygon", self.polygon, factor),), self.polygon.centroid
 
 
-def _approach(task: StepTask, goal: Array, hitch: Hitch) -> Motion:
+def _approach(task: StepTask, goal: Array) -> Motion:
     """Return the first route to the pre-hitch that the certificate holds for.
 
     Raises
     ------
     InfeasibleError: none; says what binds on the first of them.
     """
+    from hitchopt.motion.motion import joined_motions
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import checked, staged
+    from hitchopt.steps.certified_motions import checked
     from hitchopt.steps.route_choice import routed
 
-    asked = task.before.team, task.before.drones, goal, task.requirements
+    asked = task.before.team, task.before.drones, goal, task.requirements, task.index
 
-    def flown(planner: type[DirectApproach | GatheredApproach]) -> Certified:
-        stages = planner(*asked).solve()
-        return checked(staged(stages, hitch, task.index, task.requirements))
+    def flown(planner: type[DirectApproach | GatheredApproach]) -> StepPlan:
+        return checked(StepPlan(joined_motions(planner(*asked).solve()), task.before))
 
     routes = [partial(flown, planner) for planner in (DirectApproach, GatheredApproach)]
     return routed(routes, "no other route to the pre-hitch was found")[0].motion
@@ -275,15 +268,14 @@ class Release(Step):
         """Return the plan from a hitch to drones on free cables."""
         from hitchopt.motion.motion import joined_motions
         from hitchopt.planners.forming.stages import tied, undone
-        from hitchopt.steps.certified_motions import lifted, staged, tying_site
+        from hitchopt.steps.certified_motions import lifted, tying_site
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
         senses = before.senses
         if senses is None:
             senses = np.ones(len(before.team.layout.clasps))
         high, pre = tying_site(hitch, before.swap, senses, requirements)
-        stages = undone(tied(pre, high, requirements.limits, before.swap))
-        parts = [staged(stages, high, task.index, requirements)]
+        parts = undone(tied(pre, high, requirements, before.swap, task.index))
         if high is not hitch:
             parts.insert(0, lifted(hitch, high.altitude, "raise", task))
         after = replace(before, drones=pre.drones, hitch=None, senses=None)
@@ -307,14 +299,13 @@ class Land(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down."""
         from hitchopt.motion.motion import CableState
-        from hitchopt.planners.forming.stages import Stage
+        from hitchopt.planners.forming.stages import stage
         from hitchopt.planners.forming.turns import straight
-        from hitchopt.steps.certified_motions import free_motion
 
         before, requirements = task.before, task.requirements
         down = before.drones.copy()
         down[:, 2] = requirements.floor
         flight = straight(before.team, requirements.limits, before.drones, down)
-        motion = free_motion(Stage("land", flight, CableState.GROUND), task)
+        motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
         after = replace(before, drones=down)
         return StepPlan(self.lasting(task, motion), after)

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from test_interlacing import FEW, motion_of, stages_of
+from test_interlacing import FEW, stage_of, stages_of
 
 from hitchopt.checks import certify
 from hitchopt.hitch.requirements import Limits
-from hitchopt.motion.motion import CableState
-from hitchopt.planners.forming.stages import Stage
+from hitchopt.motion.motion import CableState, joined_motions
 from hitchopt.planners.forming.turns import straight
 
 
@@ -15,15 +14,17 @@ from hitchopt.planners.forming.turns import straight
 @pytest.mark.parametrize("n", FEW)
 def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
     hitch, stages = stages_of(n)
-    right = certify(motion_of(hitch, stages))["cable_length"]
+    right = certify(joined_motions(stages))["cable_length"]
     assert right.holds
     drones = hitch.drones
     farther = np.mean(drones, axis=0) + 1.1 * (drones - np.mean(drones, axis=0))
     out = [
-        Stage("tighten", straight(hitch.team, Limits(), first, last), CableState.TIGHTENING)
+        stage_of(
+            hitch, "tighten", straight(hitch.team, Limits(), first, last), CableState.TIGHTENING
+        )
         for first, last in ((drones, farther), (farther, drones))
     ]
-    torn = certify(motion_of(hitch, [*stages[:3], *out, stages[3]]))
+    torn = certify(joined_motions([*stages[:3], *out, stages[3]]))
     assert torn["span"].holds
     assert not torn["cable_length"].holds
     # Farthest out, around the hitch's vertices: two longer legs and the edge between them.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +13,11 @@ from hitchopt.checks.crossings import chord_crossings, entered
 from hitchopt.checks.story import INTERLACING
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import CableState, Motion, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import Stage, tied, undone
+from hitchopt.planners.forming.stages import stage, tied, undone
 from hitchopt.planners.forming.turns import straight, swap
-from hitchopt.steps.certified_motions import staged
 from hitchopt.trajectory import PiecewisePolynomial
 
 KEPT = Requirements(Limits(), Separation(), None)
@@ -38,15 +36,17 @@ def hitch_of(n: int) -> Hitch:
     return Hitch.balanced(Team(n, length), np.array(polygon) + [4.0, -3.0], 1.8)
 
 
-def stages_of(n: int, settings: SwapSettings | None = None) -> tuple[Hitch, list[Stage]]:
+def stages_of(n: int, settings: SwapSettings | None = None) -> tuple[Hitch, list[Motion]]:
     hitch = hitch_of(n)
     settings = settings or SwapSettings()
     pre = find_prehitch(hitch, Separation(), settings)
-    return hitch, tied(pre, hitch, Limits(), settings)
+    return hitch, tied(pre, hitch, KEPT, settings)
 
 
-def motion_of(hitch: Hitch, stages: Sequence[Stage]) -> Motion:
-    return staged(stages, hitch, 0, KEPT)
+def stage_of(hitch: Hitch, name: str, drones: PiecewisePolynomial, state: CableState) -> Motion:
+    """A stage whose vertices are the hitch's."""
+    vertices = PiecewisePolynomial.constant(drones.breaks, hitch.vertices)
+    return stage(name, drones, hitch.team, KEPT, 0, state, vertices=vertices)
 
 
 def counts(drones: PiecewisePolynomial) -> dict[tuple[int, int], int]:
@@ -66,13 +66,13 @@ def wrong(motion: Motion) -> set[str]:
 @pytest.mark.parametrize("n", FEW)
 @pytest.mark.parametrize("sense", [1, -1])
 def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
-    hitch, stages = stages_of(n, SwapSettings(sense=sense))
-    assert not wrong(motion_of(hitch, stages))
-    assert not wrong(motion_of(hitch, [*stages, *undone(stages)]))
+    _, stages = stages_of(n, SwapSettings(sense=sense))
+    assert not wrong(joined_motions(stages))
+    assert not wrong(joined_motions([*stages, *undone(stages)]))
     # A hitch that was there at first: tied with every q going up first.
     everywhere = {f"p{k}" for k in range(n)}
-    assert wrong(motion_of(hitch, undone(stages))) == (set() if sense == 1 else everywhere)
-    met = chord_crossings(motion_of(hitch, stages[:3]).drones)
+    assert wrong(joined_motions(undone(stages))) == (set() if sense == 1 else everywhere)
+    met = chord_crossings(joined_motions(stages[:3]).drones)
     assert np.all(np.abs(met.count) == 1)
     assert np.all(met.certain)
     assert len(met.count) == n
@@ -84,18 +84,18 @@ def test_two_swaps_hold_and_their_way_back_lets_go(n: int, sense: int) -> None:
 def test_a_hitch_that_swaps_did_not_tie_is_named_everywhere(n: int) -> None:
     """Drones turn back in the second swap, swap only once, or never."""
     hitch, stages = stages_of(n)
-    back = Stage("swap 2", stages[0].drones.reversed(), CableState.CLASPING)
+    back = stage_of(hitch, "swap 2", stages[0].drones.reversed(), CableState.CLASPING)
     here = stages[0].drones.coefficients[-1, ..., -1]
     flight = straight(hitch.team, Limits(), here, hitch.drones)
-    on = Stage("tighten", flight, CableState.TIGHTENING)
-    there = Stage("hold", stages[-1].drones)
+    on = stage_of(hitch, "tighten", flight, CableState.TIGHTENING)
+    there = stage_of(hitch, "hold", stages[-1].drones, CableState.FREE)
     for flown in (
         [stages[0], back, *stages[2:]],
         [stages[0], on, stages[3]],
         [stages[0], stages[3]],
         [there, stages[-1]],
     ):
-        assert wrong(motion_of(hitch, flown)) == {f"p{k}" for k in range(n)}
+        assert wrong(joined_motions(flown)) == {f"p{k}" for k in range(n)}
 
 
 @pytest.mark.parametrize("left_out", [(0,), (2,), (1, 3)])
@@ -103,14 +103,15 @@ def test_a_vertex_left_out_is_named(left_out: tuple[int, ...]) -> None:
     """The pair there stays where it is while all others swap; then all go to the hitch."""
     hitch, stages = stages_of(5)
     changed = []
-    for stage in stages[:2]:
-        c = stage.drones.coefficients.copy()
+    for swapped in stages[:2]:
+        c = swapped.drones.coefficients.copy()
         for k in left_out:
             for drone in (2 * k, 2 * ((k - 1) % 5) + 1):
                 c[:, drone] = stages[0].drones.coefficients[0, drone, :, :1]
-        drones = PiecewisePolynomial(stage.drones.breaks, c)
-        changed.append(Stage(stage.name, drones, stage.state))
-    found = wrong(motion_of(hitch, [*changed, *stages[2:]]))
+        drones = PiecewisePolynomial(swapped.drones.breaks, c)
+        (phase,) = swapped.phases
+        changed.append(stage_of(hitch, phase.name, drones, phase.state))
+    found = wrong(joined_motions([*changed, *stages[2:]]))
     assert found == {f"p{k}" for k in left_out}
 
 
@@ -119,15 +120,16 @@ def test_a_vertex_turned_the_other_way_in_the_second_swap_is_named() -> None:
     pre = find_prehitch(hitch, Separation(), SwapSettings())
     senses = np.ones(5)
     senses[3] = -1.0
-    first = Stage("swap 1", swap(pre.turns, Limits(), 0, None), CableState.CLASPING)
+    first = stage_of(hitch, "swap 1", swap(pre.turns, Limits(), 0, None), CableState.CLASPING)
     turned = pre.turns.with_senses(senses)
-    second = Stage("swap 2", swap(turned, Limits(), 1, None), CableState.CLASPING)
-    rest = tied(pre, hitch, Limits(), SwapSettings())[2:]
-    assert wrong(motion_of(hitch, [first, second, *rest])) == {"p3"}
+    second = stage_of(hitch, "swap 2", swap(turned, Limits(), 1, None), CableState.CLASPING)
+    rest = tied(pre, hitch, KEPT, SwapSettings())[2:]
+    assert wrong(joined_motions([first, second, *rest])) == {"p3"}
     both = [
-        Stage(f"swap {i + 1}", swap(turned, Limits(), i, None), CableState.CLASPING) for i in (0, 1)
+        stage_of(hitch, f"swap {i + 1}", swap(turned, Limits(), i, None), CableState.CLASPING)
+        for i in (0, 1)
     ]
-    assert not wrong(motion_of(hitch, [*both, *rest]))  # mixed senses hold as well
+    assert not wrong(joined_motions([*both, *rest]))  # mixed senses hold as well
 
 
 def test_a_tangled_approach_is_named_by_its_pair() -> None:
@@ -141,8 +143,8 @@ def test_a_tangled_approach_is_named_by_its_pair() -> None:
         place[0] += offset
         places.append(place)
     way = through(np.arange(6.0), np.array(places))
-    approach = Stage("approach", way)
-    motion = motion_of(hitch, [approach, *stages])
+    approach = stage_of(hitch, "approach", way, CableState.FREE)
+    motion = joined_motions([approach, *stages])
     assert {"cable 0", "cable 2"} <= wrong(motion)
 
 
@@ -233,7 +235,7 @@ def test_a_chord_that_runs_into_anothers_end_is_not_told() -> None:
 @pytest.mark.slow
 def test_tilted_axes_keep_drones_off_their_neighbours_cables_where_edges_are_in_line() -> None:
     """As rope simulations found: for many robots turning must be tilted; chords do not see it."""
-    level = motion_of(*stages_of(30, SwapSettings(tilt=0.0)))
+    level = joined_motions(stages_of(30, SwapSettings(tilt=0.0))[1])
     assert not ho.certify(level)["cable_clearance"].holds
     assert not np.any(chord_crossings(level.drones).count == 0)
     pre = find_prehitch(hitch_of(30), Separation(), SwapSettings())

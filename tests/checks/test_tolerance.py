@@ -11,7 +11,7 @@ import pytest
 import hitchopt as ho
 from hitchopt.checks.certificate import TOLERANCE, Check
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.steps.certified_motions import certificate_at_rest
+from hitchopt.steps.certified_motions import at_rest
 
 TEAM = ho.Team(3, 2.4)
 HITCH = ho.Hitch.spread(TEAM, ho.regular_polygon(3, 1.0), altitude=1.0)
@@ -33,7 +33,7 @@ def test_a_check_holds_within_its_tolerance(
 
 
 def rest(limits: ho.Limits, separation: ho.Separation, arena: ho.Arena | None) -> ho.Certificate:
-    return certificate_at_rest(HITCH, Requirements(limits, separation, arena))
+    return at_rest(HITCH, Requirements(limits, separation, arena)).certificate
 
 
 def test_limits_that_a_hitch_meets_to_the_last_digit_hold() -> None:

@@ -15,7 +15,7 @@ from problem_edits import edited
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import Edit, tidy, with_outlines_scaled
+from hitchopt.mission.repair import Edit, outlines_scaled, tidy, with_edits
 from hitchopt.storage.yaml_file import read_yaml
 
 CASES = {path.stem: path for path in INFEASIBLE}
@@ -205,9 +205,9 @@ def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
 def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
     data = triangle()
     factor = 0.83
-    changed = with_outlines_scaled(problem_from_dict(data), factor)
-    written = problem_from_dict(edited(data, changed.edits))
-    for problem in (changed.changed, written):
+    edits = outlines_scaled(problem_from_dict(data), factor)
+    written = problem_from_dict(edited(data, edits))
+    for problem in (with_edits(problem_from_dict(data), edits), written):
         before, after = outlines(problem_from_dict(data)), outlines(problem)
         for old, new in zip(before, after, strict=True):
             assert new.edge_lengths == pytest.approx(factor * old.edge_lengths, abs=1e-7)

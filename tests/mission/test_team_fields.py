@@ -100,23 +100,23 @@ def test_a_renumbered_team_has_every_field() -> None:
     ("edit", "changed"),
     [
         (
-            lambda p: repair.with_team_values(p, "cable_length", p.team.cable_length * 1.1),
+            lambda p: (repair.team_edit(p, "cable_length", p.team.cable_length * 1.1),),
             "cable_length",
         ),
-        (lambda p: repair.with_team_values(p, "tension", p.team.tension * 1.1), "tension"),
+        (lambda p: (repair.team_edit(p, "tension", p.team.tension * 1.1),), "tension"),
         (
-            lambda p: repair.with_team_values(p, "max_thrust", 1.1 * p.team.max_thrust[::2]),
+            lambda p: (repair.team_edit(p, "max_thrust", 1.1 * p.team.max_thrust[::2]),),
             "quadrotor",
         ),
-        (lambda p: repair.with_limit(p, "tilt_deg", 50.0), ""),
-        (lambda p: repair.with_outlines_scaled(p, 0.9), ""),
+        (lambda _: (repair.Edit("limits.tilt_deg", 50.0),), ""),
+        (lambda p: repair.outlines_scaled(p, 0.9), ""),
     ],
 )
 def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], changed: str) -> None:
     hitch = Hitch.balanced(team(), ARC, 1.1)
     start = HitchStart(hitch.polygon, 1.1, "balanced")
     problem = Problem(team(), start, (Hold(2.0),), Limits(), Separation(), None, "")
-    found = edit(problem).changed
+    found = repair.with_edits(problem, edit(problem))
     assert found is not problem
     assert_fields(found.team, team(), but=(changed,))
     if changed:

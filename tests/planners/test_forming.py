@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.assignment import Assignment
-from hitchopt.hitch.requirements import Limits, Separation
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assigned
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import (
     PULL_SECONDS,
     SMOOTH,
-    Stage,
     rise_seconds,
     tied,
     undone,
@@ -46,13 +46,13 @@ def pentagon(shift: int = 0, density: float = 0.0) -> Hitch:
     return Hitch(team, IRREGULAR[order], 1.7, q_legs[order])
 
 
-def stages_of(hitch: Hitch, settings: SwapSettings | None = None) -> tuple[PreHitch, list[Stage]]:
+def stages_of(hitch: Hitch, settings: SwapSettings | None = None) -> tuple[PreHitch, list[Motion]]:
     settings = settings or SwapSettings()
     pre = find_prehitch(hitch, Separation(), settings)
-    return pre, tied(pre, hitch, Limits(), settings)
+    return pre, tied(pre, hitch, Requirements(Limits(), Separation()), settings)
 
 
-def sampled(stage: Stage, order: int = 0, count: int = 1001) -> Array:
+def sampled(stage: Motion, order: int = 0, count: int = 1001) -> Array:
     return stage.drones.at(np.linspace(0.0, stage.drones.duration, count), order)
 
 
@@ -92,13 +92,12 @@ def test_cables_clasp_whose_tensions_differ(seed: int, n: int) -> None:
 def test_release_is_form_reversed() -> None:
     _, stages = stages_of(pentagon())
     back = undone(stages)
-    assert [s.name for s in back] == ["relax", "loosen", "unswap 1", "unswap 2"]
+    assert [s.phases[0].name for s in back] == ["relax", "loosen", "unswap 1", "unswap 2"]
     for there, again in zip(stages, reversed(back), strict=True):
         np.testing.assert_allclose(sampled(there), sampled(again)[::-1], atol=1e-9)
-    pull = back[0].pull
-    assert pull is not None
-    assert pull[0, 0] == 1.0
-    assert pull[0, -1] == 0.0
+    pulls, team = back[0].tensions, pentagon().team
+    np.testing.assert_array_equal(pulls.at(0.0), team.tension)
+    np.testing.assert_array_equal(pulls.at(pulls.duration), 0.0)
 
 
 def kept_swing(team: Team, seconds: float, beads: int = 60) -> float:

@@ -7,14 +7,15 @@ acceleration of what they carry, so drones accelerate with its fourth derivative
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 
 from hitchopt.hitch import Team
-from hitchopt.objects.placing import in_world
-from hitchopt.planners.timing.flight import Flight
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.objects.placing import in_world, poses_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -130,37 +131,15 @@ class Held(Protocol):
         """Return all curves of a move at times t (…) [s]."""
 
 
-@dataclass(frozen=True, eq=False)
-class HeldFlight:
-    """Curves of a hitch that holds an object.
+def move_motion(held: Held, move: Move, requirements: Requirements, phase: Phase) -> Motion:
+    """Return the motion of a move, from rest to rest.
 
-    Attributes
+    Parameters
     ----------
-    flight: of the hitch.
-    pose: of the object, (5,).
-    borne: the share of its weight on clasps, ().
-    contacts: of edges that are wrapped around it, (n, 2, 3) [m]; None where none may be.
-    leg_tensions: (n, 2) [N], of legs; None where they pull as their cables do.
-    """
-
-    flight: Flight
-    pose: PiecewisePolynomial
-    borne: PiecewisePolynomial
-    contacts: PiecewisePolynomial | None = None
-    leg_tensions: PiecewisePolynomial | None = None
-
-    @property
-    def parts(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial, PiecewisePolynomial]:
-        """Drones, vertices and what legs pull with (2n,) [N]."""
-        pulls = self.flight.pulls
-        if self.leg_tensions is not None:
-            c = self.leg_tensions.coefficients
-            pulls = PiecewisePolynomial(pulls.breaks, c.reshape(len(c), -1, c.shape[-1]))
-        return self.flight.drones, self.flight.vertices, pulls
-
-
-def held_flight(held: Held, move: Move) -> HeldFlight:
-    """Return the curves of a move, from rest to rest.
+    held: what flies, and what it holds.
+    move: what changes.
+    requirements: what the motion must satisfy; all other objects stay where they stand.
+    phase: with the object's name in ``hold``; its times are set.
 
     Raises
     ------
@@ -176,7 +155,7 @@ def held_flight(held: Held, move: Move) -> HeldFlight:
     t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
     values = held.curves(move, t)
     centre = len(STENCIL) // 2
-    parts = {}
+    parts: dict[str, Any] = {}
     for name, each in values.items():
         jets = [
             each[:, centre],
@@ -192,12 +171,17 @@ def held_flight(held: Held, move: Move) -> HeldFlight:
             if constant
             else PiecewisePolynomial.hermite(breaks, whole[:, :-1], whole[:, 1:])
         )
-    flight = Flight(parts["drones"], parts["vertices"], parts["legs"], parts["tensions"])
-    share = np.clip(parts["borne"].coefficients, 0.0, 1.0)  # polynomials overshoot by 1e-6
-    borne = PiecewisePolynomial(breaks, share)
-    return HeldFlight(
-        flight, parts["pose"], borne, parts.get("contacts"), parts.get("leg_tensions")
-    )
+    assert phase.hold is not None
+    index = list(requirements.objects).index(phase.hold.object)
+    pose, borne = parts.pop("pose").coefficients, parts["borne"].coefficients
+    poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)
+    poses = np.repeat(poses, pose.shape[-1], axis=-1)
+    poses[:, index] = pose
+    shares = np.zeros((len(borne), len(requirements.objects), borne.shape[-1]))
+    shares[:, index] = np.clip(borne, 0.0, 1.0)  # polynomials overshoot by 1e-6
+    parts["poses"], parts["borne"] = (PiecewisePolynomial(breaks, c) for c in (poses, shares))
+    phases = (replace(phase, start=0.0, end=move.law.duration),)
+    return Motion(held.team, requirements, **parts, phases=phases)
 
 
 STEP = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])

@@ -21,9 +21,9 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements, Separation
-from hitchopt.motion.motion import CableState
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.stages import Stage
+from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
 from hitchopt.planners.separation import SeparationTask, Tether, separate
 from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
@@ -52,23 +52,31 @@ class Approach:
     team: whose drones, on free cables.
     start, goal: (2n, 3) [m]
     requirements: satisfied all along.
+    index: of the step in its mission.
     """
 
     team: Team
     start: Array
     goal: Array
     requirements: Requirements
+    index: int = 0
+
+    def stage(
+        self, name: str, drones: PiecewisePolynomial, state: CableState = CableState.FREE
+    ) -> Motion:
+        """Return the motion of drones (2n, 3) [m] as a phase."""
+        return stage(name, drones, self.team, self.requirements, self.index, state)
 
     def line(
         self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
-    ) -> Stage:
-        """Return the stage of all drones on straight lines."""
-        return Stage(name, straight(self.team, self.requirements.limits, start, end), state)
+    ) -> Motion:
+        """Return the motion of all drones on straight lines."""
+        return self.stage(name, straight(self.team, self.requirements.limits, start, end), state)
 
     def needed(
         self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
-    ) -> list[Stage]:
-        """Return the stage of all drones on straight lines; none where they are there."""
+    ) -> list[Motion]:
+        """Return the motion of all drones on straight lines; none where they are there."""
         return [] if np.max(np.abs(end - start)) < STILL else [self.line(name, start, end, state)]
 
     def risen(self, *others: Array) -> Array:
@@ -125,8 +133,8 @@ class DirectApproach(Approach):
         both, separation = (here, self.goal), self.requirements.separation
         return self.separated(both, np.stack(both), separation, self.team.drone_names, tethers)
 
-    def solve(self) -> list[Stage]:
-        """Return the stages of the flight, all of it raised where cables come near the ground.
+    def solve(self) -> list[Motion]:
+        """Return the motions of the flight, all of it raised where cables come near the ground.
 
         Drones that come closer together let their cable hang lower than at both ends.
         """
@@ -140,13 +148,13 @@ class DirectApproach(Approach):
         lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
         missing = self.requirements.floor + CLEARANCE * clearance - lowest
         if missing <= 0.0:
-            return [*rise, Stage("approach", drones)]
+            return [*rise, self.stage("approach", drones)]
         up = np.array([0.0, 0.0, missing + 0.1 * clearance])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
         return [
             *rise,
             self.line("climb", here, here + up),
-            Stage("approach", higher),
+            self.stage("approach", higher),
             self.line("descend", goal + up, goal),
         ]
 
@@ -202,8 +210,8 @@ class GatheredApproach(Approach):
         names = tuple(f"cable {k}" for k in range(self.team.robots))
         return self.separated((start, goal), places, discs, names)
 
-    def solve(self) -> list[Stage]:
-        """Return the stages: gathering, turning, flying and opening."""
+    def solve(self) -> list[Motion]:
+        """Return the motions: gathering, turning, flying and opening."""
         task, (_, headings) = self.problem, self.headings
         here = self.risen(self.gathered, self.goal)
         opened = self.goal.copy()
@@ -214,8 +222,8 @@ class GatheredApproach(Approach):
         return [
             *self.needed("take-off", self.start, here, CableState.GROUND),
             self.line("gather", here, self.gathered),
-            Stage("turn", self._turned(task.start)),
-            Stage("approach", carried),
+            self.stage("turn", self._turned(task.start)),
+            self.stage("approach", carried),
             self.line("open", self.across(task.goal, headings), opened),
             *self.needed("descend", opened, self.goal),
         ]

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.hanging import above_ground
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.requirements import Limits
-from hitchopt.motion.motion import CableState
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.loads import tautness
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import PreHitch, clasps_drawn_out
 from hitchopt.planners.forming.turns import straight, swap
+from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
 
 PULL_SECONDS = 1.0
 """[s] Shortest rise of the tensions, against which drones tilt."""
@@ -29,20 +33,84 @@ BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "te
 """Names of the stages of forming when they are undone."""
 
 
-def tied(pre: PreHitch, hitch: Hitch, limits: Limits, settings: SwapSettings) -> list[Stage]:
-    """Return the stages from the pre-hitch to the hitch, pulled by the team's tension."""
-    team = hitch.team
-    legs = float(np.max(hitch.legs))
-    shorter = (1.0 - pre.share) * legs  # no drone goes farther, whatever the polygon
+def tied(
+    pre: PreHitch, hitch: Hitch, requirements: Requirements, settings: SwapSettings, index: int = 0
+) -> list[Motion]:
+    """Return the motions from the pre-hitch to the hitch, pulled by the team's tension.
+
+    Parameters
+    ----------
+    index: of the step in its mission.
+    """
+    team, limits = hitch.team, requirements.limits
+    shorter = (1.0 - pre.share) * float(
+        np.max(hitch.legs)
+    )  # no drone goes farther, whatever the polygon
     out = straight(team, limits, pre.drones, hitch.drones, shorter)
-    points = clasps_drawn_out(pre.turns, pre.scale, hitch, out)
-    rest = PiecewisePolynomial.constant([0.0, rise_seconds(team)], hitch.drones)
+    rest = [0.0, rise_seconds(team)]
+    swaps = (swap(pre.turns, limits, first, settings.seconds) for first in (0, 1))
+    still, points, legs = (
+        PiecewisePolynomial.constant(rest, value)
+        for value in (hitch.drones, hitch.vertices, hitch.legs)
+    )
+    tensions = PiecewisePolynomial(np.array(rest), (team.tension[:, None] * SMOOTH)[None])
+    own = team, requirements, index
+    drawn = clasps_drawn_out(pre.turns, pre.scale, hitch, out)
     return [
-        Stage("swap 1", swap(pre.turns, limits, 0, settings.seconds), CableState.CLASPING),
-        Stage("swap 2", swap(pre.turns, limits, 1, settings.seconds), CableState.CLASPING),
-        Stage("tighten", out, CableState.TIGHTENING, points=points),
-        Stage("tension", rest, CableState.HITCHED, SMOOTH[None]),
+        *(
+            stage(f"swap {k}", drones, *own, CableState.CLASPING, vertices=_still(drones, hitch))
+            for k, drones in enumerate(swaps, 1)
+        ),
+        stage("tighten", out, *own, CableState.TIGHTENING, vertices=drawn),
+        stage(
+            "tension",
+            still,
+            *own,
+            CableState.HITCHED,
+            vertices=points,
+            legs=legs,
+            tensions=tensions,
+        ),
     ]
+
+
+def _still(drones: PiecewisePolynomial, hitch: Hitch) -> PiecewisePolynomial:
+    return PiecewisePolynomial.constant(drones.breaks, hitch.vertices)
+
+
+def stage(
+    name: str,
+    drones: PiecewisePolynomial,
+    team: Team,
+    requirements: Requirements,
+    index: int = 0,
+    state: CableState = CableState.FREE,
+    **further: Any,
+) -> Motion:
+    """Return the motion of drones from rest to rest, as one phase of forming or releasing.
+
+    Cables that are meant to lie on the ground hang free where they are clear of it. The motion is
+    slowed until no thrust turns faster than allowed.
+
+    Parameters
+    ----------
+    name: of the phase.
+    drones: (2n, 3) [m], from t = 0.
+    index: of the step in its mission.
+    state: of the cables.
+    further: polynomials of vertices, legs and tensions, where they have a meaning.
+    """
+    phase = Phase(name, index, 0.0, drones.duration, state=state)
+    motion = replace(Motion.single(team, requirements, drones, [phase]), **further)
+    if state is CableState.GROUND and above_ground(motion):
+        motion = replace(motion, phases=(replace(phase, state=CableState.FREE),))
+    limit = requirements.limits.body_rate
+    if limit is None:
+        return motion
+    pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+    forces = (PiecewisePolynomial(drones.breaks, c) for c in (pulls, tautness(motion)))
+    factor = turning_stretch(team, limit, (drones, motion.vertices, *forces))
+    return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 
 def rise_seconds(team: Team) -> float:
@@ -63,51 +131,12 @@ def rise_seconds(team: Team) -> float:
     return max(PULL_SECONDS, PULL_PERIODS * float(np.max(periods)))
 
 
-def undone(stages: Sequence[Stage]) -> list[Stage]:
-    """Return the stages of forming backward in time: the hitch is taken apart."""
-    return [stage.reversed(BACKWARD[stage.name]) for stage in reversed(stages)]
-
-
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """One stage of forming or releasing.
-
-    Attributes
-    ----------
-    name: the plan's phase.
-    drones: of shape (2n, 3) [m], in the order q0, r0, q1, …, from t = 0, at rest at both ends.
-    state: that cables are meant to be in.
-    pull: (pieces, m + 1): Bernstein coefficients of the factor of the team's tensions over the
-        drones' pieces; None while there is no hitch.
-    points: of shape (points, 3) [m]: where the clasps may lie while the drones draw them out; None
-        for the hitch's vertices.
-    """
-
-    name: str
-    drones: PiecewisePolynomial
-    state: CableState = CableState.FREE
-    pull: Array | None = None
-    points: PiecewisePolynomial | None = None
-
-    def reversed(self, name: str) -> Stage:
-        """Return the stage backward in time, exactly, under another name."""
-        pull = None if self.pull is None else self.pull[::-1, ::-1]
-        points = None if self.points is None else self.points.reversed()
-        return Stage(name, self.drones.reversed(), self.state, pull, points)
-
-    def vertices(self, hitch: Hitch) -> PiecewisePolynomial:
-        """Return the vertices (points, 3) [m]: present, future or past ones."""
-        if self.points is not None:
-            return self.points
-        return PiecewisePolynomial.constant(self.drones.breaks, hitch.vertices)
-
-    def legs(self, hitch: Hitch) -> PiecewisePolynomial:
-        """Return the legs (n, 2) [m]; zero while there is no hitch."""
-        there = float(self.state is CableState.HITCHED)
-        return PiecewisePolynomial.constant(self.drones.breaks, there * hitch.legs)
-
-    def tensions(self, hitch: Hitch) -> PiecewisePolynomial:
-        """Return the tensions (n,) [N]: the team's by the pull."""
-        pull = np.zeros((self.drones.pieces, 1)) if self.pull is None else self.pull
-        each = hitch.team.tension[:, None] * pull[:, None, :]
-        return PiecewisePolynomial(self.drones.breaks, each)
+def undone(stages: Sequence[Motion]) -> list[Motion]:
+    """Return the motions of forming backward in time: the hitch is taken apart."""
+    return [
+        each.changed(
+            lambda part: part.reversed(),
+            [replace(phase, name=BACKWARD[phase.name]) for phase in each.phases],
+        )
+        for each in reversed(stages)
+    ]
