@@ -203,7 +203,7 @@ def test_half_of_the_cable_s_weight_hangs_on_each_drone() -> None:
     assert certificate["cable_length"].bound < 1e-9
 
 
-@pytest.mark.parametrize("fall", [5.0, 9.81, 20.0])
+@pytest.mark.parametrize("fall", [5.0, 20.0])
 def test_a_falling_drone_leans_beyond_the_horizon(fall: float) -> None:
     motion = at_breaks(triangle(), np.array([0.0, 1.0]))
     path = np.zeros((1, 3, 4))
