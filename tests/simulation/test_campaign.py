@@ -45,9 +45,7 @@ def without_nan(run: Run) -> Run:
 
 
 @pytest.mark.slow
-def test_several_processes_give_the_runs_that_one_gives(
-    task: Task, tmp_path: Path
-) -> None:
+def test_several_processes_give_the_runs_that_one_gives(task: Task, tmp_path: Path) -> None:
     messages: list[str] = []
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
     alone = simulate(task, BRIEF)
