@@ -12,6 +12,7 @@ import pytest
 from problem_files import run
 
 import hitchopt as ho
+from hitchopt.view.film import RATES
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -40,8 +41,11 @@ def read(path: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path, tmp_path: Path) -> None:
+def test_one_flight_reports_that_it_holds_and_writes_files(
+    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     film = tmp_path / "flight.gif"
+    monkeypatch.setitem(RATES, ".gif", 2.0)  # frames a second: some are enough
     result = run("simulate", solved, "--film", film, "--drones", "point", code=0)
     for words in (
         "hitched: every vertex is linked and held",
