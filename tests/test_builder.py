@@ -191,12 +191,6 @@ def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
     assert caught.value.key == "perturbations.gusts"
 
 
-def test_the_version_is_that_of_the_package() -> None:
-    from importlib.metadata import version
-
-    assert ho.__version__ == version("hitchopt")
-
-
 @pytest.mark.parametrize("second", [[1.1, 0.4, 1.3], [0.1, 0.2, 2.0], [2.0, 0.2, 0.3]])
 def test_a_hanging_cable_has_its_length_and_its_ends(second: list[float]) -> None:
     first, length = [0.1, 0.2, 0.3], 2.3

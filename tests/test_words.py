@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 import hitchopt
 
 PACKAGE = Path(hitchopt.__file__).parent
@@ -96,20 +94,6 @@ def parts(identifier: str) -> set[str]:
     """The words of an identifier in snake case or camel case."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", identifier)
     return set(re.split(r"[_.]+", spaced.lower()))
-
-
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        ("Of a bag.", "of"),
-        ("[B] Of one bag.", "of"),
-        ("(samples,) [s], from the start.", "from"),
-        ("``limit`` of a drone.", "limit"),
-        ("Return it.", "return"),
-    ],
-)
-def test_first_words_are_found(text: str, word: str) -> None:
-    assert first_word(text) == word
 
 
 def test_docstrings_begin_with_no_preposition() -> None:

@@ -8,275 +8,174 @@ which the smallest radius lies that breaks a limit.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from certificate_sampling import cable_points
 from numpy.typing import NDArray
 
 from hitchopt.geometry.segments import differences, shortest_offset
-from hitchopt.hitch.catenary import Catenary
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.parts import CABLE, CROSSING, Parts
 from hitchopt.motion.motion import CableState, Motion
 
 Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 
-TIMES = 100
-"""Sampled times of a plan besides its breaks, and half as many about the one that is worst."""
-
-CANDIDATES = 12
-"""Pairs of bodies of a kind, the nearest ones, that are displaced at one time."""
-
-DIRECTIONS = 32
-"""Directions in which each pair is pushed, besides along its shortest connection."""
-
-HALVINGS = 24
-"""Halvings of the interval in which the radius of a pair lies."""
+CANDIDATES, DIRECTIONS = 12, 32
+"""Nearest pairs of bodies that are displaced at one time, and directions that are tried."""
 
 LARGEST = 2.0
 """[m] Displacements that are tried at most."""
 
-POINTS = np.linspace(-1.0, 1.0, 81)
-"""Places on a hanging cable at which its distance is measured."""
 
-
-@dataclass(frozen=True)
-class Attack:
-    """The smallest displacement that was found to break something.
-
-    Attributes
-    ----------
-    radius: [m]
-    time: [s]
-    what: which distance.
-    """
-
-    radius: float
-    time: float = 0.0
-    what: str = ""
-
-
-def attack(motion: Motion, gamma: float = 1.0, count: int = TIMES) -> Attack:
+def attack(motion: Motion, gamma: float = 1.0, count: int = 100) -> float:
     """Return the smallest radius at which a displacement was found that breaks a distance.
 
-    Parameters
-    ----------
-    gamma: how many times farther than drones vertices may be off.
-    count: sampled times, besides the plan's breaks.
+    Vertices may be off ``gamma`` times farther than drones; ``count`` times besides the breaks.
     """
-    rng = np.random.default_rng(0)
-    start, end = float(motion.drones.breaks[0]), float(motion.drones.breaks[-1])
-    times = np.union1d(np.linspace(start, end, count), motion.drones.breaks)
-    best = _worst(motion, times, gamma, rng)
-    step = (end - start) / count
-    near = np.linspace(max(start, best.time - step), min(end, best.time + step), count // 2)
-    return min(best, _worst(motion, near, gamma, rng), key=lambda found: found.radius)
-
-
-def _worst(motion: Motion, times: Array, gamma: float, rng: np.random.Generator) -> Attack:
-    best = Attack(LARGEST)
-    for t in times:
-        moment = _Moment(motion, float(t), gamma, rng)
-        for radius, what in moment.attacks(lambda: best.radius):  # noqa: B023
-            if radius < best.radius:
-                best = Attack(radius, float(t), what)
+    rng, breaks = np.random.default_rng(0), motion.drones.breaks
+    times = np.union1d(np.linspace(breaks[0], breaks[-1], count), breaks)
+    best, when = LARGEST, float(breaks[0])
+    step = motion.duration / count
+    for finer in (False, True):
+        if finer:
+            near = np.linspace(when - step, when + step, count // 2)
+            times = np.clip(near, breaks[0], breaks[-1])
+        for t in times.tolist():
+            for broken in _ways(motion, t, gamma, rng):
+                if broken(best):
+                    best, when = _halved(broken, best), t
     return best
 
 
-@dataclass(eq=False)
-class _Moment:
-    """A plan at one time, to be displaced."""
-
-    motion: Motion
-    t: float
-    gamma: float
-    rng: np.random.Generator
-
-    def attacks(self, known: Callable[[], float]) -> Iterator[tuple[float, str]]:
-        """Yield radii that break something, and what; those beyond ``known`` may be left out."""
-        drones, requirements = self.motion.drones.at(self.t), self.motion.requirements
-        yield self._drones(drones), "separation"
-        if requirements.arena is not None:
-            walls = (drones - requirements.arena.lower, requirements.arena.upper - drones)
-            yield float(max(np.min(walls), 0.0)), "arena"
-        for prism in requirements.keep_out:
-            gap = np.min(prism.clearance(drones).distance) - requirements.separation.radius
-            yield float(max(gap, 0.0)), "keep_out"
-        if not self.motion.team.has_cables:
-            return
-        i = int(np.searchsorted(self.motion.drones.breaks[1:-1], self.t))
-        state = self.motion.phases[int(self.motion.phase_of_piece[i])].state
-        if state is CableState.HITCHED:
-            yield from self._hitch(drones, known)
-        else:
-            apart = np.linalg.norm(drones[1::2] - drones[0::2], axis=-1)
-            yield float(np.min(self.motion.team.cable_length - apart)) / 2.0, "span"
-            yield from self._free(drones, state, known)
-
-    def _drones(self, drones: Array) -> float:
-        """Displace pairs of drones: along a direction their ellipsoids touch at a quadratic's root.
-
-        Each moves by half of it.
-        """
-        i, j = np.triu_indices(len(drones), 1)
-        if len(i) == 0:
-            return LARGEST
-        scale = self.motion.requirements.separation.scale
-        offsets = drones[i] - drones[j]
-        ratio = np.linalg.norm(offsets * scale, axis=-1)
-        chosen = np.argsort(ratio)[: 4 * CANDIDATES]
-        offsets = offsets[chosen]
-        if np.min(ratio) <= 1.0:
-            return 0.0
-        aims, spread = -offsets, 1.0
-        best = np.full(len(offsets), LARGEST)
-        for _ in range(6):  # directions about the best one so far, ever closer
-            noise = self.rng.normal(size=(len(offsets), DIRECTIONS, 3))
-            tried = _unit(aims)[:, None] + spread * noise * (np.arange(DIRECTIONS) > 0)[:, None]
-            along = _unit(tried) * scale
-            here = offsets[:, None] * scale
-            a, b = np.sum(along**2, axis=-1), np.sum(along * here, axis=-1)
-            c = np.sum(here**2, axis=-1) - 1.0
-            root = b * b - a * c
-            met = (root >= 0.0) & (b < 0.0)
-            shift = np.where(met, (-b - np.sqrt(np.maximum(root, 0.0))) / a, 2.0 * LARGEST)
-            least = np.argmin(shift, axis=1)
-            each = np.arange(len(offsets))
-            better = 0.5 * shift[each, least] < best
-            best = np.where(better, 0.5 * shift[each, least], best)
-            aims = np.where(better[:, None], tried[each, least], aims)
-            spread *= 0.4
-        return float(np.min(best))
-
-    def _hitch(self, drones: Array, known: Callable[[], float]) -> Iterator[tuple[float, str]]:
-        """Displace pairs of drones and taut parts, and of taut parts."""
-        team, requirements = self.motion.team, self.motion.requirements
-        parts = Parts.of(team.robots, team.topology)
-        vertices = self.motion.vertices.at(self.t)
-        nodes = np.concatenate([vertices, drones])
-        reach = np.concatenate([np.full(len(vertices), self.gamma), np.ones(len(drones))])
-        legs = parts.layout.drones_with_legs
-        lengths = np.linalg.norm(drones - vertices[parts.layout.anchors], axis=-1)[legs]
-        yield (
-            max(float(np.min(lengths)) - requirements.limits.leg, 0.0) / (1.0 + self.gamma),
-            "legs",
-        )
-        i, j = np.triu_indices(len(parts.nodes), 1)
-        kind = parts.kind(i, j)
-        for which, limit, name in (
-            (CABLE, requirements.separation.cable, "cable_clearance"),
-            (CROSSING, requirements.separation.crossing, "crossing"),
-        ):
-            first, second = (parts.nodes[index[kind == which]] for index in (i, j))
-            yield self._bodies(nodes, reach, first, second, limit, known()), name
-
-    def _free(
-        self, drones: Array, state: CableState, known: Callable[[], float]
-    ) -> Iterator[tuple[float, str]]:
-        """Displace chords as seen from above, and drones against hanging cables."""
-        team, separation = self.motion.team, self.motion.requirements.separation
-        flat, ones = drones * [1.0, 1.0, 0.0], np.ones(len(drones))
-        chords = np.arange(len(drones)).reshape(-1, 2)
-        i, j = np.triu_indices(team.robots, 1)
-        if state in {CableState.CLASPING, CableState.TIGHTENING}:
-            layout = team.layout
-            held = {tuple(sorted(pair)) for pair in zip(layout.ahead, layout.behind, strict=True)}
-            apart = np.array([(a, b) not in held for a, b in zip(i, j, strict=True)], dtype=bool)
-            i, j = i[apart], j[apart]
-        limit = separation.crossing
-        yield self._bodies(flat, ones, chords[i], chords[j], limit, known()), "crossing"
-        if state is CableState.GROUND:
-            d, k = (index.ravel() for index in np.indices((len(drones), team.robots)))
-            d, k = d[d // 2 != k], k[d // 2 != k]
-            points = np.stack([d, d], axis=1)
-            limit = separation.cable
-            yield self._bodies(flat, ones, points, chords[k], limit, known()), "cable_clearance"
-        else:
-            yield self._hanging(drones, known()), "cable_clearance"
-
-    def _bodies(
-        self, nodes: Array, reach: Array, first: Index, second: Index, limit: float, most: float
-    ) -> float:
-        """Return the smallest radius at which displaced ends (m, 2) of bodies break the limit."""
-        if len(first) == 0:
-            return LARGEST
-
-        def offset(pairs: tuple[Index, Index], shift: Array) -> Array:
-            """Return the shortest offsets (…, m, 3) with ends moved by ``shift`` (…, m, 3)."""
-            ends = [
-                nodes[pair] + sign * reach[pair][..., None] * shift[..., None, :]
-                for pair, sign in zip(pairs, (1.0, -1.0), strict=True)
-            ]
-            return shortest_offset(differences(*ends))
-
-        here = offset((first, second), np.zeros((len(first), 3)))
-        gaps = np.linalg.norm(here, axis=-1)
-        chosen = np.argsort(gaps)[:CANDIDATES]
-        chosen = chosen[gaps[chosen] < limit + 2.0 * max(1.0, self.gamma) * most]
-        if len(chosen) == 0:
-            return LARGEST
-        pairs = (first[chosen], second[chosen])
-        noise = 0.3 * self.rng.normal(size=(DIRECTIONS, len(chosen), 3))
-        noise[0] = 0.0
-        flat = not np.any(nodes[:, 2])
-        towards = -_unit(_unit(here[chosen]) + noise * ([1.0, 1.0, 0.0] if flat else 1.0))
-
-        def broken(radius: float) -> bool:
-            return bool(np.min(np.linalg.norm(offset(pairs, radius * towards), axis=-1)) < limit)
-
-        return _halved(broken, most)
-
-    def _hanging(self, drones: Array, most: float) -> float:
-        """Displace drones toward hanging cables, and ends of these in any direction."""
-        limit, floor = self.motion.requirements.separation.cable, self.motion.requirements.floor
-        L = self.motion.team.cable_length
-        points = _cables(drones[0::2], drones[1::2], L)
-        gaps = np.linalg.norm(drones[:, None, None] - points, axis=-1)
-        gaps[np.arange(len(drones)), np.arange(len(drones)) // 2] = np.inf
-        order = np.argsort(np.min(gaps, axis=2), axis=None)[:CANDIDATES]
-        d, k = np.unravel_index(order, gaps.shape[:2])
-        nearest = points[k, np.argmin(gaps[d, k], axis=-1)]
-        pull = _unit(drones[d] - nearest)  # the cable goes there, the drone comes
-        noise = self.rng.normal(size=(2, DIRECTIONS, len(d), 3))
-        noise[:, 0] = 0.0
-        ends = _unit(pull + 0.7 * noise)
-        low = np.array([0.0, 0.0, -1.0])
-        sinking = _unit(low + 0.7 * self.rng.normal(size=(2, DIRECTIONS, len(L), 3)))
-
-        def broken(radius: float) -> bool:
-            q, r = drones[0::2][k] + radius * ends[0], drones[1::2][k] + radius * ends[1]
-            moved = drones[d] - radius * pull
-            apart = np.linalg.norm(_cables(q, r, L[k]) - moved[:, None], axis=-1)
-            sunk = _cables(
-                drones[0::2] + radius * sinking[0], drones[1::2] + radius * sinking[1], L
-            )
-            return bool(np.min(apart) < limit or np.min(sunk[..., 2]) - floor < limit)
-
-        return _halved(broken, most)
-
-
 def _halved(broken: Callable[[float], bool], most: float) -> float:
-    """Return about the smallest radius at most ``most`` that breaks something, else ``LARGEST``."""
-    if not broken(most):
-        return LARGEST
     low, high = 0.0, most
-    for _ in range(HALVINGS):
+    for _ in range(24):
         middle = 0.5 * (low + high)
         low, high = (low, middle) if broken(middle) else (middle, high)
     return high
 
 
-def _cables(q: Array, r: Array, length: Array) -> Array:
-    """Return points (…, POINTS, 3) of cables that hang between ends (…, 3)."""
-    cable = Catenary.between(q, r, np.broadcast_to(length, q.shape[:-1]))
-    wide = Catenary(*(np.asarray(value)[..., None] for value in vars(cable).values()))
-    share = 0.5 * (1.0 + POINTS)[:, None]
-    points = (1.0 - share) * q[..., None, :] + share * r[..., None, :]
-    points[..., 2] -= wide.depth(POINTS)
-    return points
+def _ways(
+    motion: Motion, t: float, gamma: float, rng: np.random.Generator
+) -> Iterator[Callable[[float], bool]]:
+    """Yield functions that say whether a radius breaks something at a time."""
+    drones, requirements, team = motion.drones.at(t), motion.requirements, motion.team
+    separation = requirements.separation
+    i, j = np.triu_indices(len(drones), 1)
+    offsets = drones[i] - drones[j]
+
+    def touching(radius: float) -> bool:
+        """Each pair moves where its scaled offset shrinks most, which a few steps find."""
+        moved, scale = offsets, separation.scale
+        for _ in range(30):
+            moved = offsets - 2.0 * radius * unit(scale**2 * moved)
+        through = np.linalg.norm(offsets, axis=-1) <= 2.0 * radius
+        through |= np.linalg.norm(offsets * scale, axis=-1) <= 1.0
+        return bool(np.any(through | (np.linalg.norm(moved * scale, axis=-1) < 1.0)))
+
+    if len(offsets):
+        yield touching
+    rest = []
+    if (arena := requirements.arena) is not None:
+        rest += [np.min(drones - arena.lower), np.min(arena.upper - drones)]
+    for prism in requirements.keep_out:
+        rest.append(np.min(prism.clearance(drones).distance) - separation.radius)
+    if team.has_cables:
+        piece = int(np.searchsorted(motion.drones.breaks[1:-1], t))
+        state = motion.phases[int(motion.phase_of_piece[piece])].state
+        if state is CableState.HITCHED:
+            yield from _taut(motion, t, gamma, rng)
+            vertices = motion.vertices.at(t)[team.layout.anchors]
+            legs = np.linalg.norm(drones - vertices, axis=-1)[team.layout.has_leg.ravel()]
+            rest.append((np.min(legs) - requirements.limits.leg) / (1.0 + gamma))
+        else:
+            apart = np.linalg.norm(drones[1::2] - drones[0::2], axis=-1)
+            rest.append(np.min(team.cable_length - apart) / 2.0)
+            yield from _free(motion, drones, state, rng)
+    if rest:
+        yield lambda radius: bool(radius > max(min(rest), 0.0))
 
 
-def _unit(vectors: Array) -> Array:
-    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit: Array = vectors / np.where(size > 0.0, size, 1.0)
-    return unit
+def _taut(
+    motion: Motion, t: float, gamma: float, rng: np.random.Generator
+) -> Iterator[Callable[[float], bool]]:
+    """Displace pairs of drones and taut parts, and of taut parts."""
+    parts = Parts.of(motion.team.robots, motion.team.topology)
+    vertices, drones = motion.vertices.at(t), motion.drones.at(t)
+    nodes = np.concatenate([vertices, drones])
+    reach = np.repeat([gamma, 1.0], [len(vertices), len(drones)])
+    i, j = np.triu_indices(len(parts.nodes), 1)
+    separation, kind = motion.requirements.separation, parts.kind(i, j)
+    for which, limit in ((CABLE, separation.cable), (CROSSING, separation.crossing)):
+        pairs = parts.nodes[i[kind == which]], parts.nodes[j[kind == which]]
+        yield from _bodies(nodes, reach, pairs, limit, rng)
+
+
+def _bodies(
+    nodes: Array,
+    reach: Array,
+    pairs: tuple[NDArray[np.intp], NDArray[np.intp]],
+    limit: float,
+    rng: np.random.Generator,
+) -> Iterator[Callable[[float], bool]]:
+    """Displace ends (m, 2) of the nearest bodies toward each other."""
+
+    def offset(pairs: tuple[NDArray[np.intp], ...], shift: Array) -> Array:
+        ends = [
+            nodes[pair] + sign * reach[pair][..., None] * shift[..., None, :]
+            for pair, sign in zip(pairs, (1.0, -1.0), strict=True)
+        ]
+        return shortest_offset(differences(*ends))
+
+    if len(pairs[0]) == 0:
+        return
+    here = offset(pairs, np.zeros((len(pairs[0]), 3)))
+    chosen = np.argsort(np.linalg.norm(here, axis=-1))[:CANDIDATES]
+    near = pairs[0][chosen], pairs[1][chosen]
+    noise = 0.3 * rng.normal(size=(DIRECTIONS, len(chosen), 3))
+    noise[0] = 0.0
+    toward = -unit(unit(here[chosen]) + noise * [1.0, 1.0, float(np.any(nodes[:, 2]))])
+    yield lambda radius: bool(
+        np.min(np.linalg.norm(offset(near, radius * toward), axis=-1)) < limit
+    )
+
+
+def _free(
+    motion: Motion, drones: Array, state: CableState, rng: np.random.Generator
+) -> Iterator[Callable[[float], bool]]:
+    """Displace chords as seen from above, and drones and the ground against hanging cables."""
+    team, separation = motion.team, motion.requirements.separation
+    flat, ones = drones * [1.0, 1.0, 0.0], np.ones(len(drones))
+    chords, layout = np.arange(len(drones)).reshape(-1, 2), team.layout
+    held = set()
+    if state in {CableState.CLASPING, CableState.TIGHTENING}:
+        held = {tuple(sorted(pair)) for pair in zip(layout.ahead, layout.behind, strict=True)}
+    crossing = [pair for pair in combinations(range(team.robots), 2) if pair not in held]
+    i, j = np.array(crossing, dtype=np.intp).reshape(-1, 2).T
+    yield from _bodies(flat, ones, (chords[i], chords[j]), separation.crossing, rng)
+    d, k = (index.ravel() for index in np.indices((len(drones), team.robots)))
+    d, k = d[d // 2 != k], k[d // 2 != k]
+    if state is CableState.GROUND:
+        points = np.stack([d, d], axis=1)
+        yield from _bodies(flat, ones, (points, chords[k]), separation.cable, rng)
+        return
+    cables, length = cable_points(team.cable_length, drones, 81), team.cable_length
+    gaps = np.linalg.norm(drones[d, None] - cables[k], axis=-1)
+    near = np.argsort(np.min(gaps, axis=-1))[:CANDIDATES]
+    d, k, nearest = d[near], k[near], np.argmin(gaps[near], axis=-1)
+    pull = unit(drones[d] - cables[k, nearest])  # the cable goes there, the drone comes
+    ends = np.stack([2 * k, 2 * k + 1], axis=1).ravel()
+    noise = rng.normal(size=(2, DIRECTIONS, max(len(ends), len(drones)), 3))
+    noise[:, 0] = 0.0
+    aside = unit(np.repeat(pull, 2, axis=0) + 0.7 * noise[0, :, : len(ends)])
+    sinking = unit([0.0, 0.0, -1.0] + 0.7 * noise[1, :, : len(drones)])
+
+    def broken(radius: float) -> bool:
+        moved = cable_points(length[k], drones[ends] + radius * aside, 81)
+        gaps = np.linalg.norm(moved - (drones[d] - radius * pull)[:, None], axis=-1)
+        lowest = np.min(cable_points(length, drones + radius * sinking, 81)[..., 2])
+        floor = motion.requirements.floor
+        return bool(np.min(gaps) < separation.cable or lowest - floor < separation.cable)
+
+    yield broken

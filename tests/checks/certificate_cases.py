@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.checks import Check
 from hitchopt.checks.rule import CheckRule
-from hitchopt.hitch import Team
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.forces import (
     cable_slack_of,
     clasp_loads,
@@ -186,7 +187,7 @@ def cut(part: PiecewisePolynomial) -> PiecewisePolynomial:
 
 
 def wild_motion(
-    rng: np.random.Generator, n: int, pieces: int, order: int, noise: float, arena: Arena | None
+    rng: np.random.Generator, n: int, pieces: int, order: int, noise: float, **given: Any
 ) -> Motion:
     """Return polynomials that are no hitch at all, in a phase that says so."""
     breaks = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2.0, pieces))])
@@ -199,13 +200,41 @@ def wild_motion(
 
     return Motion(
         Team(n, rng.uniform(2.0, 3.0, n), cable_density=0.003),
-        Requirements(Limits(), Separation(), arena),
+        Requirements(**given),
         around(drones),
         around(vertices),
         PiecewisePolynomial(breaks, rng.uniform(0.1, 0.6, (pieces, n, 2, 4))),
         PiecewisePolynomial(breaks, rng.uniform(0.2, 0.8, (pieces, n, 3))),
         (Phase("morph", 0, 0.0, float(breaks[-1]), tension=(0.2, 0.8)),),  # taut all the time
     )
+
+
+def loaded_motion(seed: int, n: int, density: float = 0.01, rolled: float = 0.5) -> Motion:
+    """Return a hitch of unlike drones in which all moves, tensions too, and clasps bear loads."""
+    rng = np.random.default_rng(seed)
+    angles = 2.0 * math.pi * (np.arange(n) + 0.15 * rng.uniform(-1.0, 1.0, n)) / n
+    start = np.array([4.0, -3.0]) + np.column_stack([np.cos(angles), -np.sin(angles)])
+    edges = np.linalg.norm(np.roll(start, -1, axis=0) - start, axis=1)
+    team = Team(
+        n,
+        edges + rng.uniform(0.9, 1.1, n),
+        tension=0.9,
+        cable_density=density,
+        load=rng.uniform(0.0, 0.006, n),
+        quadrotor=[Quadrotor(0.13 + 0.01 * k, 3.0 - 0.1 * k) for k in range(n)],
+    )
+    phases = rng.uniform(0.0, 6.0, n)
+    made = moving(
+        team,
+        lambda t: start + 0.06 * np.sin(t[:, None, None] * [0.8, 1.1] + start),
+        0.4 + 0.05 * rng.uniform(0.0, 1.0, n),
+        order=9,
+        tension_at=lambda t: 0.9 + 0.03 * np.sin(0.7 * t[:, None] + phases),
+        roll=rolled * rng.uniform(-1.0, 1.0, n),
+        limits=Limits(body_rate=1.0),
+    )
+    # A range of tensions, so that cables are taut all of the time.
+    return replace(made, phases=(replace(made.phases[0], tension=(0.8, 1.0)),))
 
 
 def applied(rule: CheckRule, motion: Motion) -> Check:

@@ -1,4 +1,4 @@
-"""The certificate's quantities by brute force over samples, of hitches and of open chains.
+"""The certificate's quantities by brute force over samples: hitches, open chains, free cables.
 
 Shares nothing with the package but the evaluation of polynomials: who is where is listed by hand,
 every distance, angle and force has its own formula here, and all pairs are looked at.
@@ -11,7 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import states_at
 
 Array = NDArray[np.float64]
 
@@ -41,7 +43,75 @@ class Samples:
 def sampled(motion: Motion, times: Array) -> dict[str, float]:
     """Return the worst value of every quantity over ``times``; thrust as a share of the largest."""
     s = Samples(motion, times)
-    return {**_distances(s), **_rates(motion, times), **_forces(s), **_shape(s)}
+    found = {**_distances(s), **_rates(motion, times), **_forces(s), **_shape(s)}
+    if motion.requirements.limits.body_rate is not None:
+        h = 1e-5  # [s] between samples and those that thrusts are differentiated by
+        breaks = motion.drones.breaks
+        smooth = times[np.min(np.abs(times[:, None] - breaks), axis=1) > 2.0 * h]
+        before, after = (_thrusts(Samples(motion, smooth + sign * h)) for sign in (-1.0, 1.0))
+        found["body_rate"] = _turning(0.5 * (before + after), (after - before) / (2.0 * h))
+    return found
+
+
+def sampled_free(motion: Motion, times: Array) -> dict[str, float]:
+    """Return the same of drones whose cables hang free; thrusts as setpoints have them."""
+    team, separation = motion.team, motion.requirements.separation
+    x, states = motion.drones.at(times), states_at(motion, times)
+    few = x[:: max(1, len(times) // 500)]
+    points, each = cable_points(team.cable_length, few), np.arange(team.drones)
+    apart = np.linalg.norm(few[:, :, None, None] - points[:, None], axis=-1)
+    apart[:, each, each // 2] = math.inf
+    chords = x[..., :2].reshape(len(times), -1, 2, 2)
+    i, j = np.triu_indices(team.robots, 1)
+    flat = np.concatenate([chords, np.zeros_like(chords[..., :1])], axis=-1)
+    crossing = segment_to_segment(flat[:, i, 0], flat[:, i, 1], flat[:, j, 0], flat[:, j, 1])
+    spans = np.linalg.norm(x[:, 1::2] - x[:, 0::2], axis=-1)
+    thrust = states.thrusts(team)
+    scaled = x / [2.0 * separation.radius] * [1.0, 1.0, separation.radius / separation.height]
+    i, j = np.triu_indices(team.drones, 1)
+    rates = _rates(motion, times)
+    del rates["vertex_speed"]  # there are none
+    return {
+        **rates,
+        **_walls(motion, x),
+        "separation": float(np.min(np.linalg.norm(scaled[:, i] - scaled[:, j], axis=-1))),
+        "cable_clearance": float(min(np.min(apart), np.min(points[..., 2]) - _floor(motion))),
+        "crossing": float(np.min(crossing)),
+        "span": float(np.max(spans / team.cable_length)),
+        "thrust": float(np.max(np.linalg.norm(thrust, axis=-1) / team.max_thrust)),
+        "tilt": _tilt(thrust),
+        "body_rate": _turning(thrust, states.thrust_rates(team)),
+    }
+
+
+def _floor(motion: Motion) -> float:
+    arena = motion.requirements.arena
+    return 0.0 if arena is None else float(arena.lower[2])
+
+
+def cable_points(length: Array, drones: Array, count: int = 201) -> Array:
+    """Points (…, n, count, 3) of the hanging cables of drones (…, 2n, 3)."""
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    cables = Catenary.between(q, r, np.broadcast_to(length, q.shape[:-1]))
+    mu = np.moveaxis(
+        np.array([cables.place(share) for share in np.linspace(0.0, 1.0, count)]), 0, -1
+    )
+    points = q[..., None, :] + (0.5 * (1.0 + mu))[..., None] * (r - q)[..., None, :]
+    stacked = Catenary(*(x[..., None] for x in vars(cables).values()))
+    points[..., 2] -= stacked.depth(mu)
+    return points
+
+
+def _tilt(thrust: Array) -> float:
+    """The largest lean [deg]."""
+    level = np.hypot(thrust[..., 0], thrust[..., 1])
+    return float(np.max(np.degrees(np.arctan2(level, thrust[..., 2]))))
+
+
+def _turning(thrust: Array, rate: Array) -> float:
+    """The largest turning rate [deg/s]."""
+    turning = np.linalg.norm(np.cross(thrust, rate), axis=-1) / np.sum(thrust**2, axis=-1)
+    return math.degrees(float(np.max(turning)))
 
 
 def _distances(s: Samples) -> dict[str, float]:
@@ -82,17 +152,25 @@ def _rates(motion: Motion, times: Array) -> dict[str, float]:
     return {**found, "vertex_speed": float(np.max(vertices))}
 
 
-def _forces(s: Samples) -> dict[str, float]:
-    """Thrusts, and at clasps what legs, edges and weights leave."""
+def _pulls(s: Samples) -> tuple[Array, Array]:
+    """What cables pull drones with along their chords, and the lengths of these."""
     other = np.stack([s.last, s.first], axis=1).ravel()
     span = s.x - s.p[:, np.where(s.legged, s.own, other)]  # along which each cable pulls
     size = np.linalg.norm(span, axis=-1)
     root = np.sqrt(np.repeat(s.T, 2, axis=1) ** 2 - (s.half * _level(span)) ** 2)
-    pull = ((s.half * span[..., 2] + root) / size)[..., None] * span
-    thrust = s.team.mass[:, None] * (s.a + np.array([0.0, 0.0, 9.81])) + pull
+    return ((s.half * span[..., 2] + root) / size)[..., None] * span, size
+
+
+def _thrusts(s: Samples) -> Array:
+    pull, size = _pulls(s)
+    thrust: Array = s.team.mass[:, None] * (s.a + np.array([0.0, 0.0, 9.81])) + pull
     thrust[..., 2] += s.half * size
-    norm = np.linalg.norm(thrust, axis=-1)
-    lean = np.degrees(np.arctan2(np.hypot(thrust[..., 0], thrust[..., 1]), thrust[..., 2]))
+    return thrust
+
+
+def _forces(s: Samples) -> dict[str, float]:
+    """Thrusts, and at clasps what legs, edges and weights leave."""
+    (pull, _), thrust = _pulls(s), _thrusts(s)
     along = s.edges / np.linalg.norm(s.edges, axis=-1, keepdims=True)
     legs = np.linalg.norm(s.legs, axis=-1) * s.legged  # none at a chain's ends, right or wrong
     edge_pull = np.sqrt(s.T**2 - (s.half * _level(s.edges)) ** 2)
@@ -106,8 +184,8 @@ def _forces(s: Samples) -> dict[str, float]:
         force[:, 2] -= s.half * np.sum(carried, axis=1) + 9.81 * s.team.load[i]
         balance.append(np.max(np.linalg.norm(force, axis=-1) / np.minimum(T, T_m)))
     return {
-        "thrust": float(np.max(norm / s.team.max_thrust)),
-        "tilt": float(np.max(lean)),
+        "thrust": float(np.max(np.linalg.norm(thrust, axis=-1) / s.team.max_thrust)),
+        "tilt": _tilt(thrust),
         "equilibrium": float(max(balance)),
     }
 
@@ -136,9 +214,13 @@ def _shape(s: Samples) -> dict[str, float]:
         "cable_length": float(np.max(off)),
         "convexity": math.degrees(least),
     }
-    if (arena := s.motion.requirements.arena) is not None:
-        found["arena"] = float(np.min(np.minimum(s.x - arena.lower, arena.upper - s.x)))
-    return found
+    return found | _walls(s.motion, s.x)
+
+
+def _walls(motion: Motion, x: Array) -> dict[str, float]:
+    if (arena := motion.requirements.arena) is None:
+        return {}
+    return {"arena": float(np.min(np.minimum(x - arena.lower, arena.upper - x)))}
 
 
 def point_to_segment(x: Array, a: Array, b: Array) -> Array:

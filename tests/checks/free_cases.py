@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Team
-from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -18,7 +19,7 @@ def free_motion(
     team: Team,
     drones: PiecewisePolynomial,
     *states: CableState,
-    arena: Arena | None = None,
+    **given: Any,
 ) -> Motion:
     """Phases in those states, one per piece (the last one for all that follow); else free."""
     last = states[-1] if states else CableState.FREE
@@ -31,7 +32,7 @@ def free_motion(
     n = team.robots
     return Motion(
         team,
-        Requirements(Limits(), Separation(), arena),
+        Requirements(**given),
         drones,
         constant(drones.breaks, np.zeros((team.layout.points, 3))),
         constant(drones.breaks, np.zeros((n, 2))),
@@ -57,16 +58,3 @@ def random_flight(seed: int, n: int = 4, pieces: int = 3) -> tuple[Team, Piecewi
     arms = rng.uniform(-0.45, 0.45, (pieces + 1, n, 3)) * [1.0, 1.0, 0.4]
     places = np.stack([middles - arms, middles + arms], axis=2).reshape(pieces + 1, -1, 3)
     return team, through(np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, pieces))]), places)
-
-
-def cable_points(team: Team, drones: Array, count: int = 201) -> Array:
-    """Points (…, n, count, 3) of the hanging cables of drones (…, 2n, 3)."""
-    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
-    cables = Catenary.between(q, r, team.cable_length)
-    mu = np.moveaxis(
-        np.array([cables.place(share) for share in np.linspace(0.0, 1.0, count)]), 0, -1
-    )
-    points = q[..., None, :] + (0.5 * (1.0 + mu))[..., None] * (r - q)[..., None, :]
-    stacked = Catenary(*(x[..., None] for x in vars(cables).values()))
-    points[..., 2] -= stacked.depth(mu)
-    return points

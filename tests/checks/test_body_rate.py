@@ -9,13 +9,9 @@ import numpy as np
 import pytest
 from certificate_cases import (
     applied,
-    convex_polygon,
-    moving,
     random_motion,
     still,
-    wild_motion,
 )
-from free_cases import free_motion, random_flight
 from numpy.typing import NDArray
 
 from hitchopt.checks import Check, certify
@@ -24,7 +20,6 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -38,58 +33,6 @@ def limited(motion: Motion, rate: float = 1.0) -> Motion:
 
 def checked(motion: Motion, rate: float = 1.0) -> Check:
     return applied(RULE, limited(motion, rate))
-
-
-def turning(motion: Motion, count: int) -> float:
-    """The largest of sampled turning rates [deg/s], forces differentiated numerically."""
-    states = states_at(motion, np.linspace(0.0, motion.duration, count))
-    thrusts, rates = states.thrusts(motion.team), states.thrust_rates(motion.team)
-    squared = np.sum(thrusts**2, axis=-1)
-    return math.degrees(float(np.max(np.linalg.norm(np.cross(thrusts, rates), axis=-1) / squared)))
-
-
-@pytest.mark.parametrize(("n", "seed"), [(3, 1), (7, 3)])
-def test_no_sample_turns_faster_and_the_bound_is_tight(n: int, seed: int) -> None:
-    motion = random_motion(n, seed)
-    worst, value = checked(motion).bound, turning(motion, 4001)
-    assert value * (1.0 - 1e-7) <= worst <= value * 1.01
-
-
-def test_tensions_that_change_and_weights_turn_thrusts_as_well() -> None:
-    rng = np.random.default_rng(5)
-    n = 5
-    team = Team(n, 2.6 + 0.05 * np.arange(n), cable_density=0.01)
-    start = convex_polygon(n, rng, (3.0, -2.0))
-
-    def tension_at(t: Array) -> Array:
-        return 0.6 + 0.15 * np.sin(2.0 * t[:, None] + np.arange(n))
-
-    motion = moving(
-        team,
-        lambda t: start + 0.05 * np.sin(t[:, None, None] * [0.8, 1.1] + start),
-        np.full(n, 0.45),
-        order=9,
-        tension_at=tension_at,
-    )
-    phase = replace(motion.phases[0], tension=(0.4, 0.8))
-    motion = replace(motion, phases=(phase,))
-    worst, value = checked(motion).bound, turning(motion, 6001)
-    assert value * (1.0 - 1e-7) <= worst <= value * 1.01
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_hanging_cables_with_weight_are_enclosed(seed: int) -> None:
-    motion = free_motion(*random_flight(seed)).slowed(4.0)
-    worst, value = checked(motion).bound, turning(motion, 6001)
-    assert value * (1.0 - 1e-7) <= worst <= value * 1.01
-    light = replace(motion, team=replace(motion.team, cable_density=0.0))
-    assert abs(checked(light).bound - worst) > 1e-3 * worst
-
-
-def test_polynomials_that_are_no_hitch_at_all() -> None:
-    for seed in range(6):
-        motion = wild_motion(np.random.default_rng(seed), 3, 2, 1 + seed, 0.05, None)
-        assert checked(motion).bound >= turning(motion, 2001) * (1.0 - 1e-7)
 
 
 def single(coefficients: Array, seconds: float = 1.0) -> Motion:

@@ -148,14 +148,6 @@ def test_a_tangled_approach_is_named_by_its_pair() -> None:
     assert {"cable 0", "cable 2"} <= wrong(motion)
 
 
-def test_robots_that_form_nothing_must_not_tangle() -> None:
-    team, drones = random_flight(1)
-    motion = free_motion(team, drones)
-    met = chord_crossings(drones)
-    names = wrong(motion)
-    assert bool(names) == (np.any(met.count != 0) or len(entered(motion).first) > 0)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_counts_against_samples_of_the_volume(seed: int) -> None:
     """Signs of the volume at samples, wherever chords are close and cross from some side."""
@@ -230,16 +222,6 @@ def test_a_chord_that_runs_into_anothers_end_is_not_told() -> None:
     below = start - [[0, 0, 1], [0, 0, 1], [0, 0, 0], [0, 0, 0]]
     met = chord_crossings(through(np.array([0.0, 1.0]), np.array([start, below])))
     assert not np.any(met.certain)
-
-
-@pytest.mark.slow
-def test_tilted_axes_keep_drones_off_their_neighbours_cables_where_edges_are_in_line() -> None:
-    """As rope simulations found: for many robots turning must be tilted; chords do not see it."""
-    level = joined_motions(stages_of(30, SwapSettings(tilt=0.0))[1])
-    assert not ho.certify(level)["cable_clearance"].holds
-    assert not np.any(chord_crossings(level.drones).count == 0)
-    pre = find_prehitch(hitch_of(30), Separation(), SwapSettings())
-    assert np.min(pre.measures.clearances) > 0.15
 
 
 def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:

@@ -40,7 +40,7 @@ def test_distances_are_those_to_the_nearest_of_many_points() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform([-1.0, -2.0, -1.0], [4.0, 3.0, 3.0], (200, 3))
     found = PRISM.clearance(points)
-    many = crowded(PRISM, 40_000, 2)
+    many = crowded(PRISM, 20_000, 2)
     for point, distance, normal in zip(points, found.distance, found.normals, strict=True):
         assert np.linalg.norm(normal) == pytest.approx(1.0)
         nearest = float(np.min(np.linalg.norm(many - point, axis=1)))

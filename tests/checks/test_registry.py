@@ -6,47 +6,15 @@ import json
 import math
 
 import pytest
-from certificate_cases import random_motion
 from free_cases import free_motion, random_flight
 from open_chain_cases import random_chain
 
 from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.certificate import describe
-from hitchopt.checks.registry import REPORTS, RULE_OF, RULES
-from hitchopt.checks.rule import CheckRule, Finder, Finding, ReportRule
-from hitchopt.hitch.requirements import Arena
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 
 HITCHED, FREE = CableState.HITCHED, CableState.FREE
-
-
-def test_every_rule_has_a_name_of_its_own_and_some_state() -> None:
-    assert list(RULE_OF) == [rule.name for rule in RULES]
-    for rule in RULES:
-        assert rule.sense in {"min", "max"}
-        assert rule.remedy
-        seen: set[CableState] = set()
-        for finder in rule.finders:
-            assert finder.states
-            assert seen.isdisjoint(finder.states), rule.name
-            seen |= finder.states
-
-
-def test_certificates_list_the_rules_that_apply_in_the_order_of_the_registry() -> None:
-    order = list(RULE_OF)
-    arena = Arena((-50.0, -50.0, -50.0), (50.0, 50.0, 50.0))
-    for motion in (random_motion(3, 1, arena=arena), free_motion(*random_flight(0))):
-        certificate = certify(motion)
-        names = [check.name for check in certificate.checks]
-        reported = [rule.name for rule in REPORTS]
-        assert names[-len(reported) :] == reported
-        checked = names[: -len(reported)]
-        assert checked == sorted(checked, key=order.index)
-        assert checked == [rule.name for rule in RULES if rule.limit_of(motion) is not None]
-        rules: dict[str, CheckRule | ReportRule] = {rule.name: rule for rule in (*RULES, *REPORTS)}
-        for check in certificate.checks:
-            rule = rules[check.name]
-            assert (check.unit, check.sense) == (rule.unit, rule.sense)
 
 
 def test_a_new_rule_needs_only_a_finder() -> None:

@@ -17,7 +17,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 
 TRIANGLE = np.array([[3.0, 1.0], [2.6, 2.5], [3.4, 2.5]])
 LEGS = [0.35, 0.5, 0.45]
-SEEDS = range(12)
+SEEDS = range(6)
 
 
 def upward(seed: int) -> Motion:

@@ -16,26 +16,15 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify
-from hitchopt.checks.distances import distance
 from hitchopt.checks.hanging import moved_by
-from hitchopt.checks.tracking import Ellipsoid
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
-
-AXES = np.array([0.24, 0.24, 0.6])
-
-ORIGIN = np.zeros((1, 1, 3, 1))
-
-
-def to_ellipsoid(points: Array, axes: Array) -> Array:
-    """Distances (m,) of points (m, 3) to an ellipsoid about the origin, zero within."""
-    return distance(points[:, None, :, None], ORIGIN, Ellipsoid(axes)).value
 
 
 def radius_of(motion: Motion, gamma: float = 1.0) -> Check:
@@ -62,47 +51,14 @@ def test_two_drones_at_rest_have_half_the_distance_of_their_ellipsoids() -> None
         assert (check.limit, check.holds, check.where) == (None, True, ("d0", "d1"))
 
 
-def test_the_distance_to_an_ellipsoid_is_that_to_its_nearest_point() -> None:
-    """Against the points of a fine mesh of the ellipsoid."""
-    rng = np.random.default_rng(1)
-    angle, height = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 361), np.linspace(-1.0, 1.0, 361))
-    level = np.sqrt(1.0 - height**2)
-    mesh = np.stack([level * np.cos(angle), level * np.sin(angle), height], axis=-1) * AXES
-    for axes in (AXES, AXES[::-1][[1, 1, 2]]):
-        points = mesh / AXES * axes
-        for offset in rng.normal(size=(12, 3)) * 0.8:
-            found = float(to_ellipsoid(offset[None], axes)[0])
-            nearest = float(np.min(np.linalg.norm(points - offset, axis=-1)))
-            if np.linalg.norm(offset / axes) <= 1.0:
-                assert found == 0.0
-            else:
-                assert nearest - 5e-3 <= found <= nearest + 1e-12
-
-
-def test_no_sample_comes_closer_to_the_ellipsoid_than_a_cell_s_bound() -> None:
-    """The bound closes in with the square of a cell's size."""
-    rng = np.random.default_rng(2)
-    middles = rng.normal(size=(400, 3, 1)) * [[1.0], [1.0], [1.5]]
-    motion = rng.normal(size=(400, 3, 5))
-    off = []
-    for size in (0.3, 0.03):
-        rows = middles + size * motion
-        bound = distance(rows[:, None], ORIGIN, Ellipsoid(AXES)).value
-        values = np.moveaxis(rows @ bernstein.basis(np.linspace(0.0, 1.0, 201), 4).T, 1, -1)
-        sampled = np.min(to_ellipsoid(values.reshape(-1, 3), AXES).reshape(400, -1), axis=1)
-        assert np.all(bound <= sampled + 1e-9)
-        off.append(float(np.mean((sampled - bound)[sampled > 0.5])))
-    assert off[1] < 0.2 * off[0] < 0.05
-
-
 @pytest.mark.parametrize(("n", "seed"), [(3, 1), (5, 2), (8, 3)])
 def test_no_adversary_beats_it_and_it_is_tight_for_random_hitches(n: int, seed: int) -> None:
     arena = Arena([-40.0, -50.0, 0.5], [45.0, 40.0, 3.0])
     motion = random_motion(n, seed, arena=arena)
-    radius, found = radius_of(motion).bound, attack(motion, count=30).radius
+    radius, found = radius_of(motion).bound, attack(motion, count=30)
     assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
     wider = radius_of(motion, 1.8).bound
-    assert wider <= min(radius, attack(motion, 1.8, 30).radius * (1.0 + 1e-4))
+    assert wider <= min(radius, attack(motion, 1.8, 30) * (1.0 + 1e-4))
 
 
 @pytest.mark.parametrize(
@@ -110,13 +66,13 @@ def test_no_adversary_beats_it_and_it_is_tight_for_random_hitches(n: int, seed: 
     [
         ("triangle", 30),
         ("open_pair", 30),
-        pytest.param("form_triangle", 100, marks=pytest.mark.slow),
+        pytest.param("form_triangle", 40, marks=pytest.mark.slow),
         ("swarms/stack", 30),
     ],
 )
 def test_no_adversary_beats_it_and_it_is_tight_for_plans(stem: str, count: int) -> None:
     motion = planned(stem).motion
-    radius, found = radius_of(motion).bound, attack(motion, count=count).radius
+    radius, found = radius_of(motion).bound, attack(motion, count=count)
     assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
 
 
@@ -127,7 +83,7 @@ def test_crossing_drones_at_all_heights(seed: int) -> None:
     places = rng.uniform(-3.0, 3.0, (2, 9, 3)) + [0.0, 0.0, 5.0]
     motion = single(places)
     check = certify(motion)["separation"]
-    radius, found = radius_of(motion).bound, attack(motion, count=30).radius
+    radius, found = radius_of(motion).bound, attack(motion, count=30)
     if not check.holds:
         assert radius == 0.0
     else:
@@ -139,7 +95,7 @@ def test_crossing_drones_at_all_heights(seed: int) -> None:
 def test_free_cables(seed: int) -> None:
     team, drones = random_flight(seed, n=3, pieces=1)
     motion = free_motion(team, drones)
-    assert 0.0 <= radius_of(motion).bound <= attack(motion, count=30).radius * (1.0 + 1e-4)
+    assert 0.0 <= radius_of(motion).bound <= attack(motion, count=12) * (1.0 + 1e-4)
 
 
 def test_hanging_cables_move_no_farther_than_said() -> None:
@@ -197,6 +153,11 @@ def test_what_binds_is_named() -> None:
     assert check.where == shortest.where
     assert radius_of(short, 3.0).bound == pytest.approx((shortest.bound - 0.39) / 4.0, rel=1e-6)
     assert radius_of(limited(leg=0.9)).bound == 0.0
+    for name, number, moved in (("crossing", 2.0, 6.0), ("cable", 2.0, 4.0)):  # for γ = 1 and 3
+        kept = certify(motion)["cable_clearance" if name == "cable" else name].bound - 1e-3
+        near = replace(motion, requirements=Requirements(Limits(), Separation(**{name: kept})))
+        assert radius_of(near).bound == pytest.approx(1e-3 / number, rel=1e-3), name
+        assert radius_of(near, 3.0).bound == pytest.approx(1e-3 / moved, rel=1e-3), name
     low = replace(motion, requirements=Requirements(arena=Arena([-9, -9, 0.999], [9, 9, 3])))
     assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
 

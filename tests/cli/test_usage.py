@@ -214,8 +214,13 @@ SIGNALS = [("SIGINT", 130), ("SIGTERM", 143)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["click", "hitchopt.mission", "numpy", "casadi"])
-@pytest.mark.parametrize(("name", "code"), SIGNALS)
+@pytest.mark.parametrize(
+    ("module", "name", "code"),
+    [
+        (module, *SIGNALS[i % 2])
+        for i, module in enumerate(("click", "hitchopt.mission", "numpy", "casadi"))
+    ],
+)
 def test_signals_within_imports_end_quietly(module: str, name: str, code: int, place: Path) -> None:
     (place / "hostile.py").write_text(HOSTILE.format(signal=name))
     done = started("-c", INTERRUPTED.format(module=module, file=str(TRIANGLE)))
@@ -224,8 +229,10 @@ def test_signals_within_imports_end_quietly(module: str, name: str, code: int, p
     assert (place / "sent").read_text() == "1"
 
 
-@pytest.mark.parametrize("method", ["click.Context.__init__", "click.Context.close"])
-@pytest.mark.parametrize(("name", "code"), SIGNALS)
+@pytest.mark.parametrize(
+    ("method", "name", "code"),
+    [("click.Context.__init__", *SIGNALS[0]), ("click.Context.close", *SIGNALS[1])],
+)
 def test_signals_between_imports_and_command_end_quietly(method: str, name: str, code: int) -> None:
     done = started("-c", BETWEEN.format(method=method, signal=name))
     assert (done.returncode, done.stderr) == (code, "")

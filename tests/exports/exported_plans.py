@@ -19,7 +19,7 @@ from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
-from hitchopt.motion.motion import Motion, Phase, joined_motions
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -85,17 +85,6 @@ def swarm_plan() -> Motion:
         ]
     )
     return swarm_of(places, np.array([0.0, 1.7, 3.4123]))
-
-
-@lru_cache
-def long_plan(times: int = 3) -> Motion:
-    """There and back, again and again: rests in between."""
-    there = hitch_plan()
-    end = there.duration
-    phases = tuple(replace(p, start=end - p.end, end=end - p.start) for p in reversed(there.phases))
-    back = there.changed(lambda part: part.reversed(), phases)
-    assert isinstance(back, Motion)
-    return joined_motions([there, back] * times)
 
 
 @lru_cache

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import runpy
+import shutil
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,13 +25,13 @@ from exported_plans import (
     certificate_of,
     exported,
     hitch_plan,
-    long_plan,
     restless_plan,
     swarm_of,
     swarm_plan,
     task_of,
 )
 from format_readers import polynomials, segments
+from plans import planned
 from ruamel.yaml import YAML
 
 import hitchopt as ho
@@ -38,6 +39,7 @@ from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import Export, export_plan
 from hitchopt.exports.format import format_of
 from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
+from hitchopt.exports.lint import lint
 from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import read_manifest
 from hitchopt.mission.loading import any_problem_from_dict
@@ -45,8 +47,6 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from problems.swarm import reversed_stack
-
-PROBLEM = Path(__file__).parents[2] / "problems" / "tie_carry_untie.yaml"
 
 
 def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
@@ -222,12 +222,24 @@ def test_mistakes_of_fleets_are_reported_by_key(
         fleet_from_dict(data if name else {}, ("q0", "r0"))
 
 
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, ...]:
+    folder = tmp_path_factory.mktemp("mission")
+    return exported(planned("tie_carry_untie").motion, "crazyswarm2", folder)
+
+
 @pytest.mark.slow
-def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
-    motion = long_plan()
-    parts = exported(motion, "crazyswarm2", tmp_path)
+def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) -> None:
+    motion, home = planned("tie_carry_untie").motion, parts[0].folder.parent
     assert len(parts) > 1
-    manifest = read_manifest(tmp_path)
+    checked = [{check.name for check in part.verdict.checks} for part in parts]
+    assert all({"separation", "cable_clearance"} <= names for names in checked)
+    assert any("span" in names for names in checked)
+    linted = lint(home)
+    assert [report.path for report in linted] == [part.folder for part in parts]
+    assert all(report.sound for report in linted)
+    assert all(fact.size <= 4096 for report in linted for fact in report.facts)
+    manifest = read_manifest(home)
     assert manifest is not None
     assert manifest["parts"] == [part.folder.name for part in parts]
     spans = manifest["plan_spans"]
@@ -252,8 +264,9 @@ def test_what_is_too_long_is_cut_at_rests(tmp_path: Path) -> None:
             for at in (np.zeros(1), last):
                 assert np.max(np.abs(polynomials(path, at, order))) < 1e-4
     # A shorter plan in the same folder leaves none of the parts behind.
-    exported(hitch_plan(), "crazyswarm2", tmp_path)
-    assert [p for p in tmp_path.iterdir() if p.is_dir()] == []
+    later = Path(shutil.copytree(home, tmp_path / "later"))
+    exported(hitch_plan(), "crazyswarm2", later)
+    assert [p for p in later.iterdir() if p.is_dir()] == []
 
 
 def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None:
@@ -419,11 +432,6 @@ class Fleet:
             patched.setattr(sys, "argv", [script.name, *arguments])
             runpy.run_path(str(script), run_name="__main__")
         assert self.worst_jump < CONTINUOUS
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory) -> tuple[Export, ...]:
-    return exported(ho.solve(PROBLEM).motion, "crazyswarm2", tmp_path_factory.mktemp("mission"))
 
 
 def standing(folder: Path) -> dict[str, Array]:

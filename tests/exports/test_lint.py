@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import exported, hitch_plan, long_plan, swarm_plan
+from exported_plans import exported, hitch_plan, swarm_plan
 from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
@@ -408,15 +408,6 @@ def test_small_files_that_unpack_to_very_much(
     monkeypatch.setattr(recording, "MAX_SPANS", 99 * 300 - 1)
     with pytest.raises(FileError, match="300 drones with 99 spans"):
         lint(path)
-
-
-@pytest.mark.slow
-def test_a_cut_export_is_linted_part_by_part(tmp_path: Path) -> None:
-    parts = exported(long_plan(), "crazyswarm2", tmp_path)
-    found = lint(tmp_path)
-    assert [r.path for r in found] == [part.folder for part in parts]
-    assert all(r.sound for r in found)
-    assert all(fact.size <= 4096 for r in found for fact in r.facts)
 
 
 def polys(folder: Path, *drones: tuple[list[float], list[list[float]]]) -> None:

@@ -17,16 +17,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from exported_plans import hitch_plan, swarm_plan
+from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError
-from hitchopt.mission.loading import asked_in, parse_problem
+from hitchopt.mission.loading import asked_in
 from hitchopt.motion.asked import asked_of, check_asked
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan, read_title, write_plan
 
-PROBLEMS = Path(__file__).parents[2] / "problems"
 TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
 
 FORM = """
@@ -173,7 +173,7 @@ def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
     if isinstance(kind, str):
         file = PROBLEMS / f"{kind}.yaml"
         text = file.read_text()
-        motion = ho.solve(parse_problem(text, str(file), file.parent)).motion
+        motion = planned(kind).motion
         check_asked(asked_in(text, motion.requirements.objects), motion, whole=False)
         check_asked(asked_of(motion), motion)
     else:
@@ -193,11 +193,11 @@ def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
 
 @pytest.mark.slow
 def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) -> None:
-    tied = ho.solve(PROBLEMS / "form_triangle.yaml")
+    tied = planned("form_triangle")
     polygon = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
     start = ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4), polygon, altitude=1.0)
     plan = ho.morph(start, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
-    for i, each in enumerate((plan, plan.abort(1.0), tied, tied.abort(2.0))):
+    for i, each in enumerate((plan, plan.abort(1.0), tied.abort(2.0))):
         each.save(tmp_path / str(i))
         assert ho.load(tmp_path / str(i)).certificate.certified
     with np.load(tmp_path / "0" / "plan.npz") as file:

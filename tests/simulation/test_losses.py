@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import regular_hitch, standing
+from scripted import flight_of, regular_hitch, standing
 
 import hitchopt as ho
 from hitchopt.live.lost import Reactions, reacting
@@ -54,11 +54,13 @@ def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
     assert judge(flight).failures == ()
 
 
-@pytest.mark.slow
 def test_contacts_are_those_of_survivors() -> None:
     task = standing(regular_hitch(3), 0.3)
     loss = Loss("q0", 0.05)
-    flight = fly(task, Settings(lost=loss, body="point"))
+    hitch = regular_hitch(3)
+    t = np.linspace(0.0, 0.3, 31)
+    linked = np.ones((3, 3), dtype=np.int64) - np.eye(3, dtype=np.int64)
+    flight = flight_of(task, hitch, t, lost=loss, linking=linked)
     early, cable, pair = (
         Touch(0.01, "r0", "r1"),
         Touch(0.1, "q0", "cable 2"),

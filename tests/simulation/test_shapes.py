@@ -248,10 +248,9 @@ def test_thick_cables_need_as_much_more_as_their_bends_do(n: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [3, 6])
-def test_simulated_cables_are_as_long_as_planned_and_it_is_told(n: int) -> None:
+def test_simulated_cables_are_as_long_as_planned_and_it_is_told() -> None:
     """Legs, edges and their arcs add up to the plan's length, whatever the ropes' bends use up."""
-    task = standing(regular_hitch(n, cable_friction=0.0), 0.1)
+    task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
     simulation = simulate(task, Settings(body="point", pull_test=False))
     flight, found = simulation.flight, effective_lengths(simulation.flight)
     np.testing.assert_allclose(found, task.team.cable_length, atol=4e-3)

@@ -13,7 +13,7 @@ from scripted import forming, hanging_task, regular_hitch, standing, unformed
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.simulation.judgement import Simulation, simulate
-from hitchopt.simulation.settings import FAST, USUAL, Perturbations, Settings
+from hitchopt.simulation.settings import FAST, USUAL, Settings
 from hitchopt.simulation.task import read_task
 from hitchopt.simulation.world import InvalidRunError
 
@@ -65,20 +65,6 @@ def test_pulls_are_near_the_plans_and_rise_with_the_pull_test(stood: Simulation)
     ratio = np.mean(record.tensions[pulled]) / np.mean(record.tensions[flying])
     assert 1.3 < ratio < 1.6
     assert np.all(record.peak_tensions[1:] >= record.tensions[1:] - 1e-12)
-
-
-@pytest.mark.slow
-def test_the_same_seed_flies_the_same_flight_and_another_does_not() -> None:
-    windy = Settings(
-        body="point", perturbations=Perturbations(noise=0.01, wind=0.05), pull_test=False, seed=3
-    )
-    first, again, other = (
-        simulate(standing(regular_hitch(3), 0.1), replace(windy, seed=seed)).flight.record
-        for seed in (3, 3, 4)
-    )
-    np.testing.assert_array_equal(first.drones, again.drones)
-    np.testing.assert_array_equal(first.tensions, again.tensions)
-    assert np.max(np.abs(first.drones - other.drones)) > 1e-3
 
 
 @pytest.mark.slow
@@ -193,30 +179,20 @@ def test_two_half_turns_form_a_triangle_that_holds() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("turns", "unlinked"),
-    [
-        ([(0.5, -0.5)] * 3, {"p0", "p1", "p2"}),  # turning back
-        ([1.0, -1.0, 0.0], {"p2"}),  # one vertex left out, the others turned either way
-        ([(0.5, 0.0)] * 3, None),  # half a turn holds nothing
-    ],
-)
-def test_what_must_fail_does_and_is_named(turns: Any, unlinked: set[str] | None) -> None:
-    done = flown(3, turns, Settings(body="point", pull_test=unlinked is not None))
+def test_a_vertex_at_which_drones_turn_back_fails_and_is_named() -> None:
+    """The others are turned either way."""
+    done = flown(3, [(0.5, 0.5), (-0.5, -0.5), (0.5, -0.5)], Settings(body="point"))
     assert not done.outcome.hitched
     assert done.flight.error is None
-    assert np.isnan(done.flight.pulled) == (unlinked is None)
-    found = {f.where[0] for f in done.outcome.failures if f.kind == "unlinked"}
-    assert found == unlinked or (found and unlinked is None)
-    links = {clasp.name: abs(clasp.linking) for clasp in done.outcome.clasps}
-    assert links == {name: int(name not in found) for name in ("p0", "p1", "p2")}
+    assert np.isfinite(done.flight.pulled)
+    assert {f.where[0] for f in done.outcome.failures if f.kind == "unlinked"} == {"p2"}
+    assert [abs(clasp.linking) for clasp in done.outcome.clasps] == [1, 1, 0]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("n", [3, 4])
-def test_cables_that_merely_cross_are_no_clasps(n: int) -> None:
+def test_cables_that_merely_cross_are_no_clasps() -> None:
     """Half a turn, drawn tight as it is: every cable runs straight across its neighbours."""
-    task = forming(regular_hitch(n), [(0.5, 0.0)] * n, swap=2.0, swapped=True)
+    task = forming(regular_hitch(3), [(0.5, 0.0)] * 3, swap=2.0, swapped=True)
     done = simulate(task, Settings(body="point", perturbations=USUAL, seed=7))
     clasps = done.outcome.clasps
     assert any(abs(clasp.linking) == 1 for clasp in clasps)  # Gauss's integral alone would hold

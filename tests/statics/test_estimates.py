@@ -126,7 +126,7 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
     """Over flights with noise of 1.5 mm, deviations are about as large as the stated errors."""
     task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
     scores = []
-    for seed in range(12):
+    for seed in range(6):
         found = estimate_team(shaken(recording, 1.5e-3, seed), task, DENSITY)
         soft, hard = found.stiffness[0], found.stiffness[1]
         assert abs(found.friction.value - MU) < 0.05

@@ -83,7 +83,7 @@ def drawn(
 
 @pytest.mark.slow
 @given(seeds, st.integers(3, 6), st.sampled_from(["closed", "open"]), st.sampled_from([0.0, 0.01]))
-@settings(max_examples=12)
+@settings(max_examples=6)
 def test_sampled_hitches_stay_within_bounds(
     seed: int, n: int, topology: str, density: float
 ) -> None:
@@ -174,14 +174,6 @@ def test_slack_is_found_where_a_range_reaches_nothing() -> None:
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
     corners = settled(hitch, cable_length=2.4 + 0.01 * signs, stiffness=120.0)
     assert np.min(corners.tensions) == 0.0
-
-
-@pytest.mark.slow
-def test_hundreds_of_robots_have_ranges() -> None:
-    errors = Errors(force=ErrorSize(0.001))
-    found = ranges(regular_hitch(200), errors, stiffness=4.75, cable_density=0.005)
-    assert found.tension_halves.shape == (1, 200)
-    np.testing.assert_allclose(found.tension_halves, found.tension_halves[0, 0], rtol=1e-3)
 
 
 def test_sizes_are_read_and_refused_in_words() -> None:

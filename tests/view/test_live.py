@@ -20,12 +20,12 @@ from pictured import made_certificate, make_motion
 
 from hitchopt.cli import main
 from hitchopt.exports.directory import OWNED
-from hitchopt.plan import Plan, load
+from hitchopt.plan import load
 from hitchopt.values import Array
 from hitchopt.view.live import ASPECT, NARROW_ASPECT, LiveView
 from hitchopt.view.live_scene import path_segments
 from hitchopt.view.report import write_report
-from hitchopt.view.scene import Concerned, scene_of
+from hitchopt.view.scene import scene_of
 
 
 @pytest.fixture(scope="module")
@@ -52,30 +52,6 @@ def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time
     ends = sent["/plan/cables"].points.reshape(4, -1, 2, 3)
     np.testing.assert_allclose(ends[:, 0, 0], drones[0::2], atol=2e-3)
     np.testing.assert_allclose(ends[:, -1, 1], drones[1::2], atol=2e-3)
-
-
-def test_an_old_plan_is_faded_and_comes_back_and_marks_stay(live: LiveView) -> None:
-    def colours() -> list[Array]:
-        sent = nodes(live)
-        batches = [sent[f"/plan/drones/{part}"].batched_colors for part in ("rotors", "rims")]
-        return [np.array(each).astype(float) for each in (*batches, sent["/plan/cables"].colors)]
-
-    before = colours()
-    live.note("an OLD plan")
-    for bright, dim in zip(before, colours(), strict=True):
-        vivid, dull = (np.max(np.ptp(each, axis=-1)) for each in (bright, dim))
-        assert dull <= 0.3 * vivid + 6  # the grey's own
-        assert np.min(dim) > 80
-    assert not nodes(live)["/plan/paths"].visible
-    live.live.mark(Concerned(cables=(2,)))
-    cables = colours()[-1].reshape(4, -1, 3)
-    assert np.ptp(cables[2][0]) > 100
-    assert np.ptp(cables[1][0]) < 60
-    live.live.mark(Concerned())
-    live.note("")
-    for bright, again in zip(before, colours(), strict=True):
-        np.testing.assert_array_equal(again, bright)
-    assert nodes(live)["/plan/paths"].visible
 
 
 @pytest.mark.parametrize(("aspect", "port"), [(ASPECT, 8394), (NARROW_ASPECT, 8395)])
@@ -209,11 +185,3 @@ def test_report_of_a_directory_has_problem_and_digests(tmp_path: Path) -> None:
     again = CliRunner().invoke(main, ["solve", str(problem), "-o", str(out)])
     assert again.exit_code == 0
     assert not (out / "report.html").exists()  # it would tell of another solve
-
-
-@pytest.mark.slow
-def test_thirty_seconds_of_24_drones_take_3_megabytes_at_most(tmp_path: Path) -> None:
-    motion = make_motion(12).slowed(30.0 / 3.1)
-    path = Plan(motion, made_certificate()).report(tmp_path)
-    assert motion.duration == pytest.approx(30.0)
-    assert path.stat().st_size < 3e6

@@ -36,7 +36,7 @@ from hitchopt.view.pictures import (
     panels,
     sampled_states,
 )
-from hitchopt.view.style import COLOURS, cable_colours, new_figure, save_figure
+from hitchopt.view.style import new_figure, save_figure
 
 PRISM = Prism([[4.0, 1.0], [4.0, 2.0], [5.0, 1.5]], 0.0, 1.0)
 
@@ -116,17 +116,6 @@ def test_both_hitches_are_drawn_cable_by_cable_and_vertices_numbered(
         share = np.clip(np.sum((middle - first) * along, 1) / np.sum(along**2, 1), 0.0, 1.0)
         assert np.min(np.linalg.norm(middle - first - share[:, None] * along, axis=1)) > 5.0
         assert np.linalg.norm(middle - place) < 90.0
-
-
-@pytest.mark.parametrize("n", range(3, 14))
-def test_neighbouring_cables_differ_in_grey(n: int) -> None:
-    def grey(colour: str) -> float:
-        red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-        return 0.299 * red + 0.587 * green + 0.114 * blue
-
-    shades = [grey(colour) for colour in cable_colours(n)]
-    assert set(cable_colours(n)) <= set(COLOURS)
-    assert min(abs(a - b) for a, b in zip(shades, shades[1:] + shades[:1], strict=True)) > 0.15
 
 
 @pytest.mark.parametrize("motion", [make_motion(5, thrusts=(2.6, 1.9)), make_motion(3), swarm(4)])

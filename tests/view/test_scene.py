@@ -20,7 +20,7 @@ from hitchopt.holding.wraps import wraps_around
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import states_at
-from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.objects import Section, SolidObject
 from hitchopt.simulation.ropes import linking_matrix
 from hitchopt.values import Array
 from hitchopt.view import film as films
@@ -28,7 +28,7 @@ from hitchopt.view.cables import CLASPS, clasp_senses, wrapped_edges
 from hitchopt.view.film import check_film, frames, save_film
 from hitchopt.view.painter import Camera, Painter
 from hitchopt.view.scene import concerned, ghost_scene, recorded_scene, scene_at, scene_of
-from hitchopt.view.shapes import drone_faces, normals, object_faces, sphere_faces, split
+from hitchopt.view.shapes import object_faces, split
 from problems.forming_steps import save_forming_steps
 
 
@@ -199,18 +199,6 @@ def test_faces_enclose_the_body(section: Section, times: int) -> None:
     volume, area = volume_and_area(split(object_faces(SolidObject(section, 0.1, 0.4)), times))
     assert volume == pytest.approx(0.3 * section.area, rel=0.01 if section.radius else 1e-9)
     np.testing.assert_allclose(area, 0.0, atol=1e-12)
-
-
-def test_drones_spheres_and_rims_have_their_sizes() -> None:
-    frame, rotors, rims = drone_faces(0.1)
-    np.testing.assert_allclose(volume_and_area(frame)[1], 0.0, atol=1e-12)
-    assert np.all(normals(rotors)[:, 2] > 0.999)
-    assert 0.07 < np.max(np.linalg.norm(rims[..., :2], axis=-1)) < 0.1
-    volume, _ = volume_and_area(sphere_faces([0.1, 0.1, 0.3]))
-    assert volume == pytest.approx(4.0 / 3.0 * np.pi * 0.1 * 0.1 * 0.3, rel=0.1)
-    rim = Rim(Section(radius=0.5), 0.25)
-    points = object_faces(SolidObject(Section(CORNERS), 0.0, 0.3, rim=rim)).reshape(-1, 3)
-    assert np.max(points[np.linalg.norm(points[:, :2], axis=1) > 0.49, 2]) == 0.25
 
 
 def test_what_is_nearer_is_painted_later() -> None:
