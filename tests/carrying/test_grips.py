@@ -298,7 +298,8 @@ def with_body(motion: Motion, **changes: Any) -> Motion:
 
 
 @pytest.mark.parametrize(
-    "kind", ["straight", "not held", "elsewhere", "smaller", "larger", "contacts", "by rest"]
+    "kind",
+    ["straight", "not held", "elsewhere", "smaller", "larger", "contacts", "by rest", "borne"],
 )
 def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) -> None:
     holds = [phase.hold for phase in motion.phases]
@@ -313,13 +314,18 @@ def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) 
         changed = replace(motion, phases=tuple(phases))
     elif kind == "elsewhere":
         changed = replace(motion, poses=moved(motion.poses, [0.001, 0, 0, 0, 0]))
+    elif kind == "borne":  # from nothing on, where nothing holds it
+        shares = motion.object_shares
+        coefficients = shares.coefficients.copy()
+        coefficients[0, ..., -1] = 0.1
+        changed = replace(motion, borne=PiecewisePolynomial(shares.breaks, coefficients))
     elif kind == "contacts":
         changed = replace(motion, contacts=moved(motion.contacts, [0.0, 0.001, 0.0]))
     else:
         radius = RADIUS + (0.001 if kind == "larger" else -0.001)
         changed = with_body(motion, section=ho.Section(radius=radius))
     assert not all(check(changed, name).holds for name in ("grip", "support"))
-    found = check(changed, "grip") if kind not in ("not held", "by rest") else None
+    found = check(changed, "grip") if kind not in ("not held", "by rest", "borne") else None
     assert found is None or found.bound < -1e300 or kind == "straight"
 
 
