@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +95,8 @@ def test_a_polynomial_s_largest_speed_acceleration_and_jerk() -> None:
     for name, value in (("speed", 8.0), ("acceleration", 24.0), ("jerk", 36.0)):
         check = certificate[name]
         assert value <= check.bound == pytest.approx(value, rel=1e-9)
-        assert (check.where, check.time) == (("r1",), pytest.approx(2.0))
+        assert check.where == ("r1",)
+        assert check.time == pytest.approx(2.0)
 
 
 def test_a_rigid_turn_moves_points_at_their_distance_times_the_rate() -> None:
@@ -144,7 +145,7 @@ def uneven() -> Motion:
 
 EXTERIOR = np.min(Hitch(Team(3, [2.4, 2.5, 2.6]), TRIANGLE, 1.0, LEGS).polygon.exterior_angles[:2])
 
-FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, set[tuple[str, ...]]]] = {
+FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, Set[tuple[str, ...]]]] = {
     "the ellipsoid's height scales an offset": (
         lambda: placed(
             triangle(separation=Separation(0.12, 0.30)), 2, lambda x, _: x[:, :, 1] + [0, 0, 0.45]
