@@ -52,6 +52,7 @@ def test_records_are_written_in_their_own_words() -> None:
     ):
         assert repr(record) == words
     assert (short(np.full(600, 2.4)), short(np.zeros((600, 3)))) == ("2.4", "array(600, 3)")
+    assert short([[1.0] * 30] * 20) == "<20 entries>"
     error = ho.InputError("key", "value\n" * 50, "bound", "remedy " * 50)
     assert repr(error).startswith('InputError("key = ')
     states = plan.at([0.0, 1.0])
