@@ -10,6 +10,7 @@ import click
 import jsonschema
 import pytest
 from documentation_blocks import Block, blocks, executed, file_name, same
+from generators.api_pages import page_of
 from generators.check_facts import write_check_facts
 from generators.command_page import write_command_page
 from generators.gallery_page import write_gallery_page
@@ -20,6 +21,7 @@ from generators.schema_page import problem_schema, write_schema_page
 from PIL import Image
 from ruamel.yaml import YAML
 
+import hitchopt as ho
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
 from hitchopt.cli.planning import PACKAGE, problem_text
@@ -232,3 +234,23 @@ def test_the_gallery_has_every_problem_with_a_picture() -> None:
         for file in (ROOT / "problems" / folder).glob("*.yaml")
     ]
     assert page.count("\n| `bad/") + page.count("\n| `swarms/bad/") == len(refused)
+
+
+@pytest.mark.parametrize(
+    ("printed", "shown", "agrees"),
+    [
+        ("a 1.001 b\n", "a 1.002 b\n", True),
+        ("a 1.001 b\n", "a 1.005 b\n", False),
+        ("3 rows\n", "4 rows\n", False),
+        ("3.4e-09\n", "9.1e-10\n", True),
+        ("one\n", "two\n", False),
+        ("a long line\n", "a long …\n", True),
+        ("one\ntwo\n", "one\n", False),
+    ],
+)
+def test_texts_are_compared_by_their_digits(printed: str, shown: str, *, agrees: bool) -> None:
+    assert same(printed, shown) is agrees
+
+
+def test_every_public_name_has_a_page() -> None:
+    assert "others" not in {page_of(name) for name in ho.__all__}

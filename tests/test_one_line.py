@@ -22,11 +22,9 @@ VALUES = PLAIN | st.lists(PLAIN, max_size=12) | st.lists(st.lists(PLAIN, max_siz
 def test_every_public_record_is_written_on_one_line() -> None:
     public = [getattr(ho, name) for name in ho.__all__]
     records = [x for x in public if inspect.isclass(x) and not issubclass(x, BaseException)]
+    other = [kind for kind in records if getattr(kind, "__repr__") is not OneLine.__repr__]  # noqa: B009
     assert records
-    assert {kind.__dict__.get("__repr__", OneLine.__repr__) for kind in records} == {
-        OneLine.__repr__
-    }
-    assert all(issubclass(kind, OneLine) for kind in records)
+    assert other == []
 
 
 @given(st.lists(VALUES, max_size=8))
@@ -54,6 +52,7 @@ def test_records_are_written_in_their_own_words() -> None:
     ):
         assert repr(record) == words
     assert (short(np.full(600, 2.4)), short(np.zeros((600, 3)))) == ("2.4", "array(600, 3)")
+    assert short([[1.0] * 30] * 20) == "<20 entries>"
     error = ho.InputError("key", "value\n" * 50, "bound", "remedy " * 50)
     assert repr(error).startswith('InputError("key = ')
     states = plan.at([0.0, 1.0])

@@ -62,13 +62,19 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """All nodes of a module."""
+    return list(ast.walk(tree(path)))
+
+
 def place(path: Path, node: ast.AST) -> str:
     return f"{path.relative_to(PACKAGE.parent)}:{getattr(node, 'lineno', 1)}"
 
 
-def docstrings(module: ast.Module) -> Iterator[ast.Constant]:
+def docstrings(path: Path) -> Iterator[ast.Constant]:
     """All strings that stand as statements: docstrings, and descriptions of constants."""
-    for node in ast.walk(module):
+    for node in nodes(path):
         match node:
             case ast.Expr(ast.Constant(str()) as text):
                 yield text
@@ -81,15 +87,16 @@ def first_word(text: str) -> str:
     return found[1].lower() if found else ""
 
 
-def identifiers(module: ast.Module) -> Iterator[tuple[ast.AST, str]]:
+def identifiers(path: Path) -> Iterator[tuple[ast.AST, str]]:
     """All names that the code gives or uses, keywords of calls included."""
-    for node in ast.walk(module):
+    for node in nodes(path):
         for field in ("id", "attr", "name", "asname", "arg", "module"):
             value = getattr(node, field, None)
             if isinstance(value, str):
                 yield node, value
 
 
+@cache
 def parts(identifier: str) -> set[str]:
     """The words of an identifier in snake case or camel case."""
     spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", identifier)
@@ -100,7 +107,7 @@ def test_docstrings_begin_with_no_preposition() -> None:
     found = [
         f"{place(path, node)}: {str(node.value).splitlines()[0]}"
         for path in MODULES
-        for node in docstrings(tree(path))
+        for node in docstrings(path)
         if first_word(str(node.value)) in PREPOSITIONS
     ]
     assert not found, f"{len(found)} docstrings\n" + "\n".join(found)
@@ -110,7 +117,7 @@ def test_identifiers_are_the_field_s_words() -> None:
     found = [
         f"{place(path, node)}: {name}"
         for path in MODULES
-        for node, name in identifiers(tree(path))
+        for node, name in identifiers(path)
         if parts(name) & BANNED
     ]
     found += [str(path) for path in MODULES if parts(path.stem) & BANNED]
@@ -141,7 +148,7 @@ def _names(target: ast.expr) -> Iterator[ast.Name]:
 
 def used(path: Path) -> Iterator[str]:
     """The names that a module reads, in strings such as ``module:Class`` too; not imports."""
-    for node in ast.walk(tree(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield node.id
         elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):

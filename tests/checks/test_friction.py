@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.checks.cables import beyond_friction
+from hitchopt.checks.cables import TENSION, beyond_friction
 from hitchopt.checks.clasps import EQUILIBRIUM as RULE
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
@@ -191,6 +191,22 @@ def test_what_legs_pull_over_tensions_that_rise_from_zero_is_told_by_its_limit(
         assert motion.leg_tensions is not None
         found = beyond_friction(motion).worst
         assert found < 1e-9 if factor == 1.0 else 0.8 < found < 1.0
+
+
+def test_legs_may_pull_with_what_friction_makes_of_the_range(leaned: Motion) -> None:
+    assert certify(leaned).certified
+    assert leaned.leg_tensions is not None
+    t = np.linspace(0.0, leaned.duration, 20_001)
+    most, T = ratios(leaned, t)[..., 1], leaned.team.tension[:, None]
+    for factor in (1.6, 0.6):
+        c = factor * leaned.leg_tensions.coefficients
+        changed = replace(leaned, leg_tensions=PiecewisePolynomial(leaned.drones.breaks, c))
+        pulls = changed.pulls.at(t).reshape(most.shape)
+        worst = float(np.max(np.maximum(pulls - T * most, T / most - pulls)))
+        found = applied(TENSION, changed)
+        assert 0.01 < worst <= found.bound <= worst * 1.001 + 1e-6
+        assert found.where[0] in leaned.team.drone_names
+    assert applied(TENSION, replace(changed, team=team(1.0))).holds
 
 
 @pytest.mark.parametrize(("cable", "end", "point"), [(0, 0, 0), (2, 1, 3)])

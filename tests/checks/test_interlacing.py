@@ -254,3 +254,28 @@ def test_chords_that_overlap_for_good_are_uncertain_at_once(degree: int) -> None
     on_one_line = np.array([[-1.1, 0, 0], [1.6, 0, 0], [0.4, 0, 0], [1.1, 0, 0]])
     met = chord_crossings(PiecewisePolynomial.constant([0.0, 1.0], on_one_line, degree))
     assert list(met.certain) == [False]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", FEW)
+def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
+    """They are drawn out farther than they reach, though no chord is longer than one."""
+    hitch, stages = stages_of(n)
+    right = ho.certify(motion_of(hitch, stages))["cable_length"]
+    assert right.holds
+    drones = hitch.drones
+    farther = np.mean(drones, axis=0) + 1.1 * (drones - np.mean(drones, axis=0))
+    out = [
+        Stage("tighten", straight(hitch.team, Limits(), first, last), CableState.TIGHTENING)
+        for first, last in ((drones, farther), (farther, drones))
+    ]
+    torn = ho.certify(motion_of(hitch, [*stages[:3], *out, stages[3]]))
+    assert torn["span"].holds
+    assert not torn["cable_length"].holds
+    # Farthest out, around the hitch's vertices: two longer legs and the edge between them.
+    layout, reach = hitch.team.layout, np.linalg.norm
+    legs = reach(farther - hitch.vertices[layout.anchors], axis=1).reshape(-1, 2)
+    edges = reach(hitch.vertices[layout.ends] - hitch.vertices[layout.starts], axis=1)
+    needed = np.max((np.sum(legs, axis=1) + edges) / hitch.team.cable_length)
+    assert needed > 1.02
+    assert torn["cable_length"].worst == pytest.approx(needed - 1.0, rel=2e-4)
