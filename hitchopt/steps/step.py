@@ -196,7 +196,7 @@ class StepPlan:
 
     @cached_property
     def certificate(self) -> Certificate:
-        """Of the motion alone, the whole plan's duration left open; computed when first needed."""
+        """Certificate of the motion alone, its duration left open; computed when first needed."""
         from hitchopt.checks import certify
 
         return certify(self.motion.untimed, part=True)

@@ -261,15 +261,17 @@ def test_chords_that_overlap_for_good_are_uncertain_at_once(degree: int) -> None
 def test_tightening_beyond_the_hitch_tears_cables(n: int) -> None:
     """They are drawn out farther than they reach, though no chord is longer than one."""
     hitch, stages = stages_of(n)
-    right = ho.certify(motion_of(hitch, stages))["cable_length"]
+    right = ho.certify(joined_motions(stages))["cable_length"]
     assert right.holds
     drones = hitch.drones
     farther = np.mean(drones, axis=0) + 1.1 * (drones - np.mean(drones, axis=0))
     out = [
-        Stage("tighten", straight(hitch.team, Limits(), first, last), CableState.TIGHTENING)
+        stage_of(
+            hitch, "tighten", straight(hitch.team, Limits(), first, last), CableState.TIGHTENING
+        )
         for first, last in ((drones, farther), (farther, drones))
     ]
-    torn = ho.certify(motion_of(hitch, [*stages[:3], *out, stages[3]]))
+    torn = ho.certify(joined_motions([*stages[:3], *out, stages[3]]))
     assert torn["span"].holds
     assert not torn["cable_length"].holds
     # Farthest out, around the hitch's vertices: two longer legs and the edge between them.
