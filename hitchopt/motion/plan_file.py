@@ -7,8 +7,8 @@ Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) ov
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection
-from dataclasses import fields, replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -26,8 +26,6 @@ from hitchopt.motion.motion import (
     JOINT,
     POLYNOMIALS,
     CableState,
-    Hold,
-    HoldBy,
     Motion,
     Phase,
 )
@@ -35,65 +33,6 @@ from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, read_arrays
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import finite, positive
-
-
-def read_phase(
-    entry: dict[str, Any], robots: int, objects: Collection[str], *, alone: bool
-) -> Phase:
-    """Return a phase as it is stored.
-
-    Parameters
-    ----------
-    robots: number of them.
-    objects: names of all objects.
-    alone: whether the drones carry no cables.
-    """
-    given = dict(entry)
-    hold = _hold(given.pop("hold", None), robots, objects)
-    phase = Phase(**given)
-    for value, kind, words in (
-        (phase.name, str, "with a name"),
-        (phase.step, int, "with a step's index"),
-        (phase.remark, str, "with a remark in words"),
-    ):
-        if type(value) is not kind:
-            raise InputError("phases", value, words, "do not edit them")
-    allowed = [each for each in CableState if (each is CableState.NONE) is alone]
-    if entry["state"] not in allowed:
-        words = f"one of {', '.join(allowed)}"
-        raise InputError("phases.state", entry["state"], words, "do not edit them")
-    return replace(
-        phase,
-        start=finite("phases.start", phase.start),
-        end=finite("phases.end", phase.end),
-        state=CableState(entry["state"]),
-        tension=_tension_range(phase.tension),
-        hold=hold,
-    )
-
-
-def _tension_range(given: Any) -> tuple[float, float] | None:
-    """Return a phase's range of tensions [N]; None of a phase that states none."""
-    if given is None:
-        return None
-    if isinstance(given, list) and len(given) == 2:
-        least, most = (positive("phases.tension", value) for value in given)
-        if least <= most:
-            return least, most
-    raise InputError("phases.tension", given, "[smallest, largest] or null", "do not edit them")
-
-
-def _hold(entry: dict[str, Any] | None, robots: int, objects: Collection[str]) -> Hold | None:
-    """Return what a phase holds, as it is stored."""
-    if entry is None:
-        return None
-    name, cables = entry["object"], entry["cables"]
-    if name not in objects or not all(type(k) is int and 0 <= k < robots for k in cables):
-        bound = f"an object of {sorted(objects)} and cables from 0 to {robots - 1}"
-        raise InputError("phases.hold", entry, bound, "do not edit it")
-    return Hold(name, HoldBy(entry["by"]), tuple(cables))
-
 
 T = TypeVar("T")
 
@@ -118,6 +57,9 @@ A rigid loop is stored as an infinite stiffness, and a flag as 0 or 1.
 
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
+
+DO_NOT = "do not edit plan files"
+"""Remedy for what hitchopt does not write."""
 
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
@@ -258,16 +200,15 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     kinds = _kinds(arrays)
     alone = "robots" not in given
     robots = 0 if alone else int(given["robots"])
-    phases = tuple(
-        read_phase(entry, robots, requirements.objects, alone=alone) for entry in settings["phases"]
-    )
+    phases = _stored("phases", settings["phases"], tuple[Phase, ...])
+    _check_phases(phases, robots, requirements.objects)
     if alone:
         swarm = Swarm(given["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
     else:
         per_robot: dict[str, Any] = {name: arrays[name] for name in PER_ROBOT}
         team = Team(**given, **per_robot, quadrotor=kinds)
-        assignment = _assignment(**settings["assignment"]) if "assignment" in settings else None
+        assignment = _stored("assignment", settings.get("assignment"), Assignment | None)
         motion = Motion(team, requirements, **parts, phases=phases, assignment=assignment)
     spans = [[phase.start, phase.end] for phase in phases]
     # A motion has verified that they follow one another and cover the pieces.
@@ -317,11 +258,37 @@ def _from_file(name: str, value: float) -> Any:
     return value
 
 
-def _assignment(robots: list[int], flipped: list[bool]) -> Assignment:
-    for values, kind in ((robots, int), (flipped, bool)):
-        if not all(type(value) is kind for value in values):
-            raise InputError("assignment", values, f"a list of {kind.__name__}", "do not edit it")
-    return Assignment(tuple(robots), tuple(flipped))
+def _stored(key: str, value: Any, kind: Any) -> Any:
+    """Return the record of a kind, or the tuple of records, that a setting holds.
+
+    Raises
+    ------
+    InputError: types that are not those of the record's fields.
+    """
+    from pydantic import TypeAdapter, ValidationError  # heavy, as of all files
+
+    try:
+        return TypeAdapter(kind).validate_json(json.dumps(value), strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, (key, *first["loc"])))
+        raise InputError(place, first["input"], f"stored ({first['msg']})", DO_NOT) from None
+
+
+def _check_phases(phases: Sequence[Phase], robots: int, objects: Collection[str]) -> None:
+    """Raise InputError for phases that do not fit a team, or name what is not there."""
+    for phase in phases:
+        if (phase.state is CableState.NONE) is (robots > 0):
+            words = "none without cables, and another state with them"
+            raise InputError("phases.state", str(phase.state), words, DO_NOT)
+        if phase.tension is not None and not 0.0 < phase.tension[0] <= phase.tension[1] < np.inf:
+            words = "a smallest and a largest tension, or null"
+            raise InputError("phases.tension", phase.tension, words, DO_NOT)
+        hold = phase.hold
+        known = hold is None or (hold.object in objects and set(hold.cables) <= set(range(robots)))
+        if not known:
+            bound = f"an object of {sorted(objects)} and cables from 0 to {robots - 1}"
+            raise InputError("phases.hold", vars(hold), bound, DO_NOT)
 
 
 def _reason(error: BaseException) -> str:

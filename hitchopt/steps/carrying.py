@@ -266,7 +266,7 @@ class Grasp(PullStep):
         asked: (n,) [N], tensions with which it is held.
         """
         from hitchopt.planners.carrying.rest import HeldHitch
-        from hitchopt.steps.held_moves import polygon_at
+        from hitchopt.steps.held_moves import polygon_at, rolling_morph
         from hitchopt.steps.holds import check_held, spaced
         from hitchopt.steps.route_choice import end_of_morph
 
@@ -278,7 +278,7 @@ class Grasp(PullStep):
         wide = spaced(free.requirements, SPREAD)
         near = end_of_morph(task.hitch, below, None, wide).hitch
         legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-        plan = self.part(Morph(below, legs), free)
+        plan = rolling_morph(self, Morph(below, legs), free)
         hitch = plan.after.hitch
         assert hitch is not None
         held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
@@ -438,7 +438,7 @@ class Loosen(Step):
         low = held.ended_holding(task, freed, sinking, held.place_of(body), gap).after
         around = Morph(held.polygon_at(body, holding.polygons.around))
         slow = slowly(without(task, self.object))
-        opening = self.part(around, task.within(slow, low))
+        opening = held.rolling_morph(self, around, task.within(slow, low))
         motion = held.one_phase([sinking, opening.motion], task, self.name, sinking.phases[0].hold)
         after = replace(opening.after, holding=replace(freed, held=None))
         return StepPlan(self.lasting(task, motion), after)

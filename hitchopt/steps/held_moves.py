@@ -26,6 +26,7 @@ from hitchopt.planners.carrying.rest import ROOM, HeldHitch
 from hitchopt.planners.timing.flight import check_duration, needed_stretch
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
+from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
 LIFT_SPEED = 0.1
@@ -175,10 +176,43 @@ def in_turn(step: Step, ways: Sequence[Transport | Morph], task: StepTask) -> St
         place = np.append(here.hitch.polygon.centroid, here.hitch.altitude)
         if isinstance(way, Transport) and np.max(np.abs(place - way.to)) < LEVEL:
             continue
-        planned = step.part(way, here)
+        planned = rolling_morph(step, way, here) if isinstance(way, Morph) else step.part(way, here)
         motions.append(planned.motion)
         here = here.within(here.requirements, planned.after)
     return StepPlan(joined_motions(motions), here.before)
+
+
+def rolling_morph(step: Step, morph: Morph, task: StepTask) -> StepPlan:
+    """Return the plan of a morph, as a part of a step.
+
+    Legs that are rolled only at one of its ends, and have no route so, are rolled before it, or
+    back after it.
+
+    Raises
+    ------
+    InfeasibleError: no route, with what breaks without that.
+    """
+    try:
+        return step.part(morph, task)
+    except InfeasibleError as error:
+        start, end = task.hitch, morph.end(task).hitch
+        more = np.where(np.abs(end.roll) > np.abs(start.roll), end.roll, start.roll)
+        ways = [Morph(end.polygon, RolledLegs(end.q_legs, more))]
+        if np.any(more != start.roll):
+            ways.insert(0, Morph(start.polygon, RolledLegs(start.q_legs, more)))
+        if np.any(more != end.roll):
+            ways.append(Morph(end.polygon, RolledLegs(end.q_legs, end.roll)))
+        if len(ways) == 1:
+            raise
+        motions, here = [], task
+        for way in ways:
+            try:
+                planned = step.part(way, here)
+            except InfeasibleError:
+                raise error from None
+            motions.append(planned.motion)
+            here = here.within(here.requirements, planned.after)
+        return StepPlan(joined_motions(motions), here.before)
 
 
 def held_plan(step: Step, task: StepTask, after: Holding, moves: Sequence[Move]) -> StepPlan:

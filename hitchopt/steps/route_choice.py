@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
@@ -191,52 +190,18 @@ def optimised(
     return checked(planned(best.lasting(duration)).remarked(words))
 
 
-def routed(
-    routes: Sequence[Callable[[], StepPlan]],
-    note: str,
-    *,
-    fastest: bool = False,
-    before_others: Callable[[], object] = lambda: None,
-) -> tuple[StepPlan, str]:
-    """Return a plan that satisfies all limits, and why it is not that of the first route.
+def refused_both(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
+    """Return what tells why neither a step's own route nor the optimised one is flown.
 
-    Parameters
-    ----------
-    routes: in the order in which they are tried, the step's own first.
-    note: added to the refusal where more than one was tried.
-    fastest: try all of them, and return the fastest plan.
-    before_others: called where the first one is refused; it may raise what none can satisfy.
-
-    Raises
-    ------
-    InfeasibleError: none does; says what binds on the first of them. A route that only takes too
-        long is told before others, that which takes the least time first.
-    HitchoptError: as the first of them, where none tells what binds.
+    What binds on the own one; a route that only takes too long is told before others.
     """
-    found: dict[int, StepPlan] = {}
-    refusals: list[HitchoptError] = []
-    for i, route in enumerate(routes):
-        try:
-            found[i] = route()
-        except TimeLimitError:
-            raise
-        except HitchoptError as error:
-            refusals.append(error)
-        if found and not fastest:
-            break
-        if i == 0 and refusals:
-            before_others()
-    if found:
-        best = min(found, key=lambda i: found[i].motion.duration)
-        return found[best], "" if best == 0 else SHUT if 0 not in found else FASTER
-    own = refusals[0]
-    told = [refusal for refusal in refusals if isinstance(refusal, InfeasibleError)]
+    told = [each for each in (own, other) if isinstance(each, InfeasibleError)]
     if not told:
-        raise own
-    first = min(told, key=_shortest)  # the first one where none has a time
+        return own
+    first = min(told, key=_shortest)  # the own one where none has a time
     if first is not own and isinstance(own, InfeasibleError):
         note = SHUT if _shortest(own) == math.inf else SLOWER
-    raise InfeasibleError(first.violations, first.note or (note if len(refusals) > 1 else ""))
+    return InfeasibleError(first.violations, first.note or note)
 
 
 def _shortest(refusal: InfeasibleError) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from functools import cache
+from functools import cache, partial
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import numpy as np
@@ -27,6 +27,7 @@ from hitchopt.values import (
     not_negative,
     per_robot,
     positive,
+    whole,
 )
 from hitchopt.values.units import DURATION, HEIGHT, check_unit
 
@@ -254,13 +255,6 @@ def keys_of(kind: type[Any]) -> dict[str, tuple[Key, object]]:
     }
 
 
-def index(key: str, value: object) -> int:
-    """Return an index, or raise InputError for what is none."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InputError(key, value, "a whole number from 0 on", "indices start at 0")
-    return int(value)
-
-
 def numbers(key: str, value: object, shape: tuple[int | None, ...], words: str) -> Array:
     """Return ``value`` as a read-only array of that shape; None stands for one or more.
 
@@ -334,7 +328,7 @@ def auto_seconds(key: str, value: object) -> float | str:
 Seconds = Annotated[float | None, Key(Positive, DURATION_TEXT, check=seconds)]
 Blend = Annotated[bool, Key(bool, "Go on into the next step without a stop", check=flag)]
 LegsAtEnd = Annotated[SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end")]
-WhichPoint = Annotated[int, Key(Index, "Which, from 0", (0,), check=index)]
+WhichPoint = Annotated[int, Key(Index, "Which, from 0", (0,), check=partial(whole, least=0))]
 ObjectOf = Annotated[str, Key(ObjectName, "Name of the object", ("box",))]
 Place = Annotated[
     Array, Key(Point3, "Where its base goes, [x, y, z] [m]", ([1, 0, 0],), check=point)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
+from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -237,15 +237,22 @@ def _approach(task: StepTask, goal: Array) -> Motion:
     from hitchopt.motion.motion import joined_motions
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
     from hitchopt.steps.certified_motions import checked
-    from hitchopt.steps.route_choice import routed
 
     asked = task.before.team, task.before.drones, goal, task.requirements, task.index
-
-    def flown(planner: type[DirectApproach | GatheredApproach]) -> StepPlan:
-        return checked(StepPlan(joined_motions(planner(*asked).solve()), task.before))
-
-    routes = [partial(flown, planner) for planner in (DirectApproach, GatheredApproach)]
-    return routed(routes, "no other route to the pre-hitch was found")[0].motion
+    refusals = list[HitchoptError]()
+    for planner in (DirectApproach, GatheredApproach):
+        try:
+            motion = joined_motions(planner(*asked).solve())
+            return checked(StepPlan(motion, task.before)).motion
+        except TimeLimitError:
+            raise
+        except HitchoptError as error:
+            refusals.append(error)
+    told = [each for each in refusals if isinstance(each, InfeasibleError)]
+    if not told:
+        raise refusals[0]
+    note = told[0].note or "no other route to the pre-hitch was found"
+    raise InfeasibleError(told[0].violations, note)
 
 
 @dataclass(frozen=True)

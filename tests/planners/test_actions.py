@@ -301,7 +301,7 @@ def test_wrong_arguments_are_told_by_their_own_names() -> None:
     start = uneven(5)
     with pytest.raises(ho.InputError, match=r"^vertex = 5: must be from 0 to 4"):
         ho.move_vertex(start, 5, by=[0.0, 0.1])
-    with pytest.raises(ho.InputError, match=r"^edge = -1: must be a whole number from 0 on"):
+    with pytest.raises(ho.InputError, match=r"^edge = -1: must be a whole number, at least 0"):
         ho.move_edge(start, -1, by=[0.0, 0.1])
     with pytest.raises(ho.InputError, match=r"^to = None: must be given where by is not"):
         ho.move_vertex(start, 0)
