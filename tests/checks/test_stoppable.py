@@ -93,7 +93,7 @@ def test_what_samples_break_is_never_certified(start: float, duration: float, ti
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["acceleration", "jerk", "thrust", "tilt"])
+@pytest.mark.parametrize("name", ["acceleration", "jerk", "thrust", "tilt", "turning"])
 def test_a_limit_just_below_its_largest_sample_is_refused(name: str) -> None:
     """Each quantity by itself, the others being free; one a twentieth higher is kept."""
     motion, rng = motion_of(), np.random.default_rng(8)
@@ -116,6 +116,7 @@ def freed(motion: Motion, name: str, factor: float) -> Motion:
         acceleration=factors["acceleration"] * limits.acceleration,
         jerk=factors["jerk"] * limits.jerk,
         tilt=min(factors["tilt"] * limits.tilt, 1.5),
+        body_rate=factor if name == "turning" else None,
     )
     kinds = tuple(replace(q, max_thrust=factors["thrust"] * q.max_thrust) for q in team.quadrotor)
     requirements = replace(motion.requirements, limits=limits)
