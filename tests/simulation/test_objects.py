@@ -45,6 +45,22 @@ def test_objects_stand_still_on_the_ground_and_on_tables_of_any_shape() -> None:
     )
 
 
+@pytest.mark.parametrize("section", [BOX, KITE, ROUND])
+def test_moments_of_inertia_are_those_of_points_of_the_body(section: Section) -> None:
+    body = SolidObject(section, 0.1, 0.4, MASS, at=[1.0, 2.0, 0.0])
+    ropes = Ropes(np.array([1.0]), 0.01, 0.1, FAST)
+    world = World(ropes, np.full(2, 0.13), objects={"body": body})
+    x, step = np.linspace(-0.25, 0.25, 250, retstep=True)
+    plane = np.stack(np.meshgrid(x, x + 0.3 * step), axis=-1).reshape(-1, 2)
+    plane = plane[section.clearance(plane)[0] < 0.0]
+    z = 0.1 + 0.3 * (np.arange(100) + 0.5) / 100
+    off = np.append(plane - np.mean(plane, axis=0), np.zeros((len(plane), 1)), axis=1)
+    spread = off.T @ off / len(off) + np.diag([0.0, 0.0, np.var(z)])
+    expected = MASS * np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)
+    found = world.model.body_inertia[world.object_bodies[0]]
+    np.testing.assert_allclose(np.sort(found), expected, rtol=0.02)
+
+
 def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
     objects = {f"o{i}": SolidObject(BOX, mass=0.1, at=[i, 0, 0]) for i in range(40)}
     objects["table"] = SolidObject(TABLE, at=[0, 5, 0], fixed=True)
