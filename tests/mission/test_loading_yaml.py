@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plans import PROBLEMS
 
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
@@ -215,3 +216,16 @@ def test_no_text_makes_anything_but_plain_data_or_a_told_error(text: str) -> Non
     except HitchoptError as error:
         data = str(error)
     assert isinstance(data, dict | list | str | int | float)
+
+
+def test_outlines_of_objects_are_read_beside_the_problem(tmp_path: Path) -> None:
+    corners = [[0.1, 0.2], [0.1, -0.2], [-0.1, -0.2], [-0.1, 0.2]]
+    write(tmp_path / "box.csv", "\n".join(f"{x},{y}" for x, y in corners).encode())
+    text = (PROBLEMS / "triangle.yaml").read_text(encoding="utf-8")
+    body = "objects: {{box: {{file: {}, to: 0.3, mass: 0.1, at: [5, 5, 0]}}}}\n"
+    path = write(tmp_path / "problem.yaml", (text + body.format("box.csv")).encode())
+    outline = load_problem(path).objects["box"].section.outline
+    assert outline is not None
+    assert {tuple(corner) for corner in outline.tolist()} == set(map(tuple, corners))
+    with pytest.raises(InputError, match=r"^objects\.box\.file = 'bag\.csv': "):
+        load_problem(write(tmp_path / "other.yaml", (text + body.format("bag.csv")).encode()))
