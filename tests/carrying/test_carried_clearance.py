@@ -125,14 +125,13 @@ def test_an_object_stands_on_all_that_it_meets() -> None:
 @pytest.mark.slow
 def test_a_grip_does_not_depend_on_the_outlines_origin() -> None:
     sides = np.array([[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]])
-    shifts = (0.0, 0.0), (0.2, 0.15), (-100.0, 40.0)
-    one, *others = (ho.fit((sides + by).tolist(), robots=4).holding for by in shifts)
+    shift = (-100.0, 40.0)
+    one, two = (ho.fit((sides + by).tolist(), robots=4).holding for by in ((0.0, 0.0), shift))
+    assert two.grip_capacity.mass == pytest.approx(one.grip_capacity.mass)
+    assert two.cable_length == pytest.approx(one.cable_length)
     assert isinstance(one.grip, Grip)
+    assert isinstance(two.grip, Grip)
     # A box has two best grips, mirror images: rounding chooses one.
     here = np.sort(np.linalg.norm(one.grip.vertices[:, :2], axis=-1))
-    for two, shift in zip(others, shifts[1:], strict=True):
-        assert two.grip_capacity.mass == pytest.approx(one.grip_capacity.mass)
-        assert two.cable_length == pytest.approx(one.cable_length)
-        assert isinstance(two.grip, Grip)
-        there = np.sort(np.linalg.norm(two.grip.vertices[:, :2] - shift, axis=-1))
-        np.testing.assert_allclose(there, here, atol=1e-6)
+    there = np.sort(np.linalg.norm(two.grip.vertices[:, :2] - shift, axis=-1))
+    np.testing.assert_allclose(there, here, atol=1e-6)
