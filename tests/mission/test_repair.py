@@ -91,6 +91,22 @@ def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes() -> None:
 
 
 @pytest.mark.slow
+def test_timed_points_are_given_less_time_where_the_plan_is_to_end_sooner() -> None:
+    polygon = ho.regular_polygon(3, 1.2).vertices.tolist()
+    path = [[4.0, polygon[0][0], polygon[0][1] + 0.1], [8.0, *polygon[0]]]
+    data: dict[str, Any] = {
+        "team": {"robots": 3, "cable_length": 2.4},
+        "limits": {"duration": 7.0},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.0}},
+        "mission": [{"follow_vertex": {"vertex": 0, "path": path}}],
+    }
+    found = ho.suggestions(problem_from_dict(data), PATIENCE)
+    (sooner,) = (s for s in found if s.change.key == "mission[0].follow_vertex.path")
+    assert 6.8 <= sooner.duration <= 7.0
+    assert plans(edited(data, sooner.change.edits))
+
+
+@pytest.mark.slow
 def test_what_is_too_heavy_is_made_lighter_or_pulled_harder() -> None:
     hold: list[dict[str, Any]] = [{"hold": {"seconds": 1.0}}]
     polygon = ho.regular_polygon(3, 1.0).vertices.tolist()
