@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.checks.distances import scaled_drones, smallest
 from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory.splitting import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 
 SPANS = 48
 """Spans of time that a plan is looked at in."""

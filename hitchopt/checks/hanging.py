@@ -34,7 +34,7 @@ from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length,
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed
-from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, Indices
 
 TOLERANCE = 1e-3

@@ -39,7 +39,7 @@ from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.splitting import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
 
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"

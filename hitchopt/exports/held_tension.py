@@ -28,7 +28,7 @@ from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, positive
 
 DAMPING_RATIO = 5.0 / 6.0

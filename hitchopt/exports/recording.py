@@ -20,7 +20,7 @@ import numpy as np
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.placing import AXES
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.splitting import SAME_BREAK, merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
 from hitchopt.values import Array
 
 WINDOW = 20_000

@@ -46,7 +46,7 @@ from hitchopt.steps.certified_motions import Certified, infeasible, lifted
 from hitchopt.steps.step import Situation, StepTask
 from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json, replace_files, write_strict_json
-from hitchopt.trajectory.splitting import SAME_BREAK
+from hitchopt.trajectory.piecewise import SAME_BREAK
 from hitchopt.values import Array, choice, not_negative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]

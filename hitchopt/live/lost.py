@@ -31,7 +31,7 @@ from hitchopt.planners.forming.turns import straight
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.simulation.task import SAME_TIME, Cargo, Setpoints, Task
 from hitchopt.trajectory import PiecewisePolynomial, joined
-from hitchopt.trajectory.splitting import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, not_negative, positive
 
 DELAY = 0.05

@@ -12,7 +12,7 @@ from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.splitting import SAME_BREAK
+from hitchopt.trajectory.piecewise import SAME_BREAK
 from hitchopt.values import Array, Indices
 
 REST = 1e-6

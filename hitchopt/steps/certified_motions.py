@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Violation
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -47,6 +47,16 @@ def checked(planned: StepPlan, when: str = "") -> StepPlan:
     if not planned.certificate.certified:
         raise infeasible(planned.certificate, planned.motion, when)
     return planned
+
+
+def tried(planned: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
+    """Return a plan that breaks no limit, or why there is none; that time is up is raised."""
+    try:
+        return checked(planned())
+    except TimeLimitError:
+        raise
+    except HitchoptError as error:
+        return error
 
 
 def resting(hitch: Hitch, requirements: Requirements, seconds: float, phase: Phase) -> Motion:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError, TimeLimitError, UnitWarning
+from hitchopt.errors import HitchoptError, InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -118,40 +118,30 @@ class ShapeStep(HitchStep):
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
         from hitchopt.motion.motion import Phase
-        from hitchopt.steps import route_choice as routes
-        from hitchopt.steps.certified_motions import checked
+        from hitchopt.steps.certified_motions import tried
+        from hitchopt.steps.route_choice import FASTER, SHUT, optimised, refused_both
 
         end, duration = self.end(task), self.given_duration
         lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        own, refusal = None, None
-        try:
-            own = checked(task.ended(self.own_motion(task, end), end.hitch))
-        except TimeLimitError:
-            raise
-        except HitchoptError as error:
-            refusal = error
-        if own is not None and not (task.optimiser and (lead or tension is not None)):
-            return own
-        if refusal is not None:
+        own = tried(lambda: task.ended(self.own_motion(task, end), end.hitch))
+        if isinstance(own, StepPlan):
+            if not (task.optimiser and (lead or tension is not None)):
+                return own
+        else:
             for hitch in (task.hitch, end.hitch):
                 self.check_end(hitch, task)
             if not task.optimiser:
-                raise refusal
-        try:
-            other = routes.optimised(task, end.hitch, phase, duration, lead=lead)
-        except TimeLimitError:
-            raise
-        except HitchoptError as error:
-            if refusal is not None:
-                what = "other route" if duration is None else "route that is fast enough either"
-                note = f"the optimiser found no {what}"
-                raise routes.refused_both(refusal, error, note) from None
-        else:
-            if own is None or other.motion.duration < own.motion.duration:
-                return other.remarked(routes.SHUT if own is None else routes.FASTER)
-        assert own is not None
-        return own
+                raise own
+        other = tried(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
+        if isinstance(own, StepPlan):
+            if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
+                return own
+            return other.remarked(FASTER)
+        if isinstance(other, StepPlan):
+            return other.remarked(SHUT)
+        what = "other route" if duration is None else "route that is fast enough either"
+        raise refused_both(own, other, f"the optimiser found no {what}")
 
 
 class ActionStep(ShapeStep):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag
 
-from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError
+from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -168,9 +169,8 @@ class Form(Step):
         high, pre = motions.tying_site(wanted, self.swap, None, requirements)
         tying = joined_motions(tied(pre, high, requirements, self.swap, i))
         if pre.shortfall > 0.0:
-            motions.checked(
-                StepPlan(tying, task.before)
-            )  # no use to go there if nothing can be tied
+            # It is no use to go there if nothing can be tied.
+            motions.checked(StepPlan(tying, task.before))
         parts = [_approach(task, pre.drones), tying]
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
@@ -236,18 +236,19 @@ def _approach(task: StepTask, goal: Array) -> Motion:
     """
     from hitchopt.motion.motion import joined_motions
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import checked
+    from hitchopt.steps.certified_motions import tried
 
     asked = task.before.team, task.before.drones, goal, task.requirements, task.index
     refusals = list[HitchoptError]()
+
+    def flown(planner: type[DirectApproach | GatheredApproach]) -> StepPlan:
+        return StepPlan(joined_motions(planner(*asked).solve()), task.before)
+
     for planner in (DirectApproach, GatheredApproach):
-        try:
-            motion = joined_motions(planner(*asked).solve())
-            return checked(StepPlan(motion, task.before)).motion
-        except TimeLimitError:
-            raise
-        except HitchoptError as error:
-            refusals.append(error)
+        found = tried(partial(flown, planner))
+        if isinstance(found, StepPlan):
+            return found.motion
+        refusals.append(found)
     told = [each for each in refusals if isinstance(each, InfeasibleError)]
     if not told:
         raise refusals[0]

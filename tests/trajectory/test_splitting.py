@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.splitting import SAME_BREAK, merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
 
 
 def made(seed: int) -> PiecewisePolynomial:

@@ -65,7 +65,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.splitting import merged_breaks
+from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
 
 MILLI = 1e-3  # Unit of what Skybrush's server stores, [m] and [s]

@@ -43,9 +43,8 @@ def tied(
     index: of the step in its mission.
     """
     team, limits = hitch.team, requirements.limits
-    shorter = (1.0 - pre.share) * float(
-        np.max(hitch.legs)
-    )  # no drone goes farther, whatever the polygon
+    # No drone goes farther than this, whatever the polygon.
+    shorter = (1.0 - pre.share) * float(np.max(hitch.legs))
     out = straight(team, limits, pre.drones, hitch.drones, shorter)
     rest = [0.0, rise_seconds(team)]
     swaps = (swap(pre.turns, limits, first, settings.seconds) for first in (0, 1))

@@ -35,7 +35,7 @@ from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import cable_along
 from hitchopt.planners.timing.flight import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
 
 SMALLEST = math.radians(0.5)

@@ -15,7 +15,7 @@ from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import flight_estimate, grid_demands
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.splitting import on_breaks
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
 
 PROBES = 65

@@ -28,10 +28,12 @@ from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
-ROUNDS = ((1, 8, 1.03), (2, 8, 1.05))
+ROUNDS = ((1, 1.03), (2, 1.05))
 """Rounds of refinement until a path is clear and the judge accepts it: how many times the first
-knots' steps, parts of every step at whose ends distances are enforced, how many times their
-limits."""
+knots' steps, and how many times their limits distances are."""
+
+PARTS = 8
+"""Number of parts of every step, at whose ends distances are enforced then."""
 
 FIRST_STEP = SolverStep(0.17)
 """Step of the optimiser from a guess."""
@@ -157,11 +159,11 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
     none is has its least energy already.
     """
     steps = path.steps
-    for finer, parts, margin in ROUNDS:
+    for finer, margin in ROUNDS:
         if path.steps != finer * steps:
             path = path.resampled(finer * steps + 1)
-        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, parts)
-        as_it_is = [path] if (finer, parts, margin) == ROUNDS[0] else []
+        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, PARTS)
+        as_it_is = [path] if finer == 1 else []
         for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
             path = moved
             if clear(path, search):
