@@ -1,4 +1,4 @@
-"""Objects that are carried in tests: a tray by rest; a drum, a box and a stone by grip."""
+"""Objects that are carried in tests: a tray by rest; a drum and a stone by grip."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ MASS, TO = 0.2, [-0.3, 0.9, 0.1]
 
 DRUM, RADIUS, FRICTION, CLASPS = 0.1, 0.2, 0.5, 0.1
 """Mass [kg], radius [m] and friction of the drum, and friction of the clasps that grip it."""
-
-SIDES = [[-0.2, -0.15], [0.2, -0.15], [0.2, 0.15], [-0.2, 0.15]]
 
 
 def tray(**changes: Any) -> dict[str, Any]:
@@ -76,18 +74,6 @@ def drum(turn: float = 0.0, by: tuple[float, float] = (0.0, 0.0), **changes: Any
     }
 
 
-def box() -> dict[str, Any]:
-    """A box to be gripped by four cables that do not rub."""
-    body = {"outline": SIDES, "mass": 0.06, "friction": 0.8, "at": [1.5, 0.0, 0.0]}
-    square = [[0.9, 0.0], [0.5, -0.4], [0.1, 0.0], [0.5, 0.4]]
-    return drum() | {
-        "team": {"robots": 4, "cable_length": 1.3, "tension": 1.0, "cable_density": 0.01},
-        "objects": {"box": body},
-        "start": {"hitch": {"polygon": square, "altitude": 0.9}},
-        "mission": [{"transport_object": {"object": "box", "to": [1.5, 0.5, 0], "tension": 1.3}}],
-    }
-
-
 def stone() -> dict[str, Any]:
     """A flat stone of nine corners, lopsided: edges bend round several of them."""
     angles = 0.1 - np.array([0.0, 0.6, 1.3, 2.1, 2.7, 3.5, 4.2, 4.8, 5.6])
@@ -98,7 +84,7 @@ def stone() -> dict[str, Any]:
 @cache
 def plan(name: str) -> ho.Plan:
     """Return the certified plan of one of them, which all tests share."""
-    problem = {"tray": tray, "drum": drum, "box": box, "stone": stone}[name]()
+    problem = {"tray": tray, "drum": drum, "stone": stone}[name]()
     found = ho.solve(ho.problem_from_dict(problem))
     assert found.certificate.certified
     return found

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from carried_plans import TO, tray
+from carried_plans import TO, plan, tray
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
@@ -20,19 +20,11 @@ BESIDE = {"transport": {"to": [-0.3, 2.6, 1.0]}}
 
 
 @cache
-def aborts_of(steps: int = 1) -> Aborts:
-    """Of a tray that is carried to a table, left, and perhaps landed beside."""
+def carried() -> Aborts:
+    """Of a tray that is carried to a table and left, the hitch then led away."""
     problem = tray()
-    problem["mission"] = [*problem["mission"], BESIDE][:steps]
+    problem["mission"].append(BESIDE)
     return Aborts(ho.solve(ho.problem_from_dict(problem)).motion)
-
-
-@cache
-def ending_in_the_air() -> Aborts:
-    """Of a tray that is lifted and not set down."""
-    problem = tray()
-    steps = [{"enclose": {"object": "tray"}}, {"grasp": {"object": "tray"}}, {"lift": {"by": 0.2}}]
-    return Aborts(ho.solve(ho.problem_from_dict({**problem, "mission": steps})).motion)
 
 
 def during(motion: Motion, name: str, share: float = 0.5) -> float:
@@ -53,7 +45,7 @@ def check_landed(found: Abort) -> Motion:
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["land", "release_and_land"])
 def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
-    aborts = aborts_of(2)
+    aborts = carried()
     left = during(aborts.motion, "leave", 0.0)
     found = aborts.found(during(aborts.motion, "carry"), how)
     assert found.rest >= left
@@ -63,7 +55,7 @@ def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
 
 @pytest.mark.slow
 def test_before_it_is_lifted_the_hitch_goes_back() -> None:
-    aborts = aborts_of(2)
+    aborts = carried()
     time = during(aborts.motion, "grasp")
     found = aborts.found(time, "release_and_land")
     assert found.rest < during(aborts.motion, "grasp", 1.0)
@@ -74,27 +66,16 @@ def test_before_it_is_lifted_the_hitch_goes_back() -> None:
 
 @pytest.mark.slow
 def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> None:
-    aborts = ending_in_the_air()
-    for time in (during(aborts.motion, "lift"), aborts.motion.duration):
-        whole = check_landed(aborts.found(time, "release_and_land"))
-        poses = whole.object_poses.at(np.array([0.0, whole.duration]))[:, 0]
-        np.testing.assert_allclose(poses[1], poses[0], rtol=0.0, atol=1e-9)
+    problem = tray()
+    steps = [{"enclose": {"object": "tray"}}, {"grasp": {"object": "tray"}}, {"lift": {"by": 0.2}}]
+    motion = ho.solve(ho.problem_from_dict({**problem, "mission": steps})).motion
+    whole = check_landed(Aborts(motion).found(motion.duration, "release_and_land"))
+    poses = whole.object_poses.at(np.array([0.0, whole.duration]))[:, 0]
+    np.testing.assert_allclose(poses[1], poses[0], rtol=0.0, atol=1e-9)
 
 
-@pytest.mark.slow
-def test_a_stop_that_takes_until_after_the_end_rests_within_the_plan() -> None:
-    aborts = Aborts(ending_in_the_air().motion)
-    end = aborts.motion.duration
-    table = replace(aborts.stops, starts=np.array([end - 0.2]), durations=np.array([0.3]))
-    vars(aborts)["stops"] = table
-    rests = [stop.time for stop in aborts.stopped(end - 0.25, landing=True)]
-    assert rests
-    assert max(rests) <= end
-
-
-@pytest.mark.slow
 def test_an_object_that_jumps_is_found() -> None:
-    motion = aborts_of().motion
+    motion = plan("tray").motion
     poses = motion.object_poses.coefficients.copy()
     poses[-1, 0, 0] += 1e-3
     jumping = replace(motion, poses=PiecewisePolynomial(motion.drones.breaks, poses))

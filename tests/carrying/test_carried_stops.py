@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from carried_plans import plan
-from clock_balance import sampled, unbalanced
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
@@ -49,22 +48,11 @@ def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
     return bool(found[0])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("ramp", [stop_phases, start_phases])
-def test_clocks_that_are_kept_leave_no_more_than_the_limit(kind: str, ramp: type) -> None:
-    """At 1 kHz; what is refused would come near it, or beyond."""
-    motion = plan(kind).motion
-    inertia = CarriedInertia.of(motion)
-    assert inertia is not None
-    found: dict[bool, list[float]] = {True: [], False: []}
-    for start, duration in zip(*random_stops(motion, 4, 150), strict=True):
-        clock = ramp(np.array([start]), np.array([duration]))
-        found[kept(inertia, clock)].append(unbalanced(motion, sampled(clock)))
-    assert len(found[True]) >= 10
-    assert max(found[True]) <= 1.0
-    assert max(found[True]) > 0.3
-    assert min(found[False]) > 0.6
+def balanced(motion: Motion, clock: ClockPhases) -> bool:
+    """Whether the plan flown on a clock keeps the object, by the checks of plans."""
+    flown = retimed(motion, clock)
+    checks = [RULE_OF[name].check(flown) for name in ("equilibrium", "support", "grip")]
+    return all(check is None or check.holds for check in checks)
 
 
 @pytest.mark.parametrize("kind", ["tray", pytest.param("drum", marks=pytest.mark.slow)])
@@ -75,9 +63,7 @@ def test_checks_hold_of_the_plan_on_clocks_that_are_kept(kind: str) -> None:
     refused = 0
     for start, duration in zip(*random_stops(motion, 9, 40), strict=True):
         clock = stop_phases(np.array([start]), np.array([duration]))
-        flown = retimed(motion, clock)
-        checks = [RULE_OF[name].check(flown) for name in ("equilibrium", "support", "grip")]
-        holds = all(check is None or check.holds for check in checks)
+        holds = balanced(motion, clock)
         assert holds or not kept(inertia, clock)
         refused += not holds
     assert refused > 15
@@ -88,13 +74,6 @@ def replaced(body: SolidObject, **changes: Any) -> SolidObject:
     return SolidObject(**{name: getattr(body, name) for name in names} | changes)
 
 
-def pausing(plan: ho.Plan, time: float) -> tuple[Player, float]:
-    """A player that has just been paused, and what its stop leaves unbalanced."""
-    player = Player(plan, time)
-    player.pause()
-    return player, unbalanced(plan.motion, sampled(player.ahead))
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_pause_waits_until_what_is_carried_stays_in_balance(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -103,19 +82,21 @@ def test_a_pause_waits_until_what_is_carried_stays_in_balance(
     flown = plan(kind)
     carry = next(p for p in flown.motion.phases if p.name == "carry")
     time = carry.start + 0.2 * (carry.end - carry.start)
-    player, left = pausing(flown, time)
-    assert 0.0 < left <= 1.0
+    player = Player(flown, time)
+    player.pause()
+    assert balanced(flown.motion, player.ahead)
     seconds = float(np.sum(player.ahead.duration))
     assert 0.5 < seconds <= flown.certificate["stoppable"].bound
     player.step(seconds)
     assert player.resting
     player.resume()
-    assert unbalanced(flown.motion, sampled(player.ahead)) <= 1.0
+    assert balanced(flown.motion, player.ahead)
     monkeypatch.setattr(CarriedInertia, "of", lambda _: None)
     weightless = ho.Plan(replace(flown.motion), flown.certificate)
-    sooner, left = pausing(weightless, time)
+    sooner = Player(weightless, time)
+    sooner.pause()
     assert float(np.sum(sooner.ahead.duration)) < 0.8 * seconds
-    assert left > 2.0
+    assert not balanced(flown.motion, sooner.ahead)
 
 
 @pytest.mark.slow
@@ -124,7 +105,7 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
     motion = plan(kind).motion
     begin, end = carried(motion)
     rng, done = np.random.default_rng(12), 0
-    for _ in range(8):
+    for _ in range(4):
         player = Player(motion, rng.uniform(begin, end))
         for command in rng.choice(["pause", "resume", "back", "slow", "seek"], 4):
             call = {
@@ -144,9 +125,9 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
                 left = np.array([2.0 * (motion.duration - jet[0])])
                 clock = clock.followed_by(ClockPhases(np.zeros(1, int), jet[None], left))
             if len(clock):
-                assert unbalanced(motion, sampled(clock)) <= 1.0
+                assert balanced(motion, clock)
             player.step(rng.uniform(0.3, 1.0) * seconds)
-    assert done > 15
+    assert done > 7
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -194,7 +175,7 @@ def test_where_it_cannot_rest_other_times_are_named(kind: str) -> None:
     motion = plan(kind).motion
     begin, end = carried(motion)
     refused = 0
-    for time, target in np.random.default_rng(7).uniform(begin, end, (5, 2)).tolist():
+    for time, target in np.random.default_rng(7).uniform(begin, end, (3, 2)).tolist():
         try:
             Player(motion, time).seek(target)
         except ho.InfeasibleError as error:
@@ -217,31 +198,6 @@ def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
     found = Aborts(motion).found(lift.end - 1.0, "hold")
     assert found.certified.certificate.certified
     assert found.rest < lift.end + 0.2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_the_clock_can_start_again_wherever_it_stops(kind: str) -> None:
-    motion = plan(kind).motion
-    player = Player(motion)
-    limits, table = player.limits, player.stops
-    assert limits.inertia is not None
-    rests = table.starts + 0.5 * table.durations
-    own = np.isfinite(rests) & limits.inertia.during(rests, rests)
-    assert np.sum(own) > 10
-    starts = start_phases(rests[own], table.durations[own])
-    assert np.all(limits.keep(starts, int(np.sum(own))))
-    lift = next(p for p in motion.phases if p.name == "lift")
-    sought = 0
-    for target in np.linspace(lift.start + 2.0, lift.end, 15):
-        player = Player(motion, lift.start + 1.5)
-        try:
-            player.step(player.seek(float(target)))
-        except ho.InfeasibleError:
-            continue
-        sought += 1
-        assert player.resume() < 10.0
-    assert sought
 
 
 def test_an_object_without_a_rim_that_is_to_rest_is_no_error() -> None:

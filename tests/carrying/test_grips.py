@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import CLASPS, DRUM, FRICTION, RADIUS, drum, lifted, plan
+from carried_plans import DRUM, RADIUS, drum, lifted, plan
 from scipy.optimize import brentq
 from scipy.special import binom
 
@@ -31,7 +30,7 @@ from hitchopt.planners.carrying.grip_polygon import check_opens, grip_left
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-OBJECTS = ["drum", "box", pytest.param("stone", marks=pytest.mark.slow)]
+OBJECTS = ["drum", pytest.param("stone", marks=pytest.mark.slow)]
 
 
 @pytest.fixture(scope="module")
@@ -186,63 +185,6 @@ def test_turning_faster_loads_the_grip(motion: Motion) -> None:
     assert check(motion, "grip").bound > least
 
 
-def test_the_weaker_end_of_a_piece_counts(motion: Motion) -> None:
-    piece, t = shortest_of_carrying(motion)
-    powers = np.zeros((motion.tensions.coefficients.shape[1], 2))
-    powers[:] = [1.3, -0.5]
-    weaker = replace(motion, tensions=changed_piece(motion.tensions, piece, powers))
-    if motion.leg_tensions is not None:
-        ends = changed_piece(motion.leg_tensions, piece, np.repeat(powers, 2, axis=0))
-        weaker = replace(weaker, leg_tensions=ends)
-    least = float(np.min(ratios(weaker, t)))
-    assert check(weaker, "grip").bound <= least < check(motion, "grip").bound
-
-
-@pytest.mark.parametrize(
-    ("size", "upper", "holds"), [(0.8, 1.5, False), (1.1, 1.5, True), (1.1, 0.9, False)]
-)
-def test_only_an_edge_that_the_section_bends_is_wrapped(
-    size: float, upper: float, holds: bool
-) -> None:
-    """Tangents from both ends touch a drum beside a straight edge too, in the wrong order.
-
-    And one that ends below the edges is beside none of them.
-    """
-    start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
-    flight = ho.transport(start, [0.0, 0.0, 1.05]).motion
-    p = start.polygon.vertices
-    around = np.roll(p, -1, axis=0) - p
-    radius = size * float(np.linalg.norm(p[0] + 0.5 * around[0]))
-    towards = []
-    for ends, sense in ((p, 1.0), (np.roll(p, -1, axis=0), -1.0)):
-        away = np.linalg.norm(ends, axis=1)
-        bend = sense * np.arcsin(radius / away)
-        x, y = -ends.T / away
-        along = np.column_stack(
-            [np.cos(bend) * x - np.sin(bend) * y, np.sin(bend) * x + np.cos(bend) * y]
-        )
-        towards.append(ends + np.sqrt(away**2 - radius**2)[:, None] * along)
-    touching = np.zeros((3, 2, 3))
-    touching[..., :2] = np.stack(towards, axis=1)
-    rising = flight.vertices.coefficients[:, 0, 2]
-    contacts = np.repeat(touching[None, ..., None], len(rising), axis=0)
-    contacts = np.repeat(contacts, rising.shape[-1], axis=-1)
-    contacts[:, :, :, 2] = rising[:, None, None]
-    drum_ = ho.SolidObject(ho.Section(radius=radius), 0.0, upper)
-    poses = np.zeros((len(rising), 1, 5, rising.shape[-1]))
-    poses[:, 0, 2], poses[:, 0, 3] = rising - 1.0, 1.0  # it rises with the hitch
-    changed = replace(
-        flight,
-        poses=PiecewisePolynomial(flight.drones.breaks, poses),
-        contacts=PiecewisePolynomial(flight.drones.breaks, contacts),
-        requirements=replace(flight.requirements, objects={"drum": drum_}),
-        phases=tuple(
-            replace(phase, hold=Hold("drum", HoldBy.GRIP, (0, 1, 2))) for phase in flight.phases
-        ),
-    )
-    assert check(changed, "grip").holds == holds
-
-
 @pytest.mark.slow
 def test_grip_does_not_depend_on_where_north_is(motion: Motion) -> None:
     turned = ho.solve(ho.problem_from_dict(drum(0.7, (-3.0, 2.0)))).motion
@@ -297,47 +239,42 @@ def with_body(motion: Motion, **changes: Any) -> Motion:
     return replace(motion, requirements=replace(motion.requirements, objects=objects))
 
 
+def held_by(motion: Motion, change: Callable[[Hold], Hold | None]) -> Motion:
+    """Return the motion whose phases claim other holds."""
+    holds = [None if phase.hold is None else change(phase.hold) for phase in motion.phases]
+    phases = (replace(p, hold=hold) for p, hold in zip(motion.phases, holds, strict=True))
+    return replace(motion, phases=tuple(phases))
+
+
+def borne_before(motion: Motion) -> Motion:
+    """Return the motion in which the drum's weight is borne from the start, by nothing."""
+    coefficients = motion.object_shares.coefficients.copy()
+    coefficients[0, ..., -1] = 0.1
+    return replace(motion, borne=PiecewisePolynomial(motion.object_shares.breaks, coefficients))
+
+
 @pytest.mark.parametrize(
-    "kind",
-    ["straight", "not held", "elsewhere", "smaller", "larger", "contacts", "by rest", "borne"],
+    ("change", "contradicted"),
+    [
+        (lambda m: replace(m, contacts=None), "grip"),
+        (lambda m: held_by(m, lambda _: None), "support"),
+        (lambda m: held_by(m, lambda hold: replace(hold, by=HoldBy.REST)), "support"),
+        (borne_before, "support"),
+        (lambda m: replace(m, poses=moved(m.poses, [0.001, 0, 0, 0, 0])), "grip"),
+        (lambda m: replace(m, contacts=moved(m.contacts, [0.0, 0.001, 0.0])), "grip"),
+        (lambda m: with_body(m, section=ho.Section(radius=RADIUS + 0.001)), "grip"),
+        (lambda m: with_body(m, section=ho.Section(radius=RADIUS - 0.001)), "grip"),
+    ],
 )
-def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) -> None:
-    holds = [phase.hold for phase in motion.phases]
-    changed = motion
-    if kind == "straight":
-        changed = replace(motion, contacts=None)
-    elif kind == "not held":
-        changed = replace(motion, phases=tuple(replace(p, hold=None) for p in motion.phases))
-    elif kind == "by rest":
-        rest = [None if h is None else replace(h, by=type(h.by).REST) for h in holds]
-        phases = (replace(p, hold=h) for p, h in zip(motion.phases, rest, strict=True))
-        changed = replace(motion, phases=tuple(phases))
-    elif kind == "elsewhere":
-        changed = replace(motion, poses=moved(motion.poses, [0.001, 0, 0, 0, 0]))
-    elif kind == "borne":  # from nothing on, where nothing holds it
-        shares = motion.object_shares
-        coefficients = shares.coefficients.copy()
-        coefficients[0, ..., -1] = 0.1
-        changed = replace(motion, borne=PiecewisePolynomial(shares.breaks, coefficients))
-    elif kind == "contacts":
-        changed = replace(motion, contacts=moved(motion.contacts, [0.0, 0.001, 0.0]))
-    else:
-        radius = RADIUS + (0.001 if kind == "larger" else -0.001)
-        changed = with_body(motion, section=ho.Section(radius=radius))
-    assert not all(check(changed, name).holds for name in ("grip", "support"))
-    found = check(changed, "grip") if kind not in ("not held", "by rest", "borne") else None
-    assert found is None or found.bound < -1e300 or kind == "straight"
+def test_what_contradicts_the_polynomials_is_refused(
+    motion: Motion, change: Callable[[Motion], Motion], contradicted: str
+) -> None:
+    assert not check(change(motion), contradicted).holds
 
 
 @pytest.mark.parametrize("share", [0.98, 1.02])
 def test_equilibrium_counts_what_edges_carry(motion: Motion, share: float) -> None:
     assert not check(with_body(motion, mass=share * DRUM), "equilibrium").holds
-
-
-def test_the_slip_load_is_proportional_to_friction(motion: Motion) -> None:
-    half = check(with_body(motion, friction=0.5 * FRICTION), "grip")
-    assert half.bound == pytest.approx(0.5 * check(motion, "grip").bound, rel=1e-3)
-    assert not half.holds
 
 
 def test_it_is_opened_with_little_tension(motion: Motion) -> None:
@@ -348,31 +285,6 @@ def test_it_is_opened_with_little_tension(motion: Motion) -> None:
     section = motion.requirements.objects["drum"].section
     p = in_frame(motion.object_poses.at(end)[:, None, 0], motion.vertices.at(end))[0, :, :2]
     assert np.min(section.segment_distance(p, np.roll(p, -1, axis=0))) > 0.035
-
-
-def test_edges_pull_harder_than_legs_until_a_grip_is_open(motion: Motion) -> None:
-    """Clasps move outward against friction, and what legs pull changes only while they stand."""
-    loosen = next(p for p in motion.phases if p.name == "loosen")
-    t = np.linspace(loosen.start, loosen.end, 801)
-    speed = np.max(np.linalg.norm(motion.vertices.differentiated(1).at(t), axis=-1), axis=-1)
-    assert motion.leg_tensions is not None
-    legs = motion.leg_tensions.at(t)
-    ratio = motion.tensions.at(t)[..., None] / legs
-    moving = speed > 5e-3
-    assert np.min(ratio[moving]) > 1.02
-    assert np.max(ratio[moving]) < math.exp(CLASPS * math.pi)
-    change = np.max(np.abs(motion.leg_tensions.differentiated(1).at(t)), axis=(-1, -2))
-    assert np.max(change[moving]) < 1e-6
-    assert np.max(change) > 0.1
-
-
-def test_remarks_say_how_far_legs_lean(motion: Motion) -> None:
-    """The box's cables have no friction."""
-    remarks = {phase.name: phase.remark for phase in motion.phases}
-    assert re.fullmatch(r"legs lean against \d+% of clasp friction", remarks["grasp"])
-    assert re.fullmatch(r"legs lean against \d+% of clasp friction", remarks["loosen"])
-    assert "friction" not in remarks["lift"] + remarks["carry"]
-    assert not any("friction" in phase.remark for phase in plan("box").phases)
 
 
 NINE = np.array(
@@ -456,15 +368,6 @@ def opens(hitch: ho.Hitch, radius: float) -> bool:
     except ho.InfeasibleError:
         return False
     return True
-
-
-def test_the_triangle_that_stayed_as_small_is_refused() -> None:
-    """In simulation, tied at 0.4 m with a friction of 0.15, it did not open to 0.56 m."""
-    assert not opens(regular(3, 0.4, 0.15), 0.56)
-    assert opens(regular(3, 0.56, 0.15), 0.56)
-    assert opens(regular(3, 0.4, 0.15), 0.3)
-    assert opens(regular(3, 0.4, 0.0), 0.56)
-    assert opens(regular(4, 0.4, 0.15), 0.56)
 
 
 def test_the_suggested_friction_is_the_largest_that_opens() -> None:

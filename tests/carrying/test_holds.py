@@ -8,7 +8,6 @@ from typing import Any
 import carried_plans as plans
 import numpy as np
 import pytest
-from problem_edits import edited
 
 import hitchopt as ho
 from hitchopt.checks.clearance import OBJECT_CLEARANCE
@@ -51,23 +50,15 @@ def refusal(problem: dict[str, Any]) -> ho.InfeasibleError:
 DRUM = {"circle": 0.2, "mass": 0.114, "friction": 0.5}
 TILTED = tray(3, 0.3, 2.04, radius=0.5) | {"limits": {"tilt_deg": 45}}
 TILTED["team"] |= {"tension": 1.29, "cable_density": 0.0}
-HALF, DEPTH = 0.18, 0.1789254703500502
-SQUARE = [[-HALF, -DEPTH], [HALF, -DEPTH], [HALF, DEPTH], [-HALF, DEPTH]]
-BOX = {"outline": SQUARE, "mass": 0.088, "friction": 0.67}
 PLANNED: dict[str, tuple[dict[str, Any], str, float, float]] = {
     "legs are rolled before a hitch gets small": (
         tray(6, 0.2, 1.8, radius=0.5), "crossing", 0.05, 1.0,
     ),
-    "inertia does not bring legs together": (tray(5, 0.4, 2.2), "crossing", 0.05, 1.0),
-    "weight passes as slowly as drones need": (tray(4, 0.5, 2.2), "equilibrium", 0.0, 0.005),
     "clasps rise as slowly as tilt needs": (TILTED, "tilt", 44.8, 45.0),
     "cables keep off the ground": (tray(4, 0.2, 2.2, at=0.08), "object_clearance", 0.035, 1.0),
     "a grip that hardly holds is moved gently": (
         hold(DRUM, 3, 1.6, radius=0.56, tension=1.3, cable_friction=0.15, cable_density=0.0),
         "grip", 1.5, 1.52,
-    ),
-    "clasps that turn easily are carried gently": (
-        hold(BOX, 3, 2.15, tension=1.3, cable_density=0.0), "equilibrium", 0.0, 0.005,
     ),
 }  # fmt: skip
 
@@ -82,19 +73,10 @@ def test_holds_near_a_limit_are_planned(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("problem", "binding"),
-    [
-        (tray(3, 0.35, 2.2, tension=1.0), "load"),
-        (tray(5, 0.8, 2.2, tension=1.0), "load"),
-        (hold(DRUM, 3, 1.6, radius=0.56, tension=1.0, cable_friction=0.15), "grip"),
-    ],
-)
-def test_a_refused_hold_names_a_mass_and_a_tension_that_are_planned(
-    problem: dict[str, Any], binding: str
-) -> None:
+def test_a_refused_hold_names_a_mass_and_a_tension_that_are_planned() -> None:
+    problem = hold(DRUM, 3, 1.6, radius=0.56, tension=1.0, cable_friction=0.15)
     violation = refusal(problem).violations[0]
-    assert violation.constraint == binding
+    assert violation.constraint == "grip"
     lighter = re.search(r"objects\.body\.mass to ([\d.]+) kg", violation.remedy)
     assert lighter
     body = problem["objects"]["body"]
@@ -104,15 +86,6 @@ def test_a_refused_hold_names_a_mass_and_a_tension_that_are_planned(
     assert other
     step = problem["mission"][0]["transport_object"] | {"tension": float(other[1])}
     solved(problem | {"mission": [{"transport_object": step}]})
-
-
-@pytest.mark.slow
-def test_what_is_suggested_for_a_refused_hold_is_planned() -> None:
-    given = tray(3, 0.35, 2.2, tension=1.0)
-    found = ho.suggestions(ho.problem_from_dict(given), 600.0)
-    assert "objects.body.mass" in {suggestion.change.key for suggestion in found}
-    for suggestion in found:
-        solved(edited(given, suggestion.change.edits))
 
 
 def steps_of(problem: dict[str, Any], *steps: dict[str, Any]) -> dict[str, Any]:
@@ -219,7 +192,7 @@ def test_bends_of_edges_below_the_ground_count() -> None:
     assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
 
 
-@pytest.mark.parametrize("away", [0.0, 1.0, 5.0, -300.0])
+@pytest.mark.parametrize("away", [0.0, -300.0])
 def test_how_wide_an_object_stands_does_not_depend_on_its_origin(away: float) -> None:
     square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) + away
     post = ho.SolidObject(ho.Section(radius=0.06), 0.0, 0.5, fixed=True)
@@ -230,7 +203,7 @@ def test_how_wide_an_object_stands_does_not_depend_on_its_origin(away: float) ->
     assert footing({"box": box}, "box") == np.inf
 
 
-@pytest.mark.parametrize("limits", [(0.5, 1.0, 20.0), (5.0, 1.0, 20.0), (0.1, 3.0, 0.5)])
+@pytest.mark.parametrize("limits", [(0.5, 1.0, 20.0), (0.1, 3.0, 0.5)])
 def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, float]) -> None:
     law = SmoothLaw.fastest(*limits)
     t = np.linspace(0.0, law.duration, 20_001)
@@ -244,12 +217,3 @@ def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, floa
     used = np.array([np.max(np.abs(each)) for each in (speed, change, jerk)]) / limits
     assert np.max(used) == pytest.approx(1.0, rel=2e-3)
     assert np.all(jerk[[0, -1]] < 1e-3 * np.max(jerk))
-
-
-def test_a_slower_law_takes_longer() -> None:
-    law = SmoothLaw.fastest(0.5, 1.0, 20.0)
-    assert law.slowed(2.0).duration == pytest.approx(2.0 * law.duration)
-    breaks = law.breaks(0.3)
-    assert np.all(np.diff(breaks) > 0.0)
-    assert breaks[0] == 0.0
-    assert breaks[-1] == law.duration

@@ -39,14 +39,3 @@ def test_close_pairs_are_those_that_all_pairs_show(seed: int, cutoff: float, one
         expected = {(i, j) for i in range(30) for j in range(20) if gap(a, i, b, j) <= cutoff}
     assert len(found) == len(set(found))
     assert set(found) == expected
-
-
-@given(seed=st.integers(0, 10_000))
-def test_boxes_hold_their_points_and_no_more(seed: int) -> None:
-    points = np.random.default_rng(seed).normal(2.0, 1.0, (5, 4, 3, 6))
-    around = Boxes.around(points)
-    each = points.swapaxes(2, 3).reshape(5, -1, 3)
-    np.testing.assert_array_equal(around.lower, [np.min(box, axis=0) for box in each])
-    np.testing.assert_array_equal(around.upper, [np.max(box, axis=0) for box in each])
-    longest = [np.max(np.ptp(box, axis=0)) for box in each]
-    np.testing.assert_allclose(around.sizes, 0.5 * np.array(longest))

@@ -57,7 +57,7 @@ def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_dxf_lines_are_joined_and_converted(tmp_path: Path) -> None:
     ezdxf = import_module("ezdxf")
-    for units, scale in ((4, 1e-3), (0, 1.0), (1, 0.0254)):
+    for units, scale in ((4, 1e-3), (0, 1.0)):
         document = ezdxf.new(units=units)
         space = document.modelspace()
         corners = [(0, 0), (400, 0), (400, 300), (0, 300)]
@@ -111,17 +111,16 @@ def test_a_table_and_shapely(tmp_path: Path) -> None:
     [
         ("a.svg", "<svg", ho.FileError, "cannot be read"),
         ("a.dxf", "abc", ho.FileError, "cannot be read"),
-        ("a.json", "[1", ho.FileError, "cannot be read"),
         ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", ho.FileError, "a list of points"),
         ("a.csv", "0, nan\n1, 0\n1, 1", ho.InputError, "finite"),
         ("a.csv", "0, 0\n1, 0", ho.InputError, "closed outline"),
         ("a.csv", "", ho.FileError, "one on each line"),
         ("a.csv", "0, 0\n1, 0\nx, 1\n", ho.FileError, "line 3 is not a point"),
+        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", ho.FileError, "line 1 is not a point"),
         ("a.csv", "0, 0, 0\n1, 0, 0\n1, 1, 0\n", ho.FileError, "one on each line"),
         ("a.csv", "0, 0\n1, 1\n1, 0\n0, 1", ho.InputError, "cross itself"),
         ("a.geojson", '{"type": "FeatureCollection"}', ho.FileError, "neither GeoJSON nor"),
         ("a.geojson", '{"type": "Polygon", "coordinates": 3}', ho.FileError, "neither GeoJSON nor"),
-        ("a.json", "7", ho.FileError, "neither GeoJSON nor"),
         ("a.svg", SVG.format(size="", shape=""), ho.InputError, "closed outline"),
         ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), ho.InputError, "both"),
         ("a.step", "", ho.InputError, "a drawing"),
@@ -141,8 +140,9 @@ def test_what_is_no_outline_is_refused(
         "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n",
         "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n",
         "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3",
+        "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n",
     ],
-    ids=["headings", "semicolons", "tabs"],
+    ids=["headings", "semicolons", "tabs", "ends"],
 )
 def test_tables_as_other_programs_write_them(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
@@ -173,11 +173,3 @@ def test_dimensions_are_no_part_of_an_outline(tmp_path: Path) -> None:
     space.add_linear_dim(base=(0, -30), p1=(0, 0), p2=(200, 0)).render()
     drawing.saveas(tmp_path / "a.dxf")
     assert size_and_area(read_outline(tmp_path / "a.dxf")) == pytest.approx((0.2, 0.1, 0.02))
-
-
-def test_a_mistyped_first_row_is_no_heading(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("O.1,0.2\n0.4,0\n0.4,0.3\n0,0.3\n")
-    with pytest.raises(ho.FileError, match="line 1 is not a point"):
-        read_outline(tmp_path / "a.csv")
-    (tmp_path / "a.csv").write_text("0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n")
-    assert size_and_area(read_outline(tmp_path / "a.csv")) == pytest.approx((0.4, 0.3, 0.12))

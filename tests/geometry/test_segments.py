@@ -29,19 +29,3 @@ def test_offsets_are_the_shortest_of_all_that_join_the_segments(seed: int, d: in
     assert np.all(sampled - found <= lengths * 0.0026)
     reverse = shortest_offset(differences(b, a))
     np.testing.assert_allclose(np.linalg.norm(reverse, axis=1), found, atol=1e-12)
-
-
-@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3]))
-@settings(max_examples=30)
-def test_a_point_is_a_segment_of_no_length(seed: int, d: int) -> None:
-    a, b = np.random.default_rng(seed).normal(size=(2, 9, 2, d))
-    point, doubled = a[:, :1], a[:, [0, 0]]
-    np.testing.assert_allclose(
-        shortest_offset(differences(point, b)), shortest_offset(differences(doubled, b)), atol=1e-12
-    )
-    np.testing.assert_array_equal(shortest_offset(differences(point, b[:, :1])), a[:, 0] - b[:, 0])
-
-
-def test_crossing_segments_in_the_plane_meet() -> None:
-    a, b = np.array([[[-1.0, 0.0], [1.0, 0.0]], [[0.3, -1.0], [0.3, 1.0]]])
-    np.testing.assert_allclose(shortest_offset(differences(a, b)), 0.0, atol=1e-12)

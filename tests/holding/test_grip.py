@@ -16,7 +16,6 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding.grip import GripTask, best_grip, grip_capacity, largest_tension
 from hitchopt.holding.wraps import wraps_around
 from hitchopt.planners.carrying.grip import balanced, contacts_of
-from hitchopt.planners.carrying.grip_polygon import SEARCHED, grip_polygons, grip_task
 from hitchopt.values import Array
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
@@ -72,22 +71,6 @@ def test_a_taut_edge_is_the_hull_of_section_and_clasps(
         assert wraps.lengths[k] == pytest.approx(shortest, rel=2e-5, abs=2e-6)
 
 
-@pytest.mark.parametrize("section", SECTIONS)
-def test_wraps_and_clasps_close_a_turn_and_move_with_the_section(section: ho.Section) -> None:
-    vertices = section.centroid + regular(4, 1.25 * section.circumradius, 0.4)
-    wraps = wraps_around(section, vertices)
-    turned = np.sum(wraps.angles) + np.sum(math.pi - wraps.clasp_angles)
-    assert turned == pytest.approx(2.0 * math.pi, abs=1e-9)
-    many = wraps_around(section, np.stack([vertices, 1.1 * vertices]))
-    np.testing.assert_allclose(many.lengths[0], wraps.lengths, rtol=1e-12)
-    renumbered = wraps_around(section, np.roll(vertices, -1, axis=0))
-    np.testing.assert_allclose(renumbered.angles, np.roll(wraps.angles, -1), atol=1e-12)
-    if section.outline is not None:
-        moved = ho.Section(section.outline + [0.3, -0.2])
-        again = wraps_around(moved, vertices + [0.3, -0.2])
-        np.testing.assert_allclose(again.lengths, wraps.lengths, rtol=1e-12)
-
-
 @pytest.mark.parametrize("n", [3, 5])
 def test_legs_go_on_along_the_neighbours_edges_and_balance_them(n: int) -> None:
     vertices = regular(n, 0.38) * [1.05, 0.97] + ODD.centroid
@@ -128,18 +111,17 @@ def test_figures_of_rope_simulations() -> None:
         assert np.min(pairs) == pytest.approx(apart, abs=0.01)
 
 
-def test_friction_at_clasps_only_lowers_the_slip_load() -> None:
-    loads = [
-        float(ho.Grip.of(ODD, regular(3, 0.38), 1.6, 1.3, clasp_friction=mu).slip_load(0.5))
-        for mu in (0.0, 0.1, 0.2)
-    ]
-    assert loads[0] > loads[1] > loads[2] > 0.0
-    plain = ho.Grip.of(ODD, regular(3, 0.38), 1.6, 1.3)
-    assert loads[0] == pytest.approx(0.5 * 1.3 * np.sum(plain.wraps.angles))
-
-
 def task(section: ho.Section, n: int, cable: float, tension: float = 1.3) -> GripTask:
     return GripTask(section, n, cable, tension, SIMULATED_FRICTION, STEEP, ho.Quadrotor())
+
+
+def test_the_best_grip_does_not_depend_on_the_outlines_origin() -> None:
+    shift = np.array([-100.0, 40.0])
+    one, two = (best_grip(task(ho.Section(BOX.core + by), 4, 0.95)) for by in (0.0 * shift, shift))
+    assert two.slip_load(0.5) == pytest.approx(one.slip_load(0.5))
+    # A box has two best grips, mirror images: rounding chooses one.
+    here, there = (np.linalg.norm(v, axis=-1) for v in (one.vertices, two.vertices - shift))
+    np.testing.assert_allclose(np.sort(there), np.sort(here), atol=1e-6)
 
 
 @pytest.mark.slow
@@ -160,25 +142,6 @@ def test_the_best_grip_keeps_every_limit_and_no_tried_one_is_better(
         tried = task(section, n, cable).grip(vertices)
         if task(section, n, cable).shortest(tried)[0] >= 0.05:
             assert tried.slip_load(0.5) <= found.slip_load(0.5) * (1.0 + 1e-4)
-
-
-def test_edges_that_bend_as_before_go_on_smoothly() -> None:
-    """Beyond the corner that an edge meets next: about the old one, tangents cut the section."""
-    base, away = ODD.centroid + regular(3, 0.45, 0.3), np.array([[0.3, 0.1], [0, 0], [0.1, -0.2]])
-    shares = np.linspace(0.0, 1.0, 2001)
-    path = base + shares[:, None, None] * away
-    free = wraps_around(ODD, path)
-    differs = np.flatnonzero(free.bends[1:].differ(free.bends[:-1]))
-    assert len(differs) > 0
-    i = int(differs[0])
-    kept = wraps_around(ODD, path, free.bends[i])
-    np.testing.assert_array_equal(kept.contacts[: i + 1], free.contacts[: i + 1])
-    for name in ("angles", "lengths"):  # of both laws: kinks alone
-        one, other = getattr(kept, name), getattr(free, name)
-        np.testing.assert_allclose(one[i + 1], other[i + 1], atol=1e-3)
-    assert np.all(np.linalg.norm(np.diff(kept.contacts, axis=0), axis=-1).max(axis=0) < 1e-3)
-    jumps = np.linalg.norm(free.contacts[i + 1] - free.contacts[i], axis=-1)
-    assert jumps.max() > 0.05  # a side's length
 
 
 SQUARE = ho.Section([[0.18, 0.18], [0.18, -0.18], [-0.18, -0.18], [-0.18, 0.18]])
@@ -235,35 +198,3 @@ def test_level_pulls_are_limited_by_tilt() -> None:
     assert binding == "tilt"
     assert 1.29 < most < 1.3
     assert largest_tension(STEEP, ho.Quadrotor())[0] > 1.5
-
-
-@pytest.mark.slow
-def test_a_refused_grip_by_three_cables_is_not_told_to_use_three() -> None:
-    for n, told in ((3, False), (5, True)):
-        task = GripTask(
-            ho.Section([[0.09, -0.16], [0.08, 0.16], [-0.15, -0.1]]), n, 2.29, 1.0, 0.0,
-            Requirements(ho.Limits(tilt=1.0)), ho.Quadrotor(),
-        )  # fmt: skip
-        with pytest.raises(ho.InfeasibleError) as refused:
-            best_grip(task)
-        remedy = refused.value.violations[0].remedy
-        assert ("three cables" in remedy) is told
-        assert remedy.startswith("use shorter cables")
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("error")
-def test_grips_that_cannot_be_balanced_are_left_out() -> None:
-    rng = np.random.default_rng(6)
-    corners, _ = int(rng.integers(4, 9)), rng.integers(3, 6)
-    points = rng.normal(size=(corners, 2)) * rng.uniform(0.1, 0.3) * [1.0, rng.uniform(0.5, 1.0)]
-    outline = points[ConvexHull(points).vertices]
-    body = ho.SolidObject(ho.Section(outline))
-    requirements = Requirements(ho.Limits(tilt=math.radians(60.0)))
-    team = ho.Team(4, 1.37, tension=1.3)
-    found = grip_polygons("part", body, team, requirements, 0.08)
-    assert np.all(np.isfinite([found.closed, found.around]))
-    most, _ = largest_tension(requirements, team.quadrotor[0])
-    task = grip_task(body, team, SEARCHED * most, requirements)
-    assert task.merit(task.grip(found.closed)) > 0.0
-    assert np.all(body.section.clearance(found.closed)[0] > 0.0)

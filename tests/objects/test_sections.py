@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 
 import numpy as np
@@ -13,7 +12,7 @@ from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.objects import Slab
-from hitchopt.objects.placing import check_placed, in_frame, in_world, surface_below
+from hitchopt.objects.placing import check_placed, surface_below
 from hitchopt.values import Array
 
 SEEDS = st.integers(0, 10_000)
@@ -80,16 +79,6 @@ def test_segments_are_as_far_as_the_nearest_of_their_points(seed: int) -> None:
     assert np.all(found >= brute - 2e-3)
 
 
-def test_a_polygon_of_many_corners_is_nearly_a_circle() -> None:
-    angles = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
-    outline = 0.3 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    polygon, circle = ho.Section(outline), ho.Section(radius=0.3)
-    assert polygon.area == pytest.approx(circle.area, rel=1e-3)
-    np.testing.assert_allclose(polygon.centroid, circle.centroid, atol=1e-12)
-    places = np.array([[0.5, 0.2], [0.1, 0.0], [-1.0, 1.0]])
-    np.testing.assert_allclose(polygon.clearance(places)[0], circle.clearance(places)[0], atol=1e-4)
-
-
 def test_outlines_are_stored_clockwise_without_points_in_line() -> None:
     given_ = [*BOX[:2], [0.4, 0.0], *BOX[2:]]
     for outline in (given_, given_[::-1]):
@@ -126,13 +115,6 @@ def test_slabs_have_signed_distances(seed: int) -> None:
     behind = slab.support(found.normals) - np.einsum("md,md->m", found.normals, places)
     outside = found.distance > 0.0
     np.testing.assert_allclose(found.distance[outside], -behind[outside], atol=1e-9)
-
-
-def test_frames_are_turned_back() -> None:
-    rng = np.random.default_rng(3)
-    pose = np.array([1.0, -2.0, 0.5, math.cos(0.7), math.sin(0.7)])
-    points = rng.normal(size=(4, 3))
-    np.testing.assert_allclose(in_world(pose, in_frame(pose, points)), points, atol=1e-12)
 
 
 def solid(at: list[float], **others: object) -> ho.SolidObject:
