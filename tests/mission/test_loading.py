@@ -3,26 +3,16 @@ from __future__ import annotations
 import copy
 import math
 import tracemalloc
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 from problem_cases import hitch_start, triangle
 
+import hitchopt as ho
 from hitchopt.errors import MAX_LISTED, HitchoptError, InputError, JointInputError
-from hitchopt.geometry import ConvexArc, ConvexPolygon
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.problem import DronesStart, HitchStart, Problem
-from hitchopt.steps import (
-    Adjust,
-    FollowVertex,
-    Form,
-    Hold,
-    Morph,
-    MoveEdge,
-    MoveVertex,
-    Transport,
-)
 from hitchopt.storage.yaml_file import split_key
 
 MINIMAL: dict[str, Any] = {
@@ -30,14 +20,6 @@ MINIMAL: dict[str, Any] = {
     "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]]}},
     "mission": [{"hold": {"seconds": 2}}],
 }
-
-
-def arrays_of(problem: Problem) -> list[np.ndarray[Any, Any]]:
-    team, start = problem.team, problem.start
-    places = start.polygon.vertices if isinstance(start, HitchStart) else start.drones
-    parts = [team.cable_length, team.tension, team.mass, team.max_thrust, places]
-    parts += [s.polygon.vertices for s in problem.mission if isinstance(s, Morph | Form)]
-    return [*parts, np.array([vars(problem.limits)[k] for k in ("speed", "jerk", "tilt", "leg")])]
 
 
 def changed(path: list[str | int], value: object) -> dict[str, Any]:
@@ -49,75 +31,67 @@ def changed(path: list[str | int], value: object) -> dict[str, Any]:
     return dict(data)
 
 
+def plain(value: Any) -> Any:
+    """All that a problem holds, by the names of fields."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return [plain(part) for part in value] if isinstance(value, list | tuple) else value
+
+
 def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
-    problem = problem_from_dict(triangle())
-    team = problem.team
-    assert problem.title == "Off the origin"
-    assert team.robots == 3
-    assert team.topology == "closed"
-    assert team.cable_length.tolist() == [2.4, 2.5, 2.6]
-    assert team.tension.tolist() == [0.4, 0.45, 0.5]
-    assert (team.cable_density, team.cable_friction) == (0.003, 0.05)
-    assert team.mass.tolist() == [0.132, 0.132, 0.14, 0.14, 0.132, 0.132]
-    assert team.max_thrust.tolist() == [2.6, 2.6, 2.6, 2.6, 2.8, 2.8]
-    limits = problem.limits
-    assert (limits.speed, limits.acceleration, limits.jerk) == (0.9, 1.9, 19.0)
-    assert (limits.vertex_speed, limits.leg, limits.duration) == (0.4, 0.16, 60.0)
-    assert limits.tilt == pytest.approx(40 * math.pi / 180, rel=1e-15)
-    assert limits.body_rate == pytest.approx(150 * math.pi / 180, rel=1e-15)
-    separation = problem.separation
-    assert (separation.radius, separation.height) == (0.11, 0.29)
-    assert (separation.cable, separation.crossing) == (0.09, 0.0)
-    assert problem.arena is not None
-    assert problem.arena.lower.tolist() == [-1, -2, 0.1]
-    assert problem.arena.upper.tolist() == [5, 4, 3.3]
-    start = hitch_start(problem)
-    assert start.polygon.vertices.tolist() == [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
-    assert start.altitude == 1.3
-    assert np.asarray(start.legs).tolist() == [0.4, 0.7, 0.45]
-    first, second, third = problem.mission[:3]
-    assert isinstance(first, Morph)
-    assert isinstance(third, Morph)
-    assert second == Hold(1.5)
-    assert first.polygon.vertices.tolist() == [[2, 0.7], [1.6, 1.7], [2.4, 1.7]]
-    assert (first.legs, first.duration) == ("balanced", None)
-    assert third.polygon.vertices.tolist() == [[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]]
-    assert (third.legs, third.duration) == (None, 7.5)
-    assert (first.blend, third.blend) == (False, False)
-
-
-def test_every_value_of_the_actions_arrives_where_it_belongs() -> None:
-    vertex, edge, adjust, follow, transport = problem_from_dict(triangle()).mission[3:]
-    assert isinstance(vertex, MoveVertex)
-    assert vertex.by is not None
-    assert (vertex.vertex, vertex.to, vertex.by.tolist()) == (2, None, [0.1, 0.05])
-    assert (vertex.legs, vertex.duration, vertex.blend) == ("spread", 3.5, False)
-    assert isinstance(edge, MoveEdge)
-    assert edge.to is not None
-    assert (edge.edge, edge.to.tolist(), edge.by) == (1, [[1.6, 1.7], [2.4, 1.75]], None)
-    assert (edge.legs, edge.duration, edge.blend) == (None, None, True)
-    assert isinstance(adjust, Adjust)
-    assert np.asarray(adjust.legs).tolist() == [0.5, 0.6, 0.45]
-    assert (adjust.duration, adjust.blend) == (None, False)
-    assert isinstance(follow, FollowVertex)
-    assert (follow.vertex, follow.legs, follow.duration) == (0, None, 3.5)
-    assert follow.path.tolist() == [[0, 2.1, 0.6], [3.5, 2.0, 0.7]]
-    assert isinstance(transport, Transport)
-    assert (transport.to.tolist(), transport.duration) == ([2.0, 1.2, 1.6], 9)
-    assert transport.yaw == pytest.approx(-math.pi / 6, rel=1e-15)
+    kinds = [
+        ho.Quadrotor(0.132, 2.6),
+        ho.Quadrotor(0.14, stiffness=4.75, integral=True, feed_forward=False),
+        ho.Quadrotor(max_thrust=2.8),
+    ]
+    array: Any = np.array  # outlines, too, are made of points
+    expected = ho.Problem(
+        ho.Team(
+            3,
+            [2.4, 2.5, 2.6],
+            cable_density=0.003,
+            cable_friction=0.05,
+            tension=[0.4, 0.45, 0.5],
+            quadrotor=kinds,
+        ),
+        ho.HitchStart(array([[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]), 1.3, array([0.4, 0.7, 0.45])),
+        (
+            ho.Morph(array([[2, 0.7], [1.6, 1.7], [2.4, 1.7]]), legs="balanced"),
+            ho.Hold(1.5),
+            ho.Morph(array([[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]]), duration=7.5),
+            ho.MoveVertex(2, by=array([0.1, 0.05]), legs="spread", duration=3.5),
+            ho.MoveEdge(1, to=array([[1.6, 1.7], [2.4, 1.75]]), blend=True),
+            ho.Adjust(array([0.5, 0.6, 0.45])),
+            ho.FollowVertex(0, array([[0, 2.1, 0.6], [3.5, 2.0, 0.7]])),
+            ho.Transport(array([2.0, 1.2, 1.6]), yaw=math.radians(-30.0), duration=9),
+        ),
+        ho.Limits(
+            speed=0.9,
+            acceleration=1.9,
+            jerk=19.0,
+            tilt=math.radians(40.0),
+            body_rate=math.radians(150.0),
+            vertex_speed=0.4,
+            leg=0.16,
+            duration=60.0,
+        ),
+        ho.Separation(radius=0.11, height=0.29, cable=0.09, crossing=0.0),
+        ho.Arena([-1, -2, 0.1], [5, 4, 3.3]),
+        "Off the origin",
+    )
+    assert plain(problem_from_dict(triangle())) == plain(expected)
 
 
 def test_defaults_are_those_of_the_interface() -> None:
     problem = problem_from_dict(MINIMAL)
-    assert problem.title == ""
-    assert problem.team.cable_length.tolist() == [2.4, 2.4, 2.4]
-    assert problem.team.tension.tolist() == [0.4, 0.4, 0.4]
+    assert (problem.title, problem.arena) == ("", None)
+    assert plain(problem.team)["tension"] == [0.4] * 3
     assert (problem.team.cable_density, problem.team.cable_friction) == (0.0, 0.0)
     assert set(problem.team.mass.tolist()) == {0.132}
     assert set(problem.team.max_thrust.tolist()) == {2.6}
-    assert hitch_start(problem).altitude == 1.0
-    assert hitch_start(problem).legs == "spread"
-    assert problem.arena is None
+    assert (hitch_start(problem).altitude, hitch_start(problem).legs) == (1.0, "spread")
     limits = dict(vars(problem.limits))
     assert math.degrees(limits.pop("tilt")) == pytest.approx(45.0, rel=1e-15)
     assert limits == {
@@ -141,14 +115,13 @@ def test_defaults_are_those_of_the_interface() -> None:
 
 def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> None:
     data: Any = triangle()
-    expected = arrays_of(problem_from_dict(data))
+    expected = plain(problem_from_dict(data))
     data["team"]["cable_length"] = np.array(data["team"]["cable_length"])
     data["team"]["robots"] = np.int64(3)
     data["limits"]["speed"] = np.float64(0.9)
     data["start"]["hitch"]["polygon"] = np.array(data["start"]["hitch"]["polygon"])
     data["mission"] = tuple(data["mission"])
-    for ours, theirs in zip(arrays_of(problem_from_dict(data)), expected, strict=True):
-        assert np.array_equal(ours, theirs)
+    assert plain(problem_from_dict(data)) == expected
 
 
 TYING_STEPS: list[tuple[str, object]] = [
@@ -172,30 +145,24 @@ def test_steps_are_refused_where_there_is_a_hitch_or_none() -> None:
 
 
 def test_every_key_of_form_arrives() -> None:
-    places = {"q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]], "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]]}
-    swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
-    keys = {
+    places: Any = {
+        "q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]],
+        "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]],
+    }
+    keys: Any = {
         "polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]],
         "altitude": 1.7,
         "assign": "fixed",
         "legs": [0.4, 0.7, 0.45],
-        "swap": swap,
         "duration": 30,
     }
-    data = {**triangle(), "start": {"drones": places}, "mission": [{"form": keys}, {"release": {}}]}
-    problem = problem_from_dict(data)
-    assert isinstance(problem.start, DronesStart)
-    assert problem.start.drones[4].tolist() == [2, 1, 2.5]
-    step = problem.mission[0]
-    assert isinstance(step, Form)
-    assert (step.altitude, step.assign, step.duration) == (1.7, "fixed", 30)
-    assert np.array_equal(np.asarray(step.legs), [0.4, 0.7, 0.45])
-    assert vars(step.swap) == {
-        "radius": 0.2,
-        "tilt": math.radians(30),
-        "seconds": 2.5,
-        "sense": -1,
-    }
+    swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
+    steps = [{"form": {**keys, "swap": swap}}, {"release": {}}]
+    found = problem_from_dict({**triangle(), "start": {"drones": places}, "mission": steps})
+    settings = ho.SwapSettings(0.2, math.radians(30), 2.5, -1)
+    form = ho.Form(**keys, swap=settings).fitting(found.team)
+    assert plain(found.start) == plain(ho.DronesStart(**places))
+    assert plain(found.mission[0]) == plain(form)
 
 
 @pytest.mark.parametrize(
@@ -223,46 +190,29 @@ def test_open_chains_have_one_point_more_than_robots() -> None:
     with pytest.raises(InputError, match=r"start\.hitch\.polygon = '3 points': .*4 points"):
         problem_from_dict(data)
     data["start"]["hitch"]["polygon"] = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
-    problem = problem_from_dict({**data, "mission": [{"hold": {"seconds": 1.0}}]})
-    assert isinstance(hitch_start(problem).polygon, ConvexArc)
-    assert len(hitch_start(problem).polygon) == 4
-    # A closed polygon of the same four points would be for four robots.
+    assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexArc)
     data["team"].update(topology="closed", robots=4)
-    closed = problem_from_dict({**data, "mission": [{"hold": {"seconds": 1.0}}]})
-    assert isinstance(hitch_start(closed).polygon, ConvexPolygon)
-    data["team"].update(topology="open", robots=3)
-    data["start"]["hitch"]["polygon"] = [[2, 0], [1, 1], [-1, 1], [-2, 0]]
-    with pytest.raises(InputError, match="clockwise"):
-        problem_from_dict(data)
+    assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexPolygon)
 
 
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("limits.speed", -1, r"-1: must be greater than 0; give a positive number"),
     ("limits.leg", 1e-300, r"1e-300: must be at least 1e-09; "),
     ("limits.jerk", 1e300, r"1e+300: must be at most 1e+09; "),
-    ("limits.duration", "long", r"'long': must be a number, or null; "),
     ("team.robots", 3.0, r"3.0: must be a whole number; write it without"),
-    ("team.robots", True, r"True: must be a whole number; "),
     ("team.robots", 10**5000, r"inf: must be finite; "),
     ("team.robots", 4, r"team.quadrotor = 3: must be one kind, or a list of 4; give one per"),
     ("team.tensio", 1.0, r"1.0: must be a known key; did you mean tension?"),
-    ("team.xyz", 1.0, r"use one of robots, topology, cable_length, cable_density, "),
     ("team.quadrotor[1].mas", 1, r"1: must be a known key; did "),
-    ("team.quadrotor", {"mas": 1}, r"team.quadrotor.mas = 1: must be a known key; did you"),
     ("team.cable_density", -1e-09, r"-1e-09: must be at least 0; "),
     ("team.cable_friction", "0.1", r"'0.1': must be a number; remove t"),
-    ("team.tension", [0.4, 0.5], r"[0.4, 0.5]: must be one number, or a list"),
     ("team.tension[2]", math.nan, r"nan: must be finite; "),
-    ("start.hitch.polygon[2][1]", math.inf, r"inf: must be fi"),
-    ("start.hitch.polygon[2]", [3], r"[3]: must be a list of 2"),
     ("start.hitch.polygon[1]", [2.0, 0.2], r"start.hitch.polygon[0] = [2.0, 0.2]: must be"),
     ("start.hitch.legs", "even", r"'even': must be balanced or spread"),
-    ("start.hitch.legs", 0.4, r"0.4: must be balanced or spread, or a"),
     ("mission[0].morph.legs", [0.4, -1, 1], r"mission[0].morph.legs[1] = -1: must be at "),
     ("mission[2].morph.polygon", None, r"None: must be a list"),
     ("mission[3].move_vertex.vertex", 3, r"3: must be from"),
     ("mission[3].move_vertex.by", [-2, 1], r"[-2.0, 1.0]: must "),
-    ("mission[3].move_vertex.by", [9], r"[9]: must be a list of"),
     (
         "mission[3].move_vertex.to",
         [2, 2],
@@ -270,25 +220,17 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ),
     ("mission[3].move_vertex.blend", 1, r"1: must be true or"),
     ("mission[3].move_vertex.blend", True, r"mission[3].move_vertex.duration = 3.5: must be"),
-    ("mission[4].move_edge.to", [[2, 2]], r"[[2, 2]]: must be "),
-    ("mission[4].move_edge.edge", 2.5, r"2.5: must be a whole n"),
     ("mission[5].adjust.blend", True, r"True: must be false befor"),
-    ("mission[5].adjust.duration", 2, r"2.0: must be left out"),
-    ("mission[6].follow_vertex.blend", True, r"True: must be"),
     (
         "mission[6].follow_vertex.path",
         [[0, 2, 1]],
         r"[[0.0, 2.0, 1.0]]: must be a path whose times increase",
     ),
-    ("mission[6].follow_vertex.path[1]", [2, 2, 2], r"mission[6].follow_vertex.path = [[0.0,"),
-    ("mission[7].transport.to", [1, 2], r"[1, 2]: must be a list of"),
     (
         "mission[7].transport.to[0]",
         1000000.0,
         r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m",
     ),
-    ("mission[7].transport.yaw_deg", "x", r"'x': must be a n"),
-    ("mission[1].hold.duration", 1, r"1: must be a known key"),
     ("mission[1]", {"hodl": 1}, r"mission[1].hodl = 1: must be a known key; did you mean hold?"),
     ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
     ("arena.upper", [5, 4, 0.1], r"[5.0, 4.0, 0.1]: must be greater than lower"),
@@ -296,7 +238,6 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be at most"),
     ("title", "a\nb", r"'a\nb': must be printable text on one line; remove"),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
-    ("title", 2026, r"2026: must be text; put it in quotes if it is meant as text"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of title, team"),
 ]
 

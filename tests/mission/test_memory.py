@@ -12,12 +12,10 @@ import pytest
 import hitchopt as ho
 from hitchopt.errors import Progress
 from hitchopt.mission import solving
-from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import VARIABLE, remembered
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import plan_blended
 from hitchopt.steps.step import StepPlan, StepTask
-from problems.random_morph import random_morph
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 PULLED_IN = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
@@ -77,7 +75,6 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
 PROBLEMS: dict[str, ho.Problem | ho.SwarmProblem] = {
     "mission": mission(),
     "tied": tied(),
-    "straight": problem_from_dict(random_morph(5, 2)),
     "swarm": ho.SwarmProblem(
         ho.Swarm(2), np.array([[0.0, 0, 1], [2, 0, 1]]), np.array([[2.0, 0, 1], [0, 0, 1]])
     ),
@@ -146,20 +143,6 @@ def test_after_an_edit_only_what_it_changes_is_planned(planned: list[int]) -> No
     ho.forget()
     ho.solve(mission(0.4))
     assert planned[9:] == [0, 1, 2, 4]
-
-
-def test_refusals_are_remembered_word_for_word(planned: list[int]) -> None:
-    *steps, last = mission().mission
-    assert isinstance(last, ho.Transport)
-    tight = replace(mission(), mission=(*steps, replace(last, duration=0.1)))
-    with pytest.raises(ho.InfeasibleError) as first:
-        ho.solve(tight)
-    asked = len(planned)
-    with pytest.raises(ho.InfeasibleError) as again:
-        ho.solve(tight)
-    assert len(planned) == asked
-    assert again.value is not first.value
-    assert (str(again.value), again.value.violations) == (str(first.value), first.value.violations)
 
 
 class Counted:

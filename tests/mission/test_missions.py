@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.cli.output import phase_table
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.steps import Step
 
@@ -81,12 +78,6 @@ def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
     assert passing.certificate["continuity"].bound < 1e-9
 
 
-def test_a_group_that_is_blended_rests_before_and_after() -> None:
-    plan = ho.solve(mission(ho.Hold(0.3), *blended(MOVES[:2]), *blended(MOVES[2:]), ho.Hold(0.2)))
-    rests = [fastest(plan, p.end) < 1e-9 for p in plan.phases]
-    assert rests == [True, False, True, False, True, True]
-
-
 def test_a_blend_that_breaks_a_limit_says_that_a_stop_would_help() -> None:
     polygon = ConvexPolygon([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     up, down = ho.MoveEdge(3, by=np.array([0, 0.3])), ho.MoveEdge(1, by=np.array([0, -0.3]))
@@ -123,29 +114,6 @@ def test_what_cannot_be_blended_is_refused() -> None:
         ho.solve(
             mission(ho.Adjust("balanced", blend=True), ho.Adjust("balanced", blend=True), MOVES[0])
         )
-
-
-def test_an_outline_is_checked_through_all_steps() -> None:
-    inward = ho.MoveVertex(0, by=np.array([-0.6, -0.1]))
-    problem = mission(inward)
-    assert len(problem.mission) == 1
-    with pytest.raises(ho.InputError, match=r"mission\[1\]\.move_vertex\.by = .*convex"):
-        mission(inward, inward)
-
-
-@pytest.mark.slow
-def test_remarks_are_kept_in_the_file_and_shown_in_the_table(tmp_path: Path) -> None:
-    polygon = ConvexPolygon([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
-    start = ho.Hitch.balanced(ho.Team(4, 2.0), polygon)
-    plan = ho.move_vertex(start, 0, by=[0.3, 0.3])
-    remark = plan.phases[0].remark
-    assert remark.startswith("r0, q3 slide as well: separation")
-    plan.save(tmp_path / "out", rate=5.0)
-    assert ho.load(tmp_path / "out").phases == plan.phases
-    table = " ".join(phase_table(plan.phases).split())
-    assert "remark" in table
-    assert all(word in table for word in remark.split())
-    assert "remark" not in phase_table(ho.hold(start, 1.0).phases)
 
 
 def test_errors_name_the_step_that_they_are_of() -> None:

@@ -2,18 +2,14 @@
 
 import numpy as np
 import pytest
-from problem_cases import ROOT, hitch_start, random_chain
+from plans import planned
+from problem_cases import hitch_start, random_chain
 
 import hitchopt as ho
-from hitchopt.mission.loading import load_problem, problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 
 
-def positions(plan: ho.Plan) -> np.ndarray:
-    found: np.ndarray = plan.at(plan.duration * np.linspace(0.0, 1.0, 41)).positions
-    return found
-
-
-@pytest.mark.parametrize("n", [2, 3, 5, 8])
+@pytest.mark.parametrize("n", [2, 5])
 def test_chains_of_any_size_are_planned_and_hold_at_dense_samples(n: int) -> None:
     plan = ho.solve(problem_from_dict(random_chain(n, 1)))
     assert plan.certificate.certified
@@ -40,15 +36,6 @@ def test_chains_of_any_size_are_planned_and_hold_at_dense_samples(n: int) -> Non
     np.testing.assert_allclose(forces[:, -1, 1], -pulls[:, -1], atol=1e-9)
 
 
-def test_equal_and_nearly_equal_tensions_give_the_same_plan() -> None:
-    """Two branches of the model, one at the ends of the chain as well as at its clasps."""
-    data = random_chain(3, 8, tension=False)
-    plan = ho.solve(problem_from_dict(data))
-    data["team"]["tension"] = [0.4, 0.4 + 1e-7, 0.4 - 1e-7]
-    other = ho.solve(problem_from_dict(data))
-    np.testing.assert_allclose(positions(other), positions(plan), atol=1e-5)
-
-
 def test_legs_that_leave_no_choice_are_given_and_checked() -> None:
     data = random_chain(3, 10)
     data["mission"] = [{"hold": {"seconds": 1.0}}]
@@ -65,22 +52,10 @@ def test_legs_that_leave_no_choice_are_given_and_checked() -> None:
         problem_from_dict(data)
 
 
-def test_edges_that_cross_break_the_crossing_limit() -> None:
-    """The arc turns by 300° in all, and its last edge passes through its first."""
-    data = random_chain(4, 11)
-    data["team"].update(cable_length=[4.5, 3.0, 3.0, 6.5], tension=0.4)
-    points = [[0, -2], [0, 1.5], [1.5, 1.5], [1.5, 0], [-3.0, 0.4]]
-    data["start"]["hitch"]["polygon"] = points
-    data["mission"] = [{"hold": {"seconds": 1.0}}]
-    with pytest.raises(ho.InfeasibleError, match=r"crossing: 0 m .*edge 0, edge 3"):
-        ho.solve(problem_from_dict(data))
-
-
 def test_the_published_scripts_case() -> None:
     """Four cables of 5 m, one clasp on a circle of 0.5 m, the other clasps and both ends still."""
-    problem = load_problem(ROOT / "problems" / "open_chain.yaml")
-    np.testing.assert_array_equal(problem.team.cable_length, [5.0] * 4)
-    plan = ho.solve(problem)
+    plan = planned("open_chain")
+    team = plan.motion.team
     s = plan.at(np.linspace(0.0, plan.duration, 3001))
     p = s.vertices
     assert np.max(np.abs(np.linalg.norm(p[:, 2, :2] - [0.0, 1.7], axis=-1) - 0.5)) < 1e-4
@@ -89,7 +64,7 @@ def test_the_published_scripts_case() -> None:
     still = [0, 1, 3, 4]
     np.testing.assert_allclose(p[:, still], np.broadcast_to(p[0, still], p[:, still].shape))
     moves = np.max(np.ptp(s.positions, axis=0), axis=1) > 1e-9
-    assert {name for name, m in zip(problem.team.drone_names, moves, strict=True) if m} == {
+    assert {name for name, m in zip(team.drone_names, moves, strict=True) if m} == {
         "r0",
         "r1",
         "q2",

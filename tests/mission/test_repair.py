@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from problem_edits import edited
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import Edit, outlines_scaled, tidy, with_edits
+from hitchopt.mission.repair import outlines_scaled, with_edits
 from hitchopt.storage.yaml_file import read_yaml
 
 CASES = {path.stem: path for path in INFEASIBLE}
@@ -30,7 +29,6 @@ SMALLEST = {
     "star_tip": "mission[0].morph.legs",
     "form_starts_overlap": "start.drones",
     "form_cable_too_short": "mission[0].form.swap.radius",
-    "form_ceiling_too_low": "arena.upper[2]",
     "form_start_overstretched": "start.drones",
 }
 
@@ -122,16 +120,6 @@ def test_what_is_too_heavy_is_made_lighter_or_pulled_harder() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stem", ["drones_too_close", "paper_experiment_1"])
-def test_cables_a_little_shorter_than_suggested_do_not_do(stem: str) -> None:
-    data = mapping(CASES[stem])
-    change = next(s.change for s in suggested(stem) if s.change.key == "team.cable_length")
-    assert isinstance(change.new, float)
-    assert plans(edited(data, [Edit("team.cable_length", change.new)]))
-    assert not plans(edited(data, [Edit("team.cable_length", 0.985 * change.new)]))
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stem", "key", "needed"),
     [
@@ -206,16 +194,10 @@ def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
     for key in ("mass", "friction"):
         change = found[f"objects.{name}.{key}"]
         assert isinstance(change.new, float)
-        assert plans(edited(data, change.edits))
         halfway = 0.5 * (change.new + body[key])
         half = {**data, "objects": {**data["objects"], name: {**body, key: halfway}}}
         assert not plans(half)
-    with pytest.raises(ho.InfeasibleError) as refused:
-        ho.solve(problem_from_dict(data))
-    told = re.search(r"lower objects\.\w+\.mass to ([\d.]+) kg", str(refused.value))
-    assert told is not None
-    lighter = {**body, "mass": float(told[1])}
-    assert plans({**data, "objects": {**data["objects"], name: lighter}})
+    assert plans(edited(data, found[f"objects.{name}.mass"].edits))
 
 
 def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
@@ -237,12 +219,3 @@ def outlines(problem: ho.Problem) -> list[Any]:
     for step in problem.mission:
         found.append(step.polygon_left(problem.team, found[-1]))
     return found
-
-
-@pytest.mark.parametrize(
-    ("value", "sign", "rounded"),
-    [(2.1612, 1, 2.17), (2.1612, -1, 2.16), (0.34519, -1, 0.345), (-0.6503, -1, -0.651)],
-)
-def test_tidy_rounds_away_from_the_old_value(value: float, sign: int, rounded: float) -> None:
-    assert tidy(value, sign, abs(value)) == rounded
-    assert tidy(rounded, sign, abs(rounded)) == rounded  # what is tidy stays

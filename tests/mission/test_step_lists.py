@@ -25,18 +25,6 @@ def _problem(start: Any, step: Any) -> ho.Problem:
     return ho.Problem(TEAM, start, (step,))
 
 
-@pytest.mark.slow
-def test_form_takes_points_and_plans_what_it_plans_of_an_outline() -> None:
-    start = ho.DronesStart(Q, R)
-    plans = [
-        ho.solve(ho.Problem(TEAM, start, (ho.Form(polygon, 1.2, legs),)))
-        for polygon, legs in ((TRIANGLE, LEGS), (ho.ConvexPolygon(TRIANGLE), np.array(LEGS)))
-    ]
-    states = [plan.at(plan.duration) for plan in plans]
-    np.testing.assert_array_equal(states[0].positions, states[1].positions)
-    assert plans[0].certificate.certified
-
-
 @pytest.mark.parametrize(
     ("team", "points", "kind"), [(TEAM, TRIANGLE, ho.ConvexPolygon), (CHAIN, ARC, ho.ConvexArc)]
 )
@@ -76,10 +64,3 @@ def test_lists_that_are_no_outline_are_refused_with_their_key(
     with pytest.raises(ho.InputError) as caught:
         _problem(*make())
     assert caught.value.key == key
-
-
-@pytest.mark.parametrize("places", [WORD, RAGGED, [[0, 0], [1, 1]]])
-def test_drones_given_to_functions_are_checked_alike(places: Any) -> None:
-    with pytest.raises(ho.InputError) as caught:
-        ho.form(TEAM, places, R, TRIANGLE)
-    assert caught.value.key == "q"

@@ -44,18 +44,6 @@ def test_points_are_met_at_their_times_and_standing_stands() -> None:
     np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
 
 
-def test_accelerations_are_continuous_and_cables_keep_their_length() -> None:
-    plan = ho.follow_vertex(START, K, POINTS)
-    breaks = plan.motion.drones.breaks[1:-1]
-    before, after = plan.at(breaks - 1e-7), plan.at(breaks + 1e-7)
-    np.testing.assert_allclose(after.accelerations, before.accelerations, atol=1e-5)
-    state = plan.at(np.linspace(0.0, 9.0, 2001))
-    p, q, r = state.vertices, state.positions[:, 0::2], state.positions[:, 1::2]
-    ends = np.roll(p, -1, axis=1)
-    lengths = sum(np.linalg.norm(v, axis=-1) for v in (q - p, ends - p, r - ends))
-    assert np.max(np.abs(lengths / START.team.cable_length - 1.0)) <= 1e-6
-
-
 def test_two_points_are_the_minimum_jerk_polynomial() -> None:
     plan = ho.follow_vertex(START, K, [[4.0, *(HERE + [0.1, -0.05])]])
     x = np.linspace(0.0, 1.0, 101)
@@ -85,16 +73,6 @@ def test_between_rests_no_wiggle_of_the_track_has_less_jerk(seed: int, count: in
     for size in (-0.1, 0.01, 0.1):
         wiggled = np.trapezoid((jerk[:, 0] + size * bump) ** 2 + jerk[:, 1] ** 2, t)
         assert wiggled > least
-
-
-def test_legs_that_are_asked_for_are_reached_smoothly() -> None:
-    plan = ho.follow_vertex(START, K, POINTS, legs="balanced")
-    legs = plan.at(plan.duration).legs
-    np.testing.assert_allclose(legs[:, 0], legs[:, 1], atol=1e-12)
-    np.testing.assert_allclose(plan.at(0.0).legs, START.legs, atol=1e-12)
-    for t in (0.0, plan.duration):
-        np.testing.assert_allclose(plan.at(t).velocities, 0.0, atol=1e-9)
-        np.testing.assert_allclose(plan.at(t).accelerations, 0.0, atol=1e-8)
 
 
 def test_a_point_at_no_time_has_to_be_where_the_vertex_is() -> None:

@@ -48,18 +48,6 @@ def test_the_centroid_goes_straight_and_the_hitch_turns_all_the_way(yaw: float) 
     np.testing.assert_allclose(turned - turned[0], share * yaw, atol=1e-5)
 
 
-def test_nothing_changes_its_distance_to_anything() -> None:
-    plan = ho.transport(START, [1.2, 1.4, 1.9], yaw=2.0)
-    state = plan.at(np.linspace(0.0, plan.duration, 101))
-    points = np.concatenate([state.positions, state.vertices], axis=1)
-    apart = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
-    np.testing.assert_allclose(apart, np.broadcast_to(apart[0], apart.shape), atol=3e-6)
-    np.testing.assert_allclose(state.legs, np.broadcast_to(START.legs, state.legs.shape), atol=1e-6)
-    at_rest = ho.hold(START, 1.0).certificate
-    for name in ("separation", "cable_clearance", "crossing", "legs", "convexity"):
-        assert plan.certificate[name].worst == pytest.approx(at_rest[name].worst, rel=1e-3), name
-
-
 def test_thrust_holds_weight_pull_and_acceleration_on_the_climb() -> None:
     plan = ho.transport(START, [*START.polygon.centroid, 2.1])
     state = plan.at(np.linspace(0.0, plan.duration, 2001))

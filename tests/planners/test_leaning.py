@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 import hitchopt as ho
-from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
 
@@ -19,15 +18,7 @@ LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
 
 
 def rubbing(motion: Motion, friction: float) -> Motion:
-    team = motion.team
-    slippery = Team(
-        team.robots,
-        team.cable_length,
-        topology=team.topology,
-        tension=team.tension,
-        cable_friction=friction,
-    )
-    return replace(motion, team=slippery)
+    return replace(motion, team=replace(motion.team, cable_friction=friction))
 
 
 def planned(polygon: Array = POLYGON, goal: Array = GOAL, seconds: float | None = 4.0) -> Motion:
@@ -121,7 +112,7 @@ def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
     assert np.max(np.abs(ratio[[0, 2, 3]])) < 1e-9
 
 
-@pytest.mark.parametrize("friction", [0.05, 0.3, 2.0])
+@pytest.mark.parametrize("friction", [0.05, 2.0])
 def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
     """At large friction both limits bind: a sharp vertex would lock."""
     plain = planned()
@@ -146,37 +137,9 @@ def test_it_leans_as_much_as_is_counted_on() -> None:
     np.testing.assert_allclose(leaned(plain, 0.02).turned, turned[1], rtol=1e-9)
 
 
-def test_renumbered_it_leans_the_same() -> None:
-    def rolled(values: list[float]) -> list[float]:
-        return [*values[1:], values[0]]
-
-    team = ho.Team(4, rolled(LENGTHS), tension=rolled(TENSIONS))
-    start = ho.Hitch.balanced(team, np.roll(POLYGON, -1, axis=0), altitude=1.2)
-    goal = np.roll(GOAL, -1, axis=0)
-    motion = ho.morph(start, goal, legs="balanced", duration=4.0).motion
-    assert isinstance(motion, Motion)
-    here, there = leaned(planned()).motion, leaned(motion).motion
-    t = sampled(here)
-    np.testing.assert_allclose(
-        there.drones.at(t), np.roll(here.drones.at(t), -2, axis=1), atol=1e-6
-    )
-
-
 def test_where_nothing_slides_nothing_leans() -> None:
     plain = planned(goal=POLYGON + 1e-9)
     assert leaning(rubbing(plain, 0.3), plain.requirements.limits, 1.0, slower=True) is None
     assert (
         leaning(rubbing(planned(), 1e-3), plain.requirements.limits, 1.0, slower=True) is None
     )  # too little
-
-
-def test_a_given_time_is_kept_or_nothing_leans() -> None:
-    quick = planned(seconds=None)
-    assert leaning(rubbing(quick, 0.1), quick.requirements.limits, 1.0, slower=False) is None
-    slower = leaned(quick).motion
-    assert slower.duration > quick.duration
-    unhurried = leaning(rubbing(planned(), 0.1), quick.requirements.limits, 1.0, slower=False)
-    assert unhurried is not None
-    assert unhurried.motion.duration == 4.0
-    assert slower.phases[0].start == 0.0
-    assert slower.phases[-1].end == pytest.approx(slower.duration)

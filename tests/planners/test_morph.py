@@ -1,7 +1,5 @@
 """Morphs: legs that make way, shut ways and their diagnosis."""
 
-from dataclasses import fields, replace
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,8 @@ from hitchopt.hitch.leg_program import LegTask
 from hitchopt.hitch.legs import level_margin_bound, reference_margin, split_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
-from hitchopt.planners.morph.morph import StraightMorph, blended
-from hitchopt.planners.morph.path import RigidPath, ShapePath, shapes_along
+from hitchopt.planners.morph.morph import StraightMorph
+from hitchopt.planners.morph.path import ShapePath, shapes_along
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 KEPT = Requirements(Limits(), Separation(), None)
@@ -39,35 +37,6 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
 
 
-def test_paths_give_as_many_derivatives_as_are_asked_for() -> None:
-    """Of a blend through three rolled hitches, and of one that is carried."""
-    team = Team(3, 2.4)
-    hitches = [Hitch.balanced(team, TRIANGLE, 1.0, roll) for roll in (0.1, 0.3, 0.2)]
-    wide = replace(hitches[1], polygon=hitches[1].polygon.translated([0.3, 0.1]))
-    s = np.linspace(0.0, 1.0, 7)
-    for path in (
-        blended([hitches[0], wide, hitches[2]]).path,
-        RigidPath(hitches[0], np.array([0.5, 0.2, 1.3]), 0.7),
-    ):
-        whole = path.flat(s)
-        for count in (1, 2, 4):
-            some = path.flat(s, count)
-            for field in fields(whole):
-                all_of_it = getattr(whole, field.name)
-                np.testing.assert_allclose(
-                    getattr(some, field.name), all_of_it[..., :count], rtol=0.0, atol=1e-15
-                )
-
-
-def test_a_linear_law_is_kept_where_it_will_do() -> None:
-    team = Team(3, 2.4)
-    start = Hitch.spread(team, TRIANGLE)
-    wide = [[0.0, -0.5], [-0.4, 0.5], [0.4, 0.5]]
-    end = Hitch.nearest(team, wide, 1.0, start.fractions, limits=Limits(), separation=Separation())
-    path = ShapePath.straight(start, end)
-    assert with_legs_clear(path, KEPT) is path
-
-
 def test_nothing_to_do_is_no_flight() -> None:
     hitch = Hitch.spread(Team(3, 2.4), TRIANGLE)
     assert StraightMorph(hitch, hitch, Requirements()).solve() is None
@@ -85,19 +54,6 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
     assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
     assert violation.where[0].startswith("p")
     assert "of the path" in violation.when
-
-
-def test_an_edge_that_all_but_uses_up_its_cable_says_which() -> None:
-    """Lengths are convex along a straight way, so the ends decide; 0.1 mm is no leg to fly."""
-    first = [[0.0, 0.0], [0.0, 1.3], [1.2, 1.0], [1.0, 0.0]]
-    second = [[0.0, 0.0], [0.3, 1.0], [1.2, 1.4], [1.2, 0.0]]
-    middle = 0.5 * (np.array(first) + np.array(second))
-    lengths = [np.linalg.norm(np.diff(p, axis=0)[1]) for p in (first, middle, second)]
-    short = Team(4, [2.2, float(max(lengths[0], lengths[2])) + 1e-4, 2.2, 2.2])
-    assert lengths[1] < max(lengths[0], lengths[2])
-    start, end = (Hitch.balanced(short, p) for p in (first, second))
-    with pytest.raises(InfeasibleError, match="cable 1 leaves"):
-        StraightMorph(start, end, Requirements()).solve()
 
 
 def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
@@ -122,19 +78,7 @@ def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
         StraightMorph(start, end, Requirements()).solve()
 
 
-def test_legs_make_way_where_an_end_stands_at_its_limit() -> None:
-    """The end of least change keeps its distances at 1.001 times their limits and no more."""
-    team = Team(3, [1.8735, 2.1119, 1.7983])
-    first = [[0.0708, -0.7702], [-0.7066, -0.3644], [0.522, 0.5865]]
-    last = [[0.5994, -0.3958], [-0.8439, -0.1823], [-0.0547, 0.5303]]
-    start = Hitch.spread(team, first)
-    end = Hitch.nearest(team, last, 1.0, start.fractions, limits=Limits(), separation=Separation())
-    linear = ShapePath.straight(start, end)
-    assert distances_on_the_way(linear) < 1.0
-    assert distances_on_the_way(with_legs_clear(linear, KEPT)) >= 1.0
-
-
-@pytest.mark.parametrize("n", [12, 20, 28, 36])
+@pytest.mark.parametrize("n", [12, 36])
 def test_no_level_legs_have_a_larger_margin_than_their_bound(n: int) -> None:
     team = Team(n, 2.0)
     for stretch in (1.0, 1.1):

@@ -11,7 +11,6 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.morph.morph import StraightMorph
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise.guesses import (
     guesses,
@@ -117,17 +116,6 @@ def test_hard_morphs_are_found_and_certified(name: str) -> None:
     flight = best(start, end, requirements)
     np.testing.assert_allclose(flight.drones.at(0.0), start.drones, atol=1e-9)
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
-
-
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_optimised_way_is_no_slower_than_the_straight_one(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    first = random_convex_polygon(5, 1.2, rng, 0.18)
-    start, end = ends(Team(5, 2.1), first, first.rotated(0.5).translated([0.3, 0.2]))
-    straight = StraightMorph(start, end, Requirements()).solve()
-    assert straight is not None
-    flight = best(start, end, FREE)
-    assert flight.duration <= 1.01 * straight.duration
 
 
 def test_renumbering_gives_the_same_duration() -> None:

@@ -1,7 +1,5 @@
 """The optimiser's programs: their rows, their derivatives, and what a solution keeps."""
 
-from collections import OrderedDict
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from optimise_cases import FREE, PENTAGON, ends
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.optimise import program as ipopt_steps
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.knots import (
     KnotPath,
@@ -130,20 +127,3 @@ def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
         *_, path = iterates(first, search(None, 1.03, (1.5, 1.5)), SolverStep(0.17, parts), 12)
         assert smallest_distance(path, 1) > limit
         assert (smallest_distance(path, 8) > limit) == kept
-
-
-def test_a_stored_solver_finds_what_a_new_one_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    step = SolverStep(0.12)
-    first, second = (program_of(4, step, None, shift) for shift in (0.0, 1e-5))
-    stored: OrderedDict[object, ca.Function] = OrderedDict()
-    monkeypatch.setattr(ipopt_steps, "_SOLVERS", stored)
-    assert solve_program(first) is not None
-    (solver,) = stored.values()
-    again = solve_program(second)
-    assert list(stored.values()) == [solver]
-    stored.clear()
-    alone = solve_program(second)
-    assert list(stored.values()) != [solver]
-    assert again is not None
-    assert alone is not None
-    np.testing.assert_array_equal(again.table, alone.table)

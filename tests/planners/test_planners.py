@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners import Planner
@@ -57,29 +56,3 @@ def test_strategies_are_planners_and_compute_nothing_when_made(
         assert planner.problem is not None
         with pytest.raises(AssertionError, match="nothing is judged"):
             planner.solve()
-
-
-def test_the_paths_asked_for_join_their_hitches() -> None:
-    straight = StraightMorph(START, TURNED, ASKED)
-    flown = moved_vertex()
-    blend = BlendedMorph((START, TURNED, FARTHER), ASKED)
-    for path, ends in (
-        (straight.problem, (START, TURNED)),
-        (flown.problem, (START, flown.end)),
-        (blend.problem.path, (START, FARTHER)),
-    ):
-        vertices = path.vertices.at([0.0, 1.0])
-        np.testing.assert_allclose(vertices, np.stack([e.vertices for e in ends]), atol=1e-9)
-    (middle,) = blend.problem.s[1:-1]
-    passed = blend.problem.path.vertices.at(middle)
-    np.testing.assert_allclose(passed, TURNED.vertices, atol=1e-9)
-    for knots in OptimisedMorph(START, TURNED, ASKED, refused).problem:
-        outlines = np.stack([START.polygon.vertices, TURNED.polygon.vertices])
-        np.testing.assert_allclose(knots.polygons[[0, -1]], outlines, atol=1e-6)
-
-
-def test_a_problem_that_is_infeasible_in_itself_says_so_unsolved() -> None:
-    half = Hitch.spread(TEAM, SQUARE.rotated(np.pi), 1.3)
-    with pytest.raises(InfeasibleError, match="convexity"):
-        _ = StraightMorph(START, half, ASKED).problem
-    assert OptimisedMorph(START, half, ASKED, refused).problem

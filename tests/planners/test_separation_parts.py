@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -15,9 +13,6 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.leg_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import SeparationTask
-from hitchopt.planners.separation.planes import (
-    hull_points,
-)
 from hitchopt.planners.separation.program import solve_program
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.timing.ramps import fastest_ramps
@@ -39,52 +34,7 @@ def test_fastest_ramps_are_those_of_another_library(d: float, v: float, a: float
     assert 2.0 * ramps.rise[0] <= ramps.duration[0] * (1.0 + 1e-12)
 
 
-def nearest_by_brute_force(cloud: np.ndarray) -> np.ndarray:
-    """The point of the hull of (3, k) points nearest to the origin, by all of its simplices.
-
-    Lagrange's conditions of every subset of up to four points are one linear system each.
-    """
-    best = cloud[:, np.argmin(np.sum(cloud**2, axis=0))]
-    for size in (2, 3, 4):
-        for chosen in itertools.combinations(range(cloud.shape[1]), size):
-            corners = cloud[:, chosen]
-            system = np.ones((size + 1, size + 1))
-            system[:-1, :-1], system[-1, -1] = corners.T @ corners, 0.0
-            weights = np.linalg.lstsq(system, np.eye(size + 1)[-1], rcond=1e-13)[0][:-1]
-            if np.all(weights >= 0.0) and abs(np.sum(weights) - 1.0) < 1e-9:
-                point = corners @ weights
-                if point @ point < best @ best:
-                    best = point
-    return np.asarray(best)
-
-
-def clouds(kind: str) -> np.ndarray:
-    """(m, 3, 6) points: in general position, or with ties of all kinds."""
-    rng = np.random.default_rng(5)
-    if kind == "general":
-        return rng.normal(size=(60, 3, 6)) + rng.normal(scale=2.0, size=(60, 3, 1))
-    if kind == "grid":  # points that coincide, parallel edges and faces, the origin on a face
-        return rng.integers(-2, 3, size=(120, 3, 6)).astype(np.float64)
-    if kind == "line":
-        along = rng.normal(size=(60, 3, 1)) * rng.normal(size=(60, 1, 6))
-        return along + rng.normal(size=(60, 3, 1))
-    if kind == "level":
-        level = rng.normal(size=(60, 3, 6)) + rng.normal(scale=2.0, size=(60, 3, 1))
-        level[:, 2] = 0.25
-        return level
-    return np.repeat(rng.normal(size=(60, 3, 1)), 6, axis=2)  # one point
-
-
 KINDS = ("general", "grid", "line", "level", "one point")
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_hull_points_are_the_nearest(kind: str) -> None:
-    found = hull_points(clouds(kind))
-    for cloud, point in zip(clouds(kind), found, strict=True):
-        np.testing.assert_allclose(point, nearest_by_brute_force(cloud), atol=1e-7)
-        # Its plane bounds the hull: no point of it is nearer, whatever the method.
-        assert np.min(point @ cloud) >= point @ point - 1e-12
 
 
 def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
@@ -114,21 +64,6 @@ def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
     points = routes.of(0, np.linspace(0.0, 1.0, 500))
     assert np.min(PILLAR.clearance(points).distance) > task.requirements.separation.radius
     np.testing.assert_allclose(points[[0, -1]], [start[0], goal[0]], atol=1e-12)
-
-
-@pytest.mark.parametrize("end", ["start", "goal"])
-def test_an_end_near_a_prism_does_not_narrow_the_rest_of_the_route(end: str) -> None:
-    """Edges to either end keep the radius alone; corners in between still stand off further."""
-    radius = Separation().radius
-    near, far = np.array([[0.0, 0.4 + 1.1 * radius, 1.0]]), np.array([[-1.0, -1.5, 1.0]])
-    ends = (near, far) if end == "start" else (far, near)
-    task = SeparationTask(*ends, Requirements(keep_out=(PILLAR,)))
-    route = routes_around(task).corners[0]
-    assert len(route) > 2
-    inner = PILLAR.clearance(route[1:-1]).distance
-    np.testing.assert_allclose(inner, 1.25 * np.sqrt(2.0) * radius, rtol=1e-5)  # mitred corners
-    points = routes_around(task).of(0, np.linspace(0.0, 1.0, 500))
-    assert np.min(PILLAR.clearance(points).distance) >= radius
 
 
 def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:

@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt import Hitch, InfeasibleError, Limits, Separation, Team
-from hitchopt.geometry import regular_polygon
+from hitchopt import Hitch, Limits, Separation, Team
 from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import ShapePath, drones_along
 from hitchopt.planners.timing.demands import Demands
-from hitchopt.planners.timing.flight import GRID, Flight, fly, needed_stretch
+from hitchopt.planners.timing.flight import GRID, Flight, fly
 from hitchopt.planners.timing.profile import (
     SpeedProfile,
     TimingError,
@@ -143,68 +142,12 @@ def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
 
-def test_the_flight_is_smooth_at_rest_at_its_ends_and_follows_the_model() -> None:
-    limits = Limits()
-    path = straight(5, 2, limits)
-    flight = fly(path, limits)
-    for part in (flight.drones, flight.vertices, flight.legs):
-        for order in range(3):
-            left, right = part.ends(order)
-            np.testing.assert_allclose(left[1:], right[:-1], atol=1e-9)
-        for order in (1, 2):
-            np.testing.assert_allclose(part.at([0.0, flight.duration], order), 0.0, atol=1e-9)
-    t = np.linspace(0.0, flight.duration, 501)
-    p = flight.vertices.at(t)
-    first, last = path.vertices.at([0.0, 1.0])
-    along = last - first
-    s = np.einsum("tkc,kc->tk", p - first, along) / np.sum(along**2, axis=1)
-    np.testing.assert_allclose(s, s[:, :1] * np.ones(5), atol=1e-9)  # all at one pace, straight
-    np.testing.assert_allclose(p, first + s[..., None] * along, atol=1e-9)
-    exact = drones_along(path, np.clip(s[:, 0], 0.0, 1.0))
-    np.testing.assert_allclose(flight.drones.at(t), exact.positions[..., 0], atol=2e-6)
-    np.testing.assert_allclose(flight.legs.at(t), exact.legs[..., 0], atol=2e-6)
-
-
-def test_a_duration_is_met_exactly_or_refused() -> None:
-    limits = Limits()
-    path = straight(3, 4, limits)
-    fastest = fly(path, limits)
-    slow = fly(path, limits, 7.25)
-    assert slow.duration == 7.25
-    np.testing.assert_allclose(slow.drones.at(7.25), fastest.drones.at(fastest.duration))
-    with pytest.raises(InfeasibleError, match="duration") as caught:
-        fly(path, limits, 0.9 * fastest.duration)
-    assert caught.value.violations[0].limit == pytest.approx(fastest.duration, rel=1e-6)
-
-
-@pytest.mark.parametrize("distance", [1e-6, 1e-4])
-def test_tiny_paths_are_timed(distance: float) -> None:
-    limits = Limits()
-    path = straight(3, 6, limits, (distance, 0.0))
-    flight = fly(path, limits)
-    assert 4.0 * (distance / 40.0) ** (1 / 3) <= flight.duration <= 0.2
-    assert max(worst_ratio(path, limits, flight).values()) <= 1.0
-
-
-def test_timing_does_not_care_where_or_how_turned() -> None:
-    limits = Limits()
-    team = Team(6, 2.0)
-    first, second = regular_polygon(6, 1.3), regular_polygon(6, 1.35, 0.05)
-    times = []
-    for angle, offset in ((0.0, (0.0, 0.0)), (1.1, (3.0, -2.0))):
-        pair = [Hitch.balanced(team, p.rotated(angle).translated(offset)) for p in (first, second)]
-        times.append(fly(ShapePath.straight(*pair), limits).duration)
-    assert times[1] == pytest.approx(times[0], rel=1e-4)
-
-
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 @pytest.mark.parametrize(
     "values",
     [
         {"speed": 1e-3},
         {"vertex_speed": 2e-3},
-        {"speed": 1e-4, "jerk": 0.1},
-        {"acceleration": 0.01},
         {"jerk": 0.05},
         {"speed": 1.5, "acceleration": 1.3, "jerk": 103.0, "vertex_speed": 0.12},
         {"acceleration": 1e4},
@@ -222,51 +165,10 @@ def test_limits_of_all_sizes_only_scale_the_time(values: dict[str, float]) -> No
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
 
-def test_a_long_way_costs_no_more_than_its_ramps() -> None:
-    """30 m at 0.5 m/s: the pieces of the ramps must not be as long as those of the cruise."""
-    limits = Limits()
-    flight = fly(straight(3, 4, limits, (30.0, 0.0)), limits)
-    v, a, j = 0.5, 2.0, 20.0
-    optimum = 30.0 / v + v / a + a / j
-    assert optimum <= flight.duration <= 1.01 * optimum
-
-
-@pytest.mark.parametrize(
-    ("tight", "order", "limit"),
-    [
-        (Limits(speed=0.3), 1, 0.3),
-        (Limits(acceleration=0.2), 2, 0.2),
-        (Limits(jerk=0.5), 3, 0.5),
-    ],
-    ids=["speed", "acceleration", "jerk"],
-)
-def test_the_stretch_leaves_the_certificate_a_share_of_every_limit(
-    tight: Limits, order: int, limit: float
-) -> None:
-    """Flown at what the stretch allows, the largest rate is under 99.96 % of its limit."""
-    path = straight(4, 3, tight, (1.0, 0.5))
-    flight = fly(path, tight)
-    for factor in (1.0, 0.5):
-        faster = flight.lasting(factor * flight.duration)
-        slower = needed_stretch(path.team, tight, faster.drones, faster.vertices, faster.pulls)
-        assert slower == pytest.approx(1.0 / factor, rel=1e-9)
-        t = np.linspace(0.0, faster.duration, 40001)
-        rate = np.max(np.linalg.norm(faster.drones.at(t, order), axis=-1)) / slower**order
-        assert 0.99 * limit < rate < 0.9996 * limit
-
-
-def test_the_stretch_leaves_the_certificate_a_share_of_the_vertices_speed() -> None:
-    tight = Limits(vertex_speed=0.1)
-    flight = fly(straight(4, 3, tight, (1.0, 0.5)), tight)
-    t = np.linspace(0.0, flight.duration, 40001)
-    fastest = np.max(np.linalg.norm(flight.vertices.at(t, 1), axis=-1))
-    assert 0.099 < fastest < 0.09996
-
-
 @pytest.mark.parametrize(
     "limits", [Limits(), Limits(speed=0.5, vertex_speed=5.0, acceleration=1.0)]
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_flights_take_a_little_longer_than_their_estimates(seed: int, limits: Limits) -> None:
     path = straight(3 + seed, seed, limits)
     least, flight = flight_estimate(path, limits), fly(path, limits)
