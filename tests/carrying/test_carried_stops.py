@@ -1,4 +1,4 @@
-"""Stops while something is carried: the bounds against samples and against retimed plans."""
+"""Stops while something is carried, by the checks of the plan that is flown on their clocks."""
 
 from __future__ import annotations
 

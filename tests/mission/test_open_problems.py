@@ -1,4 +1,4 @@
-"""Problems of open chains to plans: laws of symmetry, files, and the published script's case."""
+"""Problems of open chains to plans: laws at samples, and the published script's case."""
 
 import numpy as np
 import pytest

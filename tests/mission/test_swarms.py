@@ -173,7 +173,7 @@ def distance_to_disc(points: np.ndarray, radius: float, low: float, high: float)
 
 
 @pytest.mark.slow
-def test_drones_stay_off_objects_by_samples(tmp_path: Path) -> None:
+def test_drones_stay_off_objects_by_samples() -> None:
     problem = any_problem_from_dict(past_objects())
     plan = ho.solve(problem)
     points = plan.motion.drones.at(np.linspace(0.0, plan.duration, 20001)).reshape(-1, 3)
@@ -194,10 +194,6 @@ def test_drones_stay_off_objects_by_samples(tmp_path: Path) -> None:
     assert 0.12 <= found.bound <= nearest + 1e-9
     assert found.bound == pytest.approx(nearest, abs=1e-3)
     assert found.where[1] in OBJECTS
-    plan.save(tmp_path / "plan")
-    again = ho.load(tmp_path / "plan")
-    assert list(again.motion.requirements.objects) == ["table", "tub"]
-    assert again.certificate["keep_out"].bound == pytest.approx(found.bound, abs=1e-12)
 
 
 def test_a_goal_at_an_object_names_it() -> None:

@@ -1,4 +1,4 @@
-"""Legs that lead and lag: what they leave as it was, what they gain, and where they do not help."""
+"""Legs that lead and lag: what they leave as it was, and what they gain."""
 
 import numpy as np
 
