@@ -51,9 +51,6 @@ DRUM = {"circle": 0.2, "mass": 0.114, "friction": 0.5}
 TILTED = tray(3, 0.3, 2.04, radius=0.5) | {"limits": {"tilt_deg": 45}}
 TILTED["team"] |= {"tension": 1.29, "cable_density": 0.0}
 PLANNED: dict[str, tuple[dict[str, Any], str, float, float]] = {
-    "legs are rolled before a hitch gets small": (
-        tray(6, 0.2, 1.8, radius=0.5), "crossing", 0.05, 1.0,
-    ),
     "inertia does not bring legs together": (tray(5, 0.4, 2.2), "crossing", 0.05, 1.0),
     "clasps rise as slowly as tilt needs": (TILTED, "tilt", 44.8, 45.0),
     "cables keep off the ground": (tray(4, 0.2, 2.2, at=0.08), "object_clearance", 0.035, 1.0),

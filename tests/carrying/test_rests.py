@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -128,23 +129,26 @@ def shares(motion: Motion, value: float) -> PiecewisePolynomial:
     return PiecewisePolynomial(motion.borne.breaks, value * motion.borne.coefficients)
 
 
-@pytest.mark.parametrize("kind", ["half borne", "not borne", "not held", "elsewhere", "apart"])
-def test_what_contradicts_the_polynomials_is_refused(motion: Motion, kind: str) -> None:
-    changed = motion
-    assert motion.poses is not None
-    if kind == "half borne":
-        changed = replace(motion, borne=shares(motion, 0.5))
-    elif kind == "not borne":
-        changed = replace(motion, borne=None)
-    elif kind == "not held":
-        changed = replace(motion, phases=tuple(replace(p, hold=None) for p in motion.phases))
-    elif kind == "elsewhere":
-        moved = motion.poses.coefficients + np.array([0.2, 0, 0, 0, 0])[:, None]
-        changed = replace(motion, poses=PiecewisePolynomial(motion.poses.breaks, moved))
-    else:
-        raised = motion.poses.coefficients + np.array([0, 0, 0.01, 0, 0])[:, None]
-        changed = replace(motion, poses=PiecewisePolynomial(motion.poses.breaks, raised))
-    check = RULE_OF["support"].check(changed)
+def shifted(motion: Motion, offset: list[float]) -> Motion:
+    moved = motion.object_poses.coefficients + np.array([*offset, 0.0, 0.0])[:, None]
+    return replace(motion, poses=PiecewisePolynomial(motion.object_poses.breaks, moved))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda m: replace(m, borne=shares(m, 0.5)),
+        lambda m: replace(m, borne=None),
+        lambda m: replace(m, phases=tuple(replace(p, hold=None) for p in m.phases)),
+        lambda m: shifted(m, [0.2, 0.0, 0.0]),
+        lambda m: shifted(m, [0.0, 0.0, 0.01]),
+    ],
+    ids=["half borne", "not borne", "not held", "elsewhere", "apart"],
+)
+def test_what_contradicts_the_polynomials_is_refused(
+    motion: Motion, change: Callable[[Motion], Motion]
+) -> None:
+    check = RULE_OF["support"].check(change(motion))
     assert check is not None
     assert not check.holds
 
