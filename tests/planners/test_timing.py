@@ -142,29 +142,6 @@ def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
     assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
 
-@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
-@pytest.mark.parametrize(
-    "values",
-    [
-        {"speed": 1e-3},
-        {"vertex_speed": 2e-3},
-        {"jerk": 0.05},
-        {"speed": 1.5, "acceleration": 1.3, "jerk": 103.0, "vertex_speed": 0.12},
-        {"acceleration": 1e4},
-    ],
-    ids=str,
-)
-def test_limits_of_all_sizes_only_scale_the_time(values: dict[str, float]) -> None:
-    limits = Limits(**values)
-    path = straight(3, 12, limits)
-    flight = fly(path, limits)
-    assert max(worst_ratio(path, limits, flight).values()) <= 1.0
-    fine = path_grid(2000)
-    exact = Demands.along(path, limits, fine)
-    optimum = fastest_profile(fine, exact).duration
-    assert flight.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
-
-
 @pytest.mark.parametrize(
     "limits", [Limits(), Limits(speed=0.5, vertex_speed=5.0, acceleration=1.0)]
 )
