@@ -70,7 +70,7 @@ def solve(
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as tell:
         if isinstance(task, SwarmProblem):
-            found = solve_swarm(tell, task)
+            found = solve_swarm(task, tell)
         else:
             found = solve_problem(task, tell)
     check_asked(task.asked, found.motion, whole=False)

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import settings
 from plans import FOLDER, digest
 
-# No test gets what another one has planned, but for those that ask ``plans`` for it.
-os.environ["HITCHOPT_MEMORY"] = "off"
+import hitchopt as ho
 
 # A busy machine is no failure, and every run tries the same examples.
 settings.register_profile("hitchopt", deadline=None, derandomize=True, print_blob=True)
@@ -31,6 +30,12 @@ def pytest_configure(config: pytest.Config) -> None:
         if other != here:
             shutil.rmtree(other, ignore_errors=True)
     os.environ[FOLDER] = str(here)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_remembered() -> None:
+    """No test gets what another one has planned, but for those that ask ``plans`` for it."""
+    ho.forget()
 
 
 @pytest.fixture

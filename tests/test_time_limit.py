@@ -31,7 +31,6 @@ class Clock:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    ho.forget()
     made = Clock()
     monkeypatch.setattr(limits, "time", made)
     return made

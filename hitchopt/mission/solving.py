@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import copyreg
 import hashlib
-import io
 import math
-import os
 import pickle
-import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
-from functools import wraps
-from typing import Any, Concatenate, Literal, ParamSpec, TypeVar
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
@@ -49,9 +43,6 @@ from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.values import Array
 
 AT_START = "at the start (t = 0)"
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 
 def solve_problem(
@@ -109,95 +100,31 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
     return Certified(replace(motion, assignment=assignment), certificate)
 
 
-VARIABLE = "HITCHOPT_MEMORY"
-"""Environment variable that turns the memory of finished steps ``off``."""
+MOST = 32
+"""Number of finished steps that are kept; one of 1000 robots takes 76 MB."""
 
-MAX_OUTCOMES = 512
-"""Number of steps and refusals that are remembered."""
-
-MAX_BYTES = 256 * 2**20
-"""Total size of what is remembered [B]; a step of 1000 robots takes 76 MB."""
-
-_REMEMBERED: OrderedDict[bytes, bytes] = OrderedDict()
-"""Pickled outcomes by the digests of their requests, the least recently used first."""
-
-_LOCK = threading.Lock()
+_FINISHED: OrderedDict[bytes, StepPlan] = OrderedDict()
+"""Plans of steps by the digests of all that they depend on, the least recently used first."""
 
 
 def forget() -> None:
-    """Forget all plans of this process: the next ones are planned again."""
-    with _LOCK:
-        _REMEMBERED.clear()
+    """Forget the steps planned in this process: the next ones are planned again."""
+    _FINISHED.clear()
 
 
-def remembered(
-    work: Callable[Concatenate[Progress | None, P], T],
-) -> Callable[Concatenate[Progress | None, P], T]:
-    """Return a function that does its work once for arguments of the same contents.
-
-    Results and InfeasibleErrors are remembered, other errors are not. A result is a copy in any
-    case, so that what comes after is the same with and without memory.
-
-    Parameters
-    ----------
-    work: a function whose outcome depends on its arguments alone, except for the first one, the
-        progress callback.
-    """
-
-    @wraps(work)
-    def found(progress: Progress | None, /, *args: P.args, **kwargs: P.kwargs) -> T:
-        off = os.environ.get(VARIABLE, "").lower() == "off"
-        request = work.__qualname__, args, sorted(kwargs.items())
-        key = b"" if off else hashlib.sha256(_pickled(request)).digest()
-        with _LOCK:
-            stored = _REMEMBERED.pop(key, None)
-        if stored is not None:
-            _tell(progress, "planned before, taken from memory")
-        else:
-            try:
-                stored = _pickled((work(progress, *args, **kwargs), None))
-            except InfeasibleError as error:
-                if type(error) is not InfeasibleError:  # a time limit proves nothing
-                    raise
-                stored = _pickled((None, (error.violations, error.note)))
-        if not off and len(stored) <= MAX_BYTES:
-            with _LOCK:
-                _REMEMBERED[key] = stored  # as the one used last
-                while (
-                    len(_REMEMBERED) > MAX_OUTCOMES
-                    or sum(map(len, _REMEMBERED.values())) > MAX_BYTES
-                ):
-                    _REMEMBERED.popitem(last=False)
-        result, refusal = pickle.loads(stored)
-        if refusal is not None:
-            raise InfeasibleError(*refusal)
-        value: T = result
-        return value
-
-    return found
+def contents(value: object) -> object:
+    """Return what a request holds, of built-in types: equal requests print alike, others do not."""
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.strides, value.tobytes()
+    if is_dataclass(value):
+        return type(value), [contents(getattr(value, each.name)) for each in fields(value)]
+    if isinstance(value, Mapping):
+        return [(key, contents(each)) for key, each in value.items()]
+    if isinstance(value, (tuple, list)):
+        return type(value), [contents(each) for each in value]
+    return value if isinstance(value, (str, int, float, type(None))) else pickle.dumps(value)
 
 
-def _read_only(array: Array) -> Any:
-    """Return how an array is pickled: as read-only bytes, also if its memory has gaps."""
-    if array.dtype.hasobject:
-        return array.__reduce_ex__(pickle.HIGHEST_PROTOCOL)
-    order: Literal["F", "C"] = "F" if array.flags.fnc else "C"
-    return np.ndarray, (array.shape, array.dtype, array.tobytes(order), 0, None, order)
-
-
-class _Pickler(pickle.Pickler):
-    """Pickles arrays as read-only ones."""
-
-    dispatch_table = copyreg.dispatch_table | {np.ndarray: _read_only}
-
-
-def _pickled(value: object) -> bytes:
-    stream = io.BytesIO()
-    _Pickler(stream, pickle.HIGHEST_PROTOCOL).dump(value)
-    return stream.getvalue()
-
-
-@remembered
 def _begun(
     progress: Progress | None,
     team: Team,
@@ -229,13 +156,19 @@ def _begun(
     return Situation(assignment.team(team), assignment.drones(start.drones)), assignment
 
 
-@remembered
 def _step(progress: Progress | None, group: tuple[Step, ...], task: StepTask) -> StepPlan:
-    """Return the certified plan of steps without a stop."""
-    step = group[0]
-    planned = step.plan(task) if len(group) == 1 else plan_blended(group, task)
-    _tell(progress, f"certifying step {task.index} ({step.name})")
-    _ = planned.certificate  # is remembered with the plan
+    """Return the certified plan of steps without a stop, from memory where nothing differs."""
+    key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
+    planned = _FINISHED.pop(key, None)
+    if planned is None:
+        planned = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
+        _tell(progress, f"certifying step {task.index} ({group[0].name})")
+        _ = planned.certificate  # is kept with the plan
+    else:
+        _tell(progress, "planned before, taken from memory")
+    _FINISHED[key] = planned  # as the one used last
+    if len(_FINISHED) > MOST:
+        _FINISHED.popitem(last=False)
     return planned
 
 
@@ -298,8 +231,7 @@ THIN = 1e-3
 """[m] Height of the prism around a rim."""
 
 
-@remembered
-def solve_swarm(progress: Progress | None, problem: SwarmProblem) -> Certified:
+def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Certified:
     """Return the plan with its certificate; ``progress`` is called with what is being done now.
 
     Raises
