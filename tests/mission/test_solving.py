@@ -196,6 +196,7 @@ def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
     assert "the step's own route is infeasible" in half.phases[0].remark
     assert half.certificate.certified
     monkeypatch.setattr(OptimisedMorph, "solve", lambda _: [])
+    ho.forget()
     with pytest.raises(ho.InfeasibleError, match="the optimiser found no other route") as caught:
         ho.morph(start, square.renumbered(2))
     assert caught.value.violations[0].constraint == "convexity"
