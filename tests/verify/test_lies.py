@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -58,8 +59,8 @@ def plan(name: str) -> ho.Plan:
     return ho.solve(problem_from_dict({**problem, "start": start, "mission": [transport]}))
 
 
-def told(lie: Lie, path: Path) -> set[str]:
-    """Return the limits that are not proven of a plan that tells a lie."""
+def verdicts(lie: Lie, path: Path) -> Iterator[tuple[str, str]]:
+    """Yield limits and their verdicts of a plan that tells a lie."""
     write_plan(path, plan(lie.plan).motion)
     with np.load(path) as file:
         arrays = dict(file)
@@ -67,9 +68,10 @@ def told(lie: Lie, path: Path) -> set[str]:
     lie.change(settings, arrays)
     np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
     try:
-        return {row.name for row in second.verify(path) if row.verdict != "proven"}
+        for row in second.verify(path):
+            yield row.name, row.verdict
     except second.UnreadableError:
-        return {REFUSED}
+        yield REFUSED, "violated"
 
 
 @pytest.mark.parametrize(
@@ -81,19 +83,19 @@ def told(lie: Lie, path: Path) -> set[str]:
 )
 def test_plans_that_tell_none_are_proven(name: str, tmp_path: Path) -> None:
     honest = Lie(name, "the truth", lambda *_: None, "")
-    assert not told(honest, tmp_path / "plan.npz")
+    assert {verdict for _, verdict in verdicts(honest, tmp_path / "plan.npz")} == {"proven"}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lie", LIES, ids=lambda lie: f"{lie.plan}: {lie.words}")
 def test_lies_are_found(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(second, "BUDGET", 300_000)
-    found = told(lie, tmp_path / "plan.npz")
+    told = verdicts(lie, tmp_path / "plan.npz")
     if lie.found:
-        assert found & set(lie.found.split("|"))
+        assert any(name in lie.found.split("|") and verdict == "violated" for name, verdict in told)
     else:
         assert lie.reason
-        assert not found
+        assert {verdict for _, verdict in told} == {"proven"}
 
 
 def test_there_are_a_hundred_kinds() -> None:
