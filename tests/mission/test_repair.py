@@ -14,7 +14,7 @@ from problem_edits import edited
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import outlines_scaled, with_edits
+from hitchopt.mission.repair import find_suggestions, outlines_scaled, with_edits
 from hitchopt.storage.yaml_file import read_yaml
 
 CASES = {path.stem: path for path in INFEASIBLE}
@@ -82,7 +82,7 @@ def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes() -> None:
         ho.solve(problem)
     (violation,) = told.value.violations
     assert (violation.constraint, violation.value) == ("duration", 1.0)
-    found = ho.suggestions(problem, PATIENCE)
+    found = find_suggestions(problem, told.value, PATIENCE)
     (longer,) = (s for s in found if s.change.key == "mission[0].morph.duration")
     assert longer.duration == pytest.approx(violation.limit, rel=5e-3)
     assert plans(edited(data, longer.change.edits))
@@ -189,14 +189,15 @@ def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
     form, carry, *_ = data["mission"]
     data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
     (name, body), *_ = data["objects"].items()
-    body["mass"] *= 2.2
+    body["mass"] *= 3.0
     found = {s.change.key: s.change for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
-    for key in ("mass", "friction"):
-        change = found[f"objects.{name}.{key}"]
-        assert isinstance(change.new, float)
-        halfway = 0.5 * (change.new + body[key])
-        half = {**data, "objects": {**data["objects"], name: {**body, key: halfway}}}
-        assert not plans(half)
+    lighter, rougher = (found[f"objects.{name}.{key}"].new for key in ("mass", "friction"))
+    assert isinstance(lighter, float)
+    assert isinstance(rougher, float)
+    assert lighter < body["mass"]
+    assert body["friction"] < rougher <= 1.0
+    halfway = {**body, "mass": 0.5 * (lighter + body["mass"])}
+    assert not plans({**data, "objects": {**data["objects"], name: halfway}})
     assert plans(edited(data, found[f"objects.{name}.mass"].edits))
 
 

@@ -67,14 +67,14 @@ def test_hanging_cables_move_no_farther_than_told(
     width: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(second, "LINKS", 200)
-    for seed in range(5):
+    for seed in range(2):
         s = spans(seed, width, 0.0)
         k = s.item[:, 0]
         cable, _, far = second.hanging_links(s, k)
         lowest, pull = second.lowest(s, k), second.hanging_pull(s, 2 * k)
         length = sum(second.size(b.v - a.v) for a, b in pairwise(cable))
         assert length == pytest.approx(60.0 * np.ones(8), rel=0.01)
-        for share in np.linspace(-1.0, 1.0, 9):
+        for share in np.linspace(-1.0, 1.0, 5):
             there = s.within(float(share), 1e-9)
             for x in second.hanging_links(there, k)[0][::40]:
                 ways = [second.closest(x.v, x.v, a.v, b.v) for a, b in pairwise(cable)]
