@@ -1298,14 +1298,20 @@ def differences(key: str, asked: Any, found: Any) -> Iterator[str]:
             yield f"{key[1:]} is {found}, asked {asked}"
 
 
+def checked(p: Plan) -> Iterator[Row]:
+    """Yield the rows of all checks one after the other, several for some limits."""
+    for check in (story, jumps, interlacing, drones, *((taut_cables, free_cables) if p.n else ())):
+        yield from check(p)
+    for check_of in (resting, gripped, clear_objects):
+        for b in range(len(p.bodies)):
+            yield from check_of(p, b)
+
+
 def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; raise UnreadableError where the file is none."""
     path = Path(path)
     p = Plan(path / "plan.npz" if path.is_dir() else path)
-    rows = [*story(p), *jumps(p), *interlacing(p), *drones(p)]
-    rows += [*taut_cables(p), *free_cables(p)] if p.n else []
-    for b in range(len(p.bodies)):
-        rows += [*clear_objects(p, b), *resting(p, b), *gripped(p, b)]
+    rows = list(checked(p))
     order = ("violated", "not proven", "proven")
     for name, unit in dict.fromkeys((row.name, row.unit) for row in rows if row.samples):
         same = [row for row in rows if (row.name, row.unit) == (name, unit) and row.samples]

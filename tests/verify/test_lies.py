@@ -68,7 +68,7 @@ def verdicts(lie: Lie, path: Path) -> Iterator[tuple[str, str]]:
     lie.change(settings, arrays)
     np.savez(path, **{**arrays, "settings": np.array(json.dumps(settings))})
     try:
-        for row in second.verify(path):
+        for row in second.checked(second.Plan(path)):
             yield row.name, row.verdict
     except second.UnreadableError:
         yield REFUSED, "violated"
