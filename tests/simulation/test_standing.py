@@ -205,7 +205,7 @@ def test_cables_that_merely_cross_are_no_clasps() -> None:
 @pytest.mark.slow
 def test_measured_vertices_take_the_sag_away() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
-    plan = ho.hold(start, 2.5)
+    plan = ho.hold(start, 1.5)
     measured: dict[str, float | bool] = {"vertex_noise": 0.01, "vertex_delay": 0.05}
     off, on = (
         ho.simulate(plan, feedback=feedback, perturbations=measured, pull_test=False)

@@ -29,7 +29,7 @@ from hitchopt.sweeps.sweep import (
     summary,
     write_outcome,
 )
-from hitchopt.sweeps.work import Outcome, outcome_of
+from hitchopt.sweeps.work import SETTINGS, Outcome, outcome_of
 
 STUDY: dict[str, Any] = {
     "title": "Tension",
@@ -136,7 +136,10 @@ def test_plans_are_settled_simulated_and_exported() -> None:
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_scheduler_that_is_not_there_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SETTINGS, "distributed.comm.timeouts.connect", "0.5s")
     with pytest.raises(InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
 
