@@ -61,12 +61,12 @@ def test_checks_hold_of_the_plan_on_clocks_that_are_kept(kind: str) -> None:
     inertia = CarriedInertia.of(motion)
     assert inertia is not None
     refused = 0
-    for start, duration in zip(*random_stops(motion, 9, 40), strict=True):
+    for start, duration in zip(*random_stops(motion, 9, 20), strict=True):
         clock = stop_phases(np.array([start]), np.array([duration]))
         holds = balanced(motion, clock)
         assert holds or not kept(inertia, clock)
         refused += not holds
-    assert refused > 15
+    assert refused > 7
 
 
 def replaced(body: SolidObject, **changes: Any) -> SolidObject:
@@ -105,7 +105,7 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
     motion = plan(kind).motion
     begin, end = carried(motion)
     rng, done = np.random.default_rng(12), 0
-    for _ in range(4):
+    for _ in range(2):
         player = Player(motion, rng.uniform(begin, end))
         for command in rng.choice(["pause", "resume", "back", "slow", "seek"], 4):
             call = {
@@ -127,7 +127,7 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
             if len(clock):
                 assert balanced(motion, clock)
             player.step(rng.uniform(0.3, 1.0) * seconds)
-    assert done > 7
+    assert done > 3
 
 
 @pytest.mark.parametrize("kind", KINDS)

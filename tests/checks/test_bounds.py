@@ -72,7 +72,7 @@ def chain(rng: np.random.Generator) -> Motion:
 @pytest.mark.parametrize(
     ("make", "gap", "least"), [(hitch, 1e-2, 1e-6), (loaded, 1e-2, 2e-6), (chain, 2e-3, 1e-5)]
 )
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_hitches(
     make: Callable[[np.random.Generator], Motion], gap: float, least: float, seed: int
 ) -> None:
@@ -102,7 +102,7 @@ def test_the_first_and_the_last_edge_come_close() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(6))
 def test_polynomials_that_are_no_hitch_at_all(seed: int) -> None:
     rng = np.random.default_rng(seed)
     n, pieces, order = (int(rng.integers(*span)) for span in ((3, 7), (1, 4), (1, 9)))

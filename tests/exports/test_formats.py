@@ -125,7 +125,7 @@ def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_mission_is_not_cut_where_it_loses_nothing_as_one(tmp_path: Path) -> None:
-    (part,) = exported(planned("tie_carry_untie").motion, "compressed", tmp_path)
+    (part,) = exported(planned("form_triangle").motion, "compressed", tmp_path)
     assert part.verdict.lost == ()
     assert {"separation", "cable_clearance"} <= {check.name for check in part.verdict.checks}
 
