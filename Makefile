@@ -22,7 +22,8 @@ test: $(VENV)/.tested
 test-slow: $(VENV)/.tested
 	$(BIN)/python -m pytest -m slow --durations=20
 
-test-all: test test-slow
+test-all: $(VENV)/.tested
+	$(BIN)/python -m pytest --durations=20
 
 # Opens report and live view in a headless Chromium, which has to be there (Debian: apt-get install chromium).
 browser: $(VENV)/.browsed
@@ -75,6 +76,12 @@ $(VENV)/.documented: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	touch $(VENV)/.installed $@
+
+# All that the checks of a change need, in one go.
+$(VENV)/.complete: pyproject.toml
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[test,lint,browser,docs]"
+	touch $(addprefix $(VENV)/,.installed .tested .browsed .documented .complete)
 
 # Builds sdist and wheel, checks their metadata, and uses the wheel in an environment of its own.
 package: $(VENV)/.tested

@@ -70,8 +70,11 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes() -> None:
+def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Vertices of a square that turns by half a circle meet in the middle if they go straight."""
+    monkeypatch.setattr("hitchopt.mission.repair.SIZES", (6.0,))  # what is needed comes first
     square = ho.regular_polygon(4, 1.2, math.pi / 4.0)
     morph = {"polygon": square.renumbered(2).vertices.tolist(), "duration": 1.0}
     start = {"hitch": {"polygon": square.vertices.tolist(), "altitude": 1.0}}
@@ -184,7 +187,10 @@ def test_no_time_gives_no_suggestion() -> None:
 
 
 @pytest.mark.slow
-def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object() -> None:
+def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("hitchopt.mission.repair.SIZES", (1.5,))  # what is needed comes first
     data = mapping(INFEASIBLE[0].parents[1] / "grip_drum.yaml")
     form, carry, *_ = data["mission"]
     data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
