@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
 
 import hitchopt
 
@@ -26,28 +25,6 @@ def test_the_import_loads_nothing_heavy() -> None:
         [sys.executable, "-c", probe], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr
-
-
-CLOCKS = ("deadline", "derandomize", "parent", None)
-ALLOWED = (("deadline", "None"), ("derandomize", "True"))
-
-
-@pytest.mark.slow
-def test_property_tests_know_no_clock_and_try_the_same_examples() -> None:
-    """By the profile of ``conftest``, which no test may override."""
-    assert settings.default is not None
-    assert settings.default.deadline is None
-    assert settings.default.derandomize
-    overridden = [
-        f"{path.name}:{call.lineno} {keyword.arg}"
-        for path in Path(__file__).parent.rglob("*.py")
-        if path.name != "conftest.py"
-        for call in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(call, ast.Call) and ast.unparse(call.func).split(".")[-1] == "settings"
-        for keyword in call.keywords
-        if (keyword.arg, ast.unparse(keyword.value)) not in ALLOWED and keyword.arg in CLOCKS
-    ]
-    assert overridden == []
 
 
 @pytest.mark.slow
