@@ -443,6 +443,8 @@ def stop_table(
         tried = factor * least
         useful = limits.reserved | (tried < LATEST * (rest - starts))
         left = np.flatnonzero(np.isinf(durations) & useful)
+        if not len(left):  # longer ones are no more useful
+            break
         left = left[_shown(limits, starts[left], tried[left])]
         durations[left] = tried[left]
     return StopTable(rest, starts, durations)

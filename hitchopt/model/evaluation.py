@@ -70,7 +70,8 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     with np.errstate(all="ignore"):  # edges of no length have no direction
         vertices = Series.of_jet(flat.vertices)
         vectors = vertices.taken(layout.ends) - vertices.taken(layout.starts)
-        edge = Edge.of(vectors, _scalars(flat.tensions), weight)
+        tension = _scalars(flat.tensions)
+        edge = Edge.of(vectors, tension.constant(tension.value) if equal else tension, weight)
         clasp = Clasp.of(
             (edge.taken(layout.behind), edge.taken(layout.ahead)),
             (d.taken(layout.behind), d.taken(layout.ahead)),

@@ -68,7 +68,7 @@ class Series:
 
     def taken(self, index: Indices) -> Series:
         """Return some items, the last axis of arrays."""
-        return self._each(lambda c: c[..., index])
+        return self._each(lambda c: c.take(index, -1))
 
     @property
     def upward(self) -> Series:

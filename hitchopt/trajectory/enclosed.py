@@ -103,7 +103,7 @@ class Enclosed:
         """(…): a bound of the polynomials' norm, the ball left out."""
         sizes = np.abs(self.c[..., 0, :]) if self.c.shape[-2] == 1 else column_lengths(self.c)
         # Along the first axis this takes a tenth of the time.
-        most: Array = np.max(np.ascontiguousarray(sizes.T), axis=0).T
+        most: Array = np.maximum.reduce(np.ascontiguousarray(sizes.T)).T
         return most
 
     def __getitem__(self, component: int) -> Enclosed:
@@ -339,7 +339,7 @@ def _error(a: Enclosed, b: Enclosed) -> Array:
             if isinstance(radius, float) and radius == 0.0:
                 continue
             part = size * radius
-            if math.isnan(np.sum(part)):
+            if math.isnan(np.add.reduce(part, axis=None)):
                 part = np.where((np.asarray(size) == 0.0) | (radius == 0.0), 0.0, part)
             error = error + part
     return error
