@@ -164,7 +164,7 @@ def walled() -> Motion:
     "kind",
     [
         *(hitch_plan, swarm_plan, controlled, walled, "open_arc", "form_triangle", "triangle"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("carry_box", "swarms/head_on")),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("carry_tray", "swarms/head_on")),
     ],
 )
 def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(

@@ -19,7 +19,7 @@ from hitchopt.cli import main
 SCRIPT = Path(second.__file__)
 
 QUICK = ("triangle", "open_chain", "friction", "weight_hexagon", "form_square", "swarms/circle_6")
-SLOW = ("carry_tray", "grip_drum", "tie_carry_untie", "form_twelve_gon", "roll_32_gon")
+SLOW = ("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon")
 OWN = {"story", "strands", "contact", "enters", "rim"}
 """Limits that the certificate counts to others, or to infinity where they are broken."""
 REPORTED = {"tracking_radius", "stoppable"}
