@@ -120,9 +120,11 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     """Return the paths found from the given first ones, the fastest first.
 
     Those that take the least time as they are come first, edges that turn before whole polygons
-    where guesses are one: others that come to the same path are given up.
+    where guesses are one: guesses like one that led to a path are left out, and others that come to
+    the same path are given up.
     """
     found: list[Candidate] = []
+    led: list[KnotPath] = []
     seen: list[KnotPath] = []
     fastest = np.inf
     firsts = [path.resampled(_steps(path) + 1) for path in reversed(paths)]
@@ -130,12 +132,15 @@ def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
     for k in np.argsort(estimates, kind="stable"):
         if estimates[k] > HOPELESS * fastest:
             break
+        if any(same(firsts[k], other) for other in led):
+            continue
         settled = _settled(firsts[k], search, seen)
         if settled is None or estimate(settled, search.requirements) > WORSE * fastest:
             continue
         refined = _refined(settled, search)
         if refined is not None:
             found.append(refined)
+            led.append(firsts[k])
             fastest = min(fastest, refined.flight.duration)
     return sorted(found, key=lambda candidate: candidate.flight.duration)
 
