@@ -59,9 +59,6 @@ MOST = 12
 MAX_DEPTH = 8
 """Pieces are halved this often at most."""
 
-PLACES = np.array([0.0, 0.5, 1.0])
-"""Places on a span where shortest connections are taken."""
-
 TIE = 1e-6
 """Relative difference of distances that tie."""
 
@@ -302,9 +299,7 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
     ``|n| ≤ (1 + |n|²) / 2``, no distance is smaller than the least ratio of coefficients.
     """
     order = 2 + max(2, bernstein.degree(a), bernstein.degree(b))
-    places = [
-        np.moveaxis(c @ bernstein.basis(PLACES, bernstein.degree(c)).T, -1, 0) for c in (a, b)
-    ]
+    places = [np.moveaxis(c @ bernstein.at_nodes(2, bernstein.degree(c)).T, -1, 0) for c in (a, b)]
     first, middle, last = shape.towards(differences(*places))
     n = np.stack([first, 2.0 * middle - 0.5 * (first + last), last], axis=-1)
     along = bernstein.elevate(np.min(bernstein.dot(n[:, None], a), axis=1), order)

@@ -121,7 +121,7 @@ def span_errors(
 @lru_cache
 def _solver(kind: Kind) -> Array:
     """Return the matrix (free, NODES) from what is missing at the nodes to free coefficients."""
-    matrix = bernstein.basis(bernstein.nodes(NODES - 1), kind.degree)[:, kind.free]
+    matrix = bernstein.at_nodes(NODES - 1, kind.degree)[:, kind.free]
     return np.asarray(np.linalg.pinv(matrix), dtype=np.float64)
 
 

@@ -94,7 +94,7 @@ class SmoothChange:
         ----------
         brake, shift: durations [s].
         """
-        p, v, a = np.moveaxis(self.start, -1, 0)
+        p, v, a = (self.start[..., k] for k in range(3))
         b = brake
         third, fourth = -(v / b + 2.0 * a / 3.0) / b, (0.5 * v / b + 0.25 * a) / b**2
         stop = self.braked(brake)
@@ -115,7 +115,8 @@ def _polynomial(powers: Array, t: Array) -> Array:
     for order in range(JET):
         rows[order, :, order:] = FACTORS[order, order:count] * table[:, : count - order]
     found = rows.reshape(-1, count) @ powers.reshape(count, -1)
-    return np.moveaxis(found.reshape(JET, len(t), *powers.shape[1:]), 0, -1)
+    found = found.reshape(JET, len(t), *powers.shape[1:])
+    return found.transpose(*range(1, found.ndim), 0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ class Series:
 
         Coefficients are (rows, …).
         """
-        columns = np.moveaxis(jet, (-1, -2), (0, 1))
+        columns = jet.transpose(-1, -2, *range(jet.ndim - 2))
         return cls([column / factorial(k) for k, column in enumerate(columns)])
 
     def constant(self, value: Any) -> Series:
@@ -55,7 +55,7 @@ class Series:
     def jet(self) -> Array:
         """(…, rows, JET): value and derivatives, of arrays."""
         columns = np.stack([factorial(k) * c for k, c in enumerate(self.coefficients)])
-        return np.moveaxis(columns, (0, 1), (-1, -2))
+        return columns.transpose(*range(2, columns.ndim), 1, 0)
 
     @property
     def value(self) -> Any:

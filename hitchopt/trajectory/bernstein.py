@@ -210,6 +210,12 @@ def nodes(order: int) -> Array:
 
 
 @lru_cache
+def at_nodes(order: int, degree: int) -> Array:
+    """(order + 1, degree + 1): the basis at ``nodes(order)``, which of order 0 are the middle."""
+    return _frozen(basis(nodes(order), degree))
+
+
+@lru_cache
 def binomials(order: int) -> Array:
     """(order + 1,): the row ``order`` of Pascal's triangle."""
     return _frozen(np.array([comb(order, i) for i in range(order + 1)], dtype=np.float64))
@@ -256,7 +262,7 @@ def _halving(order: int) -> tuple[Array, Array]:
 
 @lru_cache
 def _interpolation(order: int) -> Array:
-    inverse = np.linalg.inv(basis(nodes(order), order))
+    inverse = np.linalg.inv(at_nodes(order, order))
     return _frozen(inverse.astype(np.float64))
 
 

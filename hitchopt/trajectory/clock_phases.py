@@ -24,9 +24,13 @@ BISECTIONS = 52
 
 def advanced(jets: Array, dt: Array | float) -> Array:
     """Return the jets (…, 4) of cubics at ``dt`` (…) after they have the given ``jets`` (…, 4)."""
-    p, v, a, j = np.moveaxis(jets, -1, 0)
-    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0)), v + dt * (a + dt * j / 2.0), a + dt * j
-    return np.stack([*moved, np.broadcast_to(j, moved[0].shape)], axis=-1)
+    p, v, a, j = (jets[..., k] for k in range(4))
+    change = dt * j
+    place = p + dt * (v + dt * (a / 2.0 + change / 6.0))
+    moved = np.empty((*place.shape, 4))
+    for k, value in enumerate((place, v + dt * (a + change / 2.0), a + change, j)):
+        moved[..., k] = value
+    return moved
 
 
 @dataclass(frozen=True, eq=False)

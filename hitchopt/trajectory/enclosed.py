@@ -175,8 +175,8 @@ class Enclosed:
         """Return the same in degree ``order`` at most; what that loses goes to the ball."""
         if self.degree <= order:
             return self
-        weights = bernstein.basis(bernstein.nodes(order), self.degree)
-        low = bernstein.interpolate(bernstein.combined(self.c, weights))
+        nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
+        low = bernstein.interpolate(nodal)
         lost = Enclosed(bernstein.elevate(low, self.degree) - self.c)
         return Enclosed(low, self.r + lost.size + EPS * self.size)
 
@@ -232,8 +232,8 @@ class Enclosed:
     def root(self) -> Enclosed:
         """The root of a scalar, 0 where it is negative."""
         order = min(NORM_ORDER, self.degree)
-        weights = bernstein.basis(bernstein.nodes(order), self.degree)
-        v = bernstein.interpolate(np.sqrt(np.maximum(bernstein.combined(self.c, weights), 0.0)))
+        nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
+        v = bernstein.interpolate(np.sqrt(np.maximum(nodal, 0.0)))
         squared = bernstein.multiply(v, v)
         high = max(self.degree, 2 * order)
         residual = bernstein.elevate(self.c, high) - bernstein.elevate(squared, high)
@@ -290,7 +290,7 @@ class Enclosed:
         """(…, components): the polynomials at mid span."""
         if self.degree == 0:
             return self.c[..., 0]
-        here: Array = self.c @ bernstein.basis(np.array(0.5), self.degree)
+        here: Array = self.c @ bernstein.at_nodes(0, self.degree)[0]
         return here
 
     @cached_property
@@ -323,8 +323,7 @@ class Enclosed:
 
 def _lengths(y: Array, order: int) -> Array:
     """Return |y| at the nodes that ``bernstein.interpolate`` takes values at, (…, order + 1)."""
-    weights = bernstein.basis(bernstein.nodes(order), bernstein.degree(y))
-    return column_lengths(bernstein.combined(y, weights))
+    return column_lengths(bernstein.combined(y, bernstein.at_nodes(order, bernstein.degree(y))))
 
 
 def _error(a: Enclosed, b: Enclosed) -> Array:
