@@ -15,10 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones
-from hitchopt.checks.gripping import arc_lengths, wrapped_arcs
+from hitchopt.checks.objects import arc_lengths, wrapped_arcs
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
-from hitchopt.checks.spans import ROUNDING, MotionSpans, magnitude, once, shared
-from hitchopt.checks.tables import bent_edges, leg_vectors, same_degree, without_shared_zeros
+from hitchopt.checks.spans import (
+    ROUNDING,
+    MotionSpans,
+    bent_edges,
+    leg_vectors,
+    magnitude,
+    once,
+    same_degree,
+    shared,
+    without_shared_zeros,
+)
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion

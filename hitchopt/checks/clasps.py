@@ -16,14 +16,16 @@ import numpy as np
 
 from hitchopt.checks.cables import beyond_friction, slips
 from hitchopt.checks.certificate import within
-from hitchopt.checks.gripping import lacking, unbalanced
+from hitchopt.checks.objects import lacking, unbalanced
 from hitchopt.checks.rule import CheckRule, Finder, Finding
-from hitchopt.checks.spans import MotionSpans, derivative_margin, shared
-from hitchopt.checks.tables import (
+from hitchopt.checks.spans import (
+    MotionSpans,
     bent_edges,
+    derivative_margin,
     edge_vectors,
     leg_vectors,
     same_degree,
+    shared,
     without_shared_zeros,
 )
 from hitchopt.geometry.vectors import column_lengths

@@ -2,17 +2,28 @@
 
 Taut cables are straight. A cable that hangs between its drones is a catenary. Taking off and
 landing, cables lie on the ground at least in part, in between their drones.
+
+On a span of time a hanging cable is stood in for by the points of the catenary at fixed μ, its
+steepness taken from mid time and its height difference from the polynomials themselves. The
+catenary is never farther from that chain than a bound on how it bends between the points, plus
+¼ (L + |h|) of how far its steepness is from that of mid time (see ``hitchopt.hitch.catenary``).
+
+Objects are slabs, convex sections between two heights. Their support functions, and the direction
+out of one to the nearest point of what moves, are all that ``hitchopt.checks.distances`` needs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.certificate import within
 from hitchopt.checks.distances import (
     GROUND,
+    TALL,
     Allowed,
     Flags,
     Ground,
@@ -23,19 +34,382 @@ from hitchopt.checks.distances import (
     gap,
     nearest,
     plan_points,
+    smallest,
 )
-from hitchopt.checks.gripping import seen_from
-from hitchopt.checks.hanging import TOLERANCE, above, cables_and_drones, cables_and_ground, cut
+from hitchopt.checks.drones import steepness_of
+from hitchopt.checks.objects import heading_error, seen_from
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
-from hitchopt.checks.solids import Solid, carried, from_above
-from hitchopt.checks.spans import ROUNDING, magnitude, position_margin
-from hitchopt.checks.story import phase_parts
-from hitchopt.checks.tables import cable_parts
+from hitchopt.checks.spans import (
+    ROUNDING,
+    UPWARD,
+    cable_parts,
+    magnitude,
+    phase_parts,
+    position_margin,
+)
+from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.vectors import unit
+from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
-from hitchopt.trajectory import bernstein
+from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, Indices
+
+HALVINGS = 25
+"""Halvings of a segment in search of its nearest point: it is found within 3e-8 of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A slab that points and segments keep off."""
+
+    slab: Slab
+
+    @property
+    def box(self) -> Array:
+        """Lower and upper corner (2, 3) [m] of a box around it."""
+        reach = self.slab.section.circumradius
+        return np.array([[-reach, -reach, self.slab.lower], [reach, reach, self.slab.upper]])
+
+    def support(self, directions: Array) -> Array:
+        """Return how far it reaches (…) [m] along directions (…, 3)."""
+        return self.slab.support(directions)
+
+    def towards(self, corners: Array) -> Array:
+        """Return the directions (…, 3) out of it to points or segments (…, 1 or 2, 3)."""
+        first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
+        if corners.shape[-2] == 1:
+            return self.slab.clearance(first).normals
+
+        def out(share: Array) -> Array:
+            return self.slab.clearance(first + share[..., None] * along).normals
+
+        lower, upper = np.zeros(first.shape[:-1]), np.ones(first.shape[:-1])
+        for _ in range(HALVINGS):  # the distance to a convex body is convex along a segment
+            middle = 0.5 * (lower + upper)
+            rising = np.einsum("...d,...d->...", out(middle), along) > 0.0
+            lower, upper = np.where(rising, lower, middle), np.where(rising, middle, upper)
+        return out(np.where(lower == 0.0, 0.0, upper))
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """A slab that another upright one keeps off, of which the core's corners are given.
+
+    First those of its floor, then those of its ceiling. What is round about the core is added to
+    the slab that stands still.
+    """
+
+    slab: Slab
+    rounding: float
+
+    @property
+    def box(self) -> Array:
+        """Lower and upper corner (2, 3) [m] of a box around it."""
+        level = self.rounding * np.array([1.0, 1.0, 0.0])
+        return np.stack([Solid(self.slab).box[0] - level, Solid(self.slab).box[1] + level])
+
+    def support(self, directions: Array) -> Array:
+        """Return how far it reaches (…) [m] along directions (…, 3)."""
+        round_ = self.rounding * np.linalg.norm(directions[..., :2], axis=-1)
+        reach: Array = self.slab.support(directions) + round_
+        return reach
+
+    def towards(self, corners: Array) -> Array:
+        """Return the directions (…, 3) out of it to upright slabs with corners (…, 2 m, 3).
+
+        Level ones are those in which a side is nearest to it.
+        """
+        floor = corners[..., : corners.shape[-2] // 2, :2]
+        sides = np.stack([floor, np.roll(floor, -1, axis=-2)], axis=-2)
+        flat = np.concatenate([sides, np.zeros_like(sides[..., :1])], axis=-1)
+        normals = from_above(self.slab).towards(flat)[..., :2]  # (…, sides, 2)
+        apart = np.min(np.einsum("...sd,...kd->...sk", normals, floor), axis=-1)
+        apart = apart - self.slab.section.support(normals) - self.rounding
+        best = np.argmax(apart, axis=-1)[..., None]
+        level = np.maximum(np.take_along_axis(apart, best, axis=-1), 0.0)
+        level = level * np.take_along_axis(normals, best[..., None], axis=-2)[..., 0, :]
+        lowest, highest = corners[..., :1, 2], corners[..., -1:, 2]
+        upward = np.maximum(lowest - self.slab.upper, 0.0)
+        return unit(
+            np.concatenate([level, upward - np.maximum(self.slab.lower - highest, 0.0)], -1)
+        )
+
+
+def from_above(slab: Slab) -> Solid:
+    """Return a body as seen from above, where heights do not count."""
+    return Solid(Slab(slab.section, -TALL, TALL))
+
+
+def carried(motion: Motion) -> Iterator[Moving]:
+    """Yield objects that move past the ground, and past all others.
+
+    While one goes straight up or down it may touch what it stands on before or after that, or what
+    is below it where the motion begins so: there it counts only that it does not go into that.
+    """
+    if motion.poses is None:
+        return
+    objects, poses = motion.requirements.objects, motion.poses.coefficients
+    moving = np.ptp(poses, axis=-1)  # (pieces, objects, 5)
+    going = np.any(moving > STILL, axis=-1)
+    upright = np.max(moving[..., [0, 1, 3, 4]], axis=-1) <= TOUCH
+    breaks, size, floor = motion.drones.breaks, magnitude(motion), motion.requirements.floor
+    for index, (name, each) in enumerate(objects.items()):
+        if not np.any(going[:, index]):
+            continue
+        _, below = surface_below(objects, poses[0, :, :, 0], name, floor)
+        base = poses[:, index, :3] + each.lower * UPWARD[:, None]
+        heights = base[:, 2] - floor
+        stands = np.any(np.abs(heights[:, [0, -1]]) <= TOUCH, axis=-1)
+        touching = _leaving(upright[:, index], stands, below is None)
+        touching &= np.min(heights, axis=-1) >= -TOUCH
+        yield Moving.past(
+            breaks,
+            base[:, None, None],
+            Ground(floor),
+            margin=ROUNDING * size,
+            counted=(going[:, index] & ~touching)[:, None],
+            names=((name,), (GROUND,)),
+        )
+        for slab in each.slabs:
+            corners = Enclosed(placed_core(poses[:, index], slab)[:, None])
+            turned = (
+                float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
+                * slab.section.circumradius
+            )
+            for other, (label, obstacle) in enumerate(objects.items()):
+                if other == index:
+                    continue
+                seen = seen_from(Enclosed(poses[:, other]), corners)
+                stands = _stands_on(poses, index, each, other, obstacle)
+                leaving = _leaving(upright[:, index], stands, label == below)
+                for body in obstacle.slabs:
+                    above = np.min(seen.c[:, 0, :, 2], axis=(1, 2)) >= body.upper - TOUCH
+                    reach = size + slab.size + body.size
+                    yield Moving.past(
+                        breaks,
+                        seen.c,
+                        Beside(body, slab.section.rounding),
+                        margin=float(np.max(seen.r)) + ROUNDING * reach + float(np.max(turned)),
+                        counted=(going[:, index] & ~(leaving & above))[:, None],
+                        names=((name,), (label,)),
+                    )
+
+
+def _leaving(upright: Flags, stands: Flags, lifted: bool) -> Flags:
+    """Return (pieces,) in which an object rises from something, or goes down onto it.
+
+    It moves straight up or down in them, between one at whose beginning or end it stands there and
+    each of them too; or from the beginning if it has been lifted from there.
+    """
+    runs = np.cumsum(~upright)
+    from_there = np.isin(runs, runs[stands & upright]) | ((runs == 0) & lifted)
+    found: Flags = upright & from_there
+    return found
+
+
+def _stands_on(
+    poses: Array, index: int, body: SolidObject, other: int, obstacle: SolidObject
+) -> Flags:
+    """Return (pieces,) at whose beginning or end an object stands on another one."""
+    bottom, top = poses[:, index, 2] + body.lower, poses[:, other, 2] + obstacle.upper
+    found: Flags = np.any(np.abs(bottom - top)[:, [0, -1]] <= TOUCH, axis=-1)
+    bases = [slab.section for slab in body.slabs if slab.lower == body.lower]
+    tops = [slab.section for slab in obstacle.slabs if slab.upper == obstacle.upper]
+    for piece in np.flatnonzero(found):
+        here, there = poses[piece, index, :, 0], poses[piece, other, :, 0]
+        found[piece] = any(sections_apart(a, here, b, there) < 0.0 for a in bases for b in tops)
+    return found
+
+
+def placed_core(poses: Array, slab: Slab) -> Array:
+    """Return the corners of a slab's core (pieces, 2 m, 3, degree + 1) [m], floor and ceiling.
+
+    Parameters
+    ----------
+    poses: of its object, (pieces, 5, degree + 1).
+    slab: in the object's frame.
+    """
+    core = slab.section.core[:, :, None]
+    c, s = poses[:, None, 3], poses[:, None, 4]
+    x = core[:, 0] * c - core[:, 1] * s + poses[:, None, 0]
+    y = core[:, 0] * s + core[:, 1] * c + poses[:, None, 1]
+    z = [
+        np.broadcast_to(poses[:, None, 2] + height, x.shape) for height in (slab.lower, slab.upper)
+    ]
+    return np.concatenate([np.stack([x, y, each], axis=2) for each in z], axis=1)
+
+
+TOLERANCE = 1e-3
+"""[m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
+off it: catenaries are no polynomials, and are closed in on only with the length of a span."""
+
+BY_LENGTH, BY_PLACE = 20, 16
+"""A chain's points: so many links of equal length, which follow a cable down its steep ends, and
+so many more points evenly across, which follow it around where it is lowest. It is off them by
+about 0.2 % of its length at most, where it bends the most, and much less elsewhere."""
+
+FARTHEST = 0.25
+"""[m] Pieces on which a drone may go farther are cut before anything else."""
+
+SHIFT = 1.12
+"""How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
+its shares in their level and upward parts differ by up to a half."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Chains of segments that stand in for hanging cables on spans of time.
+
+    Attributes
+    ----------
+    points: (spans, links + 1, 3, degree + 1) [m]
+    off: (spans, links) [m]: the cable is nowhere farther from that segment, at no time of the span.
+    """
+
+    points: Array
+    off: Array
+
+
+def chains(q: Array, r: Array, length: Array) -> Chains:
+    """Return the chains of cables between ends (spans, 3, degree + 1) [m], ``length`` (spans,)."""
+    offset = Enclosed(r - q)
+    cable = Catenary.between(Enclosed(q).middle, Enclosed(r).middle, length)
+    by_length = cable.place(np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None])
+    by_place = (np.arange(BY_PLACE) + 0.5)[:, None] * (2.0 / BY_PLACE) - 1.0
+    evenly = np.broadcast_to(by_place, (BY_PLACE, len(length)))
+    mu = np.sort(np.concatenate([by_length, evenly]), axis=0)  # (links + 1, spans)
+    level, skew = depth_terms(cable.sigma, mu)
+    share = (0.5 * (1.0 + mu)).T[..., None, None]
+    points = q[:, None] + share * offset.c[:, None]
+    points[:, :, 2] -= (length * level).T[..., None] + skew.T[..., None] * offset.c[:, None, 2]
+    sigma = steepness_of(offset, length)
+    drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
+    height = np.max(np.abs(offset.c[:, 2]), axis=-1)
+    return Chains(points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None])
+
+
+def _bends(cable: Catenary, mu: Array) -> Array:
+    """Return (spans, links) [m] how far each cable sags below its links, between points μ, midway.
+
+    Measured in Λ / 2 sinh σ the cable is a hyperbolic cosine, farthest below its chord where it is
+    parallel to it.
+    """
+    sigma = np.maximum(cable.sigma, SERIES)
+    y = mu * sigma + np.arcsinh(cable.tilt)
+    first, last = y[:-1], y[1:]
+    width = np.maximum(last - first, 1e-12)
+    slope = (np.cosh(last) - np.cosh(first)) / width
+    touching = np.clip(np.arcsinh(slope), first, last)
+    gap = np.cosh(first) + slope * (touching - first) - np.cosh(touching)
+    unit = 0.5 * level_length(cable.rise, cable.length) / np.sinh(sigma)
+    rounding = 2.0**-40 * cable.length
+    bends: Array = (unit * np.maximum(gap, 0.0) + rounding).T
+    return bends
+
+
+def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the same curves on pieces so short that no drone goes FARTHEST on any of them."""
+    reach = np.max(np.linalg.norm(np.ptp(drones.coefficients, axis=-1), axis=-1), axis=1)
+    counts = np.maximum(1, np.ceil(reach / FARTHEST)).astype(np.intp)
+    if np.all(counts == 1):
+        return drones
+    piece = np.repeat(np.arange(drones.pieces), counts)
+    first = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
+    starts = drones.breaks[piece] + first / counts[piece] * drones.durations[piece]
+    return on_breaks(drones, np.append(starts, drones.breaks[-1]))
+
+
+def cables_and_drones(motion: Motion) -> Moving:
+    """Return cables as they hang and the drones that do not carry them."""
+
+    def foreign(cables: Indices, drones: Indices) -> Flags:
+        apart: Flags = drones // 2 != cables
+        return apart
+
+    points = cut(motion.drones).coefficients[:, :, None]
+    names = (cable_names(motion), motion.team.drone_names)
+    return _hung(motion, names, second=points, allowed=foreign, formula=_distance)
+
+
+def cables_and_ground(motion: Motion) -> Moving:
+    """Return cables as they hang above the ground."""
+    floor, names = motion.requirements.floor, (cable_names(motion), (GROUND,))
+    second = np.zeros((cut(motion.drones).pieces, 1, 1, 3, 1))
+    return _hung(motion, names, second=second, shape=Ground(floor), formula=above(floor))
+
+
+def _hung(motion: Motion, names: tuple[Sequence[str], Sequence[str]], **further: Any) -> Moving:
+    """Return hanging cables and what they keep off; ``further`` as in Moving."""
+    drones, margin = cut(motion.drones), position_margin(motion)
+    given: dict[str, Any] = {"lengths": motion.team.cable_length, "tolerance": TOLERANCE} | further
+    ends = cable_ends(drones.coefficients)
+    return Moving(drones.breaks, ends, margin=margin, names=names, swapped=True, **given)
+
+
+def _distance(spans: PairSpans) -> Bound:
+    """Return the distances of cables to points [m]."""
+    ends, point = spans.ends
+    hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    apart = point - hung.points  # (spans, links + 1, 3, degree + 1)
+    here = Enclosed(apart).middle
+    along = unit(shortest_offset(np.stack([here[:, :-1], here[:, 1:]], axis=2)))
+    first, last = (np.einsum("sld,sldi->sli", along, c) for c in (apart[:, :-1], apart[:, 1:]))
+    least = np.min(np.minimum(first, last) - hung.off[..., None], axis=1, keepdims=True)
+    found = Enclosed(least, spans.source.margin).below
+    return Bound(np.maximum(found.value, 0.0), found.x)
+
+
+def above(top: float) -> Callable[[PairSpans], Bound]:
+    """Return the formula of how far hanging cables are above a height [m]."""
+
+    def formula(spans: PairSpans) -> Bound:
+        ends, _ = spans.ends
+        hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
+        z = hung.points[:, :, 2]
+        lower = np.minimum(z[:, 1:], z[:, :-1]) - hung.off[..., None]
+        height = Enclosed(np.min(lower, axis=1, keepdims=True)) - top
+        return height.widened(spans.source.margin).below
+
+    return formula
+
+
+def above_ground(motion: Motion) -> bool:
+    """Return whether cables, if all hung free, would keep ``separation.cable`` off the ground."""
+    limit = motion.requirements.separation.cable
+    least = smallest(cables_and_ground(motion), relative=TOLERANCE, absolute=TOLERANCE)
+    return least.worst >= within(limit, "min", magnitude(motion))
+
+
+def moved_by(motion: Motion) -> Callable[[float], float]:
+    """Return how much nearer [m] drones and hanging cables come if every drone is off by r [m].
+
+    A point of a cable (at μ, see ``hitchopt.hitch.catenary``) moves with its two ends, across by
+    shares ``(1 ± μ)/2`` of them, upward by ``(1 ± sinh μσ / sinh σ)/2``, and by ¼ (L + |h|) per
+    change of σ at most. That follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change
+    by 2r at most.
+    """
+    ends, L = cable_ends(cut(motion.drones).coefficients), motion.team.cable_length
+    offset = Enclosed(ends[:, :, 1] - ends[:, :, 0])
+    across, height = offset.level.norm_range, offset[2].norm_above.value
+
+    def moved(radius: float) -> float:
+        closer, higher = across.low - 2.0 * radius, height + 2.0 * radius
+        if np.any(closer <= 0.0) or np.any(higher >= L):
+            return np.inf
+        flattest = steepness(level_length(higher, L) / (across.high + 2.0 * radius))
+        if np.any(flattest < SERIES):  # nearly taut: how deep it hangs changes without a bound
+            return np.inf
+        ratio = np.log(across.low / closer)
+        ratio = ratio + np.log(level_length(height, L) / level_length(higher, L))
+        steeper = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
+        return radius + SHIFT * radius + float(np.max(0.25 * (L + higher) * steeper))
+
+    return moved
+
 
 CONTACT = 2e-5
 """[m] Cables that hold an object and are no closer to its body enter it."""

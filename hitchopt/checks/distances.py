@@ -24,13 +24,15 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
-from hitchopt.checks.spans import Spans, magnitude, position_margin
-from hitchopt.checks.tables import (
+from hitchopt.checks.spans import (
+    Spans,
     cable_parts,
     clasped_pairs,
+    magnitude,
     pair_of,
     part_name,
     part_points,
+    position_margin,
 )
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, all_pairs, close_pairs, few_close_pairs

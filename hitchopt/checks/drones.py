@@ -25,11 +25,13 @@ from hitchopt.checks.spans import (
     MotionSpans,
     Spans,
     derivative_margin,
+    leg_vectors,
     magnitude,
+    pull_vectors,
     rate,
     shared,
+    without_shared_zeros,
 )
-from hitchopt.checks.tables import leg_vectors, pull_vectors, without_shared_zeros
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import level_length, pull_terms, steepness
 from hitchopt.hitch.forces import chord_pull

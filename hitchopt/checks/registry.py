@@ -8,9 +8,8 @@ from hitchopt.checks import (
     clearance,
     distances,
     drones,
-    gripping,
+    objects,
     stops,
-    support,
     tracking,
 )
 from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
@@ -37,8 +36,8 @@ RULES = (
     CONTINUITY,
     INTERLACING,
     clearance.OBJECT_CLEARANCE,
-    gripping.GRIP,
-    support.SUPPORT,
+    objects.GRIP,
+    objects.SUPPORT,
     DURATION,
 )
 """One rule per check; a new check is one record and one line here."""

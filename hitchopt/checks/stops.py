@@ -27,9 +27,9 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks import clasps, support
+from hitchopt.checks import clasps
 from hitchopt.checks.drones import Hovering
-from hitchopt.checks.gripping import heading_error, spare_friction, turning_reach
+from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
 from hitchopt.checks.spans import derivative_margin
 from hitchopt.errors import check_time
@@ -66,20 +66,11 @@ or something that is carried, which allow no shorter ones."""
 SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
 """[s] Distances of stops, also while steering, and how many there are at most."""
 
-BISECTIONS = 6
-"""Bisections of the logarithm of the least duration that samples allow."""
-
-LONGER = (1.02, 1.1, 1.2, 1.6)
-"""Multiples of that which are tried."""
+RATIO = 1.25
+"""Ratio of neighbouring durations that are tried."""
 
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
-
-STEP = 0.02
-"""[s] Distance of samples of the plan."""
-
-SHARES = np.arange(4) / 3.0
-"""Shares of the phases of a stop at which samples are taken."""
 
 SWITCH = 5.0 / 12.0
 """Plan time over duration at which a stop's jerk changes its sign."""
@@ -425,11 +416,10 @@ class StopTable:
 def stop_table(
     motion: Motion, limits: ClockLimits | None = None, spacing: float = SPACING
 ) -> StopTable:
-    """Return stops that keep all limits of a motion, ``spacing`` [s] from each other.
+    """Return stops that are shown to keep all limits of a motion, ``spacing`` [s] from each other.
 
-    How long each has to take at least is read off samples; that and a little more is then shown to
-    keep all limits, or longer ones where it is not. The end counts as rest only if the drones rest
-    there. ``limits`` are those of the motion, where they are known.
+    Each has the shortest duration of a ladder that bisection finds. The end counts as rest only if
+    the drones rest there. ``limits`` are those of the motion, where they are known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
@@ -437,64 +427,17 @@ def stop_table(
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
-    least = _least(limits, starts)
-    durations = np.full(len(starts), np.inf)
-    for factor in LONGER:
-        tried = factor * least
-        useful = limits.reserved | (tried < LATEST * (rest - starts))
-        left = np.flatnonzero(np.isinf(durations) & useful)
-        if not len(left):  # longer ones are no more useful
-            break
-        left = left[_shown(limits, starts[left], tried[left])]
-        durations[left] = tried[left]
+    longest = SLOWEST if limits.reserved or limits.inertia is not None else LONGEST
+    ladder = SHORTEST * RATIO ** np.arange(1 + int(np.log(longest / SHORTEST) / np.log(RATIO)))
+    useful = np.inf if limits.reserved else LATEST * (rest - starts)
+    durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
+    high = np.searchsorted(ladder, np.broadcast_to(useful, starts.shape))
+    while len(left := np.flatnonzero(high - low > 1)):
+        middle = (low[left] + high[left]) // 2
+        kept = _shown(limits, starts[left], ladder[middle])
+        durations[left[kept]] = ladder[middle[kept]]
+        high[left[kept]], low[left[~kept]] = middle[kept], middle[~kept]
     return StopTable(rest, starts, durations)
-
-
-def _least(limits: ClockLimits, starts: Array) -> Array:
-    """Return durations (m,) [s] of stops below which samples break a limit."""
-    slow = limits.inertia is not None or limits.reserved
-    low = np.full(len(starts), np.log(SHORTEST))
-    high = np.full(len(starts), np.log(SLOWEST if slow else LONGEST))
-    keep = _sampled(limits)
-    shortest = keep(stop_phases(starts, np.exp(low)))
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        kept = keep(stop_phases(starts, np.exp(middle)))
-        high, low = np.where(kept, middle, high), np.where(kept, low, middle)
-    return np.where(shortest, SHORTEST, np.exp(high))
-
-
-def _sampled(limits: ClockLimits) -> Callable[[ClockPhases], Flags]:
-    """Return whether stops keep accelerations, jerks and balances about samples.
-
-    Of the drones that lead, and of what is carried, at equal distances of plan time.
-    """
-    drones, most = limits.motion.drones, limits.motion.requirements.limits
-    count = int(min(np.ceil(drones.duration / STEP), 3 * STARTS)) + 1
-    times = np.linspace(drones.breaks[0], drones.breaks[-1], count)
-    leading = drones.coefficients[:, np.unique(np.argmax(limits.sizes, axis=2))]
-    jets = np.stack([drones.alike(leading).at(times, k) for k in (1, 2, 3)], axis=1)
-    if (inertia := limits.inertia) is not None:
-        paths = np.stack([inertia.paths.at(times, k) for k in (1, 2)], axis=1)
-        slack = inertia.slack[np.searchsorted(drones.breaks[1:-1], times, side="right")]
-
-    def keep(stops: ClockPhases) -> Flags:
-        there = advanced(stops.jets[:, None], stops.duration[:, None] * SHARES)
-        time, s, a, j = np.moveaxis(there.reshape(-1, 2 * len(SHARES), 4), -1, 0)
-        s, a, j = (each[..., None, None] for each in (s, a, j))
-        node = np.rint((time - times[0]) / (times[1] - times[0])).astype(np.intp)
-        flown, node = node < count, np.minimum(node, count - 1)
-        x1, x2, x3 = np.moveaxis(jets[node], 2, 0)
-        each = [(_acceleration(s, a, x1, x2), most.acceleration)]
-        each.append((_jerk(s, a, j, x1, x2, x3), most.jerk))
-        if inertia is not None:
-            x1, x2 = np.moveaxis(paths[node], 2, 0)
-            each.append((_acceleration(s, a, x1, x2) - x2, slack[node]))
-        fine = [np.all(np.linalg.norm(x, axis=-1) <= limit, axis=-1) for x, limit in each]
-        kept: Flags = np.all(np.all(fine, axis=0) | ~flown, axis=1)
-        return kept
-
-    return keep
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
@@ -564,7 +507,7 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Arra
     level = np.max(np.linalg.norm(pushed[:, :, :2], axis=2), axis=-1)
     pressing = GRAVITY + np.min(pushed[:, :, 2], axis=-1)
     sliding = (body.friction * pressing - level)[:, :-1] / (1.0 + body.friction)
-    inside = support.SUPPORT.finders[0].find(motion, 0.0).worst
+    inside = SUPPORT.finders[0].find(motion, 0.0).worst
     lean = height * (1.0 + level[:, -1:] / pressing[:, -1:])
     tipping = inside * pressing[:, -1:] / (lean + inside)
     slack = [clasps.spare_forces(motion), sliding, tipping]

@@ -23,9 +23,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchopt.checks.clearance import moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
-from hitchopt.checks.hanging import moved_by
 from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
 from hitchopt.checks.spans import ROUNDING, position_margin
 from hitchopt.geometry.vectors import unit

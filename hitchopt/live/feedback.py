@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.checks.tables import part_points, positions
+from hitchopt.checks.spans import part_points, positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.live.player import Sampler, Setpoints

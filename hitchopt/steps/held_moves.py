@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
-from hitchopt.checks.gripping import GRIP
+from hitchopt.checks.objects import GRIP
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.rule import CheckRule
 from hitchopt.errors import InfeasibleError, InputError

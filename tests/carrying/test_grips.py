@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from scipy.special import binom
 
 import hitchopt as ho
-from hitchopt.checks.gripping import Gripped, gripping, lacking, slip_ratio
+from hitchopt.checks.objects import Gripped, gripping, lacking, slip_ratio
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements

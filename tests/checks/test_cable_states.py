@@ -11,9 +11,9 @@ from free_cases import free_motion, through
 from plans import planned
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.crossings import chord_crossings
 from hitchopt.checks.registry import RULES
-from hitchopt.checks.story import INTERLACING, phase_parts
+from hitchopt.checks.spans import phase_parts
+from hitchopt.checks.story import INTERLACING, chord_crossings
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial

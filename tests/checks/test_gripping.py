@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hitchopt.checks.gripping import arc_lengths
+from hitchopt.checks.objects import arc_lengths
 from hitchopt.trajectory import bernstein
 
 RADIUS = 0.3

@@ -11,10 +11,9 @@ from certificate_sampling import cable_points
 from free_cases import free_motion, random_flight, through
 
 from hitchopt.checks import certify
-from hitchopt.checks.clearance import CABLE_CLEARANCE
+from hitchopt.checks.clearance import CABLE_CLEARANCE, chains, cut
 from hitchopt.checks.distances import CROSSING
 from hitchopt.checks.drones import Drones
-from hitchopt.checks.hanging import chains, cut
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.segments import differences
 from hitchopt.hitch import Team

@@ -9,8 +9,7 @@ import pytest
 from free_cases import free_motion, random_flight, through
 
 import hitchopt as ho
-from hitchopt.checks.crossings import chord_crossings, entered
-from hitchopt.checks.story import INTERLACING
+from hitchopt.checks.story import INTERLACING, chord_crossings, entered
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion, joined_motions

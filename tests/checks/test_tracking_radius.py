@@ -16,7 +16,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify
-from hitchopt.checks.hanging import moved_by
+from hitchopt.checks.clearance import moved_by
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation

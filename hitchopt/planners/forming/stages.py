@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.hanging import above_ground
+from hitchopt.checks.clearance import above_ground
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import tautness
