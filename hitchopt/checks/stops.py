@@ -67,7 +67,7 @@ SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
 """[s] Distances of stops, also while steering, and how many there are at most."""
 
 RATIO = 1.25
-"""Ratio of neighbouring durations that are tried."""
+"""Ratio of neighbouring durations that are tried, about."""
 
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
@@ -428,15 +428,16 @@ def stop_table(
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
     longest = SLOWEST if limits.reserved or limits.inertia is not None else LONGEST
-    ladder = SHORTEST * RATIO ** np.arange(1 + int(np.log(longest / SHORTEST) / np.log(RATIO)))
     useful = np.inf if limits.reserved else LATEST * (rest - starts)
+    ladder = np.geomspace(SHORTEST, longest, 1 + round(np.log(longest / SHORTEST) / np.log(RATIO)))
     durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
     high = np.searchsorted(ladder, np.broadcast_to(useful, starts.shape))
     while len(left := np.flatnonzero(high - low > 1)):
-        middle = (low[left] + high[left]) // 2
-        kept = _shown(limits, starts[left], ladder[middle])
-        durations[left[kept]] = ladder[middle[kept]]
-        high[left[kept]], low[left[~kept]] = middle[kept], middle[~kept]
+        # What is carried may allow some stop and no longer one: no bisection then.
+        rung = low[left] + 1 if limits.inertia is not None else (low[left] + high[left]) // 2
+        kept = _shown(limits, starts[left], ladder[rung])
+        durations[left[kept]] = ladder[rung[kept]]
+        high[left[kept]], low[left[~kept]] = rung[kept], rung[~kept]
     return StopTable(rest, starts, durations)
 
 

@@ -30,9 +30,9 @@ that close to what is attained, and where a search stops depends on rounding and
 DURATION = 1e-6
 """The same of durations, relative."""
 
-SEARCHED = 0.05
+SEARCHED = 0.25
 """Largest difference of ``stoppable``, relative: whether a duration that is tried keeps a limit may
-depend on rounding, and with it which of two neighbouring ones is found."""
+depend on rounding, and with it which of two neighbouring ones, a quarter apart, is found."""
 
 ROUNDING = 1e-9
 """[m] Largest difference of ``continuity``, which is rounding alone and differs between processors:
