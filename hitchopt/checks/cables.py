@@ -31,7 +31,7 @@ from hitchopt.checks.spans import (
 from hitchopt.hitch import GRAVITY
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
-from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, largest_of
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices
 
@@ -80,14 +80,7 @@ class Cables(MotionSpans):
     def scaled(self, table: Array, item: Indices | None = None, noise: float = 0.0) -> Enclosed:
         """Return vectors of a table, or scalars, over the cable's length."""
         c = self.read(table, item)
-        c = c[:, None] if c.ndim == 2 else c
-        return Enclosed(c, noise) * self.scale
-
-    @cached_property
-    def chord(self) -> Enclosed:
-        """The vector from one drone to the other."""
-        drones = self.source.drones.coefficients
-        return self.scaled(drones[:, 1::2] - drones[:, 0::2], noise=self.noise)
+        return Enclosed(c[:, None] if c.ndim == 2 else c, noise) * self.scale
 
     @cached_property
     def parts(self) -> list[Enclosed]:
@@ -107,9 +100,7 @@ class Cables(MotionSpans):
             arcs = self.read(wrapped_arcs(self.source))
             found = found + arc_lengths(arcs * self.scale[..., None])
         saved = once(self.source, saved_lengths)
-        if saved is not None:
-            found = found - self.scaled(saved)
-        return found - 1.0
+        return found - 1.0 if saved is None else found - self.scaled(saved) - 1.0
 
     @cached_property
     def sag(self) -> Enclosed:
@@ -128,16 +119,6 @@ class Cables(MotionSpans):
         return found * (ratio * ratio) * (1.0 / 24.0)
 
 
-def quotient(a: Array, b: Array) -> Interval:
-    """Return between what the quotient of polynomials (spans, degree + 1) stays.
-
-    It lies between those of their coefficients, the divisor positive.
-    """
-    a, b = same_degree(a, b)
-    ratios = np.divide(a, b, out=np.full_like(a, np.inf), where=b > 0.0)
-    return Interval(np.min(ratios, axis=-1), np.max(ratios, axis=-1))
-
-
 def _used_up(spans: Cables) -> Bound:
     """Return the largest relative error of a cable's length.
 
@@ -147,9 +128,8 @@ def _used_up(spans: Cables) -> Bound:
     that the cable is taut. Where a rim is on the legs, their cables run level up to its edge,
     and are shorter than straight legs by ``saved_lengths``.
     """
-    excess = spans.excess
-    if spans.source.team.cable_density > 0.0:
-        excess = excess + spans.sag
+    heavy = spans.source.team.cable_density > 0.0
+    excess = spans.excess + spans.sag if heavy else spans.excess
     stored = spans.scaled(spans.source.legs.coefficients)
     errors = [stored[i] - spans.parts[i].norm for i in (0, 1)]
     return largest_of([each.norm_above for each in (excess, *errors)])
@@ -162,12 +142,17 @@ def _too_short(spans: Cables) -> Bound:
 
 def _drawn_out(spans: Cables) -> Bound:
     """Return the distance of a cable's drones over its length."""
-    return spans.chord.norm_above
+    drones = spans.source.drones.coefficients
+    return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_above
 
 
 def _longest(motion: Motion) -> float:
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
+
+USED_UP = Finder(
+    Searched(Cables, _used_up, "max"), HITCHED_STATE, True, (Cables.excess, Cables.sag)
+)
 
 CABLE_LENGTH = CheckRule(
     "cable_length",
@@ -175,12 +160,7 @@ CABLE_LENGTH = CheckRule(
     "max",
     LENGTH_LIMIT,
     (
-        Finder(
-            Searched(Cables, _used_up, "max"),
-            HITCHED_STATE,
-            exported=True,
-            shown=(Cables.excess, Cables.sag),
-        ),
+        USED_UP,
         Finder(Searched(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
     ),
     free_remedy="use a longer cable, or a smaller polygon",
@@ -194,13 +174,7 @@ SPAN = CheckRule(
     "1",
     "max",
     1.0,
-    (
-        Finder(
-            Searched(Cables, _drawn_out, "max", _longest),
-            FREE_STATES,
-            exported=True,
-        ),
-    ),
+    (Finder(Searched(Cables, _drawn_out, "max", _longest), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease=Ease.LENGTH,
 )
@@ -239,12 +213,13 @@ def slips(spans: Slides) -> Bound:
 
     A cable that wraps an angle θ about a clasp pulls on one side with between ``e^{-μ θ}`` and
     ``e^{μ θ}`` times what it pulls with on the other; θ is by how much it turns there, from its leg
-    to its edge. At a chain's ends it turns about nothing.
+    to its edge. At a chain's ends it turns about nothing. A quotient of polynomials, the divisor
+    positive, lies between those of their coefficients.
     """
     tables = _leg_and_edge(spans.source)
-    pull, tension = (spans.read(tables[name])[:, 0] for name in ("pull", "tension"))
-    ratio = quotient(pull, tension)
-    high, low = ratio.high * (1.0 + ROUNDING), ratio.low * (1.0 - ROUNDING)
+    pull, tension = same_degree(*(spans.read(tables[name])[:, 0] for name in ("pull", "tension")))
+    ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
+    high, low = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
     value = np.maximum(high - spans.held, 1.0 / spans.held - low)
     return Bound(value, np.full(len(spans), 0.5))
 
@@ -273,36 +248,26 @@ def _find(motion: Motion, _: float) -> Finding:
     """
     found = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
     if np.any(motion.formed):
-        n = motion.team.robots
         ranges = np.moveaxis(stated_tensions(motion), -1, 0)
         if not np.all(motion.formed):  # ramps are next to spans without a hitch
             ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
-        found += [_outside(motion, Cables, motion.tensions.coefficients, ranges, 0)]
+        found += [_outside(motion, Cables, motion.tensions.coefficients, ranges)]
         found += [_off_at_ends(motion)]
         if motion.leg_tensions is not None:
             twice = np.repeat(ranges, 2, axis=2)
-            found += [_outside(motion, Slides, motion.pulls.coefficients, twice, n)]
+            found += [_outside(motion, Slides, motion.pulls.coefficients, twice)]
     return max(found, key=lambda each: each.worst)
-
-
-def _named(motion: Motion, worst: float, time: float, item: int) -> Finding:
-    """Return the finding with an item of the cables, then the drones, named."""
-    if not worst > 0.0:
-        return Finding(worst, time)
-    cables = motion.team.robots
-    where = f"cable {item}" if item < cables else motion.team.drone_names[item - cables]
-    return Finding(worst, time, (where,))
 
 
 def _jump_of_pulls(motion: Motion) -> Finding:
     """Return the largest jump of a cable's tension or of a leg's pull."""
-    each = motion.tensions.coefficients[..., [0, -1]]
+    each, names = motion.tensions.coefficients[..., [0, -1]], Cables.names(motion)
     if motion.leg_tensions is not None:  # else they jump as their cables' tensions do
         each = np.concatenate([each, motion.pulls.coefficients[..., [0, -1]]], axis=1)
+        names = [*names, *motion.team.drone_names]
     left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
-    jumps = np.abs(left[1:] - right[:-1])
-    jumps += ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
-    return _largest_jump(motion, jumps, 0)
+    noise = ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
+    return _at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
 
 
 def _jump_of_thrusts(motion: Motion) -> Finding:
@@ -315,20 +280,20 @@ def _jump_of_thrusts(motion: Motion) -> Finding:
         ends.append((f, np.concatenate(slop).reshape(shape)))
     (left, before), (right, after) = ends
     jumps = np.linalg.norm(left[1:] - right[:-1], axis=-1) + before[1:] + after[:-1]
-    return _largest_jump(motion, jumps, motion.team.robots)
+    return _at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
 
 
-def _largest_jump(motion: Motion, jumps: Array, first: int) -> Finding:
-    """Return the largest of jumps (pieces - 1, items), whose first item has the name ``first``."""
-    if jumps.size == 0:
-        return _named(motion, 0.0, float(motion.drones.breaks[0]), 0)
-    joint, item = np.unravel_index(int(np.argmax(jumps)), jumps.shape)
-    time = float(motion.drones.breaks[joint + 1])
-    return _named(motion, float(jumps[joint, item]), time, first + int(item))
+def _at_joint(values: Array, times: Array, names: Sequence[str]) -> Finding:
+    """Return the largest of values (joints, items) at times (joints or more,) [s]."""
+    if values.size == 0:
+        return Finding(0.0, float(times[0]))
+    joint, item = np.unravel_index(int(np.argmax(values)), values.shape)
+    worst = float(values[joint, item])
+    return Finding(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
 
 
 def _outside(
-    motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array, first: int
+    motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array
 ) -> Finding:
     """Return how far pulls are outside of their ranges at most, or of what friction makes of these.
 
@@ -336,7 +301,6 @@ def _outside(
     ----------
     pulls: (pieces, items, degree + 1) [N]
     ranges: (2, pieces, items) [N], from which to which.
-    first: name of the first item.
     """
     margin = ROUNDING * np.max(np.abs(pulls))
 
@@ -351,7 +315,8 @@ def _outside(
     spans: Iterator[MotionSpans]
     spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
     found = worst(spans, beyond, "max")
-    return _named(motion, found.worst, found.time, first + found.item)
+    where = (over.names(motion)[found.item],) if found.worst > 0.0 else ()
+    return Finding(found.worst, found.time, where)
 
 
 def _off_at_ends(motion: Motion) -> Finding:
@@ -362,8 +327,7 @@ def _off_at_ends(motion: Motion) -> Finding:
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
     held = [phase.hold is not None for phase in motion.phases] or [False]
-    holding = np.array(held)[motion.phase_of_piece]
-    holding = np.concatenate([holding[:1], holding, holding[-1:]])
+    holding = np.pad(np.array(held)[motion.phase_of_piece], 1, mode="edge")
     c, team = motion.tensions.coefficients, motion.team.tension
     off = np.zeros((motion.drones.pieces + 1, motion.team.robots))
     for end, other, shift in ((0, slice(0, -2), 0), (-1, slice(2, None), 1)):
@@ -371,8 +335,7 @@ def _off_at_ends(motion: Motion) -> Finding:
         changes &= ~(holding[1:-1] & holding[other])
         joints = np.flatnonzero(changes) + shift
         off[joints] = np.maximum(off[joints], np.abs(c[changes][..., end] - team))
-    joint, cable = np.unravel_index(int(np.argmax(off)), off.shape)
-    return _named(motion, float(off[joint, cable]), float(motion.drones.breaks[joint]), int(cable))
+    return _at_joint(off, motion.drones.breaks, Cables.names(motion))
 
 
 def _ramps(motion: Motion) -> Mask:
@@ -404,15 +367,8 @@ def _rising(free: Mask, resting: Mask, full: Mask) -> Mask:
     return found
 
 
-TENSION = CheckRule(
-    "tension",
-    "N",
-    "max",
-    TENSION_LIMIT,
-    (
-        Finder(
-            _find, FREE_STATES | HITCHED_STATE, shown=(_jump_of_pulls, _jump_of_thrusts, _outside)
-        ),
-    ),
-    whole=True,
+JUMPS_AND_RANGES = Finder(
+    _find, FREE_STATES | HITCHED_STATE, shown=(_jump_of_pulls, _jump_of_thrusts, _outside)
 )
+
+TENSION = CheckRule("tension", "N", "max", TENSION_LIMIT, (JUMPS_AND_RANGES,), whole=True)

@@ -27,7 +27,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks import clasps
+from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Hovering
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
@@ -63,26 +63,17 @@ SHORTEST, LONGEST, SLOWEST = 0.1, 2.5, 20.0
 """[s] Durations of stops: the shortest and longest that are tried, and the longest with a reserve
 or something that is carried, which allow no shorter ones."""
 
-SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
-"""[s] Distances of stops, also while steering, and how many there are at most."""
-
 RATIO = 1.25
 """Ratio of neighbouring durations that are tried, about."""
+
+SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
+"""[s] Distances of stops, also while steering, and how many there are at most."""
 
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
 
 SWITCH = 5.0 / 12.0
 """Plan time over duration at which a stop's jerk changes its sign."""
-
-TINY = 1e-12
-"""[N], [m/s²] Slack counts as at least this where values are divided by it."""
-
-ROWS = 5
-"""Number of coordinates of a carried path; those that it does not have are zero."""
-
-EVEN = 0.01
-"""Least share of a sum of two numbers that one of them is taken for."""
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
@@ -138,13 +129,7 @@ class _Spans:
 
 
 class _Curves:
-    """Vectors that are polynomials of plan time, several of each item, on all pieces.
-
-    Parameters
-    ----------
-    breaks: (pieces + 1,) [s]
-    vectors: (pieces, items) each, by the share of the piece.
-    """
+    """Vectors (pieces, items) that are polynomials of plan time, several of each item."""
 
     def __init__(self, breaks: Array, vectors: Sequence[Enclosed]) -> None:
         self.breaks = breaks
@@ -162,13 +147,8 @@ class _Curves:
     @classmethod
     def of(cls, path: PiecewisePolynomial, count: int) -> _Curves:
         """Return the first derivatives of paths (items, d)."""
-        return cls(
-            path.breaks,
-            [
-                Enclosed(path.differentiated(k).coefficients, derivative_margin(path, k))
-                for k in range(1, count + 1)
-            ],
-        )
+        each = [(path.differentiated(k), derivative_margin(path, k)) for k in range(1, count + 1)]
+        return cls(path.breaks, [Enclosed(part.coefficients, margin) for part, margin in each])
 
     def along(self, spans: _Spans) -> list[Enclosed]:
         """Return the vectors by time: chords, and how far curves are off them."""
@@ -205,7 +185,7 @@ def _turning(thrust: Enclosed, rate: Enclosed, limit: float) -> Judged:
     return ~np.all(most <= limit * sizes**2, axis=1), fine
 
 
-class _Kept:
+class _Limited:
     """Items that limit what a clock may do."""
 
     _curves: _Curves
@@ -238,7 +218,7 @@ class _Kept:
                 kept[spans.cells.owner] = False
 
 
-class ClockLimits(_Kept):
+class ClockLimits(_Limited):
     """The limits of a motion, for clocks.
 
     Attributes
@@ -317,8 +297,8 @@ def _hovering(motion: Motion, value: Callable[[Hovering], Enclosed]) -> Enclosed
     return Enclosed(c.reshape(*shape, *c.shape[1:]), r.reshape(shape))
 
 
-class CarriedInertia(_Kept):
-    """Paths (m, ROWS) whose additional accelerations a clock has to keep within a slack.
+class CarriedInertia(_Limited):
+    """Paths (m, 3) whose additional accelerations a clock has to keep within a slack.
 
     Parameters
     ----------
@@ -328,15 +308,14 @@ class CarriedInertia(_Kept):
     def __init__(self, motion: Motion, parts: list[tuple[slice, Array, Array]]) -> None:
         items = max(path.shape[1] for _, path, _ in parts)
         order = max(bernstein.degree(path) for _, path, _ in parts)
-        paths = np.zeros((motion.drones.pieces, items, ROWS, order + 1))
+        paths = np.zeros((motion.drones.pieces, items, 3, order + 1))
         self.slack = np.full(paths.shape[:2], np.inf)
         for run, path, slack in parts:
             count, known = path.shape[1], np.all(np.isfinite(path), axis=(2, 3))
             paths[run, :count] = np.nan_to_num(bernstein.elevate(path, order))
             self.slack[run, :count] = np.where(known, np.maximum(slack, 0.0), 0.0)
         self.breaks = motion.drones.breaks
-        self.paths = PiecewisePolynomial(self.breaks, paths)
-        self._curves = _Curves.of(self.paths, 2)
+        self._curves = _Curves.of(PiecewisePolynomial(self.breaks, paths), 2)
         self._spans = np.array([self.breaks[[run.start, run.stop]] for run, _, _ in parts])
 
     @classmethod
@@ -350,19 +329,6 @@ class CarriedInertia(_Kept):
         begins, ends = self._spans.T
         found: Flags = np.any((ends > begin[:, None]) & (begins < end[:, None]), axis=1)
         return found
-
-    def least_rate(self, begin: float, end: float) -> float:
-        """Return the least constant rate that keeps the balance within a span of plan time [s].
-
-        It is found at samples, to tell what to ask for, and verifies nothing.
-        """
-        breaks = self.breaks
-        times = np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])])
-        times = times[(times >= begin) & (times <= end)]
-        added = np.linalg.norm(self.paths.at(times, 2), axis=-1)  # at rest
-        slack = np.maximum(self.slack[np.searchsorted(breaks[1:-1], times, side="right")], TINY)
-        over = max(1.0, float(np.max(added / slack, initial=0.0)))
-        return float(np.sqrt(1.0 - 1.0 / over))
 
     def _quick(self, s: Array, slope: Array, _: Array, piece: Indices) -> Flags:
         v, a = self._curves.sizes[:, piece]
@@ -455,9 +421,9 @@ def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
 
 
 def carried_paths(motion: Motion) -> Iterator[tuple[slice, Array, Array]]:
-    """Yield runs of pieces on which an object is carried, paths, and their slack.
+    """Yield runs of pieces on which an object is carried, paths, and their slack [m/s²].
 
-    Paths are places times masses (pieces, items, coordinates, degree + 1) [kg m], or places [m].
+    Paths have the shape (pieces, items, 3, degree + 1) [m].
     """
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
@@ -475,62 +441,50 @@ def carried_paths(motion: Motion) -> Iterator[tuple[slice, Array, Array]]:
 
 
 def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Array]:
-    """Return paths and slack of an object that rests on clasps all the time.
+    """Return the paths of clasps below a rim and of the centre of mass, and their slack.
 
-    Clasps carry shares of its mass; they take what its centre of mass, being higher, moves from
-    clasp to clasp; friction carries the rim along with clasps; and the line of weight and inertia
-    meets their plane within their polygon.
+    Clasps carry shares of the mass, and what the centre, being higher, moves from clasp to clasp;
+    friction carries the rim along with them; and the line of weight and inertia meets their plane
+    within their polygon.
     """
+    assert body.rim is not None
     pose = motion.object_poses.coefficients[:, index]
     places = motion.vertices.coefficients[:, motion.team.layout.clasps]
-    centre = centre_path(pose, body)
+    centre = centre_path(pose, body)[:, None]
     order = max(bernstein.degree(centre), bernstein.degree(places))
-    places, centre = bernstein.elevate(places, order), bernstein.elevate(centre, order)
-    assert body.rim is not None
+    each = [bernstein.elevate(part, order) for part in (places, centre)]
+    points = motion.vertices.alike(np.concatenate(each, axis=1))
     height = abs(body.centre_of_mass[2] - body.rim.height)
     supports = supports_of(motion, index, body)
-    mass = body.mass * supports.shares
-    moving = body.mass * height * np.linalg.norm(supports.gains, axis=-1)
-    moving *= 1.0 + heading_error(Enclosed(pose[:, 3:]))[:, None]
-    # Both add up in z: |a + b|² <= a² / f + b² / (1 - f).
-    speeds = [np.abs(bernstein.differentiate(part)) for part in (places[:, :, 2], centre[:, :2])]
-    upward = mass * np.max(speeds[0], axis=-1)
-    moved = moving * np.max(speeds[1], axis=(1, 2))[:, None]
-    total = upward + moved
-    share = np.divide(upward, total, out=np.full_like(total, 0.5), where=total > 0.0)
-    share = np.clip(share, EVEN, 1.0 - EVEN)
-    factors = np.stack([mass, mass, mass / np.sqrt(share), *[moving / np.sqrt(1.0 - share)] * 2], 2)
-    rows = [places, np.broadcast_to(centre[:, None, :2], (*mass.shape, 2, order + 1))]
-    loads = factors[..., None] * np.concatenate(rows, axis=2)
-    points = np.zeros((len(mass), mass.shape[1] + 1, ROWS, order + 1))
-    points[:, :-1, :3], points[:, -1, :3] = places, centre
-    pushed = motion.vertices.alike(points).differentiated(2).coefficients
+    shifted = height * np.linalg.norm(supports.gains, axis=-1)
+    shifted *= 1.0 + heading_error(Enclosed(pose[:, 3:]))[:, None]
+    bearing = spare_forces(motion) / (body.mass * (supports.shares + shifted))
+    pushed = points.differentiated(2).coefficients
     level = np.max(np.linalg.norm(pushed[:, :, :2], axis=2), axis=-1)
     pressing = GRAVITY + np.min(pushed[:, :, 2], axis=-1)
     sliding = (body.friction * pressing - level)[:, :-1] / (1.0 + body.friction)
     inside = SUPPORT.finders[0].find(motion, 0.0).worst
-    lean = height * (1.0 + level[:, -1:] / pressing[:, -1:])
-    tipping = inside * pressing[:, -1:] / (lean + inside)
-    slack = [clasps.spare_forces(motion), sliding, tipping]
-    return np.concatenate([loads, points], axis=1), np.concatenate(slack, axis=1)
+    lean = height * (1.0 + level[:, -1] / pressing[:, -1])
+    tipping = inside * pressing[:, -1] / (lean + inside)
+    whole = np.minimum(tipping, np.min(bearing, axis=1))
+    slack = np.column_stack([np.minimum(bearing, sliding), whole])
+    return points.coefficients, slack
 
 
 def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Array]:
-    """Return paths and slack of an object that edges grip all the time.
+    """Return the paths of the centre and the heading of an object that edges grip, and their slack.
 
-    They push it as a whole; friction bears it and turns it with them.
+    Edges push it as a whole; friction bears it and turns it with them, half of it for each.
     """
     pose = motion.object_poses.coefficients[:, index]
     centre = centre_path(pose, body)
     order = max(bernstein.degree(pose), bernstein.degree(centre))
-    paths = np.zeros((len(pose), 2, ROWS, order + 1))
-    paths[:, 0, :3] = body.mass * bernstein.elevate(centre, order)
-    # |a| + |b| is at most the root of 2 (a² + b²).
-    paths[:, 1, 0] = np.sqrt(2.0) * paths[:, 0, 2]
-    turning = np.sqrt(2.0) * body.mass * turning_reach(body)
-    paths[:, 1, 1:3] = turning * bernstein.elevate(pose[:, 3:], order)
-    forces = np.min(clasps.spare_forces(motion), axis=1)
-    return paths, np.stack([forces, spare_friction(motion, index)], axis=1)
+    paths = np.zeros((len(pose), 2, 3, order + 1))
+    paths[:, 0] = bernstein.elevate(centre, order)
+    paths[:, 1, :2] = bernstein.elevate(pose[:, 3:], order)
+    forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)
+    slack = [np.minimum(forces, friction), friction / turning_reach(body)]
+    return paths, np.column_stack(slack) / body.mass
 
 
 def _find(motion: Motion, found: Findings, gamma: float, spacing: float = SPACING) -> Finding:

@@ -196,7 +196,7 @@ class Player(OneLine):
         found = self._first(partial(_to_rate, rate), rate)
         if rate == 0.0:
             found = self._sooner_stop(found)
-        return self._adopt(found, f"a rate of {rate:g}", partial(self._other_rate, rate))
+        return self._adopt(found, f"a rate of {rate:g}", self._other_rate)
 
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
@@ -288,15 +288,10 @@ class Player(OneLine):
         self._rows, self._begins = np.vstack([found.jets, last]).tolist(), begins.tolist()
         return float(begins[-1] - self._now)
 
-    def _other_rate(self, rate: float) -> str:
+    def _other_rate(self) -> str:
         """Return what to ask for in place of a rate from now on."""
-        inertia, time = self.limits.inertia, self.time
-        ends = (time, self._end) if rate > 0.0 else (self._begin, time)
-        least = 0.0 if inertia is None else inertia.least_rate(*ends)
-        if abs(rate) >= least:
-            return USUAL
-        least = math.ceil(100.0 * least + 0.1) / 100.0
-        return f"ask for {math.copysign(least, rate):g} or faster: what is carried has inertia"
+        carried = self.limits.inertia is not None
+        return "ask for a faster rate: what is carried has inertia" if carried else USUAL
 
     def _other_rests(self, time: float) -> str:
         """Return the rests to seek in place of a plan time [s]: the nearest on both sides."""
