@@ -29,7 +29,7 @@ DIRECTION_ORDER = 4
 """Degree of w: on the spans that matter |y| varies by per cents, and w then errs by 1e-9."""
 
 NORM_ORDER = 6
-"""Degree of the interpolant of |y|, which enters few products and so may be higher."""
+"""Degree of the interpolant of a root, which enters few products and so may be higher."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,35 +212,21 @@ class Enclosed:
     @cached_property
     def norm(self) -> Enclosed:
         """|y|."""
-        y, scale = self._scaled
-        order = min(NORM_ORDER, self.degree * NORM_ORDER)
-        v = bernstein.interpolate(_lengths(y, order))
-        squared = bernstein.dot(y, y)
-        order = max(bernstein.degree(squared), 2 * order)
-        product = bernstein.elevate(bernstein.multiply(v, v), order)
-        residual = bernstein.elevate(squared, order) - product
-        # | |y| - v | = | |y|² - v² | / (|y| + v); where v may vanish, 0 <= |y| <= |coefficients|.
-        least = np.min(v, axis=-1)
-        known = least > 0.0
-        error = (np.max(np.abs(residual), axis=-1) + EPS) / np.where(known, least, 1.0)
-        largest = np.max(column_lengths(y), axis=-1) * (1.0 + EPS)
-        v = np.where(known[..., None], v, 0.5 * largest[..., None]) * scale[..., None]
-        error = np.where(known, error, 0.5 * largest) * scale
-        return Enclosed(v[..., None, :], error + self.r)
+        return self.dot(self).root
 
     @cached_property
     def root(self) -> Enclosed:
         """The root of a scalar, 0 where it is negative."""
-        order = min(NORM_ORDER, self.degree)
+        order = NORM_ORDER if self.degree else 0
         nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
         v = bernstein.interpolate(np.sqrt(np.maximum(nodal, 0.0)))
-        squared = bernstein.multiply(v, v)
         high = max(self.degree, 2 * order)
-        residual = bernstein.elevate(self.c, high) - bernstein.elevate(squared, high)
+        squared = bernstein.elevate(bernstein.multiply(v, v), high)
+        residual = np.abs(bernstein.elevate(self.c, high) - squared)[..., 0, :]
         # | √a - v | = | a - v² | / (√a + v); where v may vanish, 0 <= √a <= √|coefficients|.
         least, most = np.min(v[..., 0, :], axis=-1), np.sqrt((self.size + self.r) * (1.0 + EPS))
         known = least > 0.0
-        error = np.max(np.abs(residual[..., 0, :]), axis=-1) + EPS * self.size + self.r
+        error = np.max(residual, axis=-1) + EPS * self.size + self.r
         error = np.where(known, error / np.where(known, least, 1.0), 0.5 * most)
         v = np.where(known[..., None, None], v, 0.5 * most[..., None, None])
         return Enclosed(v, error + EPS * most)
