@@ -420,15 +420,15 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
 
     A drone at a chain's end stands on its own edge.
     """
-    parts, on_leg = cable_parts(motion), motion.team.layout.has_leg.ravel()
+    (corners, part), on_leg = cable_parts(motion), motion.team.layout.has_leg.ravel()
 
     def strange(drones: Indices, bodies: Indices) -> Flags:
-        part = parts.part[bodies]
-        counted: Flags = (drones // 2 != part // 3) | ((part % 3 == 1) & on_leg[drones])
+        k, kind = np.divmod(part[bodies], 3)
+        counted: Flags = (drones // 2 != k) | ((kind == 1) & on_leg[drones])
         return counted
 
-    drones = motion.drones.elevated(bernstein.degree(parts.corners)).coefficients
-    return _to_segments(motion, drones[:, :, None], parts.corners, parts.part // 3, strange, limit)
+    drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
+    return _to_segments(motion, drones[:, :, None], corners, part // 3, strange, limit)
 
 
 def _seen_from_above(motion: Motion, limit: float) -> Finding:
@@ -541,17 +541,17 @@ def _objects_to_taut(motion: Motion, limit: float) -> Finding:
 
 
 def _taut_past(motion: Motion) -> Iterator[Moving]:
-    parts, contact = cable_parts(motion), {"contact": CONTACT}
-    cables, points = parts.part // 3, Enclosed(parts.corners)
+    (corners, part), contact = cable_parts(motion), {"contact": CONTACT}
+    cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
     # No part is lower than all of its ends, and bends of what is wrapped around an object.
     holding = np.array([phase.hold is not None for phase in motion.phases], dtype=np.bool_)
     on = np.append(holding, False)[motion.phase_of_piece]
     yield Moving.past(
         motion.drones.breaks,
-        parts.corners,
+        corners,
         Ground(motion.requirements.floor - 2.0 * CONTACT),
-        counted=np.repeat(on[:, None], len(parts), axis=1),
+        counted=np.repeat(on[:, None], len(part), axis=1),
         names=(names, (GROUND,)),
         **contact,
     )
@@ -559,7 +559,7 @@ def _taut_past(motion: Motion) -> Iterator[Moving]:
         held, gripped = _holding(motion, name)
         counted, seen = ~held[:, cables], seen_from(pose, points)
         if each.stem is not None:  # what is below a flat tray is off it
-            entering = (~gripped | (parts.part % 3 != 1)) & ~counted
+            entering = (~gripped | (part % 3 != 1)) & ~counted
             yield _past(motion, seen, each.slabs[0], names, name, counted=entering, **contact)
         for slab in each.slabs:
             yield _past(motion, seen, slab, names, name, counted=counted)

@@ -477,14 +477,14 @@ def _taut_crossing(motion: Motion, limit: float) -> Finding:
     The two legs of one cable count among them: they cross where both pass a star tip. All parts of
     a chain of two cables share its one clasp: nothing is counted then.
     """
-    parts = cable_parts(motion)
-    ends = part_points(parts.part, motion.team.layout)
+    corners, part = cable_parts(motion)
+    ends = part_points(part, motion.team.layout)
 
     def unclasped(i: Indices, j: Indices) -> Flags:
         shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
         return ~shared
 
-    return _crossing(motion, parts.corners, unclasped, limit, [part_name(p) for p in parts.part])
+    return _crossing(motion, corners, unclasped, limit, [part_name(p) for p in part])
 
 
 def _hanging_crossing(motion: Motion, limit: float, allowed: Allowed | None = None) -> Finding:

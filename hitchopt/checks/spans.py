@@ -184,15 +184,6 @@ class Spans:
             part = slice(first, first + BATCH)
             yield cls(source, breaks, piece[part], item[part])
 
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return the spans of all parts, in a row; they have one source."""
-        ends = [np.concatenate(each) for each in zip(*(part._ends for part in parts), strict=True)]
-        piece, item = (
-            np.concatenate([getattr(part, name) for part in parts]) for name in ("piece", "item")
-        )
-        return cls(parts[0].source, parts[0].breaks, piece, item, *ends)
-
     def _like(
         self, index: Any, lower: Array | None, upper: Array | None, *, points: bool = False
     ) -> Self:
@@ -349,27 +340,13 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
     return leaving, vertices[:, layout.ends] - contacts[:, :, 1]
 
 
-@dataclass(frozen=True, eq=False)
-class CableParts:
-    """The cable parts as segments.
-
-    Attributes
-    ----------
-    corners: (pieces, bodies, 2, 3, degree + 1) [m]: their ends.
-    part: (bodies,), the part that each is of. An edge that is wrapped around an object has three
-        segments: what is straight of it, and between the chord of its arc, which is on the object.
-    """
-
-    corners: Array
-    part: Indices
-
-    def __len__(self) -> int:
-        return len(self.part)
-
-
 @shared
-def cable_parts(motion: Motion) -> CableParts:
-    """Return the cable parts in the order of ``Layout.parts``, edges' segments in theirs."""
+def cable_parts(motion: Motion) -> tuple[Array, Indices]:
+    """Return the cable parts as segments (pieces, bodies, 2, 3, N+1) [m], and which each is.
+
+    They have the order of ``Layout.parts``. An edge that is wrapped around an object has three
+    segments: what is straight of it, and between the chord of its arc, which is on the object.
+    """
     drones, vertices = positions(motion)
     layout, kinds = motion.team.layout, [0, 1, 2]
     listed: slice | Indices = slice(None)
@@ -383,7 +360,7 @@ def cable_parts(motion: Motion) -> CableParts:
     corners = np.stack(same_degree(*ends), axis=2)
     corners = corners.reshape(len(corners), -1, 2, *corners.shape[3:])[:, listed]
     part = 3 * np.arange(layout.robots)[:, None] + kinds
-    return CableParts(corners, part.ravel()[listed])
+    return corners, part.ravel()[listed]
 
 
 def part_points(parts: Indices, layout: Layout) -> tuple[Indices, Indices]:

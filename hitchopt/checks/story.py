@@ -82,38 +82,38 @@ class Crossings:
     time: Array
 
 
-def _listed(moving: Moving) -> Iterator[PairSpans]:
-    """Yield the spans of whole pieces of all pairs that may touch."""
-    return (spans for spans in near(moving, lambda: 2.0 * APART) if not spans.points)
+def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[Indices, Array]:
+    """Return pairs, of all that may touch, and times [s] about which nothing is ever decided.
 
-
-def _undecided(spans: PairSpans, decided: Callable[[PairSpans], Flags]) -> PairSpans:
-    """Return spans on which nothing is ever decided, all else being halved until it is.
-
-    Where nothing is at mid time itself, nothing more is learnt about such a pair: chords that
-    overlap for a while would be halved into 2**MAX_HALVINGS spans.
+    All other time is halved until it is. Where nothing is at mid time itself, nothing more is
+    learnt about such a pair: chords that overlap for a while would be halved into 2**MAX_HALVINGS
+    spans.
     """
 
     def left(spans: PairSpans) -> PairSpans:
         flags = [np.zeros(0, np.bool_), *(decided(batch) for batch in batches(spans))]
         return spans.take(~np.concatenate(flags))
 
-    open_ = [spans.take(slice(0, 0))]
-    for _ in range(MAX_HALVINGS):
-        if not len(spans):
-            break
-        check_time()
-        spans = left(spans)
-        open_.append(left(spans.at(np.full(len(spans), 0.5))))
-        spans = spans.take(~np.isin(spans.item, open_[-1].item)).halves()
-    return PairSpans.joined([*open_, spans])
+    found = []
+    for whole in near(moving, lambda: 2.0 * APART):
+        spans = whole.take(slice(0, 0 if whole.points else None))
+        for _ in range(MAX_HALVINGS):
+            if not len(spans):
+                break
+            check_time()
+            spans = left(spans)
+            found.append(left(spans.at(np.full(len(spans), 0.5))))
+            spans = spans.take(~np.isin(spans.item, found[-1].item)).halves()
+        found.append(spans)
+    items = [np.zeros(0, dtype=np.intp), *(each.item for each in found)]
+    times = [np.zeros(0), *(each.times(np.zeros(len(each))) for each in found)]
+    return np.concatenate(items), np.concatenate(times)
 
 
 def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
     """Return what the chords of drones q0, r0, q1, … of shape (2n, 3) [m] did."""
     moving = Moving(drones.breaks, cable_ends(drones.coefficients))
     rows = [np.zeros((5, 0))]  # pairs, when they may have met, and the volume's sign before, after
-    unclear = [np.zeros((2, 0))]
 
     def decided(spans: PairSpans) -> Flags:
         chords = np.concatenate(spans.ends, axis=1)
@@ -127,11 +127,8 @@ def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
             )
         return apart | across
 
-    for spans in _listed(moving):
-        left = _undecided(spans, decided)
-        unclear.append(np.stack([left.item, left.times(np.zeros(len(left)))]))
+    open_, opened = _undecided(moving, decided)
     item, begin, end, before, after = np.concatenate(rows, axis=1)
-    open_, opened = np.concatenate(unclear, axis=1)
     pairs, index = np.unique(np.concatenate([item, open_]).astype(np.intp), return_inverse=True)
     here, there = index[: len(item)], index[len(item) :]
     twice, certain = np.zeros(len(pairs)), np.ones(len(pairs), bool)
@@ -185,12 +182,9 @@ def entered(motion: Motion) -> Crossings:
     ----------
     motion: a phase without a hitch, no cable lying on the ground.
     """
-    moving, rows = cables_and_drones(motion), [np.zeros((2, 0))]
-    for spans in _listed(moving):
-        inside = _undecided(spans, _off)
-        rows.append(np.stack([inside.item, inside.times(np.zeros(len(inside)))]))
-    item, time = np.concatenate(rows, axis=1)
-    pairs, first = np.unique(item.astype(np.intp), return_index=True)
+    moving = cables_and_drones(motion)
+    item, time = _undecided(moving, _off)
+    pairs, first = np.unique(item, return_index=True)
     cable, drone = np.divmod(pairs, moving.count)
     none = np.zeros(len(pairs), np.intp)
     return Crossings(drone, cable, none, none > 0, time[first])
