@@ -27,6 +27,7 @@ class Samples:
             part.at(times) for part in (motion.drones, motion.vertices, motion.tensions)
         )
         self.a, self.stored = motion.drones.at(times, 2), motion.legs.at(times)
+        self.P = motion.pulls.at(times)  # of legs: friction makes them other than tensions
         points = self.p.shape[1]
         closed = points == self.n
         self.first, self.last = np.arange(self.n), (np.arange(self.n) + 1) % points
@@ -157,7 +158,7 @@ def _pulls(s: Samples) -> tuple[Array, Array]:
     other = np.stack([s.last, s.first], axis=1).ravel()
     span = s.x - s.p[:, np.where(s.legged, s.own, other)]  # along which each cable pulls
     size = np.linalg.norm(span, axis=-1)
-    root = np.sqrt(np.repeat(s.T, 2, axis=1) ** 2 - (s.half * _level(span)) ** 2)
+    root = np.sqrt(s.P**2 - (s.half * _level(span)) ** 2)
     return ((s.half * span[..., 2] + root) / size)[..., None] * span, size
 
 

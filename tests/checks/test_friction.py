@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from certificate_cases import applied
+from certificate_sampling import sampled
 from numpy.typing import NDArray
 
 import hitchopt as ho
@@ -39,26 +40,6 @@ def leaned() -> Motion:
     return motion
 
 
-def residuals(motion: Motion, t: Array) -> Array:
-    """(times, clasps): unbalanced forces over the weaker tension, by hand."""
-    p, x = motion.vertices.at(t), motion.drones.at(t)
-    T, P = motion.tensions.at(t), motion.pulls.at(t)
-    n = motion.team.robots
-    found = np.empty((len(t), n))
-    for k in range(n):
-        i = (k - 1) % n
-        force = np.zeros((len(t), 3))
-        for pull, way in (
-            (P[:, 2 * k], x[:, 2 * k] - p[:, k]),
-            (T[:, k], p[:, (k + 1) % n] - p[:, k]),
-            (P[:, 2 * i + 1], x[:, 2 * i + 1] - p[:, k]),
-            (T[:, i], p[:, i] - p[:, k]),
-        ):
-            force += pull[:, None] * way / np.linalg.norm(way, axis=1, keepdims=True)
-        found[:, k] = np.linalg.norm(force, axis=1) / np.minimum(T[:, k], T[:, i])
-    return found
-
-
 def ratios(motion: Motion, t: Array) -> Array:
     """(times, n, 2, 2): pull over tension, and what friction makes of it at most.
 
@@ -81,9 +62,11 @@ def ratios(motion: Motion, t: Array) -> Array:
 
 def test_samples_never_pass_what_is_certified(leaned: Motion) -> None:
     t = np.linspace(0.0, leaned.duration, 20_001)
-    found = check(leaned)
-    assert found.holds
-    assert np.max(residuals(leaned, t)) <= found.bound
+    certificate, found = certify(leaned), sampled(leaned, t)
+    assert certificate.certified
+    for name, share in (("equilibrium", 1.0), ("tilt", 1.0), ("thrust", 2.6)):
+        worst = certificate[name].bound
+        assert share * found[name] <= worst <= share * found[name] * 1.001 + 1e-6
     ratio, most = np.moveaxis(ratios(leaned, t), -1, 0)
     assert np.all((ratio <= most) & (ratio >= 1.0 / most))
     assert np.ptp(ratio) > 0.05  # there is something to hold against it
@@ -103,19 +86,40 @@ def test_legs_at_their_cables_tension_are_judged_as_those_that_say_nothing(leane
     assert not check(replace(leaned, team=team(0.0))).holds
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.02, 0.05])
-def test_more_than_friction_gives_is_unbalanced_by_as_much(leaned: Motion, friction: float) -> None:
-    motion = replace(leaned, team=team(friction))
-    t = np.linspace(0.0, motion.duration, 20_001)
+def swinging(leaned: Motion, seed: int) -> Motion:
+    """Pulls that no leg would have, larger or smaller, swinging between all breaks."""
+    assert leaned.leg_tensions is not None
+    rng = np.random.default_rng(seed)
+    lower, upper = ((0.9, 1.4), (0.6, 1.05), (0.5, 1.5))[seed]
+
+    def swung(part: PiecewisePolynomial, least: float, most: float) -> PiecewisePolynomial:
+        c = part.elevated(7).coefficients
+        swing = rng.uniform(least, most, c.shape)
+        swing[..., [0, -1]] = 1.0  # pieces still join
+        return PiecewisePolynomial(part.breaks, c * swing)
+
+    pulls, tensions = swung(leaned.leg_tensions, lower, upper), swung(leaned.tensions, 0.97, 1.03)
+    return replace(leaned, team=team(0.04), leg_tensions=pulls, tensions=tensions)
+
+
+@pytest.mark.parametrize("case", [0.0, 0.02, 0.05, *"012"])
+def test_more_than_friction_gives_is_unbalanced_by_as_much(
+    leaned: Motion, case: float | str
+) -> None:
+    """Of less friction than legs lean for, and of pulls that have nothing to do with it."""
+    random = isinstance(case, str)
+    motion = swinging(leaned, int(case)) if random else replace(leaned, team=team(float(case)))
+    t = np.linspace(0.0, motion.duration, 40_001)
     ratio, most = np.moveaxis(ratios(motion, t), -1, 0)
     beyond = np.maximum(ratio - most, 1.0 / most - ratio)
-    found = check(motion)
-    assert not found.holds
-    worst = float(np.max(beyond))
-    assert worst <= found.bound <= worst * 1.001 + 1e-6
+    found, worst = beyond_friction(motion), float(np.max(beyond))
+    assert worst <= found.worst <= worst * 1.001 + 1e-6
     when, cable, end = np.unravel_index(np.argmax(beyond), beyond.shape)
     assert found.where == (f"p{(cable + end) % 4}",)
     assert found.time == pytest.approx(t[when], abs=0.05)
+    told = check(motion)
+    assert told.bound >= found.worst if random else told.worst == found.worst
+    assert not told.holds
 
 
 def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
@@ -124,37 +128,11 @@ def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
     c[:, 2, 1] *= 1.02
     tampered = replace(leaned, leg_tensions=PiecewisePolynomial(leaned.drones.breaks, c))
     found = check(tampered)
-    t = np.linspace(0.0, leaned.duration, 4_001)
     assert not found.holds
-    assert np.max(residuals(tampered, t)) <= found.bound
+    t = np.linspace(0.0, leaned.duration, 4_001)
+    assert sampled(tampered, t)["equilibrium"] <= found.bound
     assert found.worst == pytest.approx(0.02, rel=0.3)
     assert found.where == ("p3",)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_sample_of_any_pulls_is_farther_beyond_friction(leaned: Motion, seed: int) -> None:
-    """Pulls that no leg would have, larger or smaller, swinging between all breaks."""
-    assert leaned.leg_tensions is not None
-    rng = np.random.default_rng(seed)
-    lower, upper = ((0.9, 1.4), (0.6, 1.05), (0.5, 1.5))[seed % 3]
-
-    def swinging(part: PiecewisePolynomial, least: float, most: float) -> PiecewisePolynomial:
-        c = part.elevated(7).coefficients
-        swing = rng.uniform(least, most, c.shape)
-        swing[..., [0, -1]] = 1.0  # pieces still join
-        return PiecewisePolynomial(part.breaks, c * swing)
-
-    motion = replace(
-        leaned,
-        team=team(0.04),
-        leg_tensions=swinging(leaned.leg_tensions, lower, upper),
-        tensions=swinging(leaned.tensions, 0.97, 1.03),
-    )
-    assert motion.leg_tensions is not None
-    found = beyond_friction(motion)
-    ratio, most = np.moveaxis(ratios(motion, np.linspace(0.0, motion.duration, 40_001)), -1, 0)
-    worst = float(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
-    assert worst <= found.worst <= worst * 1.001 + 1e-6
 
 
 def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
@@ -163,8 +141,8 @@ def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
     c = leaned.tensions.coefficients.copy()
     c[:, 1] *= 0.1
     weak = replace(leaned, tensions=PiecewisePolynomial(leaned.tensions.breaks, c))
-    sampled = np.max(residuals(weak, np.linspace(0.0, leaned.duration, 20_001)))
-    assert sampled <= check(weak).bound <= 1.001 * sampled
+    worst = sampled(weak, np.linspace(0.0, leaned.duration, 20_001))["equilibrium"]
+    assert worst <= check(weak).bound <= 1.001 * worst
 
 
 def test_pulls_of_another_shape_are_refused(leaned: Motion) -> None:
@@ -230,15 +208,9 @@ def test_at_a_chains_ends_friction_makes_nothing_of_the_tension(
         assert found.where == (f"p{point}",)
 
 
-def test_thrust_and_setpoints_take_the_legs_pull(leaned: Motion) -> None:
+def test_setpoints_take_the_legs_pull(leaned: Motion) -> None:
     t = np.linspace(0.0, leaned.duration, 2_001)
-    states = ho.Plan(leaned, certify(leaned)).at(t)
-    p, x = leaned.vertices.at(t), leaned.drones.at(t)
-    legs = x - p[:, leaned.team.layout.anchors]
-    pulls = np.linalg.norm(states.cable_forces, axis=-1)
-    np.testing.assert_allclose(pulls, leaned.pulls.at(t), rtol=1e-12)
-    along = np.sum(states.cable_forces * legs, axis=-1) / np.linalg.norm(legs, axis=-1)
-    np.testing.assert_allclose(along, -pulls, rtol=1e-12)
-    thrust = np.linalg.norm(states.thrusts(leaned.team), axis=-1)
-    found = certify(leaned)["thrust"].worst
-    assert np.max(thrust) <= found <= np.max(thrust) * 1.001
+    forces = ho.Plan(leaned, certify(leaned)).at(t).cable_forces
+    legs = leaned.drones.at(t) - leaned.vertices.at(t)[:, leaned.team.layout.anchors]
+    along = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
+    np.testing.assert_allclose(forces, -leaned.pulls.at(t)[..., None] * along, atol=1e-12)
