@@ -64,22 +64,31 @@ HALVINGS = 25
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """A slab that points and segments keep off."""
+    """A slab that points, segments and other upright slabs keep off.
+
+    Of a slab the corners of its core are given, first those of its floor, then those of its
+    ceiling. What is round about that core is added to the slab that stands still.
+    """
 
     slab: Slab
+    rounding: float = 0.0
 
     @property
     def box(self) -> Array:
         """Lower and upper corner (2, 3) [m] of a box around it."""
-        reach = self.slab.section.circumradius
+        reach = self.slab.section.circumradius + self.rounding
         return np.array([[-reach, -reach, self.slab.lower], [reach, reach, self.slab.upper]])
 
     def support(self, directions: Array) -> Array:
         """Return how far it reaches (…) [m] along directions (…, 3)."""
-        return self.slab.support(directions)
+        round_ = self.rounding * np.linalg.norm(directions[..., :2], axis=-1)
+        reach: Array = self.slab.support(directions) + round_
+        return reach
 
     def towards(self, corners: Array) -> Array:
-        """Return the directions (…, 3) out of it to points or segments (…, 1 or 2, 3)."""
+        """Return the directions (…, 3) out of it to what has corners (…, 1, 2 or 2 m, 3)."""
+        if corners.shape[-2] > 2:
+            return self._beside(corners)
         first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
         if corners.shape[-2] == 1:
             return self.slab.clearance(first).normals
@@ -94,35 +103,8 @@ class Solid:
             lower, upper = np.where(rising, lower, middle), np.where(rising, middle, upper)
         return out(np.where(lower == 0.0, 0.0, upper))
 
-
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """A slab that another upright one keeps off, of which the core's corners are given.
-
-    First those of its floor, then those of its ceiling. What is round about the core is added to
-    the slab that stands still.
-    """
-
-    slab: Slab
-    rounding: float
-
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
-        level = self.rounding * np.array([1.0, 1.0, 0.0])
-        return np.stack([Solid(self.slab).box[0] - level, Solid(self.slab).box[1] + level])
-
-    def support(self, directions: Array) -> Array:
-        """Return how far it reaches (…) [m] along directions (…, 3)."""
-        round_ = self.rounding * np.linalg.norm(directions[..., :2], axis=-1)
-        reach: Array = self.slab.support(directions) + round_
-        return reach
-
-    def towards(self, corners: Array) -> Array:
-        """Return the directions (…, 3) out of it to upright slabs with corners (…, 2 m, 3).
-
-        Level ones are those in which a side is nearest to it.
-        """
+    def _beside(self, corners: Array) -> Array:
+        """Return the same of upright slabs; level ones are those in which a side is nearest."""
         floor = corners[..., : corners.shape[-2] // 2, :2]
         sides = np.stack([floor, np.roll(floor, -1, axis=-2)], axis=-2)
         flat = np.concatenate([sides, np.zeros_like(sides[..., :1])], axis=-1)
@@ -132,11 +114,9 @@ class Beside:
         best = np.argmax(apart, axis=-1)[..., None]
         level = np.maximum(np.take_along_axis(apart, best, axis=-1), 0.0)
         level = level * np.take_along_axis(normals, best[..., None], axis=-2)[..., 0, :]
-        lowest, highest = corners[..., :1, 2], corners[..., -1:, 2]
-        upward = np.maximum(lowest - self.slab.upper, 0.0)
-        return unit(
-            np.concatenate([level, upward - np.maximum(self.slab.lower - highest, 0.0)], -1)
-        )
+        upward = np.maximum(corners[..., :1, 2] - self.slab.upper, 0.0)
+        upward = upward - np.maximum(self.slab.lower - corners[..., -1:, 2], 0.0)
+        return unit(np.concatenate([level, upward], axis=-1))
 
 
 def from_above(slab: Slab) -> Solid:
@@ -176,10 +156,8 @@ def carried(motion: Motion) -> Iterator[Moving]:
         )
         for slab in each.slabs:
             corners = Enclosed(placed_core(poses[:, index], slab)[:, None])
-            turned = (
-                float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
-                * slab.section.circumradius
-            )
+            error = float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
+            turned = error * slab.section.circumradius
             for other, (label, obstacle) in enumerate(objects.items()):
                 if other == index:
                     continue
@@ -192,8 +170,8 @@ def carried(motion: Motion) -> Iterator[Moving]:
                     yield Moving.past(
                         breaks,
                         seen.c,
-                        Beside(body, slab.section.rounding),
-                        margin=float(np.max(seen.r)) + ROUNDING * reach + float(np.max(turned)),
+                        Solid(body, slab.section.rounding),
+                        margin=float(np.max(seen.r)) + ROUNDING * reach + turned,
                         counted=(going[:, index] & ~(leaving & above))[:, None],
                         names=((name,), (label,)),
                     )
