@@ -28,17 +28,17 @@ from hitchopt.checks.distances import (
     Flags,
     Ground,
     Moving,
+    Nearest,
     PairSpans,
     cable_ends,
     cable_names,
     gap,
-    nearest,
     plan_points,
     smallest,
 )
 from hitchopt.checks.drones import steepness_of
 from hitchopt.checks.objects import heading_error, seen_from
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Ease, Finder
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
@@ -393,8 +393,8 @@ CONTACT = 2e-5
 """[m] Cables that hold an object and are no closer to its body enter it."""
 
 
-def _to_taut(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of a drone to any part of a foreign cable, or to its own edge.
+def _past_taut(motion: Motion) -> Iterator[Moving]:
+    """Yield drones past all parts of foreign cables, and past their own edge.
 
     A drone at a chain's end stands on its own edge.
     """
@@ -406,38 +406,37 @@ def _to_taut(motion: Motion, limit: float) -> Finding:
         return counted
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
-    return _to_segments(motion, drones[:, :, None], corners, part // 3, strange, limit)
+    yield _past_segments(motion, drones[:, :, None], corners, part // 3, strange)
 
 
-def _seen_from_above(motion: Motion, limit: float) -> Finding:
-    """Return the smallest level distance of a drone to the chord of a cable not its own."""
+def _past_chords(motion: Motion) -> Iterator[Moving]:
+    """Yield drones past the chords of cables not their own, as seen from above."""
 
     def foreign(drones: Indices, cables: Indices) -> Flags:
         apart: Flags = drones // 2 != cables
         return apart
 
     flat, cables = plan_points(motion), np.arange(motion.team.robots)
-    return _to_segments(motion, flat, cable_ends(flat), cables, foreign, limit)
+    yield _past_segments(motion, flat, cable_ends(flat), cables, foreign)
 
 
-def _to_segments(
-    motion: Motion, drones: Array, segments: Array, cables: Indices, allowed: Allowed, limit: float
-) -> Finding:
-    """Return the smallest distance; ``where`` names the drone and the cable."""
+def _past_segments(
+    motion: Motion, drones: Array, segments: Array, cables: Indices, allowed: Allowed
+) -> Moving:
     names = motion.team.drone_names, [f"cable {k}" for k in cables]
     margin, breaks = position_margin(motion), motion.drones.breaks
-    return nearest(motion, [Moving(breaks, drones, segments, margin, allowed, names=names)], limit)
+    return Moving(breaks, drones, segments, margin, allowed, names=names)
 
 
-def _to_hanging(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of a drone, or of the ground, to a hanging cable not its own.
+def _past_hanging(motion: Motion) -> Iterator[Moving]:
+    """Yield drones, and the ground, past hanging cables not their own.
 
-    ``where`` names the drone (or ``ground``) and the cable. Each phase is searched on its own: a
-    search stops within millimetres, so that what it finds depends on the span of time.
+    Each phase by itself: a search stops within millimetres, so that what it finds depends on the
+    span of time.
     """
-    parts = [part.motion for part in phase_parts(motion)]
-    each = (cables_and_drones, cables_and_ground)
-    return nearest(motion, (cases(part) for part in parts for cases in each), limit)
+    for part in phase_parts(motion):
+        yield cables_and_drones(part.motion)
+        yield cables_and_ground(part.motion)
 
 
 CABLE_CLEARANCE = CheckRule(
@@ -446,9 +445,9 @@ CABLE_CLEARANCE = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.cable,
     (
-        Finder(_to_taut, HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(_seen_from_above, frozenset({CableState.GROUND}), exported=True),
-        Finder(_to_hanging, FREE_STATES - {CableState.GROUND}, exported=True),
+        Finder(Nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
+        Finder(Nearest(_past_chords), frozenset({CableState.GROUND}), exported=True),
+        Finder(Nearest(_past_hanging), FREE_STATES - {CableState.GROUND}, exported=True),
     ),
     "give the drones longer legs (a longer cable or a smaller polygon), "
     "other leg lengths, or a smaller separation.cable",
@@ -461,15 +460,8 @@ CABLE_CLEARANCE = CheckRule(
 """Drones, and the ground, stay off cables; drones as seen from above while these lie there."""
 
 
-def _kept_out(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of any drone to a prism or an object, zero within.
-
-    ``where`` names the drone, and the object where it is one.
-    """
-    return nearest(motion, _drones_past(motion), limit)
-
-
 def _drones_past(motion: Motion) -> Iterator[Moving]:
+    """Yield drones past prisms and objects, which have names."""
     points, names = Enclosed(motion.drones.coefficients[:, :, None]), motion.team.drone_names
     for prism in motion.requirements.keep_out:
         yield _past(motion, points, prism.slab, names, "")
@@ -503,22 +495,17 @@ KEEP_OUT = CheckRule(
         if motion.requirements.keep_out or motion.requirements.objects
         else None
     ),
-    (Finder(_kept_out, exported=True, shown=(gap, Solid.towards)),),
+    (Finder(Nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )
 """Drones stay off prisms and objects, by the radius of their ellipsoids."""
 
 
-def _objects_to_taut(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of a taut cable to an object that it does not hold.
+def _cables_past(motion: Motion) -> Iterator[Moving]:
+    """Yield taut cables past objects that they do not hold, and what is carried past others.
 
-    Or of an object that is carried to another one; zero where a cable enters what it holds, or the
-    ground. ``where`` names the cable or object, and the object.
+    The distance is zero where a cable enters what it holds, or the ground.
     """
-    return nearest(motion, [*_taut_past(motion), *carried(motion)], limit)
-
-
-def _taut_past(motion: Motion) -> Iterator[Moving]:
     (corners, part), contact = cable_parts(motion), {"contact": CONTACT}
     cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
@@ -541,6 +528,7 @@ def _taut_past(motion: Motion) -> Iterator[Moving]:
             yield _past(motion, seen, each.slabs[0], names, name, counted=entering, **contact)
         for slab in each.slabs:
             yield _past(motion, seen, slab, names, name, counted=counted)
+    yield from carried(motion)
 
 
 def _holding(motion: Motion, name: str) -> tuple[Flags, Flags]:
@@ -558,15 +546,11 @@ def _holding(motion: Motion, name: str) -> tuple[Flags, Flags]:
     return held, gripped
 
 
-def _objects_to_hanging(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of a hanging cable, or of one on the ground, to an object.
+def _hanging_past(motion: Motion) -> Iterator[Moving]:
+    """Yield cables that hang, or lie on the ground, past objects.
 
     From above, a cable is on its chord; a hanging one is above or below an object besides.
     """
-    return nearest(motion, _hanging_past(motion), limit)
-
-
-def _hanging_past(motion: Motion) -> Iterator[Moving]:
     for part in phase_parts(motion):
         drones = cut(part.motion.drones)
         ends = Enclosed(cable_ends(drones.coefficients))
@@ -603,8 +587,8 @@ OBJECT_CLEARANCE = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.object if motion.requirements.objects else None,
     (
-        Finder(_objects_to_taut, HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(_objects_to_hanging, FREE_STATES, exported=True, shown=(over,)),
+        Finder(Nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
+        Finder(Nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",

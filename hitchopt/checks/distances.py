@@ -331,32 +331,39 @@ def smallest(moving: Moving, **options: float) -> Extremum:
     return search.finish()
 
 
-def nearest(motion: Motion, cases: Iterable[Moving], limit: float, scale: float = 1.0) -> Finding:
-    """Return the smallest distance of all; ``where`` names the two bodies.
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """A finder of the smallest distance of all pairs; ``where`` names the two bodies.
 
-    Parameters
+    Attributes
     ----------
-    limit: that it is held against.
+    cases: what moves past what.
     scale: what distances are multiplied by.
     """
-    size = scale * magnitude(motion)
-    aim, best = within(limit, "min", size, 0.5), Finding(math.inf, 0.0, size=size)
-    for moving in cases:
-        if moving.contact is not None:
-            found = smallest(moving, target=2.0 * moving.contact)
-            if found.worst < moving.contact < best.worst:
-                best = Finding(0.0, found.time, moving.named(found.item), size)
-            continue
-        if moving.tolerance is None:
-            found = smallest(moving, target=aim, known=best.worst)
-        else:  # what is found depends on the span of time, and on nothing else
-            found = smallest(moving, relative=moving.tolerance, absolute=moving.tolerance)
-        least = max(found.worst, 0.0)
-        if least < best.worst and found.item < 0:  # nothing is known to be nearer
-            best = replace(best, worst=least)
-        elif least < best.worst:
-            best = Finding(least, found.time, moving.named(found.item), size)
-    return best
+
+    cases: Callable[[Motion], Iterable[Moving]]
+    scale: Callable[[Motion], float] = lambda _: 1.0
+
+    def __call__(self, motion: Motion, limit: float) -> Finding:
+        """Return the smallest distance, to be held against a limit."""
+        size = self.scale(motion) * magnitude(motion)
+        aim, best = within(limit, "min", size, 0.5), Finding(math.inf, 0.0, size=size)
+        for moving in self.cases(motion):
+            if moving.contact is not None:
+                found = smallest(moving, target=2.0 * moving.contact)
+                if found.worst < moving.contact < best.worst:
+                    best = Finding(0.0, found.time, moving.named(found.item), size)
+                continue
+            if moving.tolerance is None:
+                found = smallest(moving, target=aim, known=best.worst)
+            else:  # what is found depends on the span of time, and on nothing else
+                found = smallest(moving, relative=moving.tolerance, absolute=moving.tolerance)
+            least = max(found.worst, 0.0)
+            if least < best.worst and found.item < 0:  # nothing is known to be nearer
+                best = replace(best, worst=least)
+            elif least < best.worst:
+                best = Finding(least, found.time, moving.named(found.item), size)
+        return best
 
 
 def near(moving: Moving, attained: Callable[[], float]) -> Iterator[PairSpans]:
@@ -432,18 +439,17 @@ def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
     return Moving(drones.breaks, points, margin=margin, names=(names, names))
 
 
-def _separation(motion: Motion, limit: float) -> Finding:
-    """Return the smallest ratio over all pairs of drones."""
-    scale = float(np.max(motion.requirements.separation.scale))
-    return nearest(motion, [scaled_drones(motion, motion.drones)], limit, scale)
-
+SEPARATED = Nearest(
+    lambda motion: [scaled_drones(motion, motion.drones)],
+    lambda motion: float(np.max(motion.requirements.separation.scale)),
+)
 
 SEPARATION = CheckRule(
     "separation",
     "ratio",
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
-    (Finder(_separation, exported=True, shown=(gap, distance)),),
+    (Finder(SEPARATED, exported=True, shown=(gap, distance)),),
     "give the drones longer legs (a longer cable or a smaller polygon), "
     "other leg lengths, or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
@@ -471,44 +477,42 @@ def cable_names(motion: Motion) -> Sequence[str]:
     return [f"cable {k}" for k in range(motion.team.robots)]
 
 
-def _taut_crossing(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of two parts that share no clasp.
+def _taut(motion: Motion) -> Iterator[Moving]:
+    """Yield the pairs of parts that share no clasp.
 
     The two legs of one cable count among them: they cross where both pass a star tip. All parts of
     a chain of two cables share its one clasp: nothing is counted then.
     """
     corners, part = cable_parts(motion)
-    ends = part_points(part, motion.team.layout)
+    ends, names = part_points(part, motion.team.layout), [part_name(p) for p in part]
 
     def unclasped(i: Indices, j: Indices) -> Flags:
         shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
         return ~shared
 
-    return _crossing(motion, corners, unclasped, limit, [part_name(p) for p in part])
+    yield _apart(motion, corners, names, unclasped)
 
 
-def _hanging_crossing(motion: Motion, limit: float, allowed: Allowed | None = None) -> Finding:
-    """Return the smallest distance of two cables from above: there they are on their chords."""
-    chords = cable_ends(plan_points(motion))
-    return _crossing(motion, chords, allowed, limit, cable_names(motion))
+def _hanging(motion: Motion) -> Iterator[Moving]:
+    """Yield all pairs of cables from above: there they are on their chords."""
+    yield _apart(motion, cable_ends(plan_points(motion)), cable_names(motion), None)
 
 
-def _clasped_crossing(motion: Motion, limit: float) -> Finding:
-    """Return the same of cables that share no clasp."""
+def _clasped(motion: Motion) -> Iterator[Moving]:
+    """Yield the same of cables that share no clasp."""
     layout = motion.team.layout
 
     def strangers(i: Indices, j: Indices) -> Flags:
         return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
 
-    return _hanging_crossing(motion, limit, strangers)
+    yield from (replace(each, allowed=strangers) for each in _hanging(motion))
 
 
-def _crossing(
-    motion: Motion, segments: Array, allowed: Allowed | None, limit: float, names: Sequence[str]
-) -> Finding:
-    margin, both = position_margin(motion), (names, names)
-    every = Moving(motion.drones.breaks, segments, margin=margin, allowed=allowed, names=both)
-    return nearest(motion, [every], limit)
+def _apart(
+    motion: Motion, segments: Array, names: Sequence[str], allowed: Allowed | None
+) -> Moving:
+    margin, breaks = position_margin(motion), motion.drones.breaks
+    return Moving(breaks, segments, margin=margin, allowed=allowed, names=(names, names))
 
 
 CROSSING = CheckRule(
@@ -517,10 +521,10 @@ CROSSING = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.crossing,
     (
-        Finder(_taut_crossing, HITCHED_STATE, shown=(gap,)),
-        Finder(_hanging_crossing, frozenset({CableState.GROUND, CableState.FREE}), exported=True),
+        Finder(Nearest(_taut), HITCHED_STATE, shown=(gap,)),
+        Finder(Nearest(_hanging), frozenset({CableState.GROUND, CableState.FREE}), exported=True),
         Finder(
-            _clasped_crossing,
+            Nearest(_clasped),
             frozenset({CableState.CLASPING, CableState.TIGHTENING}),
             exported=True,
         ),
