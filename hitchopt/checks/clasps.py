@@ -71,26 +71,23 @@ def clasp_forces(motion: Motion) -> dict[str, Array]:
     team, layout = motion.team, motion.team.layout
     ahead, behind = layout.ahead, layout.behind
     tension, legs = edge_tensions(motion), lowered(leg_tensions(motion))
-    both = [tension[:, ahead], tension[:, behind]]
-    parts = {
-        "parts": [legs[:, 2 * ahead], both[0], legs[:, 2 * behind + 1], both[1]],
-        "tensions": both,
-    }
-    loads, half = object_loads(motion), 0.5 * GRAVITY * team.cable_density
-    taut = lowered(tautness(motion))
+    taut, half = lowered(tautness(motion)), 0.5 * GRAVITY * team.cable_density
+    loads = object_loads(motion)
+
+    def parts(legs: Array, edges: Array) -> list[Array]:
+        return [legs[:, 2 * ahead], edges[:, ahead], legs[:, 2 * behind + 1], edges[:, behind]]
+
+    found = {"parts": parts(legs, tension), "tensions": [tension[:, ahead], tension[:, behind]]}
     if half > 0.0:
-        edges = half * _kept(motion, taut)
-        legs = half * taut
-        parts["halves"] = [legs[:, ahead], edges[:, ahead], legs[:, behind], edges[:, behind]]
+        found["halves"] = parts(half * np.repeat(taut, 2, axis=1), half * _kept(motion, taut))
     if team.loaded or loads is not None:
-        rows = []
+        found["weights"] = []
         for cable in (ahead, behind):
             own = 0.5 * GRAVITY * team.load + half * team.cable_length[cable]
-            rows += [own[:, None] * taut[:, cable], half * taut[:, cable]]
-        parts["weights"] = rows
+            found["weights"] += [own[:, None] * taut[:, cable], half * taut[:, cable]]
     if loads is not None:
-        parts["loads"] = list(np.moveaxis(loads, 2, 0))
-    return without_shared_zeros(parts)
+        found["loads"] = list(np.moveaxis(loads, 2, 0))
+    return without_shared_zeros(found)
 
 
 def edge_tensions(motion: Motion) -> Array:
@@ -126,10 +123,9 @@ class Clasps(MotionSpans):
         found = []
         for i, way in enumerate(self.ways):
             if i % 2 == 0:
-                pull = chord_pull(tensions[i], halves[i], way.level.dot(way.level), way[2])
+                found.append(chord_pull(tensions[i], halves[i], way.level.dot(way.level), way[2]))
             else:
-                pull = chord_pull(tensions[i], halves[i], self.edge_squares[i // 2])
-            found.append(pull)
+                found.append(chord_pull(tensions[i], halves[i], self.edge_squares[i // 2]))
         return found
 
     @cached_property
@@ -179,10 +175,7 @@ class Clasps(MotionSpans):
     @cached_property
     def along(self) -> tuple[Enclosed, ...]:
         """Directions q̂_k, u_k, r̂_{k-1} and u_{k-1}."""
-        vectors = np.stack(same_degree(*(way.c for way in self.ways)), axis=1)
-        found = Enclosed(vectors, self.ways[0].r).direction  # of all four at a time
-        radius = np.broadcast_to(found.r, found.c.shape[:-2])
-        return tuple(Enclosed(found.c[:, i], radius[:, i]) for i in range(4))
+        return tuple(way.direction for way in self.ways)
 
     @cached_property
     def forces(self) -> tuple[Enclosed, ...]:

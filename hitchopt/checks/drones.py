@@ -17,9 +17,8 @@ from typing import Self
 import numpy as np
 
 from hitchopt.checks.certificate import within
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
+from hitchopt.checks.rule import CheckRule, Ease, Finder, Searched
 from hitchopt.checks.spans import (
-    LAST_PLACE,
     ROUNDING,
     UPWARD,
     MotionSpans,
@@ -437,26 +436,12 @@ def _walls(spans: Drones) -> Bound:
     return Enclosed(np.min(inside, axis=1, keepdims=True), ROUNDING * size).below
 
 
-def _in_arena(motion: Motion, limit: float) -> Finding:
-    """Return the smallest distance of any drone to a wall.
-
-    Who rests on the floor, to the last place in which a plan is written, is not below it.
-    """
-    found = Searched(Drones, _walls, "min", magnitude)(motion, limit)
-    arena, x = motion.requirements.arena, motion.drones.coefficients
-    if arena is not None and found.worst < 0.0:
-        outside = np.maximum(arena.lower[:, None] - x, x - arena.upper[:, None])
-        if np.max(outside) <= LAST_PLACE * np.max(np.abs([arena.lower, arena.upper])):
-            return Finding(0.0, found.time, found.where, found.size)
-    return found
-
-
 ARENA = CheckRule(
     "arena",
     "m",
     "min",
     lambda motion: None if motion.requirements.arena is None else 0.0,
-    (Finder(_in_arena, exported=True, shown=(_walls,)),),
+    (Finder(Searched(Drones, _walls, "min", magnitude), exported=True),),
     "enlarge the arena, or keep the hitch farther from its walls",
     exported_limit=EXPORTED,
 )

@@ -145,11 +145,9 @@ class Spans:
     source: what the polynomials are of.
     breaks: (pieces + 1,) [s]
     piece, item: (spans,)
-    lower, upper: (spans,), shares of the pieces; None of whole ones.
+    extent: (2, spans), the parts of their pieces from and to which they go; None of whole pieces.
+    points: whether the spans have no length.
     """
-
-    points: bool = False
-    """Whether the spans have no length."""
 
     def __init__(
         self,
@@ -157,11 +155,13 @@ class Spans:
         breaks: Array,
         piece: Indices,
         item: Indices,
-        lower: Array | None = None,
-        upper: Array | None = None,
+        extent: Array | None = None,
+        *,
+        points: bool = False,
     ) -> None:
-        self.source, self.breaks = source, breaks
-        self.piece, self.item, self.lower, self.upper = piece, item, lower, upper
+        self.source, self.breaks, self.piece, self.item = source, breaks, piece, item
+        self.whole, self.points = extent is None, points
+        self.extent = np.repeat([[0.0], [1.0]], len(item), axis=1) if extent is None else extent
 
     def __len__(self) -> int:
         return len(self.item)
@@ -184,46 +184,32 @@ class Spans:
             part = slice(first, first + BATCH)
             yield cls(source, breaks, piece[part], item[part])
 
-    def _like(
-        self, index: Any, lower: Array | None, upper: Array | None, *, points: bool = False
-    ) -> Self:
-        made = type(self)(
-            self.source, self.breaks, self.piece[index], self.item[index], lower, upper
-        )
-        made.points = points
-        return made
+    def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
+        chosen = self.piece[index], self.item[index]
+        return type(self)(self.source, self.breaks, *chosen, extent, points=points)
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Self:
         """Return the chosen spans."""
-        if self.lower is None or self.upper is None:
-            return self._like(index, None, None)
-        return self._like(index, self.lower[index], self.upper[index], points=self.points)
+        extent = None if self.whole else self.extent[:, index]
+        return self._like(index, extent, points=self.points)
 
     def halves(self) -> Self:
         """Return all first halves, then all second halves."""
-        lower, upper = self._ends
+        (lower, upper), twice = self.extent, np.tile(np.arange(len(self)), 2)
         middle = 0.5 * (lower + upper)
-        twice = np.concatenate([np.arange(len(self))] * 2)
-        return self._like(twice, np.concatenate([lower, middle]), np.concatenate([middle, upper]))
+        return self._like(twice, np.concatenate([[lower, middle], [middle, upper]], axis=1))
 
     def at(self, x: Array) -> Self:
         """Return the points at x (spans,), from 0 to 1."""
-        lower, upper = self._ends
-        place = lower + x * (upper - lower)
-        return self._like(slice(None), place, place, points=True)
+        place = self.extent[0] + x * (self.extent[1] - self.extent[0])
+        return self._like(slice(None), np.stack([place, place]), points=True)
 
     def times(self, x: Array) -> Array:
         """Return the times at x (spans,) [s]."""
-        lower, upper = self._ends
-        begin, end = self.breaks[self.piece], self.breaks[self.piece + 1]
-        times: Array = begin + (lower + x * (upper - lower)) * (end - begin)
+        (lower, upper), begin = self.extent, self.breaks[self.piece]
+        durations = self.breaks[self.piece + 1] - begin
+        times: Array = begin + (lower + x * (upper - lower)) * durations
         return times
-
-    @property
-    def _ends(self) -> tuple[Array, Array]:
-        if self.lower is None or self.upper is None:
-            return np.zeros(len(self)), np.ones(len(self))
-        return self.lower, self.upper
 
     def read(self, table: Array, item: Indices | None = None) -> Array:
         """Return polynomials (spans, …, degree + 1) on the spans.
@@ -234,16 +220,15 @@ class Spans:
         item: (spans,) or (spans, k), whose; the spans' own by default.
         """
         item = self.item if item is None else item
-        piece = self.piece if item.ndim == 1 else self.piece[:, None]
-        c = table[piece, item]
-        if c.shape[-1] == 1 or self.lower is None or self.upper is None:
+        c = table[self.piece if item.ndim == 1 else self.piece[:, None], item]
+        if self.whole or c.shape[-1] == 1:
             return c
-        axes = (-1, *(1,) * (c.ndim - 2))
         if self.points:
-            weights = bernstein.basis(self.lower, c.shape[-1] - 1)
+            weights = bernstein.basis(self.extent[0], c.shape[-1] - 1)
             values: Array = np.einsum("s...i,si->s...", c, weights)
             return values[..., None]
-        return bernstein.restrict(c, self.lower.reshape(axes), self.upper.reshape(axes))
+        lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
+        return bernstein.restrict(c, lower, upper)
 
 
 class MotionSpans(Spans):
