@@ -41,9 +41,6 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, worst
 from hitchopt.values import Array
 
-UPSIDE_DOWN = 180.0
-"""[deg] The largest tilt there is; also that of a thrust of no direction."""
-
 EXPORTED = -1e-4
 """[m] How far exported curves may pass a wall, as those of a drone at rest on the floor do."""
 
@@ -314,27 +311,12 @@ def _inverse_square(size: Interval) -> Interval:
 def tilt(spans: Drones) -> Bound:
     """Return the angle of the thrust from +z [deg].
 
-    A cone about the vertical is convex below 90°: it holds the thrust if it holds a ball about
-    every coefficient. Beyond, the cone about the thrust at mid span tells by how much it turns.
+    It is largest where the thrust rises least, and leads aside most, or least if it leads down.
     """
-    f, radius = spans.thrust.c, np.broadcast_to(spans.thrust.r, len(spans))[:, None]
-    size = np.sqrt(np.sum(f * f, axis=1))
-    level = np.hypot(f[:, 0], f[:, 1])
-    spread = np.degrees(np.arcsin(np.clip(radius / np.maximum(size, 1e-300), 0.0, 1.0)))
-    angles = np.degrees(np.arctan2(level, f[:, 2])) + np.where(radius < size, spread, UPSIDE_DOWN)
-    x = np.argmax(angles, axis=-1) / max(1, spans.thrust.degree)
-    most = np.max(angles, axis=-1)
-    if spans.thrust.degree == 0 or np.all(most < 90.0):
-        return Bound(np.minimum(most, UPSIDE_DOWN), x)
-    middle = spans.thrust.middle
-    along = middle / np.maximum(np.linalg.norm(middle, axis=-1, keepdims=True), 1e-300)
-    cosines = np.einsum("sd,sdi->si", along, f) / np.maximum(size, 1e-300)
-    turned = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))) + spread
-    turned = np.where(radius < size, turned, UPSIDE_DOWN)
-    there = np.degrees(np.arctan2(np.hypot(along[:, 0], along[:, 1]), along[:, 2]))
-    wide = np.max(turned, axis=-1)
-    wide = np.where(wide < 90.0, there + wide, UPSIDE_DOWN)
-    return Bound(np.minimum(np.where(most < 90.0, most, wide), UPSIDE_DOWN), x)
+    rise, level = spans.thrust[2].below.value, spans.thrust.level
+    most = level.norm_above
+    aside = np.where(rise >= 0.0, most.value, level.norm_below.value)
+    return Bound(np.degrees(np.arctan2(aside, rise)), most.x)
 
 
 def _turning(spans: Drones) -> Bound:
