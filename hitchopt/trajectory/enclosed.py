@@ -5,8 +5,8 @@ radius of a ball around it. Sums, products, norms and directions of such values 
 again, rounding included, so that a formula written once gives a bound over every span. A point is a
 span of no length: degree 0, whose ball holds rounding alone. So the same formula gives values.
 
-Norms and directions are no polynomials. A low interpolant w of 1/|y| is, and the coefficients of
-``|y|² w² - 1`` bound how wrong it is everywhere, whatever w came from; likewise for |y| itself.
+Roots and inverses are no polynomials. A low interpolant w of 1/a is, and the coefficients of
+``a w - 1`` bound how wrong it is everywhere, whatever w came from; likewise ``a - v²`` for a root.
 """
 
 from __future__ import annotations
@@ -25,11 +25,9 @@ from hitchopt.values import Array, Indices
 EPS = 2.0**-46
 """Rounding of an operation, relative to the sizes that enter it: 64 units in the last place."""
 
-DIRECTION_ORDER = 4
-"""Degree of w: on the spans that matter |y| varies by per cents, and w then errs by 1e-9."""
-
-NORM_ORDER = 6
-"""Degree of the interpolant of a root, which enters few products and so may be higher."""
+ROOT_ORDER, INVERSE_ORDER = 6, 4
+"""Degrees of interpolants: on the spans that matter numbers vary by per cents, and they err by 1e-9
+then; an inverse enters more products than a root."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,21 +191,30 @@ class Enclosed:
     @property
     def direction(self) -> Enclosed:
         """Y / |y|; the zero vector and radius 1 where y may vanish."""
-        y, _ = self._scaled
-        w, error = self._inverse
-        return Enclosed(bernstein.multiply(y, w[..., None, :]), error)
+        found, inverse = self * self.inverse_norm, self.inverse_norm
+        known = np.isfinite(inverse.r) & (np.asarray(found.r) < 1.0)
+        c = np.where(known[..., None, None], found.c, 0.0)
+        return Enclosed(c, np.where(known, found.r, 1.0))
 
     @property
     def inverse_norm(self) -> Enclosed:
         """1 / |y|; the radius is infinite where y may vanish."""
-        _, scale = self._scaled
-        w, error = self._inverse
-        safe = np.where(scale > 0.0, scale, 1.0)
-        # | w - 1/|y| | = | |y| w - 1 | / |y|, and 1/|y| <= max w / (1 - error).
-        left = np.where(error < 1.0, 1.0 - error, 1.0)
-        largest = np.max(np.abs(w), axis=-1)
-        radius = np.where(error < 1.0, error * largest / left / safe, np.inf)
-        return Enclosed((w / safe[..., None])[..., None, :], radius)
+        return self.norm.inverse
+
+    @cached_property
+    def inverse(self) -> Enclosed:
+        """One over a scalar that is positive; the radius is infinite where it may not be."""
+        order = INVERSE_ORDER if self.degree else 0
+        nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
+        known = np.min(nodal, axis=(-2, -1)) > 0.0
+        w = bernstein.interpolate(1.0 / np.where(known[..., None, None], nodal, 1.0))
+        size = np.max(np.abs(w), axis=(-2, -1))
+        product = bernstein.multiply(self.c, w)
+        # | w - 1/a | = | a w - 1 | / a, and 1/a <= max w / (1 - | a w - 1 |).
+        off = np.max(np.abs(product - 1.0), axis=(-2, -1)) + size * (self.r + EPS * self.size)
+        known &= off < 1.0
+        radius = np.where(known, off * size / np.where(known, 1.0 - off, 1.0), np.inf)
+        return Enclosed(np.where(known[..., None, None], w, 0.0), radius)
 
     @cached_property
     def norm(self) -> Enclosed:
@@ -217,7 +224,7 @@ class Enclosed:
     @cached_property
     def root(self) -> Enclosed:
         """The root of a scalar, 0 where it is negative."""
-        order = NORM_ORDER if self.degree else 0
+        order = ROOT_ORDER if self.degree else 0
         nodal = bernstein.combined(self.c, bernstein.at_nodes(order, self.degree))
         v = bernstein.interpolate(np.sqrt(np.maximum(nodal, 0.0)))
         high = max(self.degree, 2 * order)
@@ -278,38 +285,6 @@ class Enclosed:
             return self.c[..., 0]
         here: Array = self.c @ bernstein.at_nodes(0, self.degree)[0]
         return here
-
-    @cached_property
-    def _scaled(self) -> tuple[Array, Array]:
-        """The polynomials over their largest coefficients, and these (…)."""
-        scale = np.max(np.abs(self.c), axis=(-2, -1))
-        safe = np.where(scale > 0.0, scale, 1.0)
-        return self.c / safe[..., None, None], scale
-
-    @cached_property
-    def _inverse(self) -> tuple[Array, Array]:
-        """W (…, order + 1) and a bound (…) of ``| |y| w - 1 |`` for y scaled; 0 and 1 if none."""
-        y, scale = self._scaled
-        lengths = _lengths(y, DIRECTION_ORDER if self.degree else 0)
-        known = np.min(lengths, axis=-1) > 0.0
-        w = bernstein.interpolate(1.0 / np.where(known[..., None], lengths, 1.0))
-        product = bernstein.multiply(bernstein.dot(y, y), bernstein.multiply(w, w))
-        size = np.max(np.abs(w), axis=-1)
-        residual = np.max(np.abs(product - 1.0), axis=-1) + EPS * (1.0 + size * size)
-        known &= residual < 1.0
-        # | |y| w - 1 | = | |y|² w² - 1 | / (|y| w + 1), and |y| w >= sqrt(1 - residual).
-        least = np.sqrt(np.where(known, 1.0 - residual, 1.0))
-        error = residual / (1.0 + least)
-        noise = self.r / np.where(scale > 0.0, scale, 1.0)
-        # A ball of the radius turns a direction by 2 noise / |y| at most, wherever it lies.
-        error = error + 2.0 * noise * size / least
-        known &= (scale > 0.0) & (error < 1.0)
-        return np.where(known[..., None], w, 0.0), np.where(known, error, 1.0)
-
-
-def _lengths(y: Array, order: int) -> Array:
-    """Return |y| at the nodes that ``bernstein.interpolate`` takes values at, (…, order + 1)."""
-    return column_lengths(bernstein.combined(y, bernstein.at_nodes(order, bernstein.degree(y))))
 
 
 def _error(a: Enclosed, b: Enclosed) -> Array:
