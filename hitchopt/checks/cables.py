@@ -115,7 +115,7 @@ class Cables(MotionSpans):
             found = found + part.norm * edge.level.dot(edge.level)
         tables = sags(self.source)
         weight, tension = (Enclosed(self.read(tables[name])) for name in ("weight", "tension"))
-        ratio = (weight * tension.inverse_norm).reduced(RATIO_ORDER)
+        ratio = (weight * tension.inverse).reduced(RATIO_ORDER)
         return found * (ratio * ratio) * (1.0 / 24.0)
 
 

@@ -34,7 +34,7 @@ from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, lowered, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import ABSOLUTE, worst
 from hitchopt.values import Array
 
@@ -226,8 +226,7 @@ def _load_errors(motion: Motion) -> Array:
 def over(force: Enclosed, tensions: Enclosed) -> Bound:
     """Return what a force's size over the smallest of tensions does not rise above.
 
-    Infinite where a tension is not positive. ``{|S| <= θ T}`` is a convex cone in (S, T):
-    coefficients within it keep the curve within it.
+    Infinite where a tension is not positive.
     """
     c, pulls = same_degree(force.c, tensions.c)
     sizes, least = c[..., 0, :] if c.shape[-2] == 1 else column_lengths(c), np.min(pulls, axis=-2)
@@ -334,27 +333,18 @@ class Corners(MotionSpans):
 def _exterior(spans: Corners) -> Bound:
     """Return the angles [deg] by which the outline turns right.
 
-    Of a chain's ends it is what they leave of once around. Seen from its direction at mid span,
-    a curve (dot, cross) whose coefficients all lie ahead stays within the wedge that they span.
-    Past 180° angles start again at -180°.
+    Of a chain's ends it is what they leave of once around. Of all (dot, cross) within their bounds
+    it is the least one: past 180° angles start again at -180°.
     """
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
-    curve = vector(behind.dot(ahead), ahead.cross(behind))
-    middle = curve.middle
-    size = np.maximum(np.linalg.norm(middle, axis=-1), 1e-300)
-    x = middle[:, :1] * curve.c[:, 0] + middle[:, 1:] * curve.c[:, 1]
-    y = middle[:, :1] * curve.c[:, 1] - middle[:, 1:] * curve.c[:, 0]
-    least, radius = np.min(x, axis=-1) / size, np.broadcast_to(curve.r, len(spans))
-    spread = np.where(least > radius, radius / np.maximum(least, 1e-300), np.inf)
-    relative, spread = np.degrees(np.arctan2(y, x)), 2.0 * np.degrees(spread)
-    start = np.degrees(np.arctan2(middle[:, 1], middle[:, 0]))
-    bound = start + np.min(relative, axis=-1) - spread
-    known = (bound > BACKWARD) & (start + np.max(relative, axis=-1) + spread < -BACKWARD)
-    clasps = len(spans.source.team.layout.clasps)
-    added = np.where(spans.item < clasps, 0.0, 180.0)
-    where = np.argmin(relative, axis=-1) / max(1, curve.degree)
-    return Bound(np.where(known, added + bound, BACKWARD), where)
+    dot, cross = behind.dot(ahead).range, ahead.cross(behind)
+    low, high = cross.range.low, cross.range.high
+    right, left = np.arctan2(low, dot.high), np.arctan2(high, dot.low)
+    least = np.where(low >= 0.0, right, np.where(dot.low >= 0.0, np.arctan2(low, dot.low), left))
+    known = (low >= 0.0) | (high < 0.0) | (dot.low >= 0.0)
+    added = np.where(spans.item < len(spans.source.team.layout.clasps), 0.0, 180.0)
+    return Bound(np.where(known, added + np.degrees(least), BACKWARD), cross.below.x)
 
 
 def _turns(motion: Motion, _: float) -> Finding:

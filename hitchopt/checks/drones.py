@@ -126,7 +126,7 @@ class Drones(MotionSpans):
         """[1/m] Half of the leg's weight per length over its tension."""
         tables = leg_sags(self.source)
         half, tension = (Enclosed(self.read(tables[name])) for name in ("half", "tension"))
-        return (half * tension.inverse_norm).reduced(ORDER)
+        return (half * tension.inverse).reduced(ORDER)
 
     @cached_property
     def level(self) -> Enclosed:
@@ -227,7 +227,7 @@ class Drones(MotionSpans):
             gained = 0.5 * GRAVITY * self.source.team.cable_density * self.scalar(taut_shares, 1)
             # Of h z + √(T² - h² s²): h half of the weight per length, s and z of the leg.
             falls = gained * self.level + self.taut_weight * self.leg.level.dot(velocity.level)
-            pulled = (pulled - self.sag * falls.reduced(ORDER)) * self.levelled.inverse_norm
+            pulled = (pulled - self.sag * falls.reduced(ORDER)) * self.levelled.inverse
             pulled = pulled.reduced(ORDER) + gained * self.leg[2] + self.taut_weight * velocity[2]
         found = along * pulled + turning * self.pull
         if self.heavy:
