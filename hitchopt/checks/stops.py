@@ -63,10 +63,10 @@ SHORTEST, LONGEST, SLOWEST = 0.1, 2.5, 20.0
 """[s] Durations of stops: the shortest and longest that are tried, and the longest with a reserve
 or something that is carried, which allow no shorter ones."""
 
-RATIO = 1.25
-"""Ratio of neighbouring durations that are tried, about."""
+RATIO, CARRIED_RATIO = 1.25, 1.5
+"""Ratios of neighbouring durations that are tried, about; the second while something is carried."""
 
-SPACING, QUICK_SPACING, STARTS = 0.05, 0.2, 10_000
+SPACING, QUICK_SPACING, STARTS = 0.1, 0.2, 10_000
 """[s] Distances of stops, also while steering, and how many there are at most."""
 
 LATEST = 1.5
@@ -393,14 +393,16 @@ def stop_table(
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
-    longest = SLOWEST if limits.reserved or limits.inertia is not None else LONGEST
+    carries = limits.inertia is not None
+    longest, ratio = SLOWEST if limits.reserved or carries else LONGEST, (RATIO, CARRIED_RATIO)
     useful = np.inf if limits.reserved else LATEST * (rest - starts)
-    ladder = np.geomspace(SHORTEST, longest, 1 + round(np.log(longest / SHORTEST) / np.log(RATIO)))
+    rungs = 1 + round(np.log(longest / SHORTEST) / np.log(ratio[carries]))
+    ladder = np.geomspace(SHORTEST, longest, rungs)
     durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
     high = np.searchsorted(ladder, np.broadcast_to(useful, starts.shape))
     while len(left := np.flatnonzero(high - low > 1)):
         # What is carried may allow some stop and no longer one: no bisection then.
-        rung = low[left] + 1 if limits.inertia is not None else (low[left] + high[left]) // 2
+        rung = low[left] + 1 if carries else (low[left] + high[left]) // 2
         kept = _shown(limits, starts[left], ladder[rung])
         durations[left[kept]] = ladder[rung[kept]]
         high[left[kept]], low[left[~kept]] = rung[kept], rung[~kept]
