@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.hitch import Team
+from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
@@ -39,6 +39,23 @@ def free_motion(
         constant(drones.breaks, np.zeros(n)),
         phases,
     )
+
+
+def single(curves: PiecewisePolynomial, **given: Any) -> Motion:
+    """Drones without cables on curves (N, 3)."""
+    begin, end = curves.breaks[[0, -1]].tolist()
+    phases = (Phase("fly", 0, begin, end),)
+    return Motion.single(Swarm(curves.shape[0]), Requirements(**given), curves, phases)
+
+
+def random_curves(
+    n: int, seed: int, spread: float = 0.5, centre: ArrayLike = (5, -3, 4)
+) -> PiecewisePolynomial:
+    """Curves (n, 3) that jump at two joints, and meet now and then."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(-2.0, 2.0, (n, 3)) + np.asarray(centre)
+    c = middle[None, :, :, None] + rng.normal(scale=spread, size=(3, n, 3, 6))
+    return PiecewisePolynomial(np.array([0.0, 0.5, 1.7, 2.4]), c)
 
 
 def through(times: Array, places: Array) -> PiecewisePolynomial:

@@ -7,19 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from certificate_cases import (
-    applied,
-    random_motion,
-    still,
-)
+from certificate_cases import applied, random_motion, still
+from free_cases import single
 from numpy.typing import NDArray
 
 from hitchopt.checks import Check, certify
 from hitchopt.checks.drones import BODY_RATE as RULE
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import Swarm
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -35,18 +30,16 @@ def checked(motion: Motion, rate: float = 1.0) -> Check:
     return applied(RULE, limited(motion, rate))
 
 
-def single(coefficients: Array, seconds: float = 1.0) -> Motion:
+def alone(coefficients: Array, seconds: float = 1.0) -> Motion:
     """One drone without a cable on one piece, coefficients (3, degree + 1) [m]."""
-    part = PiecewisePolynomial(np.array([0.0, seconds]), coefficients[None, None])
-    phase = Phase("fly", 0, 0.0, seconds)
-    return Motion.single(Swarm(1), Requirements(Limits(), Separation()), part, [phase])
+    return single(PiecewisePolynomial(np.array([0.0, seconds]), coefficients[None, None]))
 
 
 def test_a_constant_level_jerk_turns_as_the_arc_tangent_says() -> None:
     """The tilt is ``atan(j t / g)``: it turns fastest, by j / g, where it is upright."""
     jerk, seconds = 6.0, 1.3
     level = [0.0, 0.0, 0.0, jerk * seconds**3 / 6.0]
-    found = checked(single(np.array([level, [2.0] * 4, [1.0] * 4]), seconds))
+    found = checked(alone(np.array([level, [2.0] * 4, [1.0] * 4]), seconds))
     exactly = math.degrees(jerk / GRAVITY)
     assert exactly <= found.bound <= exactly * (1.0 + 1e-3)
     assert found.time == pytest.approx(0.0, abs=0.02)
@@ -58,7 +51,7 @@ def test_rest_turns_nothing_and_free_fall_turns_without_bound() -> None:
     resting = still(Team(3, 2.4), np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]), [0.3] * 3)
     assert checked(resting).bound < 1e-6
     fall = -GRAVITY / 2.0
-    found = checked(single(np.array([[0.0] * 3, [0.0] * 3, [9.0, 9.0, 9.0 + fall]])))
+    found = checked(alone(np.array([[0.0] * 3, [0.0] * 3, [9.0, 9.0, 9.0 + fall]])))
     assert not found.holds
 
 

@@ -4,26 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from free_cases import random_curves, single
 
 from hitchopt.checks import certify
 from hitchopt.checks.closeness import closeness
 from hitchopt.errors import InputError
-from hitchopt.hitch import Swarm
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.motion.motion import Motion, Phase
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.hitch.requirements import Separation
+from hitchopt.motion.motion import Motion
 
 
 def swarm(n: int, seed: int) -> Motion:
     """Drones on curves that meet now and then; continuous or not is of no matter here."""
-    rng = np.random.default_rng(seed)
-    middle = rng.uniform(-2.0, 2.0, (n, 3)) + np.array([5.0, -3.0, 4.0])
-    c = middle[None, :, :, None] + rng.normal(scale=0.5, size=(3, n, 3, 6))
-    curves = PiecewisePolynomial(np.array([0.0, 0.5, 1.7, 2.4]), c)
-    phases = (Phase("fly", 0, 0.0, 2.4),)
-    return Motion.single(
-        Swarm(n), Requirements(Limits(), Separation(0.1, 0.2), None), curves, phases
-    )
+    return single(random_curves(n, seed), separation=Separation(0.1, 0.2))
 
 
 @pytest.mark.parametrize(("n", "spans"), [(2, 7), (9, 20), (30, 5)])

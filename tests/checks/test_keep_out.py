@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from certificate_cases import applied
+from free_cases import random_curves, single
 
 from hitchopt.checks import certify
 from hitchopt.checks.clearance import KEEP_OUT
 from hitchopt.errors import InputError
-from hitchopt.hitch import Swarm
-from hitchopt.hitch.requirements import Limits, Prism, Requirements
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.hitch.requirements import Limits, Prism
 from hitchopt.trajectory import PiecewisePolynomial
 
 OUTLINE = np.array([[1.0, -0.5], [0.2, 0.4], [0.9, 1.3], [2.1, 0.6]])
@@ -21,12 +19,7 @@ PRISM = Prism(OUTLINE, 0.4, 1.7)
 
 def clearance(curves: PiecewisePolynomial, *prisms: Prism) -> float:
     """Smallest distance of drones on curves (N, 3) to prisms."""
-    flown = Motion.single(
-        Swarm(curves.shape[0]), Requirements(Limits(), keep_out=prisms), curves, ()
-    )
-    check = KEEP_OUT.check(flown)
-    assert check is not None
-    return check.bound
+    return applied(KEEP_OUT, single(curves, keep_out=prisms)).bound
 
 
 def crowded(prism: Prism, n: int, seed: int) -> np.ndarray:
@@ -55,18 +48,11 @@ def test_distances_are_those_to_the_nearest_of_many_points() -> None:
             assert nearest < 0.2
 
 
-def moving(n: int, seed: int) -> PiecewisePolynomial:
-    rng = np.random.default_rng(seed)
-    middle = rng.uniform([-1.0, -2.0, 0.0], [4.0, 3.0, 2.5], (n, 3))
-    c = middle[None, :, :, None] + rng.normal(scale=0.6, size=(3, n, 3, 6))
-    return PiecewisePolynomial(np.array([0.0, 0.6, 1.0, 2.2]), c)
-
-
 @pytest.mark.parametrize("seed", range(6))
 def test_no_sample_beats_the_bound_and_it_is_tight(seed: int) -> None:
-    curves = moving(2, seed)
+    curves = random_curves(2, seed, 0.6, (1.5, 0.5, 1.2))
     found = clearance(curves, PRISM, Prism(OUTLINE + 3.0, -1.0, 0.2))
-    points = curves.at(np.linspace(0.0, 2.2, 20_001))
+    points = curves.at(np.linspace(0.0, 2.4, 20_001))
     sampled = min(
         float(np.min(prism.clearance(points).distance))
         for prism in (PRISM, Prism(OUTLINE + 3.0, -1.0, 0.2))
@@ -78,11 +64,8 @@ def test_no_sample_beats_the_bound_and_it_is_tight(seed: int) -> None:
 def test_the_check_names_drone_and_limit_and_only_prisms_make_one() -> None:
     breaks = np.array([0.0, 1.0])
     line = np.array([[[0.0, 0.0], [-1.0, 3.0], [1.0, 1.0]], [[-2.0, -2.0], [0.0, 0.0], [1.0, 1.0]]])
-    curves = PiecewisePolynomial(breaks, line[None])
-    phases = (Phase("fly", 0, 0.0, 1.0),)
-    free = Requirements(Limits(speed=9.0))
-    walled = replace(free, keep_out=(PRISM,))
-    check = certify(Motion.single(Swarm(2), walled, curves, phases))["keep_out"]
+    curves, fast = PiecewisePolynomial(breaks, line[None]), Limits(speed=9.0)
+    check = certify(single(curves, limits=fast, keep_out=(PRISM,)))["keep_out"]
     assert check.where == ("d0",)
     assert (check.limit, check.sense, check.unit) == (0.12, "min", "m")
     outward = np.array([-0.9, 0.8]) / np.linalg.norm([0.9, 0.8])
@@ -90,9 +73,7 @@ def test_the_check_names_drone_and_limit_and_only_prisms_make_one() -> None:
         float(outward @ (np.array([0.0, 0.4]) - OUTLINE[1])), rel=1e-3
     )
     assert check.holds
-    assert "keep_out" not in [
-        c.name for c in certify(Motion.single(Swarm(2), free, curves, phases)).checks
-    ]
+    assert "keep_out" not in [c.name for c in certify(single(curves, limits=fast)).checks]
 
 
 def test_within_a_prism_the_distance_is_zero() -> None:

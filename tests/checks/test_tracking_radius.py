@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from adversary import attack
 from certificate_cases import random_motion, still
-from free_cases import free_motion, random_flight
+from free_cases import free_motion, random_flight, single
 from numpy.typing import NDArray
 from plans import planned
 
@@ -20,8 +20,7 @@ from hitchopt.checks.clearance import moved_by
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.hitch.team import Swarm
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -31,12 +30,10 @@ def radius_of(motion: Motion, gamma: float = 1.0) -> Check:
     return certify(motion, gamma=gamma)["tracking_radius"]
 
 
-def single(places: Array, requirements: Requirements | None = None) -> Motion:
+def lines(places: Array) -> Motion:
     """Drones without cables that fly from places (2, N, 3) [m] along lines, for a second."""
     coefficients = np.moveaxis(places, 0, -1)[None]
-    drones = PiecewisePolynomial(np.array([0.0, 1.0]), coefficients)
-    given = requirements or Requirements(Limits(), Separation())
-    return Motion.single(Swarm(places.shape[1]), given, drones, [Phase("fly", 0, 0.0, 1.0)])
+    return single(PiecewisePolynomial(np.array([0.0, 1.0]), coefficients))
 
 
 def test_two_drones_at_rest_have_half_the_distance_of_their_ellipsoids() -> None:
@@ -46,7 +43,7 @@ def test_two_drones_at_rest_have_half_the_distance_of_their_ellipsoids() -> None
         ([0.0, -0.3, 0.0], 0.03),
     ):
         places = np.tile([[0.0, 0.0, 3.0], np.add([0.0, 0.0, 3.0], offset)], (2, 1, 1))
-        check = radius_of(single(places))
+        check = radius_of(lines(places))
         assert check.bound == pytest.approx(expected, rel=1e-6)
         assert (check.limit, check.holds, check.where) == (None, True, ("d0", "d1"))
 
@@ -81,7 +78,7 @@ def test_crossing_drones_at_all_heights(seed: int) -> None:
     """Pairs one of which is higher: the pair of the least ratio need not be the one that counts."""
     rng = np.random.default_rng(seed)
     places = rng.uniform(-3.0, 3.0, (2, 9, 3)) + [0.0, 0.0, 5.0]
-    motion = single(places)
+    motion = lines(places)
     check = certify(motion)["separation"]
     radius, found = radius_of(motion).bound, attack(motion, count=30)
     if not check.holds:
@@ -163,6 +160,6 @@ def test_what_binds_is_named() -> None:
 
 
 def test_nothing_counted_is_null() -> None:
-    check = radius_of(single(np.zeros((2, 1, 3)) + 1.0))
+    check = radius_of(lines(np.zeros((2, 1, 3)) + 1.0))
     assert (check.worst, check.holds, check.where) == (None, True, ())
     assert math.isinf(check.bound)
