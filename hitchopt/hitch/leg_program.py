@@ -162,10 +162,9 @@ class QuadraticProgram:
 
     def __post_init__(self) -> None:
         rows, columns = self.A.shape
-        if self.P.shape != (columns, columns) or self.q.shape != (columns,):
-            raise ValueError(f"objective of {self.P.shape}, {self.q.shape} for {columns} unknowns")
-        if self.lower.shape != (rows,) or self.upper.shape != (rows,):
-            raise ValueError(f"bounds of {self.lower.shape}, {self.upper.shape} for {rows} rows")
+        shapes = self.P.shape, self.q.shape, self.lower.shape, self.upper.shape
+        if shapes != ((columns, columns), (columns,), (rows,), (rows,)):
+            raise ValueError(f"shapes P, q, lower, upper {shapes} for {rows} rows of {columns}")
         if not (np.all(np.isfinite(self.q)) and np.all(np.isfinite(self.A.data))):
             raise ValueError("a program with nan or inf")
         if not np.all(self.lower <= self.upper):
@@ -231,35 +230,21 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
     """
     import casadi as ca
 
-    H, A = _matrix(program.P), _matrix(program.A)
-    solver = ca.conic(
-        "program", "piqp", {"h": H.sparsity(), "a": A.sparsity()}, {"error_on_fail": False}
-    )
-    solution = solver(
-        h=H,
-        g=program.q,
-        a=A,
-        lba=program.lower,
-        uba=program.upper,
-        lbx=program.least,
-        ubx=program.most,
-    )
+    def matrix(given: sp.csc_array[np.float64]) -> ca.DM:  # its own conversion takes a millisecond
+        given.sort_indices()
+        sparsity = ca.Sparsity(*given.shape, given.indptr.tolist(), given.indices.tolist())
+        return ca.DM(sparsity, given.data)
+
+    H, A = matrix(program.P), matrix(program.A)
+    shapes = {"h": H.sparsity(), "a": A.sparsity()}
+    solver = ca.conic("program", "piqp", shapes, {"error_on_fail": False})
+    rows = {"lba": program.lower, "uba": program.upper}
+    solution = solver(h=H, g=program.q, a=A, lbx=program.least, ubx=program.most, **rows)
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not np.all(np.isfinite(x)) or program.residual(x) > RESIDUAL:
         return None
     return np.clip(x, program.least, program.most)
 
-
-def _matrix(given: sp.csc_array[np.float64]) -> ca.DM:
-    """Return a sparse matrix as casadi has it: its own conversion takes a millisecond."""
-    import casadi as ca
-
-    given.sort_indices()
-    sparsity = ca.Sparsity(*given.shape, given.indptr.tolist(), given.indices.tolist())
-    return ca.DM(sparsity, given.data)
-
-
-Index = NDArray[np.intp]
 
 PENALTY = 1e3
 """[m²] Penalty weight per robot and unit of margin: distances come first, deviation second."""
@@ -340,24 +325,17 @@ class LegBodies:
         between = differences(nodes[self.first], nodes[self.second])
         return shortest_offset(between * self.scale[self.kind][:, None])
 
-    def margin(self, task: LegTask, d: Array) -> float:
-        """Return the smallest distance over its limit; crossings count up to their margin only."""
-        return task.wanted * float(np.min(self._shares(task, d), initial=np.inf))
-
     def margins(self, task: LegTask, d: Array) -> Array:
-        """Return the same (J,) of every polygon by itself."""
-        smallest = np.full(len(d), np.inf)
-        np.minimum.at(smallest, self.frame, self._shares(task, d))
-        return task.wanted * smallest
+        """Return the smallest distance over its limit (J,); crossings count up to their margin.
 
-    def _shares(self, task: LegTask, d: Array) -> Array:
-        """Return the pairs' distances over their limits and margins, (pairs,)."""
-        distance = length(self.offsets(self.nodes(d)))
-        ratios = distance / self.limits[self.kind]
+        Where margins differ from knot to knot, in proportion to the largest of them.
+        """
+        ratios = length(self.offsets(self.nodes(d))) / self.limits[self.kind]
         enough = task.crossing_margins[self.frame] * (1.0 - 1e-9)
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
-        shares: Array = apart / task.margins[self.frame]
-        return shares
+        smallest = np.full(len(d), np.inf)
+        np.minimum.at(smallest, self.frame, apart / task.margins[self.frame])
+        return task.wanted * smallest
 
     def inside(self, arena: Arena | None, d: Array) -> bool:
         """Return whether every drone is between the arena's upright walls."""
@@ -365,11 +343,6 @@ class LegBodies:
             return True
         drones = self.nodes(d)[self.drones, :2]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
-
-    def cutoff(self, task: LegTask) -> float:
-        """Return the distance [m] from which on a pair has its margin for certain."""
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
-        return cutoff + (SWAY if self._turns else 0.0)
 
     def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
         """Find the pairs whose sweeps between two splits come within reach of their limits."""
@@ -380,15 +353,17 @@ class LegBodies:
             ends.append(self.nodes(upper)[:, :2])
         swept = np.stack(ends).reshape(-1, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
-        cutoff = self.cutoff(task)
+        # From there on a pair has its margin for certain.
+        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        cutoff += SWAY if self._turns else 0.0
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
         frame, i, j, kind = parts.near(lowest, highest, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
             moving = ~task.fixed[frame]
             frame, i, j, kind = frame[moving], i[moving], j[moving], kind[moving]
         self.frame, self.kind = frame, kind
-        self.first: Index = parts.nodes[i] + self.count * frame[:, None]
-        self.second: Index = parts.nodes[j] + self.count * frame[:, None]
+        self.first: Indices = parts.nodes[i] + self.count * frame[:, None]
+        self.second: Indices = parts.nodes[j] + self.count * frame[:, None]
 
 
 def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:

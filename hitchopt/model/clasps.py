@@ -1,8 +1,7 @@
-"""Legs at a clasp as series: the force triangle with weights, loads, roll and friction.
+"""Edges and legs at a clasp as series of arrays or of casadi's expressions, by the law of forces.
 
-A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k only. Formulas are those of
-``hitchopt.hitch.forces.leg_directions``, over ``Series`` of arrays or of casadi expressions. Legs
-are lengths of cable; the distances of the drones from their vertices are less where it sags.
+A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k only. Legs are lengths of
+cable; the distances of the drones from their vertices are less where it sags.
 """
 
 from __future__ import annotations
@@ -10,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hitchopt.hitch.forces import PASSES, chord_pull, shortening
-from hitchopt.model.series import Series
+from hitchopt.hitch.forces import chord_pull, closed_triangle, shortening
+from hitchopt.hitch.series import Series
 from hitchopt.values import Indices
 
 
@@ -101,9 +100,8 @@ class Clasp:
         whole = q_legs[0].constant(cable_length)
         e, d = whole - behind.cable - q_legs[0], q_legs[1]
         tensions = behind.tension, ahead.tension
-        if load is None and weight is None and roll is None:
-            V = None if alike else behind.pull * behind.along - ahead.pull * ahead.along
-            return cls(planar_legs(behind.along, ahead.along, V), (e, d), e)
+        if alike and load is None and weight is None and roll is None:
+            return cls((-ahead.along, behind.along), (e, d), e)
         V = behind.pull * behind.along - ahead.pull * ahead.along
         if load is not None:
             V = V - V.constant(load)
@@ -121,56 +119,3 @@ class Clasp:
             assert edge.sag is not None
             legs.append(cable * shortening(edge.sag * cable * cable * level.dot(level)))
         return cls(directions, (legs[0], legs[1]), e)
-
-
-def planar_legs(behind: Series, ahead: Series, V: Series | None) -> tuple[Series, Series]:
-    """Return the directions of the legs of a clasp that carries nothing, r_{k-1}'s first.
-
-    Parameters
-    ----------
-    behind, ahead: directions of edges k-1 and k.
-    V: what they pull with [N]; None where both pull alike.
-    """
-    if V is None:
-        return -ahead, behind
-    squared = V.dot(V)
-    mirrored = [u - V * (2.0 * u.dot(V) / squared) for u in (behind, ahead)]
-    return -mirrored[0], mirrored[1]
-
-
-def closed_triangle(
-    V: Series,
-    onward: Series,
-    roll: Series | None,
-    tensions: tuple[Series, Series],
-    halves: tuple[Series, Series] | None,
-) -> tuple[Series, Series]:
-    """Return the directions of the legs r_{k-1} and q_k at a clasp.
-
-    Parameters
-    ----------
-    V: the known side of the force triangle [N].
-    onward: a vector on the side of V where q_k is without roll, in the plane of both legs.
-    roll: [rad]; None for none.
-    tensions: of both legs at the clasp [N].
-    halves: half of the weights of both legs [N]; None where they have none.
-    """
-    size = V.dot(V).root
-    along = V / size
-    across = (onward - onward.dot(along) * along).direction
-    if roll is not None:
-        cosine, sine = roll.cosine_and_sine
-        across = cosine * across + sine * across.cross(along)
-    behind, ahead = tensions
-    for left in reversed(range(PASSES if halves else 1)):
-        a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
-        h = ((ahead - a) * (ahead + a)).root
-        sides = ((size - a) * along - h * across, a * along + h * across)
-        directions = sides[0] / behind, sides[1] / ahead
-        if left and halves:
-            rises = [direction.row(2) for direction in directions]
-            behind, ahead = (
-                chord_pull(tension, half, 1.0 - rise * rise, rise)
-                for tension, half, rise in zip(tensions, halves, rises, strict=True)
-            )
-    return directions

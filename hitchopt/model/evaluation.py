@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.forces import cable_forces, chord_pull
-from hitchopt.model.clasps import Clasp, Edge, closed_triangle
-from hitchopt.model.series import JET, Series
+from hitchopt.hitch.forces import cable_forces, chord_pull, closed_triangle
+from hitchopt.hitch.series import JET, Series
+from hitchopt.model.clasps import Clasp, Edge
 from hitchopt.values import Array
 
 UPWARD = np.array([0.0, 0.0, GRAVITY])

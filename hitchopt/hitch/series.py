@@ -39,6 +39,16 @@ class Series:
         self.coefficients = list(coefficients)
 
     @classmethod
+    def of_vectors(cls, vectors: Array) -> Series:
+        """Return the constant of vectors (…, rows), by value alone."""
+        return cls([np.moveaxis(vectors, -1, 0)])
+
+    @property
+    def vectors(self) -> Array:
+        """(…, rows): the value of arrays."""
+        return np.moveaxis(self.value, 0, -1)
+
+    @classmethod
     def of_jet(cls, jet: Array) -> Series:
         """Return the series of jets (…, rows, JET), derivatives from order zero on.
 
@@ -151,16 +161,9 @@ class Series:
 def _convolved(a: Series, b: Series, product: Bilinear) -> Series:
     """Return the series of a bilinear product, by Leibniz' rule."""
     x, y = a.coefficients, b.coefficients
-    if a is not b:
-        return Series(
-            [_sum([_times(x[i], y[k - i], product) for i in range(k + 1)]) for k in range(len(x))]
-        )
-    found = []
-    for k in range(len(x)):  # of a square both halves are alike, but for what is in their middle
-        half = _sum([_times(x[i], x[k - i], product) for i in range((k + 1) // 2)])
-        middle = [] if k % 2 else [_times(x[k // 2], x[k // 2], product)]
-        found.append(_sum([2.0 * half, *middle]))
-    return Series(found)
+    return Series(
+        [_sum([_times(x[i], y[k - i], product) for i in range(k + 1)]) for k in range(len(x))]
+    )
 
 
 def _is_zero(value: Any) -> bool:
