@@ -42,11 +42,11 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
     if loaded:
         roll, loads, weight = given[4:]
         corners = [ca.vertcat(point, 0.0) for point in corners]
-        weight = weight if choice else None
+        rho = weight if choice else None
     else:  # the legs of cables k-1 and k+1 do not matter
-        q_legs, lengths, weight = ca.vertcat(0.0, q_legs, 0.0), ca.vertcat(0.0, lengths), None
+        q_legs, lengths, rho = ca.vertcat(0.0, q_legs, 0.0), ca.vertcat(0.0, lengths), None
     points = [Series([point]) for point in corners]
-    edges = [Edge.of(points[i + 1] - points[i], Series([tensions[i]]), weight) for i in range(3)]
+    edges = [Edge.of(points[i + 1] - points[i], Series([tensions[i]]), rho) for i in range(3)]
     d = [Series([q_legs[i]]) for i in range(3)]
     here, there = (
         Clasp.of(
@@ -54,7 +54,7 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
             (d[i], d[i + 1]),
             lengths[i],
             loads[3 * i : 3 * i + 3] if loaded else None,
-            weight,
+            rho,
             Series([roll[i]]) if loaded else None,
             alike=choice,
         )
