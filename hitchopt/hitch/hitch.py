@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +20,7 @@ from hitchopt.hitch.forces import (
     shortening,
 )
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.legs import least_roll_of_reference, split_slack, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, coordinate, instance
@@ -32,7 +32,6 @@ plans."""
 
 SAGGING_LEG = 1e-2
 """The same where cables have weight: whoever gives the leg may have left out that edges sag."""
-
 
 FAR_OFF = 100.0
 """Edge over cable beyond which one of the two is probably in another unit."""
@@ -66,10 +65,7 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
 
     The cable of an edge that sags is longer than the edge (``forces``).
     """
-    lengths = polygon.edge_lengths
-    slack: Array = team.cable_length - lengths
-    if team.cable_density > 0.0:
-        slack = cable_slack_of(team, polygon.edge_directions * lengths[:, None])
+    lengths, slack = polygon.edge_lengths, cable_slack_of(team, polygon.edge_vectors)
     worst = int(slack.argmin())
     if slack[worst] <= 0.0:
         remedy = (
@@ -112,8 +108,7 @@ def checked_roll(team: Team, given: ArrayLike) -> Array:
     """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
     clasps = len(team.layout.clasps)
     try:
-        each = np.asarray(given, dtype=np.float64)
-        roll = np.array(np.broadcast_to(each, clasps)) if each.ndim else np.full(clasps, each)
+        roll = np.array(np.broadcast_to(np.asarray(given, dtype=np.float64), clasps))
     except (TypeError, ValueError):
         bound = f"one angle, or a list of {clasps} (one per clasp)"
         raise InputError("roll", given, bound, "give radians") from None
@@ -170,7 +165,6 @@ class Hitch(OneLine):
         q_legs: ArrayLike,
         roll: ArrayLike = 0.0,
     ) -> None:
-
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
         d = as_array(q_legs)
@@ -243,24 +237,12 @@ class Hitch(OneLine):
         ------
         InputError, InfeasibleError: as the class.
         """
-        from hitchopt.hitch.legs import (
-            split_slack,  # solvers, which files are read without
-            split_with_least_roll,
-        )
-
         outline = fitting_polygon(team, polygon)
-        requirements = Requirements(
-            Limits() if limits is None else limits,
-            Separation() if separation is None else separation,
-        )
-        reference = balanced_legs(team, outline)
-        if roll is None:
-            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements)
-            found, rolled = split_with_least_roll(task)
-        else:
-            rolled = checked_roll(team, roll)
-            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements, rolled)
-            found = split_slack(task)
+        requirements = Requirements(limits or Limits(), separation or Separation())
+        fixed = None if roll is None else checked_roll(team, roll)
+        legs = balanced_legs(team, outline)
+        task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
+        found, rolled = split_with_least_roll(task) if fixed is None else (split_slack(task), fixed)
         return cls(team, outline, altitude, found.q_legs[0], rolled)
 
     @classmethod
@@ -286,15 +268,12 @@ class Hitch(OneLine):
         ------
         InputError, InfeasibleError: as the class.
         """
-        from hitchopt.hitch.legs import split_with_least_roll
-
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
-        wanted = np.asarray(fractions, dtype=np.float64) * slack
-        wanted = team.layout.q_legs_of(wanted, slack)
+        wanted = team.layout.q_legs_of(np.asarray(fractions, dtype=np.float64) * slack, slack)
         requirements = Requirements(limits, separation, arena)
-        given = checked_roll(team, roll)
-        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, given)
+        own = checked_roll(team, roll)
+        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, own)
         found, rolled = split_with_least_roll(task)
         return cls(team, outline, altitude, found.q_legs[0], rolled)
 
@@ -303,8 +282,6 @@ class Hitch(OneLine):
 
         Not at all where they keep them without, or where no roll helps.
         """
-        from hitchopt.hitch.legs import least_roll_of_reference
-
         task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
         roll = least_roll_of_reference(task)
         return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll)
@@ -361,12 +338,8 @@ class Hitch(OneLine):
 
     @property
     def _directions(self) -> tuple[Array, Array]:
-        found = _DIRECTIONS.get(self)
-        if found is None:
-            team, along = self.team, self.polygon.edge_directions
-            found = leg_directions(along, team.tension, team.topology, self._loads)
-            _DIRECTIONS[self] = found
-        return found
+        team, along = self.team, self.polygon.edge_directions
+        return leg_directions(along, team.tension, team.topology, self._loads)
 
     @property
     def drones(self) -> Array:
@@ -382,10 +355,6 @@ class Hitch(OneLine):
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 
 
-_DIRECTIONS: WeakKeyDictionary[Hitch, tuple[Array, Array]] = WeakKeyDictionary()
-"""Those of hitches in use: stored in a hitch they would make it differ from an equal one."""
-
-
 def _leg_task(
     team: Team,
     polygon: Outline,
@@ -394,12 +363,7 @@ def _leg_task(
     requirements: Requirements,
     roll: Array | None = None,
 ) -> LegTask:
-    return LegTask(
-        team,
-        requirements,
-        polygon.vertices[None],
-        reference[None],
-        requirements.limits.leg * LIMIT_MARGIN,
-        margin,
-        roll=None if roll is None else roll[None],
-    )
+    shortest = requirements.limits.leg * LIMIT_MARGIN
+    one = polygon.vertices[None], reference[None]
+    rolled = None if roll is None else roll[None]
+    return LegTask(team, requirements, *one, shortest, margin, roll=rolled)
