@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import Array, instance, not_negative, per_robot, positive, sequence, units
-from hitchopt.values.units import check_lift, check_unit
+from hitchopt.values import Array, flag, instance, not_negative, per_robot, sequence, units
+from hitchopt.values.units import check_lift, check_unit, store
 
 Index = NDArray[np.intp]
 
@@ -133,15 +133,6 @@ MAX_ROBOTS = 10_000
 
 TOPOLOGIES = (CLOSED, OPEN)
 
-UNITS = {
-    "cable_length": units.CABLE_LENGTH,
-    "cable_density": units.DENSITY,
-    "cable_friction": units.FRICTION,
-    "tension": units.TENSION,
-    "load": units.LOAD,
-}
-"""Quantities whose units are checked."""
-
 
 @dataclass(frozen=True)
 class Quadrotor(OneLine):
@@ -164,18 +155,9 @@ class Quadrotor(OneLine):
     feed_forward: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", positive("mass", self.mass))
-        object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
-        check_unit("mass", self.mass, units.MASS)
-        check_unit("max_thrust", self.max_thrust, units.THRUST)
+        flags = {name: flag(name, getattr(self, name)) for name in ("integral", "feed_forward")}
+        store(self, {**vars(self), **flags})
         check_lift(self.mass, self.max_thrust, GRAVITY)
-        if self.stiffness is not None:
-            object.__setattr__(self, "stiffness", positive("stiffness", self.stiffness))
-            check_unit("stiffness", self.stiffness, units.STIFFNESS)
-        for name in ("integral", "feed_forward"):
-            value = getattr(self, name)
-            if not isinstance(value, bool):
-                raise InputError(name, value, "true or false", "write true or false")
 
 
 def kinds_of(
@@ -262,16 +244,16 @@ class Team(OneLine):
             "robots": n,
             "cable_length": per_robot("cable_length", cable_length, n),
             "topology": topology,
-            "cable_density": not_negative("cable_density", cable_density),
-            "cable_friction": not_negative("cable_friction", cable_friction),
+            "cable_density": cable_density,
+            "cable_friction": cable_friction,
             "tension": per_robot("tension", tension, n),
             "quadrotor": kinds,
             "load": _loads(load, len(layout_of(n, topology).clasps)),
         }
-        for name, quantity in UNITS.items():
-            check_unit(name, values[name], quantity)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        store(self, values)
+        check_unit("cable_length", self.cable_length, units.CABLE_LENGTH)
+        check_unit("tension", self.tension, units.TENSION)
+        check_unit("load", self.load, units.LOAD)
 
     @property
     def drones(self) -> int:
@@ -383,8 +365,7 @@ class Swarm(Team):
             "quadrotor": kinds_of(quadrotor, int(drones), "drone"),
             "load": none,
         }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        store(self, values)
 
     @property
     def drones(self) -> int:
