@@ -20,11 +20,13 @@ that distance cables run level, and are shorter than straight legs.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
 from hitchopt.objects import SolidObject
@@ -128,21 +130,65 @@ def object_loads(motion: Motion) -> Array | None:
 
     None where clasps carry no objects.
     """
-    if motion.borne is None or not np.any(motion.borne.coefficients):
-        return None
-    total: Array | None = None
-    for index, (name, each) in enumerate(motion.requirements.objects.items()):
-        share = motion.borne.coefficients[:, index]
-        if not np.any(share):
+    return _total(
+        np.where(on[:, None, None, None], _loads(motion, index, body), 0.0)
+        for index, body, on, _ in _resting(motion)
+    )
+
+
+def saved_lengths(motion: Motion) -> Array | None:
+    """Return what rims save cables of their legs (pieces, n, degree + 1) [m]; None if nothing.
+
+    It grows with the square of the share that is borne, as ``strut_shares`` does.
+    """
+    found = []
+    for index, body, on, borne in _resting(motion):
+        if body.rim is None or not motion.team.layout.closed:
             continue
-        loads = _loads(motion, index, each)
-        loads = np.where(held_pieces(motion, name, HoldBy.REST)[:, None, None, None], loads, 0.0)
-        if total is None:
-            total = loads
-        else:
-            order = max(bernstein.degree(total), bernstein.degree(loads))
-            total = bernstein.elevate(total, order) + bernstein.elevate(loads, order)
-    return total
+        poses = motion.object_poses.coefficients[on, index, :, 0]
+        places = in_frame(poses[:, None], motion.vertices.coefficients[on, ..., 0])[..., :2]
+        most = np.zeros((len(on), motion.team.robots))
+        pulls = motion.tensions.coefficients[on, ..., 0]
+        most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
+        found.append(most[..., None] * bernstein.multiply(borne, borne)[:, None])
+    return _total(found)
+
+
+def strut_shares(motion: Motion) -> Array | None:
+    """Return what rims on clasps take of all edges' pulls (pieces, degree + 1); None if nothing.
+
+    It grows with the square of the share that is borne, as ``1 - cos`` of the legs' slope does.
+    """
+    edges = length(motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1))
+    pulls, found = motion.tensions.coefficients[..., 0], []
+    for _, body, on, borne in _resting(motion):
+        most = np.ones(len(on))
+        most[on] = strut_share(motion.team, body.mass, edges[on], pulls[on])
+        found.append(most[:, None] * bernstein.multiply(borne, borne))
+    return _total(found)
+
+
+def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
+    """Return (pieces,) whether an object is held so."""
+    holds = [p.hold is not None and (p.hold.object, p.hold.by) == (name, by) for p in motion.phases]
+    return np.array([*holds, False])[motion.phase_of_piece]
+
+
+def _resting(motion: Motion) -> Iterator[tuple[int, SolidObject, NDArray[np.bool_], Array]]:
+    """Yield objects on clasps: index, itself, (pieces,) where, and the share borne there."""
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        on = held_pieces(motion, name, HoldBy.REST)
+        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
+        if np.any(borne):
+            yield index, body, on, borne
+
+
+def _total(parts: Iterable[Array]) -> Array | None:
+    """Return the sum of polynomials of any degrees; None of none."""
+    found = [*parts]
+    order = max((bernstein.degree(part) for part in found), default=0)
+    raised = [bernstein.elevate(part, order) for part in found]
+    return sum(raised[1:], raised[0]) if raised else None
 
 
 def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
@@ -179,8 +225,8 @@ def rim_drop(
     borne: share of the weight that is on the legs (…).
     """
     onward, back = _to_rim(body, places)
-    rise = np.tan(_mean_rise(team, body, places, tensions, borne))
-    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * rise
+    rise = _mean_rise(team, body, places, tensions, borne)
+    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * np.tan(rise)
     return drop
 
 
@@ -200,94 +246,41 @@ def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -
 def _to_rim(body: SolidObject, places: Array) -> tuple[Array, Array]:
     """Return how far edges run on to the rim's edge beyond their ends and starts (…, n) [m]."""
     assert body.rim is not None
-    edges = np.roll(places, -1, axis=-2) - places
-    along = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    reach = body.rim.section.reach
-    return reach(np.roll(places, -1, axis=-2), along), reach(places, -along)
+    onward, reach = np.roll(places, -1, axis=-2), body.rim.section.reach
+    along = unit(onward - places)
+    return reach(onward, along), reach(places, -along)
 
 
 def _mean_rise(
     team: Team, body: SolidObject, places: Array, tensions: Array, borne: Array | float = 1.0
 ) -> Array:
     """Return the angle (…) [rad] at which the mean leg rises, as of ``rim_drop``."""
-    lengths = np.linalg.norm(np.roll(places, -1, axis=-2) - places, axis=-1)
-    slope = borne * leg_slope(team, body.mass, lengths, tensions)
-    rise: Array = np.arcsin(np.minimum(slope, 1.0))
-    return rise
-
-
-def saved_lengths(motion: Motion) -> Array | None:
-    """Return what rims save cables of their legs (pieces, n, degree + 1) [m]; None if nothing.
-
-    It grows with the square of the share that is borne, as ``strut_shares`` does.
-    """
-    total: Array | None = None
-    for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        on = held_pieces(motion, name, HoldBy.REST)
-        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
-        if body.rim is None or not motion.team.layout.closed or not np.any(borne):
-            continue
-        poses = motion.object_poses.coefficients[on, index, :, 0]
-        places = in_frame(poses[:, None], motion.vertices.coefficients[on, ..., 0])[..., :2]
-        most = np.zeros((len(on), motion.team.robots))
-        pulls = motion.tensions.coefficients[on, ..., 0]
-        most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
-        saved = most[..., None] * bernstein.multiply(borne, borne)[:, None]
-        total = saved if total is None else total + saved
-    return total
-
-
-def strut_shares(motion: Motion) -> Array | None:
-    """Return what rims on clasps take of all edges' pulls (pieces, degree + 1); None if nothing.
-
-    It grows with the square of the share that is borne, as ``1 - cos`` of the legs' slope does.
-    """
-    total: Array | None = None
-    for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        on = held_pieces(motion, name, HoldBy.REST)
-        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
-        if not np.any(borne):
-            continue
-        edges = motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1)
-        pulls = motion.tensions.coefficients[..., 0]
-        most = np.ones(len(on))
-        lengths = np.linalg.norm(edges[on], axis=-1)
-        most[on] = strut_share(motion.team, body.mass, lengths, pulls[on])
-        taken = most[:, None] * bernstein.multiply(borne, borne)
-        total = taken if total is None else total + taken
-    return total
-
-
-def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
-    """Return (pieces,) whether an object is held so."""
-    holds = [p.hold is not None and (p.hold.object, p.hold.by) == (name, by) for p in motion.phases]
-    return np.array([*holds, False])[motion.phase_of_piece]
+    edges = length(np.roll(places, -1, axis=-2) - places)
+    slope = borne * leg_slope(team, body.mass, edges, tensions)
+    return np.asarray(np.arcsin(np.minimum(slope, 1.0)))
 
 
 def _loads(motion: Motion, index: int, body: SolidObject) -> Array:
     """Return the forces of one object (pieces, clasps, 3, degree + 1) [N]."""
-    pose = motion.object_poses
-    clasps = motion.team.layout.clasps
+    pose = motion.object_poses.coefficients[:, index]
     supports = supports_of(motion, index, body)
     share = motion.object_shares.coefficients[:, index]
-    moving = np.ptp(pose.coefficients[:, index], axis=-1) > STILL
-    lifted = np.any(moving, axis=-1)[:, None, None, None]
-    vertices = motion.vertices.differentiated(2).coefficients[:, clasps]
-    vertices = np.where(lifted, vertices, 0.0)  # what stands does not move
-    order = max(bernstein.degree(vertices), bernstein.degree(share))
-    pulled = bernstein.elevate(vertices, order).copy()
+    lifted = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)[:, None, None, None]
+    moved = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
+    moved = np.where(lifted, moved, 0.0)  # what stands does not move
+    order = max(bernstein.degree(moved), bernstein.degree(share))
+    pulled = bernstein.elevate(moved, order).copy()
     pulled[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
-    loads = -body.mass * supports.shares[..., None, None] * pulled
-    centre = centre_path(pose.coefficients[:, index], body)
+    own = -body.mass * supports.shares[..., None, None] * pulled
     durations = motion.drones.durations[:, None, None]
-    pushed = bernstein.differentiate(bernstein.differentiate(centre)) / durations**2
-    heading = pose.coefficients[:, index, 3:]
-    turned = turned_back(np.where(lifted[..., 0], pushed[:, :2], 0.0), heading)
+    pushed = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
+    level = np.where(lifted[..., 0], (pushed / durations**2)[:, :2], 0.0)
     height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
-    moved = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
-    order = max(bernstein.degree(loads), bernstein.degree(moved))
-    found = bernstein.elevate(loads, order).copy()
-    found[:, :, 2] += bernstein.elevate(moved, order)
+    turned = turned_back(level, pose[:, 3:])
+    upward = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
+    tipped = np.stack([0.0 * upward, 0.0 * upward, upward], axis=2)
+    found = _total([own, tipped])
+    assert found is not None
     return found
 
 
@@ -303,15 +296,13 @@ def centre_path(pose: Array, body: SolidObject) -> Array:
     """Return the path of the centre of mass (pieces, 3, …) [m], given its object's poses."""
     x, y, z = body.centre_of_mass
     c, s = pose[:, 3], pose[:, 4]
-    offset = np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
-    centre: Array = pose[:, :3] + offset
+    centre: Array = pose[:, :3] + np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
     return centre
 
 
 def turned_back(vectors: Array, heading: Array) -> Array:
     """Return level vectors (pieces, 2, …) as seen from bodies with headings (pieces, 2, …)."""
-    if np.all(heading == heading[..., :1]):
-        heading = heading[..., :1]
+    heading = lowered(heading)
     c, s = heading[:, 0], heading[:, 1]
     x, y = vectors[:, 0], vectors[:, 1]
     along = bernstein.multiply(x, c) + bernstein.multiply(y, s)

@@ -16,16 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.motion.asked import asked_of, check_asked, objects_at_first
+from hitchopt.motion.asked import asked_of, check_asked, objects_at_first, values_of
 from hitchopt.motion.motion import (
     FURTHER,
     JOINT,
     POLYNOMIALS,
-    CableState,
     Motion,
     Phase,
 )
@@ -116,18 +114,11 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         settings["assignment"] = motion.assignment
     arrays["breaks"] = motion.drones.breaks
     arrays |= {name: getattr(motion, name).coefficients for name in polynomials}
-    text = json.dumps(settings, allow_nan=False, default=_values_of)
+    text = json.dumps(settings, allow_nan=False, default=values_of)
     with path.open("wb") as file:
         np.savez(
             file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
         )
-
-
-def _values_of(record: Any) -> Any:
-    """Return a record's fields, or an array's entries, as json takes them."""
-    if isinstance(record, ConvexPolygon):
-        return record.vertices.tolist()
-    return record.tolist() if isinstance(record, np.ndarray) else vars(record)
 
 
 def read_plan(path: Path) -> Motion:
@@ -141,22 +132,12 @@ def read_plan(path: Path) -> Motion:
 
 
 def read_title(path: Path) -> str:
-    """Return the title of the plan in a file that hitchopt wrote, or an empty one.
-
-    Raises
-    ------
-    FileError: it cannot be read, or does not hold a plan.
-    """
+    """Return the title of the plan in a file, or an empty one; errors are ``read_plan``'s."""
     return _read(path, lambda settings, _: str(settings["title"]))
 
 
 def read_problem_text(path: Path) -> str:
-    """Return the text of the problem file that a plan was made of; empty if it is not known.
-
-    Raises
-    ------
-    FileError: it cannot be read, or does not hold a plan.
-    """
+    """Return the text of a plan's problem file, empty if not known; errors as ``read_plan``."""
     return _read(path, lambda settings, _: str(settings.get("problem", "")))
 
 
@@ -187,7 +168,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     parts = {}
     for name in (name for name in (*POLYNOMIALS, *FURTHER) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
-            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", "do not edit them")
+            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", DO_NOT)
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
     requirements = Requirements(
         Limits(**settings["limits"]),
@@ -196,38 +177,28 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         tuple(Prism(**entry) for entry in settings["keep_out"]),
         {name: _object(**entry) for name, entry in settings.get(OBJECTS, {}).items()},
     )
-    given = settings["team"]
-    kinds = _kinds(arrays)
-    alone = "robots" not in given
-    robots = 0 if alone else int(given["robots"])
+    given, kinds = settings["team"], _kinds(arrays)
     phases = _stored("phases", settings["phases"], tuple[Phase, ...])
-    _check_phases(phases, robots, requirements.objects)
-    if alone:
-        swarm = Swarm(given["drones"], quadrotor=kinds)
-        motion = Motion.single(swarm, requirements, parts["drones"], phases)
-    else:
+    if "robots" in given:
         per_robot: dict[str, Any] = {name: arrays[name] for name in PER_ROBOT}
         team = Team(**given, **per_robot, quadrotor=kinds)
         assignment = _stored("assignment", settings.get("assignment"), Assignment | None)
         motion = Motion(team, requirements, **parts, phases=phases, assignment=assignment)
+    else:
+        swarm = Swarm(given["drones"], quadrotor=kinds)
+        motion = Motion.single(swarm, requirements, parts["drones"], phases)
+    _check_phases(phases, motion.team.robots, requirements.objects)
     spans = [[phase.start, phase.end] for phase in phases]
     # A motion has verified that they follow one another and cover the pieces.
     if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
         words = f"one after the other from 0 to {motion.duration:g} s"
-        raise InputError("phases", spans, words, "do not edit them")
-    _check_objects(motion)
+        raise InputError("phases", spans, words, DO_NOT)
+    begin = motion.object_poses.coefficients[0, ..., 0]
+    if np.max(np.abs(begin - poses_of(requirements.objects)), initial=0.0) > STILL:
+        raise InputError("poses", begin.tolist(), "where the objects stand", DO_NOT)
+    check_apart(requirements.objects)
     check_asked(settings["asked"], motion)
     return motion
-
-
-def _check_objects(motion: Motion) -> None:
-    """Raise InputError for objects that begin elsewhere than they stand, or share space there."""
-    objects = motion.requirements.objects
-    begin = motion.object_poses.coefficients[0, ..., 0]
-    if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
-        names = [f"objects.{name}" for name in objects]
-        raise InputError("poses", begin.tolist(), f"where {names} stand", "do not edit them")
-    check_apart(objects)
 
 
 def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:
@@ -238,24 +209,19 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
     """Return the kinds of quadrotors, whose controllers are the defaults where none are stored."""
-    columns = {name: arrays[name].tolist() for name in PER_KIND}
-    if PER_CONTROLLER[0] in arrays:
-        columns |= {name: arrays[name].tolist() for name in PER_CONTROLLER}
-    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    return [
-        Quadrotor(**{name: _from_file(name, value) for name, value in row.items()}) for row in rows
-    ]
-
-
-def _from_file(name: str, value: float) -> Any:
-    """Return a quadrotor's field from the number that stands for it in a file."""
-    if name == "stiffness":
-        return None if value == np.inf else value
-    if name in ("integral", "feed_forward"):
-        if value not in (0.0, 1.0):
-            raise InputError(name, value, "0 or 1", "do not edit it")
-        return value == 1.0
-    return value
+    columns: dict[str, list[Any]] = {
+        name: arrays[name].tolist() for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays
+    }
+    for name in ("integral", "feed_forward"):
+        for value in columns.get(name, ()):
+            if value not in (0.0, 1.0):
+                raise InputError(name, value, "0 or 1", "do not edit it")
+        if name in columns:
+            columns[name] = [value == 1.0 for value in columns[name]]
+    if "stiffness" in columns:
+        columns["stiffness"] = [None if x == np.inf else x for x in columns["stiffness"]]
+    rows = zip(*columns.values(), strict=True)
+    return [Quadrotor(**dict(zip(columns, row, strict=True))) for row in rows]
 
 
 def _stored(key: str, value: Any, kind: Any) -> Any:
@@ -276,17 +242,13 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
 
 
 def _check_phases(phases: Sequence[Phase], robots: int, objects: Collection[str]) -> None:
-    """Raise InputError for phases that do not fit a team, or name what is not there."""
+    """Raise InputError for phases with an impossible range, or that name what is not there."""
     for phase in phases:
-        if (phase.state is CableState.NONE) is (robots > 0):
-            words = "none without cables, and another state with them"
-            raise InputError("phases.state", str(phase.state), words, DO_NOT)
         if phase.tension is not None and not 0.0 < phase.tension[0] <= phase.tension[1] < np.inf:
             words = "a smallest and a largest tension, or null"
             raise InputError("phases.tension", phase.tension, words, DO_NOT)
         hold = phase.hold
-        known = hold is None or (hold.object in objects and set(hold.cables) <= set(range(robots)))
-        if not known:
+        if hold and not (hold.object in objects and set(hold.cables) <= set(range(robots))):
             bound = f"an object of {sorted(objects)} and cables from 0 to {robots - 1}"
             raise InputError("phases.hold", vars(hold), bound, DO_NOT)
 
