@@ -296,7 +296,9 @@ def centre_path(pose: Array, body: SolidObject) -> Array:
     """Return the path of the centre of mass (pieces, 3, …) [m], given its object's poses."""
     x, y, z = body.centre_of_mass
     c, s = pose[:, 3], pose[:, 4]
-    centre: Array = pose[:, :3] + np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
+    centre: Array = pose[:, :3] + np.stack(
+        [c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1
+    )
     return centre
 
 

@@ -15,26 +15,21 @@ from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, as_array, not_negative, positive
 
+UPWARD = np.array([0.0, 0.0, GRAVITY])
+"""[m/s²] What thrusts hold against besides accelerations."""
+
 END_TOLERANCE = 1e-6
-"""Distance of a plan's end from the last regular sample [s] below which it is no sample."""
+"""[s] Distance of a plan's end from the last regular sample below which it is no sample."""
 
 MAX_SAMPLES = 50_000_000
 """Largest number of samples; more are refused before any memory is spent on them."""
 
 TIME_TOLERANCE = 1e-9
-"""Distance by which a time may lie outside the plan [s]: the rounding of sums of durations."""
+"""[s] Distance by which a time may lie outside the plan: the rounding of sums of durations."""
 
-
-AT_REST = (
-    "velocities",
-    "accelerations",
-    "jerks",
-    "cable_force_rates",
-    "vertex_velocities",
-)
+AT_REST = ("velocities", "accelerations", "jerks", "cable_force_rates", "vertex_velocities")
 """Fields of states that are zero after a plan's end."""
 
 BLOCK = 1 << 20
@@ -86,7 +81,8 @@ class States(OneLine):
 
     def thrusts(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N] the thrust vectors ``m (a + g ẑ) - cable force``."""
-        return thrusts_of(team, self.accelerations, self.cable_forces)
+        thrusts: Array = team.mass[:, None] * (self.accelerations + UPWARD) - self.cable_forces
+        return thrusts
 
     def thrust_rates(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N/s] the derivatives of the thrust vectors by time."""
@@ -96,7 +92,7 @@ class States(OneLine):
     @cached_property
     def _attitudes(self) -> Attitudes:
         masses = self.masses[..., None]
-        thrusts = masses * (self.accelerations + [0.0, 0.0, GRAVITY]) - self.cable_forces
+        thrusts = masses * (self.accelerations + UPWARD) - self.cable_forces
         return attitudes(thrusts, masses * self.jerks - self.cable_force_rates)
 
     @property
@@ -168,13 +164,6 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
     return Attitudes(np.stack(quaternions, axis=-1), np.stack(body_rates, axis=-1))
 
 
-def thrusts_of(team: Team | Swarm, accelerations: Array, cable_forces: Array) -> Array:
-    """Return the thrust vectors ``m (a + g ẑ) - cable force``, (…, 2n, 3) [N]."""
-    upward = np.array([0.0, 0.0, GRAVITY])
-    thrusts: Array = team.mass[:, None] * (accelerations + upward) - cable_forces
-    return thrusts
-
-
 def sample_times(duration: float, rate: float) -> Array:
     """Return (samples,) [s]: every multiple of 1/rate from 0, and the end.
 
@@ -231,41 +220,30 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``."""
-    h = motion.drones.durations[:, None, None]
-    drones = [motion.drones.coefficients]
-    for _ in range(3):
-        drones.append(bernstein.differentiate(drones[-1]) / h[..., None])
-    parts = [motion.vertices.coefficients, leg_tensions(motion), tautness(motion)]
-    part_rates = [
-        bernstein.differentiate(part) / h.reshape(-1, *[1] * (part.ndim - 1)) for part in parts
-    ]
-    poses, shares = motion.object_poses.coefficients, motion.object_shares.coefficients
-    pieces, x = _places(motion, times)
+    pulls, taut = map(motion.drones.alike, (leg_tensions(motion), tautness(motion)))
+    parts = motion.drones, motion.vertices, pulls, taut
+    rates = [part.differentiated() for part in parts]
+    second, third = (motion.drones.differentiated(order) for order in (2, 3))
     for first in range(0, len(times), size):
-        block = slice(first, first + size)
-
-        def at(coefficients: Array, block: slice = block) -> Array:
-            return _values(coefficients, pieces[block], x[block])
-
-        positions, velocities, accelerations, jerks = map(at, drones)
-        values = positions, *map(at, parts)
-        rates = velocities, *map(at, part_rates)
+        t = times[first : first + size]
+        at = np.minimum(motion.drones.breaks[0] + t, motion.drones.breaks[-1])
+        values, slopes = (tuple(part.at(at) for part in each) for each in (parts, rates))
         yield States(
-            t=times[block],
-            formed=motion.formed[pieces[block]],
-            positions=positions,
-            velocities=velocities,
-            accelerations=accelerations,
-            jerks=jerks,
+            t=t,
+            formed=_formed(motion, at),
+            positions=values[0],
+            velocities=slopes[0],
+            accelerations=second.at(at),
+            jerks=third.at(at),
             cable_forces=cable_forces(motion.team, *values),
-            cable_force_rates=cable_force_rates(motion.team, values, rates),
+            cable_force_rates=cable_force_rates(motion.team, values, slopes),
             vertices=values[1],
-            vertex_velocities=rates[1],
-            legs=at(motion.legs.coefficients),
-            tensions=at(motion.tensions.coefficients),
-            object_poses=at(poses),
-            borne=at(shares),
-            masses=np.broadcast_to(motion.team.mass, positions.shape[:-1]),
+            vertex_velocities=slopes[1],
+            legs=motion.legs.at(at),
+            tensions=motion.tensions.at(at),
+            object_poses=motion.object_poses.at(at),
+            borne=motion.object_shares.at(at),
+            masses=np.broadcast_to(motion.team.mass, values[0].shape[:-1]),
         )
 
 
@@ -277,21 +255,10 @@ def hitch_at(motion: Motion, times: Array) -> tuple[NDArray[np.bool_], Array, Ar
     motion: the plan.
     times: (samples,) [s], counted from its start.
     """
-    pieces, x = _places(motion, times)
-    vertices = _values(motion.vertices.coefficients, pieces, x)
-    return motion.formed[pieces], vertices, _values(motion.tensions.coefficients, pieces, x)
+    at = np.minimum(motion.drones.breaks[0] + times, motion.drones.breaks[-1])
+    return _formed(motion, at), motion.vertices.at(at), motion.tensions.at(at)
 
 
-def _places(motion: Motion, times: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the pieces in which ``times`` (samples,) [s] are, and where in them, from 0 to 1."""
-    breaks = motion.drones.breaks - motion.drones.breaks[0]
-    pieces = np.searchsorted(breaks[1:-1], times, side="right")
-    x: Array = np.clip((times - breaks[pieces]) / motion.drones.durations[pieces], 0.0, 1.0)
-    return pieces, x
-
-
-def _values(coefficients: Array, pieces: NDArray[np.intp], x: Array) -> Array:
-    """Return polynomials (pieces, *shape, degree + 1) at x within pieces, as (times, *shape)."""
-    weights = bernstein.basis(x, bernstein.degree(coefficients))
-    values: Array = np.einsum("s...i,si->s...", coefficients[pieces], weights)
-    return values
+def _formed(motion: Motion, times: Array) -> NDArray[np.bool_]:
+    """Return whether there is a hitch at times [s]; where pieces join, on the later one."""
+    return motion.formed[np.searchsorted(motion.drones.breaks[1:-1], times, side="right")]
