@@ -8,7 +8,7 @@ there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,6 @@ from hitchopt.values import Array, Indices
 if TYPE_CHECKING:
     import casadi as ca
     import scipy.sparse as sp
-    from scipy import sparse
 
 SPREAD_MARGIN = 1.5
 """Distance over its limit that the leg lengths called ``spread`` keep."""
@@ -77,13 +76,9 @@ class LegTask:
 
     @cached_property
     def margins(self) -> Array:
-        """(J,): the margin of every knot."""
-        return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
-
-    @cached_property
-    def crossing_margins(self) -> Array:
-        """(J,): margin of the distances of two cables."""
-        return np.minimum(self.margins, CROSSING_MARGIN)
+        """(3, J): the margin of every knot, by kind of pair."""
+        each = np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
+        return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
 
     @cached_property
     def wanted(self) -> float:
@@ -271,10 +266,9 @@ class LegBodies:
         layout, keep = task.team.layout, task.requirements.separation
         self._task, self._turns = task, task.team.cable_density > 0.0
         self.dimensions = 2 if task.level else 3
-        flat = np.zeros((J, layout.points, self.dimensions))
-        flat[..., :2] = task.polygons
-        self._points, self._slack = flat, task.slack
-        self._edges = unit(layout.edges(flat))
+        self._points = np.zeros((J, layout.points, self.dimensions))
+        self._points[..., :2] = task.polygons
+        self._edges = unit(layout.edges(self._points))
         cable = np.concatenate([np.zeros(layout.points, np.intp), np.repeat(np.arange(n), 2)])
         self.variable = (n * np.arange(J)[:, None] + cable).reshape(-1)
         self.count = layout.points + 2 * n
@@ -288,27 +282,21 @@ class LegBodies:
 
     def _lay(self, d: Array) -> None:
         """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""
-        task, team = self._task, self._task.team
-        layout, J = team.layout, len(d)
-        loads = None
-        if not task.level:
-            loads = clasp_loads(team, d, self._slack, task.roll)
+        task, team, p = self._task, self._task.team, self._points
+        layout, slack, shape = team.layout, task.slack, (len(p), -1, self.dimensions)
+        loads = None if task.level else clasp_loads(team, d, slack, task.roll)
         q, r = leg_directions(self._edges, team.tension, team.topology, loads)
         if self._turns:
             sag = sag_factors(team, team.tension)
             q, r = (
                 leg_vectors(np.ones_like(legs), direction, sag * legs**2)
-                for legs, direction in ((d, q), (self._slack - d, r))
+                for legs, direction in ((d, q), (slack - d, r))
             )
-        following = self._points[:, layout.ends] + self._slack[..., None] * r
-        ends = np.stack([self._points[:, layout.starts], following], axis=2)
+        ends = np.stack([p[:, layout.starts], p[:, layout.ends] + slack[..., None] * r], axis=2)
         slopes = np.stack([q, -r], axis=2)
-        self.base, self.slope = (
-            np.concatenate([points, lines.reshape(J, -1, self.dimensions)], axis=1).reshape(
-                -1, self.dimensions
-            )
-            for points, lines in ((self._points, ends), (np.zeros_like(self._points), slopes))
-        )
+        base = np.concatenate([p, ends.reshape(shape)], axis=1)
+        slope = np.concatenate([np.zeros_like(p), slopes.reshape(shape)], axis=1)
+        self.base, self.slope = base.reshape(shape[1:]), slope.reshape(shape[1:])
 
     def nodes(self, d: Array) -> Array:
         """Return the nodes' positions (J·count, 2 or 3) [m]."""
@@ -331,10 +319,10 @@ class LegBodies:
         Where margins differ from knot to knot, in proportion to the largest of them.
         """
         ratios = length(self.offsets(self.nodes(d))) / self.limits[self.kind]
-        enough = task.crossing_margins[self.frame] * (1.0 - 1e-9)
+        enough = task.margins[CROSSING, self.frame] * (1.0 - 1e-9)
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
         smallest = np.full(len(d), np.inf)
-        np.minimum.at(smallest, self.frame, apart / task.margins[self.frame])
+        np.minimum.at(smallest, self.frame, apart / task.margins[SEPARATION, self.frame])
         return task.wanted * smallest
 
     def inside(self, arena: Arena | None, d: Array) -> bool:
@@ -367,70 +355,40 @@ class LegBodies:
 
 
 def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
-    """Return the convex QP around ``d``; variables are d, then two slacks of the margins."""
-    J, n = d.shape
-    size = J * n + 2
-    nodes = bodies.nodes(d)
-    offsets = bodies.offsets(nodes)
-    middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
-    normal = unit(offsets, unit(middles, EAST[: bodies.dimensions]), 1e-9)
+    """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
 
+    One slack is that of drones, the other one of crossings and walls: out of reach, these must not
+    leave the rest undecided.
+    """
+    size = d.size + 2
+    nodes = bodies.nodes(d)
+    middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
+    normal = unit(bodies.offsets(nodes), unit(middles, EAST[: bodies.dimensions]), 1e-9)
     pair, a, b = end_combinations(bodies.kind, bodies.first, bodies.second)
-    kind = bodies.kind[pair]
-    nu = normal[pair] * bodies.scale[kind]
-    limit = bodies.limits[kind]
-    crossing = kind == CROSSING
-    row = np.arange(len(pair))
-    entries = np.concatenate(
-        [
-            np.sum(nu * bodies.slope[a], axis=1),
-            -np.sum(nu * bodies.slope[b], axis=1),
-            limit,  # the slacks: one of all margins, one of crossings and walls
-        ]
-    )
-    columns = np.concatenate(
-        [bodies.variable[a], bodies.variable[b], np.where(crossing, size - 1, size - 2)]
-    )
+    kind, row = bodies.kind[pair], np.arange(len(pair))
+    nu, limit = normal[pair] * bodies.scale[kind], bodies.limits[kind]
+    slacks = np.where(kind == CROSSING, size - 1, size - 2)
     # Slightly more than required, so that rounding does not leave it short.
-    frame = bodies.frame[pair]
-    margins = np.where(crossing, task.crossing_margins[frame], task.margins[frame])
-    wanted = margins * (1.0 + 1e-7) * limit
+    wanted = task.margins[kind, bodies.frame[pair]] * (1.0 + 1e-7) * limit
     least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
+    moved = np.sum(nu * bodies.slope[a], axis=1), -np.sum(nu * bodies.slope[b], axis=1)
+    columns = np.concatenate([bodies.variable[a], bodies.variable[b], slacks])
     rows = Rows(size)
+    entries = np.concatenate([*moved, limit])
     rows.add(np.tile(row, 3), columns, entries, least, np.full(len(least), np.inf))
     if task.requirements.arena is not None:
         _add_walls(rows, bodies, task.requirements.arena, size - 1)
-    hessian = _squares(size)
-    if task.roughness > 0.0 and J > 2:
-        from scipy import sparse
-
-        bends = sparse.block_diag([_roughness(task), sparse.csc_array((2, 2))])
-        hessian = sparse.csc_array(hessian + bends)
-    gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
-    lower, upper = task.bounds
-    return QuadraticProgram(
-        hessian,
-        gradient,
-        *rows.compressed(),
-        np.append(lower.reshape(-1), [0.0, 0.0]),
-        np.append(upper.reshape(-1), [np.inf, np.inf]),
+    penalty = np.full(2, PENALTY * task.team.robots)
+    lower, upper = (
+        np.append(bound.reshape(-1), [end, end])
+        for bound, end in zip(task.bounds, (0.0, np.inf), strict=True)
     )
-
-
-@lru_cache(maxsize=16)
-def _squares(size: int) -> sparse.csc_array:
-    """Return the Hessian of half the sum of squares of all unknowns but the two slacks."""
-    from scipy import sparse
-
-    squares = np.append(np.ones(size - 2), [0.0, 0.0])
-    return sparse.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
+    gradient = np.append(-task.reference.reshape(-1), penalty)
+    return QuadraticProgram(_hessian(task, size), gradient, *rows.compressed(), lower, upper)
 
 
 def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
-    """Add rows that keep every drone between the arena's upright walls, with a common slack.
-
-    Walls and crossings share the slack: out of reach, they must not leave the rest undecided.
-    """
+    """Add rows that keep every drone between the arena's upright walls, with a common slack."""
     base, slope = bodies.base[bodies.drones, :2], bodies.slope[bodies.drones, :2]
     entries = np.concatenate([slope, -slope], axis=1).T.ravel()
     least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
@@ -442,12 +400,20 @@ def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
     rows.extend(first + row, np.full(count, slack), 1.0)
 
 
-def _roughness(task: LegTask) -> sparse.csc_matrix:
-    """Return the Hessian of the fractions' squared second differences along the knots."""
-    from scipy import sparse
+def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
+    """Return the Hessian of half the sum of squares of lengths, and of the fractions' roughness.
 
+    That is their squared second differences along the knots.
+    """
+    import scipy.sparse as sp
+
+    squares = np.append(np.ones(size - 2), [0.0, 0.0])
+    diagonal = sp.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
     J, n = task.reference.shape
-    second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
-    fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))
-    bend = sparse.kron(second, sparse.eye_array(n)) @ fractions
-    return sparse.csc_matrix(task.roughness * (bend.T @ bend))
+    if task.roughness == 0.0 or J < 3:
+        return diagonal
+    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
+    fractions = sp.diags_array(1.0 / task.slack.reshape(-1))
+    bend = sp.kron(second, sp.eye_array(n)) @ fractions
+    rough = sp.block_diag([task.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
+    return sp.csc_array(diagonal + rough)
