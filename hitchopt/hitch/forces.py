@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import CLOSED, GRAVITY, Team, layout_of
@@ -120,12 +120,8 @@ def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) 
     ----------
     tensions: (…, n) [N]; the team's where they are None.
     """
-    if team.cable_density == 0.0:
-        plain: Array = team.cable_length - np.linalg.norm(edges, axis=-1)
-        return plain
-    slack: Array = team.cable_length - cable_of(
-        edges, sag_factors(team, team.tension if tensions is None else tensions)
-    )
+    factors = sag_factors(team, team.tension if tensions is None else tensions)
+    slack: Array = team.cable_length - cable_of(edges, factors)
     return slack
 
 
@@ -318,46 +314,19 @@ def _unbalanced(
     return InfeasibleError([Violation(name, value, most, "max", "N", (point,), "", remedy)])
 
 
-def contact_forces(
-    edge_directions: Array,
-    tensions: ArrayLike,
-    topology: str = CLOSED,
-    loads: ClaspLoads | None = None,
-) -> Array:
-    """Return the forces with which the two cables of each clasp press on each other.
+def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
+    """Return the forces (…, clasps) [N] with which cables press on each other at clasps.
 
-    ``2 T_k T_{k-1} sin φ / |V|`` without loads, φ the exterior angle; positive where the clasp
-    bears. With loads it is the size of ``C = F_k - w^k``, ``F_k = -(P_q q̂_k + P_k u_k)`` what cable
-    k presses with and ``w^k`` half of the load, negative unless ``C·q̂_k < 0``, ``C·u_k < 0``,
-    ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``: then the cables would slip off each other.
+    ``2 T_k T_{k-1} sin φ / |V|`` without loads, φ the exterior angle.
 
     Parameters
     ----------
-    edge_directions, tensions, topology, loads: as for ``leg_directions``.
-
-    Returns
-    -------
-    (…, clasps) [N]
+    edge_directions, tensions, topology: as for ``leg_directions``.
     """
     u = np.asarray(edge_directions, dtype=np.float64)
-    T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), u.shape[:-1])
-    layout = layout_of(u.shape[-2], topology)
-    q, r = leg_directions(u, T, topology, loads)
-    if loads is None:
-        bend: Array = T * length(u + q)  # what a cable bent by a clasp presses with
-        return bend[..., layout.ahead]
-    if u.shape[-1] == 2:
-        u = np.concatenate([u, np.zeros_like(u[..., :1])], axis=-1)
-    q, u_ahead, own = (part[..., layout.ahead, :] for part in (q, u, T[..., None]))
-    r, u_behind = r[..., layout.behind, :], u[..., layout.behind, :]
-    rise = q[..., 2:]
-    leg = chord_pull(own, loads.halves[..., 1:], 1.0 - rise * rise, rise)
-    edge = chord_pull(own, loads.edges[..., 1:])
-    C = -(leg * q + edge * u_ahead) - 0.5 * loads.forces
-    signs = [dot(C, q), dot(C, u_ahead), -dot(C, r), dot(C, u_behind)]
-    bears = np.max(np.stack(signs), axis=0) < 0.0
-    forces: Array = np.where(bears, 1.0, -1.0) * length(C)
-    return forces
+    q, _ = leg_directions(u, tensions, topology)
+    bend: Array = np.asarray(tensions, dtype=np.float64) * length(u + q)  # what a cable bent by a clasp presses with
+    return bend[..., layout_of(u.shape[-2], topology).ahead]
 
 
 def hanging_forces(team: Team, drones: Array) -> Array:
@@ -394,32 +363,17 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     if not team.has_cables:
         return np.zeros(drones.shape)
     spans = drones - vertices[..., team.layout.pulled_to, :]
-    if team.cable_density == 0.0:
-        return taut_forces(spans, pulls)
-    share = np.repeat(taut, 2, axis=-1)
-    forces = taut_forces(spans, pulls, 0.5 * GRAVITY * team.cable_density * share)
-    if np.any(share < 1.0):
-        forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
-    return forces
-
-
-def taut_forces(spans: Array, pulls: Array, half: Array | float = 0.0) -> Array:
-    """Return the forces (…, 3) [N] of taut cables on drones.
-
-    Parameters
-    ----------
-    spans: (…, 3) [m], from where each cable pulls to, to its drone.
-    pulls: (…) [N], their tensions at the clasps.
-    half: (…) [N/m], half of the weight of a metre of cable.
-    """
+    share, along = np.repeat(taut, 2, axis=-1), pulls
+    half = 0.5 * GRAVITY * team.cable_density * share
+    if team.cable_density > 0.0:
+        level = spans[..., 0] ** 2 + spans[..., 1] ** 2
+        along = chord_pull(pulls, half, level, spans[..., 2])
     # A leg without length has no direction: no force rather than nan (certified plans have none).
-    directions = unit(spans)
-    if not np.any(half):
-        return 0.0 - pulls[..., None] * directions  # no negative zeros
-    level = spans[..., 0] ** 2 + spans[..., 1] ** 2
-    along = chord_pull(pulls, half, level, spans[..., 2])
-    forces: Array = 0.0 - along[..., None] * directions
-    forces[..., 2] -= half * length(spans)
+    forces: Array = 0.0 - along[..., None] * unit(spans)  # no negative zeros
+    if team.cable_density > 0.0:
+        forces[..., 2] -= half * length(spans)
+        if np.any(share < 1.0):
+            forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
     return forces
 
 

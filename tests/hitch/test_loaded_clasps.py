@@ -18,7 +18,6 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.forces import (
     ClaspLoads,
     cable_of,
-    contact_forces,
     leg_directions,
     sag_factors,
     shortening,
@@ -136,7 +135,6 @@ def test_no_weight_and_no_roll_is_the_planar_clasp(seed: int, n: int, equal: boo
     ):
         np.testing.assert_allclose(loaded[:, :2], planar, atol=1e-12)
         np.testing.assert_array_equal(loaded[:, 2], 0.0)
-    np.testing.assert_allclose(contact_forces(u, T, loads=nothing), contact_forces(u, T), rtol=1e-9)
 
 
 @given(seeds, sizes)
@@ -226,27 +224,6 @@ def test_thrust_of_a_weight_shared_alike() -> None:
     np.testing.assert_allclose(-force[:, 2], 0.5 * RHO * d + 0.5 * weight, rtol=1e-5)
     level = np.hypot(force[:, 0], force[:, 1])
     np.testing.assert_allclose(level, pull * math.sqrt(1.0 - sine**2), rtol=1e-9)
-
-
-@given(seeds, sizes)
-@settings(max_examples=30)
-def test_contacts_bear_until_a_load_lifts_a_cable_off(seed: int, n: int) -> None:
-    """By hand from the forces on either cable, which the other one has to hold."""
-    h = hitch(seed, n, density=0.0)
-    u = np.column_stack([h.polygon.edge_directions, np.zeros(n)])
-    T = h.team.tension
-    forces = np.outer(-9.81 * h.team.load, [0.0, 0.0, 1.0])
-    loads = weightless(forces, h.roll)
-    q, r = leg_directions(u, T, loads=loads)
-    found = contact_forces(u, T, loads=loads)
-    for k in range(n):
-        on_ahead = -T[k] * (q[k] + u[k]) - 0.5 * forces[k]
-        on_behind = -T[k - 1] * (r[k - 1] - u[k - 1]) - 0.5 * forces[k]
-        np.testing.assert_allclose(on_ahead, -on_behind, atol=1e-12)
-        bears = on_ahead @ q[k] < 0.0 and on_ahead @ u[k] < 0.0
-        bears = bears and on_behind @ r[k - 1] < 0.0 < on_behind @ u[k - 1]
-        assert abs(found[k]) == pytest.approx(np.linalg.norm(on_ahead), rel=1e-12)
-        assert (found[k] > 0.0) == bears
 
 
 def test_the_roll_of_a_hitch_is_checked() -> None:
