@@ -7,7 +7,7 @@ Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) ov
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,13 +20,7 @@ from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.asked import asked_of, check_asked, objects_at_first, values_of
-from hitchopt.motion.motion import (
-    FURTHER,
-    JOINT,
-    POLYNOMIALS,
-    Motion,
-    Phase,
-)
+from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion, Phase
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, read_arrays
@@ -38,20 +32,12 @@ Arrays = dict[str, NDArray[Any]]
 
 FORMAT = "hitchopt-plan/1"
 
-OBJECTS = "objects"
-"""Setting with the objects by name, stored where there are any."""
-
 PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
 
-CONTROL = "control"
-"""Setting that is true where the fields of a quadrotor's controller are stored as well."""
-
-PER_CONTROLLER = tuple(field.name for field in fields(Quadrotor) if field.name not in PER_KIND)
-"""Fields of a quadrotor that are stored like PER_KIND, unless all of them are defaults.
-
-A rigid loop is stored as an infinite stiffness, and a flag as 0 or 1.
-"""
+PER_CONTROLLER = ("stiffness", "integral", "feed_forward")
+"""Fields of a quadrotor that are stored likewise where one is no default, which a setting
+``control`` says. A rigid loop is an infinite stiffness, a flag 0 or 1."""
 
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
@@ -77,48 +63,45 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     OSError: the file cannot be written.
     """
     team, requirements = motion.team, motion.requirements
-    arrays: Arrays = {
-        name: np.array([getattr(kind, name) for kind in team.quadrotor]) for name in PER_KIND
+    columns = {
+        name: [getattr(kind, name) for kind in team.quadrotor]
+        for name in (*PER_KIND, *PER_CONTROLLER)
     }
+    control = any(set(columns[name]) != {getattr(Quadrotor, name)} for name in PER_CONTROLLER)
+    columns["stiffness"] = [np.inf if x is None else x for x in columns["stiffness"]]
+    arrays: Arrays = {
+        name: np.array(columns[name], dtype=np.float64)
+        for name in (*PER_KIND, *(PER_CONTROLLER if control else ()))
+    }
+    own = {field.name: getattr(team, field.name) for field in fields(team)}
+    if team.has_cables:
+        arrays |= {name: own[name] for name in PER_ROBOT}
+    names = POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]
+    further = [name for name in FURTHER if getattr(motion, name) is not None]
     settings: dict[str, Any] = {
         "title": title,
-        "team": {"drones": team.drones},
+        "team": {k: v for k, v in own.items() if k not in (*PER_ROBOT, "quadrotor")}
+        if team.has_cables
+        else {"drones": team.drones},
         "limits": requirements.limits,
         "separation": requirements.separation,
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
         "asked": asked_of(motion),
+        "control": control,
+        "objects": objects_at_first(motion),
+        **dict.fromkeys(further, True),  # arrays of these names are there
+        "problem": problem,
+        "assignment": motion.assignment,
     }
-    control = {name: [getattr(kind, name) for kind in team.quadrotor] for name in PER_CONTROLLER}
-    if any(set(column) != {getattr(Quadrotor, name)} for name, column in control.items()):
-        settings[CONTROL] = True
-        for name, column in control.items():
-            stored = [np.inf if value is None else float(value) for value in column]
-            arrays[name] = np.array(stored)
-    polynomials: tuple[str, ...] = POLYNOMIALS[:1]
-    if team.has_cables:
-        polynomials = POLYNOMIALS
-        values = {field.name: getattr(team, field.name) for field in fields(team)}
-        arrays |= {name: values.pop(name) for name in PER_ROBOT}
-        settings["team"] = {name: value for name, value in values.items() if name != "quadrotor"}
-    if requirements.objects:
-        settings[OBJECTS] = objects_at_first(motion)
-    for name in FURTHER:  # a setting of the same name says that they are there
-        if getattr(motion, name) is not None:
-            polynomials += (name,)
-            settings[name] = True
-    if problem:
-        settings["problem"] = problem
-    if motion.assignment is not None:
-        settings["assignment"] = motion.assignment
+    optional = {"control", "objects", "problem", "assignment"}  # left out where there are none
+    stored = {name: value for name, value in settings.items() if value or name not in optional}
     arrays["breaks"] = motion.drones.breaks
-    arrays |= {name: getattr(motion, name).coefficients for name in polynomials}
-    text = json.dumps(settings, allow_nan=False, default=values_of)
+    arrays |= {name: getattr(motion, name).coefficients for name in (*names, *further)}
+    text = np.array(json.dumps(stored, allow_nan=False, default=values_of))
     with path.open("wb") as file:
-        np.savez(
-            file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
-        )
+        np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
 
 
 def read_plan(path: Path) -> Motion:
@@ -153,8 +136,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
         hitched = (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
         names = ["breaks", POLYNOMIALS[0], *PER_KIND, *hitched]
         names += [name for name in FURTHER if settings.get(name) is True]
-        if settings.get(CONTROL) is True:
-            names += PER_CONTROLLER
+        names += PER_CONTROLLER if settings.get("control") is True else ()
         arrays = read_arrays(path, names)
         for name, array in arrays.items():
             if array.dtype != np.float64:
@@ -175,7 +157,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
         Separation(**settings["separation"]),
         None if settings["arena"] is None else Arena(**settings["arena"]),
         tuple(Prism(**entry) for entry in settings["keep_out"]),
-        {name: _object(**entry) for name, entry in settings.get(OBJECTS, {}).items()},
+        {name: _object(**entry) for name, entry in settings.get("objects", {}).items()},
     )
     given, kinds = settings["team"], _kinds(arrays)
     phases = _stored("phases", settings["phases"], tuple[Phase, ...])
@@ -187,16 +169,11 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     else:
         swarm = Swarm(given["drones"], quadrotor=kinds)
         motion = Motion.single(swarm, requirements, parts["drones"], phases)
-    _check_phases(phases, motion.team.robots, requirements.objects)
-    spans = [[phase.start, phase.end] for phase in phases]
-    # A motion has verified that they follow one another and cover the pieces.
-    if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
-        words = f"one after the other from 0 to {motion.duration:g} s"
-        raise InputError("phases", spans, words, DO_NOT)
-    begin = motion.object_poses.coefficients[0, ..., 0]
-    if np.max(np.abs(begin - poses_of(requirements.objects)), initial=0.0) > STILL:
+    _check_phases(motion)
+    begin, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
+    if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
         raise InputError("poses", begin.tolist(), "where the objects stand", DO_NOT)
-    check_apart(requirements.objects)
+    check_apart(objects)
     check_asked(settings["asked"], motion)
     return motion
 
@@ -209,19 +186,18 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
     """Return the kinds of quadrotors, whose controllers are the defaults where none are stored."""
-    columns: dict[str, list[Any]] = {
-        name: arrays[name].tolist() for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays
-    }
-    for name in ("integral", "feed_forward"):
+    names = [name for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays]
+    columns: dict[str, list[Any]] = {name: arrays[name].tolist() for name in names}
+    for name in PER_CONTROLLER[1:]:
         for value in columns.get(name, ()):
             if value not in (0.0, 1.0):
-                raise InputError(name, value, "0 or 1", "do not edit it")
+                raise InputError(name, value, "0 or 1", DO_NOT)
         if name in columns:
             columns[name] = [value == 1.0 for value in columns[name]]
     if "stiffness" in columns:
         columns["stiffness"] = [None if x == np.inf else x for x in columns["stiffness"]]
     rows = zip(*columns.values(), strict=True)
-    return [Quadrotor(**dict(zip(columns, row, strict=True))) for row in rows]
+    return [Quadrotor(**dict(zip(names, row, strict=True))) for row in rows]
 
 
 def _stored(key: str, value: Any, kind: Any) -> Any:
@@ -241,9 +217,17 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
         raise InputError(place, first["input"], f"stored ({first['msg']})", DO_NOT) from None
 
 
-def _check_phases(phases: Sequence[Phase], robots: int, objects: Collection[str]) -> None:
-    """Raise InputError for phases with an impossible range, or that name what is not there."""
-    for phase in phases:
+def _check_phases(motion: Motion) -> None:
+    """Raise InputError for phases of other times, impossible ranges, or holds of what is not there.
+
+    A motion has verified that they follow one another and cover the pieces.
+    """
+    spans = [[phase.start, phase.end] for phase in motion.phases]
+    if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
+        words = f"one after the other from 0 to {motion.duration:g} s"
+        raise InputError("phases", spans, words, DO_NOT)
+    objects, robots = motion.requirements.objects, motion.team.robots
+    for phase in motion.phases:
         if phase.tension is not None and not 0.0 < phase.tension[0] <= phase.tension[1] < np.inf:
             words = "a smallest and a largest tension, or null"
             raise InputError("phases.tension", phase.tension, words, DO_NOT)
