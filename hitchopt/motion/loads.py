@@ -1,21 +1,14 @@
 """Tensions that a plan states, and what clasps carry of objects, as its polynomials tell it.
 
 An object of mass m rests with its rim on all clasps of a hitch that moves with it. Clasp k carries
-the share ``μ_k`` of its mass, ``Σ μ_k = 1``, ``Σ μ_k p_k`` its centre of mass seen from above; of
-all such shares those with the least sum of squares, as equally stiff supports have. A mass
-accelerates with its clasp. Since the centre of mass is h above the clasps, its acceleration a moves
-weight from clasp to clasp besides, by ``m h G_k·a``. Forces and moments then balance, except that
-the moment of inertia about the vertical is that of the masses at the clasps.
+the share ``μ_k`` of its mass, with ``Σ μ_k = 1`` and ``Σ μ_k p_k`` its centre of mass seen from
+above; of all such shares those with the least sum of squares, as equally stiff supports have. A
+centre of mass h above the clasps moves the weight ``m h G_k·a`` to clasp k as it accelerates.
 
-Clasps are inside of the rim, whose edge bends their legs: below it they run level, with their
-cables' tension T, and only beyond it they rise. Their level part is then ``sqrt(T² - v²)``, v what
-a leg carries, and the rim holds clasps apart with what that lacks: it takes the share ``κ = 1 -
-sqrt(1 - (v / T)²)`` of what edges pull with. Of one share for all edges no force is left over, and
-no moment: it is that of the mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges.
-
-Vertices are where straight legs would meet. The rim lies on legs at its edge, so vertices are below
-it, and their drones lower, by the mean leg's slope times its distance from there to the edge. Over
-that distance cables run level, and are shorter than straight legs.
+Clasps are inside of the rim, whose edge bends their legs: below it they run level, beyond it they
+rise. The rim takes the share ``κ = 1 - sqrt(1 - (v / T)²)`` of what edges pull with, that of the
+mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges. Vertices, where straight legs
+would meet, are below the rim by the mean leg's slope times its distance to the rim's edge.
 """
 
 from __future__ import annotations
@@ -56,11 +49,8 @@ def stated_tensions(motion: Motion) -> Array:
 
     Both are the team's tension where the phase states no range.
     """
-    teams = np.repeat(motion.team.tension[:, None], 2, axis=1)
+    index, teams = ranged_phases(motion), np.repeat(motion.team.tension[:, None], 2, axis=1)
     stated = np.tile(teams, (motion.drones.pieces, 1, 1))
-    if all(phase.tension is None for phase in motion.phases):
-        return stated
-    index = ranged_phases(motion)
     for i in np.unique(index[index >= 0]):
         stated[index == i] = motion.phases[i].tension
     return stated
@@ -69,12 +59,10 @@ def stated_tensions(motion: Motion) -> Array:
 def tautness(motion: Motion) -> Array:
     """Return how far every cable is drawn taut, from 0 (it hangs free) to 1 (all straight parts).
 
-    Weight and level pull of a hanging cable pass to a taut one by this share, as its tension rises
-    from 0 to the least that is stated, or falls from there; so does every weight that clasps carry,
-    loads among them (``forces.cable_forces``). It is ``T / T_stated``, coefficient by
-    coefficient clipped to [0, 1], and 0 while there is no hitch. So it is a polynomial, and
-    continuous wherever tensions are. A morph whose tensions change within its own
-    range has tautness 1.
+    Weight and level pull of a hanging cable, and every weight that clasps carry, pass to a taut one
+    by this share (``forces.cable_forces``). It is ``T / T_stated``, T_stated the least that the
+    phase states or the team's, coefficient by coefficient clipped to [0, 1], and 0 while there is
+    no hitch: a polynomial, continuous wherever tensions are.
 
     Returns
     -------
@@ -86,12 +74,7 @@ def tautness(motion: Motion) -> Array:
 
 
 def leg_tensions(motion: Motion) -> Array:
-    """Return the tensions of legs at their clasps, q0, r0, q1, … [N]; 0 without a hitch.
-
-    Returns
-    -------
-    (pieces, 2n, degree + 1): Bernstein coefficients over the motion's pieces.
-    """
+    """Return the tensions of legs (pieces, 2n, degree + 1) at their clasps [N]; 0 if not formed."""
     return np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
 
 
@@ -194,10 +177,7 @@ def _total(parts: Iterable[Array]) -> Array | None:
 def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
     """Return the share κ (…) of edges' pulls that the rim of an object of a mass [kg] takes.
 
-    Parameters
-    ----------
-    edges: (…, n) [m], lengths.
-    tensions: (…, n) [N]
+    Of edges' lengths (…, n) [m] and tensions (…, n) [N].
     """
     slope = leg_slope(team, mass, edges, tensions)
     share: Array = 1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))
@@ -216,13 +196,8 @@ def rim_drop(
 ) -> Array:
     """Return how far vertices are below a rim that lies on their legs (…) [m].
 
-    Legs run on along the edges of their vertex's two neighbours.
-
-    Parameters
-    ----------
-    places: (…, n, 2) [m], vertices in the object's frame, clockwise.
-    tensions: (…, n) [N]
-    borne: share of the weight that is on the legs (…).
+    Legs run on along the edges of their vertex's two neighbours. Of vertices (…, n, 2) [m] in the
+    object's frame, clockwise, tensions (…, n) [N] and the share (…) of the weight on the legs.
     """
     onward, back = _to_rim(body, places)
     rise = _mean_rise(team, body, places, tensions, borne)
@@ -231,10 +206,10 @@ def rim_drop(
 
 
 def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -> Array:
-    """Return by how much straight legs are longer than those that a rim bends (…, n, 2) [m].
+    """Return by how much straight legs q and r are longer than those a rim bends (…, n, 2) [m].
 
     Cables run level up to the edge of a rim whose whole weight is on the legs, and only then rise.
-    Parameters are those of ``rim_drop``; legs are those of a cable, q and r.
+    Parameters are those of ``rim_drop``.
     """
     onward, back = _to_rim(body, places)
     longer = 1.0 / np.cos(_mean_rise(team, body, places, tensions)) - 1.0

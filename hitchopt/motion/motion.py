@@ -57,13 +57,9 @@ class HoldBy(StrEnum):
 
 @dataclass(frozen=True)
 class Hold:
-    """What a hitch holds in a phase; the certificate verifies it from the polynomials.
+    """An object that a hitch holds in a phase, by its name, how, and with which cables.
 
-    Attributes
-    ----------
-    object: name of the object.
-    by: how it is held.
-    cables: those that hold it, and may touch it.
+    The certificate verifies it from the polynomials: these cables may touch it.
     """
 
     object: str
@@ -82,11 +78,10 @@ class Phase(OneLine):
     start, end: [s]
     remark: what happens that was not asked for, and why; mostly nothing.
     state: of the cables.
-    tension: smallest and largest tension [N] that the step allows during its motion; None where
-        all tensions are the team's. Like the limits it is part of the problem: the check
-        ``tension`` requires it within the phase, and the team's tensions at both of its ends.
-    hold: what the hitch holds, from where its cables may touch that until they no longer do; None
-        where it holds nothing.
+    tension: smallest and largest tension [N] that the step allows during its motion, None for the
+        team's. Part of the problem: the check ``tension`` requires it, and the team's tensions at
+        both ends.
+    hold: what the hitch holds, while its cables may touch that; None where it holds nothing.
     """
 
     name: str
@@ -142,8 +137,8 @@ ROUNDED = 2.0**-40
 class Motion(OneLine):
     """Drones, vertices, legs and tensions over time, and the requirements on them.
 
-    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
-    stored so that one plan has one set of arrays. A team of single drones has none of them.
+    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0. A team of
+    single drones has none of them.
 
     Parameters
     ----------
@@ -155,19 +150,18 @@ class Motion(OneLine):
     tensions: of shape (n,) [N].
     phases: one after the other, covering all of the time.
     assignment: which robots fly which roles, where that was chosen.
-    leg_tensions: of shape (n, 2) [N], what the legs ``d_k``, ``e_k`` pull with where cables slide
-        against friction; None where every leg pulls with its cable's tension.
-    poses: of shape (objects, 5), of the requirements' objects in their order: x, y, z [m] of their
-        bases' origins, cosine and sine of their yaws; None where all stay where they stand.
+    leg_tensions: of shape (n, 2) [N], what legs pull with where cables slide against friction; None
+        where every leg pulls with its cable's tension.
+    poses: of shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of their yaws;
+        None where all stay where they stand.
     borne: of shape (objects,), the share of each object's weight that clasps carry, from 0 (it
         stands) to 1; None where they carry none.
     contacts: of shape (n, 2, 3) [m], where edge k meets and leaves the section that it is wrapped
-        around; the same point of a straight edge. None where all edges are straight.
+        around, the same point if straight; None where all edges are straight.
 
     Raises
     ------
-    InputError: shapes that do not fit the team, breaks that are not the same for all, phases that
-        leave a gap or go back, or cables that change their state within a piece.
+    InputError: shapes, breaks or phases that do not fit.
     """
 
     team: Team
@@ -275,12 +269,11 @@ class Motion(OneLine):
 
         Those that differ from 0 or 1 by rounding alone are 0 or 1.
         """
-        if self.borne is not None:
-            c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
-            shares = np.where(np.abs(c - nearest) <= ROUNDED, nearest, c)
-            return self.borne.alike(shares)
-        count = len(self.requirements.objects)
-        return PiecewisePolynomial.constant(self.drones.breaks, np.zeros(count))
+        if self.borne is None:
+            none = np.zeros(len(self.requirements.objects))
+            return PiecewisePolynomial.constant(self.drones.breaks, none)
+        c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
+        return self.borne.alike(np.where(np.abs(c - nearest) <= ROUNDED, nearest, c))
 
     @property
     def edge_contacts(self) -> PiecewisePolynomial:
@@ -324,11 +317,6 @@ class Motion(OneLine):
 
         Each at its own times, as a motion of the phases that it overlaps.
         """
-        here = self.cable_states
-        if here <= states:
-            return (self,)
-        if here.isdisjoint(states):
-            return ()
         wanted = self._in_states(states)
         if np.all(wanted):  # phases may be shorter than any piece
             return (self,)

@@ -46,19 +46,16 @@ class States(OneLine):
     t: (…) [s], from the plan's start.
     formed: (…) whether the hitch exists; of a swarm without cables it never does.
     positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m], or of a swarm's d0, d1, ….
-    velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
-        pieces join, those of the later piece.
-    cable_forces: (…, 2n, 3) [N], the force of the cable on each drone: the pull of its leg (its
-        edge, at a chain's end), ``T_k`` but for friction, and half of the cable's weight; while
-        there is no hitch, the pull of a hanging cable. As tensions rise from zero or fall
-        to it, the one passes continuously into the other (``hitchopt.motion.loads``).
+    velocities, accelerations, jerks: (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where pieces join, those of
+        the later piece.
+    cable_forces: (…, 2n, 3) [N], of the cable on each drone: of its leg (of its edge at a chain's
+        end), or of a hanging cable while there is no hitch (``forces.cable_forces``).
     cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
-    vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
-        chain. These, legs and tensions mean something only where the hitch is formed.
+    vertices, vertex_velocities: (…, points, 3) [m], [m/s]. These, legs and tensions mean something
+        only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
-    object_poses: (…, objects, 5), where objects are: x, y, z [m] of their bases, cosine and sine of
-        their yaws.
+    object_poses: (…, objects, 5): x, y, z [m] of their bases, cosine and sine of their yaws.
     borne: (…, objects), the share of each object's weight that clasps carry.
     masses: (…, 2n) [kg], of the drones.
     """
@@ -97,28 +94,18 @@ class States(OneLine):
 
     @property
     def quaternions(self) -> Array:
-        """Attitude of each drone with yaw 0, from its axes to the world's, (…, 2n, 4), w, x, y, z.
-
-        Its z axis points along the thrust (``attitudes``).
-        """
+        """(…, 2n, 4), w, x, y, z: attitudes with yaw 0, z along the thrust (``attitudes``)."""
         return self._attitudes.quaternions
 
     @property
     def body_rates(self) -> Array:
-        """Angular velocity of the attitude about the drone's own axes, (…, 2n, 3) [rad/s]."""
+        """(…, 2n, 3) [rad/s]: angular velocity of the attitude about the drone's own axes."""
         return self._attitudes.body_rates
 
 
 @dataclass(frozen=True, eq=False)
 class Attitudes:
-    """Attitudes and their rates.
-
-    Attributes
-    ----------
-    quaternions: (…, 4), w, x, y, z, from the body's axes to the world's; with yaw 0 and a thrust
-        that points upward w is positive.
-    body_rates: (…, 3) [rad/s], angular velocity about the body's axes.
-    """
+    """Attitudes (…, 4), w, x, y, z, body to world, and body rates (…, 3) [rad/s]."""
 
     quaternions: Array
     body_rates: Array
@@ -130,13 +117,12 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
     A quadrotor thrusts along its body's z axis only, so the thrust vector and the yaw determine the
     attitude, and their derivatives the body rates (differential flatness: D. Mellinger and V.
     Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA 2011). Yaw is the
-    first of the angles yaw, pitch, roll about the axes z, y, x, as receivers of quaternions read
-    it. Rates are nan where there is no thrust, and where it points along the body's y axis at rest.
+    first of the angles about the axes z, y, x. Rates are nan where there is no thrust, and where it
+    points along the body's y axis at rest.
 
     Parameters
     ----------
-    thrusts: (…, 3) [N] or any other unit.
-    thrust_rates: (…, 3), their derivatives by time.
+    thrusts, thrust_rates: (…, 3) [N], and their derivatives by time.
     yaw: [rad]
     """
     c, s = np.cos(yaw), np.sin(yaw)
@@ -165,14 +151,9 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
 
 
 def sample_times(duration: float, rate: float) -> Array:
-    """Return (samples,) [s]: every multiple of 1/rate from 0, and the end.
+    """Return (samples,) [s]: every multiple of 1/rate [Hz] from 0, and the plan's end.
 
     The end is left out where it is within 1e-6 s of the last multiple.
-
-    Parameters
-    ----------
-    duration: duration of the plan [s], not negative.
-    rate: [Hz], positive.
 
     Raises
     ------
@@ -248,13 +229,7 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
 
 
 def hitch_at(motion: Motion, times: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return whether there is a hitch, its vertices and tensions, as the states at ``times`` do.
-
-    Parameters
-    ----------
-    motion: the plan.
-    times: (samples,) [s], counted from its start.
-    """
+    """Return whether there is a hitch, its vertices and tensions, as states at times [s] do."""
     at = np.minimum(motion.drones.breaks[0] + times, motion.drones.breaks[-1])
     return _formed(motion, at), motion.vertices.at(at), motion.tensions.at(at)
 
