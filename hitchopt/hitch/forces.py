@@ -325,7 +325,9 @@ def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = 
     """
     u = np.asarray(edge_directions, dtype=np.float64)
     q, _ = leg_directions(u, tensions, topology)
-    bend: Array = np.asarray(tensions, dtype=np.float64) * length(u + q)  # what a cable bent by a clasp presses with
+    bend: Array = np.asarray(tensions, dtype=np.float64) * length(
+        u + q
+    )  # what a cable bent by a clasp presses with
     return bend[..., layout_of(u.shape[-2], topology).ahead]
 
 

@@ -10,10 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import Array, flag, instance, not_negative, per_robot, sequence, units
+from hitchopt.values import (
+    Array,
+    Indices,
+    choice,
+    flag,
+    instance,
+    not_negative,
+    per_robot,
+    sequence,
+    units,
+    whole,
+)
 from hitchopt.values.units import check_lift, check_unit, store
 
-Index = NDArray[np.intp]
+Index = Indices
 
 CLOSED, OPEN = "closed", "open"
 
@@ -24,52 +35,42 @@ class Layout:
 
     Attributes
     ----------
-    robots: number n of cables.
-    points: number of points, n or n + 1.
+    robots, points: number n of cables; number of points, n or n + 1.
     starts, ends: (n,), the points between which each edge runs.
     clasps: (c,), the points at which two cables bend around each other: all, or all inner ones.
-    ahead, behind: (c,), the cables that meet there: that of the edge which starts there, and that
-        of the edge which ends there.
+    ahead, behind: (c,), the cables of the edges that start there and that end there.
     has_leg: (n, 2), whether q_k and r_k hang on a leg.
     anchors: (2n,), the point that each drone q0, r0, q1, … belongs to.
     pulled_to: (2n,), the point that its cable leads to from it: the same, or its edge's other end
         where there is no leg.
-    stencil: (n, 4), the points k-1 … k+2 about each edge. Beyond an open chain's ends the edge's
-        other end stands in: mirrored so, the model of a closed hitch holds with legs of no length.
-    neighbours: (n, 3), the cables k-1 … k+1, likewise.
+    neighbours: (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself.
     """
 
     robots: int
     points: int
-    starts: Index
-    ends: Index
-    clasps: Index
-    ahead: Index
-    behind: Index
+    starts: Indices
+    ends: Indices
+    clasps: Indices
+    ahead: Indices
+    behind: Indices
     has_leg: NDArray[np.bool_]
-    anchors: Index
-    pulled_to: Index
-    stencil: Index
-    neighbours: Index
+    anchors: Indices
+    pulled_to: Indices
+    neighbours: Indices
 
     @property
     def closed(self) -> bool:
         """Whether the last edge leads back to the first point."""
         return self.points == self.robots
 
-    @property
-    def around_clasps(self) -> Index:
-        """(c, 3): the points k-1, k and k+1 about every clasp."""
-        return np.column_stack([self.starts[self.behind], self.clasps, self.ends[self.ahead]])
-
     @cached_property
-    def parts(self) -> Index:
+    def parts(self) -> Indices:
         """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
         exists = np.insert(self.has_leg, 1, True, axis=1)
         return np.flatnonzero(exists)
 
     @cached_property
-    def drones_with_legs(self) -> Index:
+    def drones_with_legs(self) -> Indices:
         """(legs,): the drones that hang on a leg, in order."""
         return np.flatnonzero(self.has_leg)
 
@@ -96,12 +97,9 @@ def layout_of(robots: int, topology: str) -> Layout:
     has_leg = np.ones((robots, 2), dtype=np.bool_)
     if topology == CLOSED:
         points, following, clasps = robots, (k + 1) % robots, k
-        stencil = (k[:, None] + np.arange(-1, 3)) % robots
         neighbours = (k[:, None] + np.arange(-1, 2)) % robots
     else:
         points, following, clasps = robots + 1, k + 1, k[1:]
-        stencil = k[:, None] + np.arange(-1, 3)
-        stencil[0, 0], stencil[-1, -1] = 1, robots - 1
         neighbours = np.clip(k[:, None] + np.arange(-1, 2), 0, robots - 1)
         has_leg[0, 0] = has_leg[-1, 1] = False
     own = np.column_stack([k, following])
@@ -116,7 +114,6 @@ def layout_of(robots: int, topology: str) -> Layout:
         has_leg=has_leg,
         anchors=own.ravel(),
         pulled_to=np.where(has_leg, own, own[:, ::-1]).ravel(),
-        stencil=stencil,
         neighbours=neighbours,
     )
     for value in vars(layout).values():
@@ -130,8 +127,6 @@ GRAVITY = 9.81
 
 MAX_ROBOTS = 10_000
 """Largest number of robots, checked before any memory is allocated."""
-
-TOPOLOGIES = (CLOSED, OPEN)
 
 
 @dataclass(frozen=True)
@@ -229,16 +224,8 @@ class Team(OneLine):
         quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
-        if topology not in TOPOLOGIES:
-            raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
-        least = 3 if topology == CLOSED else 2
-        if isinstance(robots, bool) or not isinstance(robots, int | np.integer):
-            raise InputError("robots", robots, "a whole number", "count the catenary robots")
-        if not least <= robots <= MAX_ROBOTS:
-            raise InputError(
-                "robots", robots, f"from {least} to {MAX_ROBOTS}", f"{topology} hitches need these"
-            )
-        n = int(robots)
+        choice("topology", topology, (CLOSED, OPEN))
+        n = whole("robots", robots, 3 if topology == CLOSED else 2, MAX_ROBOTS)
         kinds = kinds_of(quadrotor, n, "robot")
         values: dict[str, object] = {
             "robots": n,
@@ -349,10 +336,7 @@ class Swarm(Team):
     def __init__(
         self, drones: int, *, quadrotor: Quadrotor | Sequence[Quadrotor] | None = None
     ) -> None:
-        if isinstance(drones, bool) or not isinstance(drones, int | np.integer):
-            raise InputError("drones", drones, "a whole number", "count the drones")
-        if not 1 <= drones <= MAX_DRONES:
-            raise InputError("drones", drones, f"from 1 to {MAX_DRONES}", "split the swarm")
+        whole("drones", drones, 1, MAX_DRONES)
         none = np.zeros(0)
         none.setflags(write=False)
         values: dict[str, object] = {

@@ -127,9 +127,9 @@ def slipping_drones(
     legs lets it balance.
     """
     layout = team.layout
-    behind, ahead, around = layout.behind, layout.ahead, layout.around_clasps
+    behind, ahead = layout.behind, layout.ahead
     if planned is None:
-        sides = vertices[:, around[:, 2]] - vertices[:, around[:, 0]]
+        sides = vertices[:, layout.ends[ahead]] - vertices[:, layout.starts[behind]]
     else:
         sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
     half = 0.5 * GRAVITY * team.cable_density
