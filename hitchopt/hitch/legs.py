@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import chain, product
+from itertools import chain
 
 import numpy as np
 
@@ -161,7 +161,7 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     There is no roll where legs keep all limits without. Else it is the smallest one found with
     which they keep the margin that is wanted, else the limits, as they are or else with other
     lengths; none where no roll helps. Its sense is that of the task's own roll, upward of q-legs
-    without one. Where legs carry weight the other sense is tried as well if that one does not help.
+    without one.
 
     Parameters
     ----------
@@ -173,7 +173,8 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
         without = split_slack(task)
     if without is not None and without.margin >= 1.0:
         return without, own
-    for sense, margin in product(_senses(task, own), dict.fromkeys((task.wanted, LIMIT_MARGIN))):
+    sense = -1.0 if np.sum(own) < 0.0 else 1.0
+    for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
         aim = replace(task, margin=margin)
         roll = _least_roll(aim, sense)
         if roll is None:
@@ -189,10 +190,8 @@ def least_roll_of_reference(task: LegTask) -> Array:
     None, which is zero, where it keeps them without, or where no roll is found to help.
     """
     none = np.zeros(len(task.team.layout.clasps))
-    if reference_margin(task) >= 1.0:
-        return none
-    rolls = (_least_roll(task, sense) for sense in _senses(task, none))
-    return none + next((roll for roll in rolls if roll is not None), 0.0)
+    kept = reference_margin(task) >= 1.0
+    return none + ((None if kept else _least_roll(task, 1.0)) or 0.0)
 
 
 def level_margin_bound(task: LegTask) -> float:
@@ -213,15 +212,6 @@ def level_margin_bound(task: LegTask) -> float:
         away = reach * np.sqrt(np.maximum(1.0 - ahead**2, 0.0))
         bound = min(bound, float(np.min(away, where=beside, initial=math.inf)) / cable)
     return bound
-
-
-def _senses(task: LegTask, own: Array) -> tuple[float, ...]:
-    """Return the signs of the rolls that are tried, that of the task's own roll first.
-
-    Without weight one is the other one seen from below.
-    """
-    first = -1.0 if np.sum(own) < 0.0 else 1.0
-    return (first, -first) if task.team.loaded else (first,)
 
 
 def _least_roll(

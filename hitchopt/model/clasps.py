@@ -31,7 +31,7 @@ class Edge:
     cable: Series
     pull: Series
     tension: Series
-    sag: Series | None
+    sag: Any
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
@@ -48,13 +48,8 @@ class Edge:
 
     def taken(self, index: Indices) -> Edge:
         """Return some of many edges."""
-        return Edge(
-            self.along.taken(index),
-            self.cable.taken(index),
-            self.pull.taken(index),
-            self.tension.taken(index),
-            None if self.sag is None else self.sag.taken(index),
-        )
+        parts: dict[str, Any] = vars(self)
+        return Edge(**{name: part and part.taken(index) for name, part in parts.items()})
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +85,10 @@ class Clasp:
         ----------
         edges, q_legs: of cables k-1 and k.
         cable_length: of cable k-1 [m].
-        load: outside force on the clasp [N]; None where clasps carry nothing but cables.
-        weight: of cables per length [N/m]; None for none.
-        roll: [rad]; None for none.
+        load, weight, roll: outside force on the clasp [N], of cables per length [N/m], [rad]; each
+            None for none.
         alike: whether all tensions are equal: legs then go on along the neighbouring edges, where
-            nothing else is to be carried. Others in the plane are 0/0 where edges are parallel.
+            nothing else is to be carried.
         """
         behind, ahead = edges
         whole = q_legs[0].constant(cable_length)
@@ -116,6 +110,5 @@ class Clasp:
         legs = []
         for cable, direction, edge in zip((e, d), directions, edges, strict=True):
             level = direction.row(0, 1)
-            assert edge.sag is not None
             legs.append(cable * shortening(edge.sag * cable * cable * level.dot(level)))
         return cls(directions, (legs[0], legs[1]), e)

@@ -60,12 +60,9 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     """
     layout = team.layout
     weight = GRAVITY * team.cable_density if team.cable_density > 0.0 else None
-    load = None
-    if np.any(team.load):
-        load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None]
-    equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
-        flat.tensions[..., 1:]
-    )
+    load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if np.any(team.load) else None
+    steady = not np.any(flat.tensions[..., 1:])
+    equal = steady and bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0]))
     d = _scalars(flat.q_legs)
     with np.errstate(all="ignore"):  # edges of no length have no direction
         vertices = Series.of_jet(flat.vertices)
@@ -112,7 +109,6 @@ def slipping_drones(
 
     Parameters
     ----------
-    team: whose cables.
     vertices: (J, points, 3, 4) [m]
     legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``, distances of drones from their vertices.
     tensions: (J, n, 4) [N], of the edges.
@@ -123,8 +119,7 @@ def slipping_drones(
 
     Returns
     -------
-    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where no leaning of the
-    legs lets it balance.
+    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where none balances it.
     """
     layout = team.layout
     behind, ahead = layout.behind, layout.ahead
