@@ -78,21 +78,15 @@ class Grip(OneLine):
         drones: Array = ends + self.legs[..., None] * self.leg_directions
         return drones
 
-    @property
-    def slip_factors(self) -> Array:
-        """(…, n) [N]: ``Σ T_k θ_k`` by cables, friction at both clasps taking the most off edges.
+    def slip_load(self, friction: float) -> Array:
+        """Return the weight (…) [N] at which an object with that friction slips, without factor.
 
-        The object slips under ``μ`` times their sum.
+        It is ``μ Σ T_k θ_k``, with friction at both clasps taking the most off edges' tensions.
         """
         bent = self.wraps.clasp_angles
         worst = np.maximum(bent, np.roll(bent, -1, axis=-1))
         least = self.tension * np.exp(-self.clasp_friction * worst)
-        factors: Array = least * self.wraps.angles
-        return factors
-
-    def slip_load(self, friction: float) -> Array:
-        """Return the weight (…) [N] at which an object with that friction slips, without factor."""
-        load: Array = friction * np.sum(self.slip_factors, axis=-1)
+        load: Array = friction * np.sum(least * self.wraps.angles, axis=-1)
         return load
 
     @property
@@ -124,15 +118,11 @@ KEPT = 0.05
 BALANCED = 1e-6
 """Largest level force on the section over the tension, and moment over tension and size."""
 
-SCREENING, ITERATIONS = 12, 60
-"""Most quadratic programs from every start, and from those that come farthest with these."""
-
-FINALISTS = 2
-"""Starts that are followed to the end."""
+SCREENING, ITERATIONS, FINALISTS = 12, 60, 2
+"""Most quadratic programs from every start, most from the finalists, and how many these are."""
 
 ALL, SMALLEST = 36, 6
-"""Every quadratic program contains so many margins of a kind, or else its smallest ones, whose
-slopes jump where two are equal."""
+"""Every quadratic program contains so many margins of a kind, or else its smallest ones."""
 
 OFFSETS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
 """Distances of every other starting vertex to the section, and of those between, over its mean
@@ -177,18 +167,12 @@ class GripTask:
 
         Keys are names of the certificate's checks, and ``gap``, of clasps to the section.
         """
-        n = self.robots
-        shape = grip.vertices.shape[:-2]
+        n, shape, contacts = self.robots, grip.vertices.shape[:-2], grip.wraps.contacts
         drones = grip.drones.reshape(*shape, 2 * n, 2)
-        onward, contacts = np.roll(grip.vertices, -1, axis=-2), grip.wraps.contacts
-        k = np.arange(n)
-        ends = [  # q-legs, both tangents, r-legs of all cables
-            (grip.vertices, grip.drones[..., 0, :]),
-            (grip.vertices, contacts[..., 0, :]),
-            (contacts[..., 1, :], onward),
-            (onward, grip.drones[..., 1, :]),
-        ]
-        parts = np.concatenate([np.stack(pair, axis=-2) for pair in ends], axis=-3)
+        here, onward, k = grip.vertices, np.roll(grip.vertices, -1, axis=-2), np.arange(n)
+        starts = here, here, contacts[..., 1, :], onward  # q-legs, both tangents, r-legs
+        ends = grip.drones[..., 0, :], contacts[..., 0, :], onward, grip.drones[..., 1, :]
+        parts = np.stack([np.concatenate(each, axis=-2) for each in (starts, ends)], axis=-2)
         cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
         leg = np.repeat([True, False, False, True], n)
         one, two = np.triu_indices(2 * n, 1)
@@ -357,17 +341,13 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
         }
         for kind, part, least in rows
     ]
-    options: Any = {"maxiter": iterations, "ftol": 1e-7}
-
-    def lost(x: Array) -> float:
-        return -float(at(x)[0][0])
-
-    def steepest(x: Array) -> Array:
-        slope: Array = -at(x)[1][0]
-        return slope
-
     found = minimize(
-        lost, start.ravel(), jac=steepest, method="SLSQP", constraints=constraints, options=options
+        lambda x: (-float(at(x)[0][0]), -at(x)[1][0]),
+        start.ravel(),
+        jac=True,
+        method="SLSQP",
+        constraints=constraints,
+        options={"maxiter": iterations, "ftol": 1e-7},
     )
     return np.asarray(found.x).reshape(start.shape)
 
