@@ -341,14 +341,13 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
         }
         for kind, part, least in rows
     ]
-    found = minimize(
-        lambda x: (-float(at(x)[0][0]), -at(x)[1][0]),
-        start.ravel(),
-        jac=True,
-        method="SLSQP",
-        constraints=constraints,
-        options={"maxiter": iterations, "ftol": 1e-7},
-    )
+    options: Any = {"maxiter": iterations, "ftol": 1e-7}
+
+    def lost(x: Array) -> Any:
+        return -float(at(x)[0][0]), -at(x)[1][0]
+
+    given: Any = {"jac": True, "constraints": constraints, "options": options}
+    found = minimize(lost, start.ravel(), method="SLSQP", **given)
     return np.asarray(found.x).reshape(start.shape)
 
 
