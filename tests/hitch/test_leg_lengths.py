@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
+from hitchopt.hitch.leg_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
 from problems.random_morph import random_convex_polygon
 
@@ -174,3 +176,14 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         else:
             wanted = CROSSING if not clasps & others else -1
         assert kind == wanted, (bodies[a], bodies[b])
+
+
+def test_rows_of_programs_may_be_stored_in_any_order_and_hold_zeros() -> None:
+    """The point nearest to (3, 2, 1) with ``x0 + 2 x1 <= 4`` and ``x2 >= 2`` is (2.4, 0.8, 2)."""
+    data, rows = np.array([1.0, 0.0, 0.0, 2.0, 1.0]), np.array([0, 1, 1, 0, 1])
+    A = sp.csc_array((data, rows, np.array([0, 2, 4, 5])), shape=(2, 3))
+    assert not A.has_sorted_indices
+    q, bounds = np.array([-3.0, -2.0, -1.0]), (np.array([-np.inf, 2.0]), np.array([4.0, np.inf]))
+    x = solve_qp(QuadraticProgram(sp.csc_array(np.eye(3)), q, A, *bounds))
+    assert x is not None
+    assert x == pytest.approx([2.4, 0.8, 2.0], abs=1e-6)
