@@ -76,13 +76,7 @@ def all_pairs(first: int, second: int | None) -> Pairs:
 
 
 def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:
-    """Return a list that holds every pair of boxes that are at most ``cutoff`` apart.
-
-    Parameters
-    ----------
-    first, second: two groups, or one whose pairs (i < j) are looked for.
-    cutoff: [m]
-    """
+    """Return every pair of boxes at most ``cutoff`` [m] apart, of two groups or (i < j) of one."""
     return _listed(first, second, cutoff, _reaches(first, second, cutoff))
 
 
