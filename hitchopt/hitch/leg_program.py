@@ -111,14 +111,10 @@ class LegTask:
 
 @dataclass(frozen=True, eq=False)
 class LegLengths:
-    """Leg lengths that were found.
+    """Leg lengths ``d`` (J, n) [m] that were found, their margin, and ``Σ (d - reference)²`` [m²].
 
-    Attributes
-    ----------
-    q_legs: (J, n) [m], ``d``.
-    margin: the smallest distance over its limit, measured on these lengths; where margins
-        differ from knot to knot, in proportion to the largest of them.
-    deviation: sum of ``(d - reference)²`` [m²].
+    The margin is the smallest distance over its limit, measured on these lengths; where margins
+    differ from knot to knot, in proportion to the largest of them.
     """
 
     q_legs: Array
@@ -134,13 +130,8 @@ RESIDUAL = 1e-6
 class QuadraticProgram:
     """``min ½ x'Px + q'x`` over ``lower ≤ A x ≤ upper`` and ``least ≤ x ≤ most``.
 
-    Attributes
-    ----------
-    P: (m, m), symmetric and positive semidefinite.
-    q: (m,)
-    A: (r, m); entries that happen to be zero are stored.
-    lower, upper: (r,)
-    least, most: (m,), or one bound for all unknowns.
+    P (m, m) is symmetric and positive semidefinite; entries of A (r, m) that happen to be zero are
+    stored; least and most are (m,) or one bound for all unknowns.
 
     Raises
     ------
@@ -174,12 +165,7 @@ class QuadraticProgram:
 
 
 class Rows:
-    """Rows ``lower ≤ A x ≤ upper`` of a program, gathered block by block.
-
-    Parameters
-    ----------
-    unknowns: number of columns of A.
-    """
+    """Rows ``lower ≤ A x ≤ upper`` of so many unknowns, gathered block by block."""
 
     def __init__(self, unknowns: int) -> None:
         self.count = 0
@@ -254,11 +240,7 @@ class LegBodies:
     In the plane of level legs two coordinates suffice; else there are three, and heights between
     two drones count as much less as their ellipsoid is higher than wide. The directions of legs
     whose cables have weight depend on their lengths: they are those of the lengths last asked for.
-
-    Parameters
-    ----------
-    task: whose bodies.
-    lowest, highest: (J, n) [m], leg lengths between which pairs that never come near are dropped.
+    Pairs that never come near between the lengths ``lowest`` and ``highest`` (J, n) are dropped.
     """
 
     def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
