@@ -34,20 +34,15 @@ def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> A
 
     Half of the part's weight w is at each of its ends. It puts ``P ê - (w/2) ẑ`` on the end where
     its tension is T, ê along its chord from there, which rises by the angle γ: so ``P = (w/2) sin γ
-    + √(T² - (w/2)² cos² γ)``. A tension that does not even carry the half weight pulls with nothing
-    more than its share of the rise. Edges have one tension at both of their ends: for them γ counts
-    in the root alone.
-
-    It is a formula over arrays, and over whatever has products and a ``root``: series of casadi's
-    expressions, and enclosures of functions of time.
+    + √(T² - (w/2)² cos² γ)``, without the root where T does not even carry the half weight.
+    A formula over arrays, and over whatever has products and a ``root``: series, enclosures.
 
     Parameters
     ----------
-    tension: at the end [N].
-    half: half of the weight per length [N/m].
+    tension, half: at the end [N], and half of the weight per length [N/m].
     level: squared length of the chord as seen from above [m²].
-    rise: height of the chord's other end over this one [m]; None where it counts in the root
-        alone.
+    rise: height of the chord's other end over this one [m]; None for edges, which have one tension
+        at both ends, so that it counts in the root alone.
     """
     squared = tension * tension - half * half * level
     is_array = isinstance(squared, (float, np.ndarray))
@@ -222,16 +217,14 @@ def leg_directions(
     edge_directions: (…, n, 2 or 3) unit vectors ``u_k``.
     tensions: (…, n) or scalar [N], positive.
     loads: of the clasps, or None where they carry nothing and legs are not rolled.
-    arriving: (…, n, 2 or 3) unit vectors of edges at ``p_{k+1}``, where they bend on their way from
-        ``p_k``; None where they are straight.
-    leg_pulls: (…, n, 2) [N], what legs pull with at their clasps where friction lets them pull
-        otherwise than their edges; None where they pull alike.
+    arriving: (…, n, 2 or 3), directions of edges at ``p_{k+1}`` where they bend; None if straight.
+    leg_pulls: (…, n, 2) [N], what legs pull with where friction lets them pull otherwise than their
+        edges; None where they pull alike.
 
     Returns
     -------
-    q: (…, n, 2 or 3) unit vectors from ``p_k`` to ``q_k``; with loads they have three coordinates.
-    r: (…, n, 2 or 3) unit vectors from ``p_{k+1}`` to ``r_k``.
-    Where a chain's end has no leg: away from its edge, the cable's direction there.
+    q, r: (…, n, 2 or 3) unit vectors from ``p_k`` to ``q_k`` and from ``p_{k+1}`` to ``r_k``, with
+        loads of three coordinates; away from its edge where a chain's end has no leg.
 
     Raises
     ------
@@ -347,18 +340,14 @@ def hanging_forces(team: Team, drones: Array) -> Array:
 def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut: Array) -> Array:
     """Return the force of cables on drones (…, 2n, 3) [N], between hanging free and taut.
 
-    A leg pulls toward its vertex (at a chain's end the edge along itself) along its chord, by
-    ``chord_pull`` of its tension at the clasp, and puts half of its weight on its drone; the
-    other half, and half of every edge, is on the clasps. While a tension rises from 0 every weight
-    passes from hanging cables to taut ones by the share ``taut``: of what a clasp carries in the
-    end it carries that share, of its load likewise, and the same share of the leg's weight is on
-    the drone. Weights and tensions then keep their ratio, so that
-    legs keep their directions while cables are drawn taut and no force jumps.
+    A leg pulls toward its vertex (at a chain's end the edge along itself) by ``chord_pull`` and
+    puts half of its weight on its drone; the rest is on the clasps. While a tension rises from 0
+    every weight, loads among them, passes from hanging cables to taut ones by the share ``taut``:
+    weights and tensions keep their ratio, so legs keep their directions and no force jumps.
 
     Parameters
     ----------
-    drones: (…, 2n, 3) [m]
-    vertices: (…, points, 3) [m]
+    drones, vertices: (…, 2n, 3), (…, points, 3) [m]
     pulls: (…, 2n) [N], tensions of the legs at their clasps; 0 while there is no hitch.
     taut: (…, n), from 0 to 1.
     """
@@ -387,10 +376,7 @@ that they err by 1e-9 of themselves."""
 def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
     """Return the derivative by time of ``cable_forces``, (…, 2n, 3) [N/s], by central differences.
 
-    Parameters
-    ----------
-    values: drones, vertices, pulls and tautness, as ``cable_forces`` takes them.
-    rates: their derivatives by time.
+    Of its arguments' values (drones, vertices, pulls, tautness) and their derivatives by time.
     """
     later, earlier = (
         cable_forces(team, *(v + step * r for v, r in zip(values, rates, strict=True)))

@@ -23,14 +23,7 @@ SEPARATION, CABLE, CROSSING = 0, 1, 2
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The bodies of a hitch of n cables.
-
-    Attributes
-    ----------
-    layout: indices of points, cables and drones.
-    nodes: (bodies, 2), the two nodes of each body.
-    cable: (bodies,), the cable that each belongs to.
-    """
+    """The bodies of a hitch: their two nodes (bodies, 2), and the cable that each belongs to."""
 
     layout: Layout
     nodes: Indices
@@ -104,12 +97,8 @@ def end_combinations(
 ) -> tuple[Indices, Indices, Indices]:
     """Return (pair, node of the first, node of the second) of all ends of pairs against all.
 
-    Bodies whose ends all lie on their sides of a normal are apart by as much.
-
-    Parameters
-    ----------
-    kind: (m,), kinds of pairs.
-    first, second: (m, 2), the nodes at the ends of their bodies; a drone's are the same.
+    Bodies whose ends all lie on their sides of a normal are apart by as much. Of kinds of pairs
+    (m,) and the nodes (m, 2) at the ends of their bodies; a drone's are the same.
     """
     found: list[tuple[Indices, Indices, Indices]] = []
     for which, ends, other_ends in (

@@ -160,11 +160,7 @@ class Prism(OneLine):
     Parameters
     ----------
     polygon: its outline, (m, 2) [m], convex, clockwise seen from above.
-    lower, upper: altitudes of its floor and its ceiling [m]
-
-    Raises
-    ------
-    InputError: the outline is not convex and clockwise, or the ceiling is not above the floor.
+    lower, upper: altitudes of its floor and its ceiling [m]; floor below ceiling.
     """
 
     polygon: ConvexPolygon
@@ -183,9 +179,8 @@ class Prism(OneLine):
     @property
     def corners(self) -> Array:
         """Corners of floor and ceiling (2 m, 3) [m]."""
-        outline = self.polygon.vertices
-        levels = np.repeat([self.lower, self.upper], len(outline))
-        return np.column_stack([np.vstack([outline, outline]), levels])
+        levels = np.repeat([self.lower, self.upper], len(self.polygon))
+        return np.column_stack([np.tile(self.polygon.vertices, (2, 1)), levels])
 
     @property
     def slab(self) -> Slab:
@@ -239,9 +234,8 @@ class Requirements(OneLine):
     @property
     def planned(self) -> Requirements:
         """The same requirements with the limits that a plan keeps at full rate."""
-        if self.limits.reserve == 1.0:
-            return self
-        return replace(self, limits=self.limits.planned)
+        planned = self.limits.planned
+        return self if planned is self.limits else replace(self, limits=planned)
 
     @property
     def untimed(self) -> Requirements:

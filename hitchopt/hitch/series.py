@@ -26,12 +26,7 @@ Bilinear = Callable[[Any, Any], Any]
 
 
 class Series:
-    """Coefficients ``f^(k) / k!`` of a scalar or a vector.
-
-    Parameters
-    ----------
-    coefficients: from order zero on; those of both operands of an operation are as many.
-    """
+    """Coefficients ``f^(k) / k!`` of a scalar or a vector; of both operands there are as many."""
 
     __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class
 
@@ -83,9 +78,7 @@ class Series:
     @property
     def upward(self) -> Series:
         """A scalar as a vector along z."""
-        return self._each(
-            lambda c: np.concatenate([0.0 * c, 0.0 * c, c]) if _is_array(c) else c * UP
-        )
+        return self._each(lambda c: np.concatenate([0 * c, 0 * c, c]) if _is_array(c) else c * UP)
 
     def _each(self, change: Callable[[Any], Any]) -> Series:
         return Series([c if isinstance(c, float) else change(c) for c in self.coefficients])

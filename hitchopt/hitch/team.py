@@ -173,8 +173,7 @@ def kinds_of(
 def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
     """Return what hangs at the clasps (clasps,) [kg].
 
-    An array of one value throughout holds for any number of clasps, so that a team can be copied
-    with another topology or number of robots.
+    An array of one value holds for any number of clasps, so that a team can be copied with others.
     """
     if isinstance(given, np.ndarray) and given.size > 0 and given.ndim > 0:
         given = float(given[0]) if np.all(given == given[0]) else given
@@ -290,7 +289,6 @@ class Team(OneLine):
         return self._per_drone([kind.feed_forward for kind in self.quadrotor]).astype(np.bool_)
 
     def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
-        """Return one value per drone from one per kind; both drones of a robot are of its kind."""
         return np.repeat(np.array(values, dtype=np.float64), 2)
 
     @property
@@ -323,10 +321,7 @@ MAX_DRONES = 2 * MAX_ROBOTS
 class Swarm(Team):
     """N single quadrotors: a team without cables, so that every array over robots is empty.
 
-    Parameters
-    ----------
-    drones: their number N.
-    quadrotor: one kind for all, or one per drone.
+    Of their number, and one kind for all or one per drone.
 
     Raises
     ------
@@ -357,7 +352,6 @@ class Swarm(Team):
         return len(self.quadrotor)
 
     def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
-        """Return one value per drone; each drone has a kind of its own."""
         return np.array(values, dtype=np.float64)
 
     @property
