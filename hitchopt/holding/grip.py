@@ -137,17 +137,9 @@ PLACES = 12
 
 @dataclass(frozen=True, eq=False)
 class GripTask:
-    """A grip to be found.
+    """A grip to be found of a section, by n robots of one kind, cable length [m] and tension [N].
 
-    Attributes
-    ----------
-    section: to be gripped.
-    robots: number n of cables.
-    cable_length: of all cables [m].
-    tension: of all legs [N].
-    clasp_friction: coefficient of cables on each other.
-    requirements: limits and distances.
-    kind: of all drones.
+    ``clasp_friction`` is that of cables on each other.
     """
 
     section: Section
@@ -243,12 +235,7 @@ def grip_capacity(task: GripTask, grip: Grip, friction: float, factor: float) ->
     """Return the largest mass [kg] that a grip lifts, by friction and thrust, and what binds.
 
     Every leg lifts the same share w of the weight and pulls with the tension T all the same, so
-    that thrust is ``√(T² - w² + (m g + w)²)``.
-
-    Parameters
-    ----------
-    friction: coefficient between cables and object.
-    factor: least slip load over load.
+    that thrust is ``√(T² - w² + (m g + w)²)``. Slip load over load is at least ``factor``.
     """
     weight, legs = GRAVITY * task.kind.mass, 2.0 * task.robots
     spare = task.kind.max_thrust**2 - task.tension**2 - weight**2
@@ -362,14 +349,14 @@ def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
         x, y = (start - task.section.centroid).T
         turning = np.column_stack([-y, x]).ravel() / math.hypot(*x, *y)
 
+    def smallest(margins: Array) -> Array:
+        if margins.shape[-1] <= ALL:
+            return margins
+        return np.sort(np.partition(margins, SMALLEST - 1)[..., :SMALLEST])
+
     def values(x: Array) -> Array:
         grip = task.grip(x.reshape(*x.shape[:-1], *start.shape))
-        kept = [
-            each
-            if each.shape[-1] <= ALL
-            else np.sort(np.partition(each, SMALLEST - 1)[..., :SMALLEST])
-            for each in (*task.distances(grip).values(), grip.wraps.angles)
-        ]
+        kept = [smallest(each) for each in (*task.distances(grip).values(), grip.wraps.angles)]
         goal = grip.slip_load(1.0)[..., None] / task.tension
         unbalanced = grip.imbalance / task.tension
         if turning is not None:

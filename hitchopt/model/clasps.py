@@ -20,10 +20,8 @@ class Edge:
 
     Attributes
     ----------
-    along: its direction.
-    cable: length of its cable [m].
-    pull: along its chord [N].
-    tension: of its cable [N].
+    along, cable: its direction, and the length of its cable [m].
+    pull, tension: along its chord, and of its cable [N].
     sag: factor of ``forces.cable_of`` for its cable [1/m²]; None without weight.
     """
 
@@ -54,13 +52,9 @@ class Edge:
 
 @dataclass(frozen=True, eq=False)
 class Clasp:
-    """Both legs at clasp k, that of r_{k-1} first.
+    """Both legs at clasp k, that of r_{k-1} first: directions, and distances of the drones [m].
 
-    Attributes
-    ----------
-    directions: unit vectors to the drones.
-    legs: distances of the drones from the clasp [m].
-    r_cable: length of cable of r_{k-1}'s leg [m].
+    ``r_cable`` is the length of cable of r_{k-1}'s leg [m].
     """
 
     directions: tuple[Series, Series]

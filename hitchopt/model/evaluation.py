@@ -20,12 +20,8 @@ UPWARD = np.array([0.0, 0.0, GRAVITY])
 class FlatJets:
     """Flat outputs at J values of a parameter, with derivatives by it up to the third.
 
-    Attributes
-    ----------
-    vertices: (J, points, 3, 4) [m]; n points of a closed hitch, n + 1 of a chain.
-    q_legs: (J, n, 4) [m], lengths of cable.
-    tensions: (J, n, 4) [N]
-    roll: (J, clasps, 4) [rad], or None where legs are not rolled.
+    Vertices (J, points, 3, 4) [m], lengths of cable in q-legs (J, n, 4) [m], tensions (J, n, 4) [N]
+    and roll (J, clasps, 4) [rad], None where legs are not rolled.
     """
 
     vertices: Array
@@ -38,12 +34,9 @@ class FlatJets:
 class DroneJets:
     """Drones, forces and legs of flat outputs at the same J values of the parameter.
 
-    Attributes
-    ----------
-    positions: (J, 2n, 3, 4) [m] and derivatives by the parameter, in the order q0, r0, q1, ….
-    cable_forces: (J, 2n, 3) [N], of the cable on the drone.
-    thrusts: (J, 2n, 3) [N], with the parameter taken as time.
-    legs: (J, n, 2, 4) [m], distances of q_k and r_k from their vertices, and derivatives.
+    Positions (J, 2n, 3, 4) [m], in the order q0, r0, q1, …; forces of cables on drones and thrusts
+    (J, 2n, 3) [N], with the parameter taken as time; legs (J, n, 2, 4) [m], distances of drones
+    from their vertices.
     """
 
     positions: Array
