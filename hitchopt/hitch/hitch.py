@@ -181,11 +181,7 @@ class Hitch(OneLine):
 
     @classmethod
     def balanced(
-        cls,
-        team: Team,
-        polygon: Outline | ArrayLike,
-        altitude: float = 1.0,
-        roll: ArrayLike = 0.0,
+        cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0, roll: ArrayLike = 0.0
     ) -> Hitch:
         """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
 

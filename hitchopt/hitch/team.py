@@ -164,9 +164,8 @@ def kinds_of(
     for k, each in enumerate(kinds):
         instance(f"quadrotor[{k}]", each, Quadrotor)
     if len(kinds) != count:
-        raise InputError(
-            "quadrotor", len(kinds), f"one kind, or a list of {count}", f"give one per {owner}"
-        )
+        bound = f"one kind, or a list of {count}"
+        raise InputError("quadrotor", len(kinds), bound, f"give one per {owner}")
     return kinds
 
 
@@ -192,8 +191,7 @@ class Team(OneLine):
     cable_density: [kg/m]
     cable_friction: coefficient at the clasps, where one cable slides about the other.
     tension: one, or one per robot (n,) [N].
-    quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind. Stored as
-        one per robot.
+    quadrotor: one kind for all, or one per robot, for both of its drones; stored as the latter.
     load: what hangs at the clasps, one or one per clasp (clasps,) [kg]: at every vertex of a closed
         hitch, at the inner points of a chain.
 
@@ -274,9 +272,8 @@ class Team(OneLine):
     @property
     def stiffness(self) -> NDArray[np.float64]:
         """(2n,) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
-        return self._per_drone(
-            [np.inf if kind.stiffness is None else kind.stiffness for kind in self.quadrotor]
-        )
+        given = [kind.stiffness for kind in self.quadrotor]
+        return self._per_drone([np.inf if each is None else each for each in given])
 
     @property
     def integral(self) -> NDArray[np.bool_]:
@@ -289,7 +286,8 @@ class Team(OneLine):
         return self._per_drone([kind.feed_forward for kind in self.quadrotor]).astype(np.bool_)
 
     def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
-        return np.repeat(np.array(values, dtype=np.float64), 2)
+        """Return one value per drone from one per kind; both drones of a robot are of its kind."""
+        return np.repeat(np.array(values, dtype=np.float64), self.drones // len(values))
 
     @property
     def point_names(self) -> tuple[str, ...]:
@@ -334,25 +332,14 @@ class Swarm(Team):
         whole("drones", drones, 1, MAX_DRONES)
         none = np.zeros(0)
         none.setflags(write=False)
-        values: dict[str, object] = {
-            "robots": 0,
-            "cable_length": none,
-            "topology": CLOSED,
-            "cable_density": 0.0,
-            "cable_friction": 0.0,
-            "tension": none,
-            "quadrotor": kinds_of(quadrotor, int(drones), "drone"),
-            "load": none,
-        }
-        store(self, values)
+        values = dict.fromkeys(("cable_length", "tension", "load"), none)
+        numbers = {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
+        store(self, {**values, **numbers, "quadrotor": kinds_of(quadrotor, int(drones), "drone")})
 
     @property
     def drones(self) -> int:
         """Number N of drones."""
         return len(self.quadrotor)
-
-    def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
-        return np.array(values, dtype=np.float64)
 
     @property
     def drone_names(self) -> tuple[str, ...]:

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from hitchopt.errors import InfeasibleError, OneLine, Violation, check_time
-from hitchopt.geometry.segments import differences, shortest_offset
+from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, check_time
+from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
@@ -92,10 +92,8 @@ class Grip(OneLine):
     @property
     def pulls(self) -> Array:
         """(…, n, 2) [N]: forces ``V_k`` of the clasps on object and cables, outward."""
-        pulls: Array = self.tension * (
-            np.roll(self.wraps.arriving, 1, axis=-2) - self.wraps.leaving
-        )
-        return pulls
+        arriving = np.roll(self.wraps.arriving, 1, axis=-2)
+        return np.asarray(self.tension * (arriving - self.wraps.leaving))
 
     @property
     def imbalance(self) -> Array:
@@ -274,18 +272,18 @@ def best_grip(task: GripTask) -> Grip:
 
 def _turns_once(vertices: Array) -> bool:
     """Return whether a polygon (n, 2) turns right at all vertices, once around in all."""
-    onward = np.roll(vertices, -1, axis=0) - vertices
-    before = np.roll(onward, 1, axis=0)
-    right = before[:, 1] * onward[:, 0] - before[:, 0] * onward[:, 1]
-    turns = np.arctan2(right, np.sum(before * onward, axis=1))
-    return bool(np.all(turns > 0.0) and np.sum(turns) < 3.0 * math.pi)
+    try:
+        ConvexPolygon(vertices)
+    except InputError:
+        return False
+    return True
 
 
 def _starts(task: GripTask) -> list[Array]:
     """Return polygons (n, 2) [m] around the section: turned evenly, and facing its sides."""
     core, n = task.section.core, task.robots
     symmetry = 2.0 * math.pi / n
-    sides = np.roll(core, -1, axis=0) - core
+    sides = task.section.sides[:, 1] - core
     facing = np.arctan2(sides[:, 0], -sides[:, 1])[np.argsort(-np.hypot(*sides.T), kind="stable")]
     even = 0.5 * math.pi - symmetry * np.arange(TURNS) / TURNS
     turns = even[:1] if len(core) == 1 else np.append(facing[:SMALLEST], even)

@@ -41,14 +41,13 @@ def asked_of(motion: Motion) -> dict[str, Any]:
     """
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
     if not team.has_cables:
-        start: dict[str, Any] = {"drones": first.tolist()}
-        return asked(team, motion.requirements, start)
+        return asked(team, motion.requirements, {"drones": first.tolist()})
     given = motion.assignment or Assignment.fixed(team.robots)
     role_of = np.argsort(given.robots)
     flipped = np.array(given.flipped, dtype=np.bool_)[:, None, None]
     pairs = first.reshape(-1, 2, 3)
     pairs = np.where(flipped, pairs[:, ::-1], pairs)[role_of]
-    start = {"drones": {"q": pairs[:, 0].tolist(), "r": pairs[:, 1].tolist()}}
+    start: dict[str, Any] = {"drones": {"q": pairs[:, 0].tolist(), "r": pairs[:, 1].tolist()}}
     if motion.formed[0]:
         vertices = motion.vertices.coefficients[0, ..., 0]
         start["hitch"] = hitch_start(vertices[:, :2], float(np.mean(vertices[:, 2])))
@@ -64,34 +63,24 @@ def asked(
 ) -> dict[str, Any]:
     """Return a team, requirements and a start as plan files store them.
 
-    Parameters
-    ----------
-    team: its robots in the order of the start.
-    start: of the keys ``hitch`` and ``drones``, or the one that is known.
-    objects: by name; None for those of the requirements.
+    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known. Objects
+    are those of the requirements but where they are given, by name.
     """
-    kinds = [dict(vars(kind)) for kind in team.quadrotor]
-    values: dict[str, Any] = {"drones": team.drones, "quadrotor": kinds}
-    if team.has_cables:
-        values = {**vars(team), "quadrotor": kinds}
+    own = vars(team) if team.has_cables else {"drones": team.drones, "quadrotor": team.quadrotor}
     limits = dict(vars(requirements.limits))
     for name in ("tilt", "body_rate"):
         angle = limits.pop(name)
         limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
-    plain: dict[str, Any] = json.loads(
-        json.dumps(
-            {
-                "start": start,  # compared first: roles tell the order of all else
-                "team": values,
-                "limits": limits,
-                "separation": requirements.separation,
-                "arena": requirements.arena,
-                "keep_out": requirements.keep_out,
-                "objects": requirements.objects if objects is None else objects,
-            },
-            default=values_of,
-        )
-    )
+    values = {
+        "start": start,  # compared first: roles tell the order of all else
+        "team": own,
+        "limits": limits,
+        "separation": requirements.separation,
+        "arena": requirements.arena,
+        "keep_out": requirements.keep_out,
+        "objects": requirements.objects if objects is None else objects,
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(values, default=values_of))
     return plain
 
 

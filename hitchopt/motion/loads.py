@@ -89,11 +89,8 @@ def lowered(coefficients: Array) -> Array:
 class Supports:
     """How the clasps below an object share its weight.
 
-    Attributes
-    ----------
-    shares: (…, clasps) of its mass.
-    gains: (…, clasps, 2) [1/m], ``G_k``: by how much a clasp's share grows as the point in which
-        the force meets the clasps' plane moves, in the object's frame.
+    Shares (…, clasps) of its mass, and gains (…, clasps, 2) [1/m], ``G_k``: by how much a clasp's
+    grows as the point in which the force meets the clasps' plane moves, in the object's frame.
     """
 
     shares: Array

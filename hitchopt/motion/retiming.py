@@ -31,26 +31,17 @@ def rests(motion: Motion) -> NDArray[np.intp]:
 
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
-    start, end = float(motion.drones.breaks[first]), float(motion.drones.breaks[last])
+    start, end = motion.drones.breaks[[first, last]].tolist()
     breaks = motion.drones.breaks[first : last + 1] - start
-
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        return whole.alike(whole.coefficients[first:last], breaks)
-
     phases = [
         phase.lasting(max(phase.start, start) - start, min(phase.end, end) - start)
         for phase in motion.overlapping(start, end)
     ]
-    return motion.changed(part, phases)
+    return motion.changed(lambda part: part.alike(part.coefficients[first:last], breaks), phases)
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
-    """Return the same curves with all durations multiplied by ``factor``, and no limit on them.
-
-    Raises
-    ------
-    InputError: a factor below 1.
-    """
+    """Return the same curves ``factor`` times as slow, and no limit on their duration."""
     if not 1.0 <= factor <= 100.0:
         raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
     if factor == 1.0:
@@ -70,9 +61,7 @@ ORDERS = 4
 def retimed(motion: Motion, clock: ClockPhases) -> Motion:
     """Return the motion flown on one clock, from t = 0, with three derivatives met at all breaks.
 
-    Parameters
-    ----------
-    clock: its phases in a row, within the motion's time.
+    The clock's phases are in a row, within the motion's time.
     """
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)

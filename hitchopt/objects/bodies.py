@@ -169,12 +169,9 @@ def _clockwise(outline: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Clearance:
-    """Distances of points to a body.
+    """Signed distances (…) [m] of points to a body, and unit vectors (…, 3) along which they grow.
 
-    Attributes
-    ----------
-    distance: signed distances (…) [m]; inside, minus the depth below the nearest face.
-    normals: unit vectors (…, 3) along which the distance grows.
+    Inside it is minus the depth below the nearest face.
     """
 
     distance: Array
@@ -183,13 +180,7 @@ class Clearance:
 
 @dataclass(frozen=True, eq=False)
 class Slab:
-    """A section between two heights, to which drones and cables keep a distance.
-
-    Attributes
-    ----------
-    section: seen from above.
-    lower, upper: heights of its floor and its ceiling [m]
-    """
+    """A section, seen from above, between a floor and a ceiling [m]."""
 
     section: Section
     lower: float
@@ -232,13 +223,7 @@ class Slab:
 
 @dataclass(frozen=True, eq=False)
 class Rim(OneLine):
-    """A thin rim or tray of an object, which may rest on cables.
-
-    Parameters
-    ----------
-    section: its outline, about the object's origin.
-    height: of it above the object's base [m].
-    """
+    """A thin rim or tray that may rest on cables: its section, and height above the base [m]."""
 
     section: Section
     height: float

@@ -46,11 +46,7 @@ def surface_below(
 ) -> tuple[float, str | None]:
     """Return the height [m] of what is under an object's centre of mass, and whose it is.
 
-    Parameters
-    ----------
-    objects, poses: all of them, and where they are (objects, 5).
-    name: of the object that is to stand there.
-    floor: height of the ground [m].
+    Objects are at poses (objects, 5), the ground is at ``floor`` [m].
     """
     places = dict(zip(objects, poses, strict=True))
     centre = in_world(places[name], objects[name].centre_of_mass)
