@@ -29,15 +29,31 @@ def size_and_area(outline: Array) -> tuple[float, float, float]:
     return float(width), float(depth), ConvexPolygon(section.outline).area
 
 
-@pytest.mark.parametrize(
-    ("size", "metres"),
-    [('width="400mm" height="300mm" ', 1e-3), ("", 1.0), ('width="800" height="600" ', 2.0)],
-)
-def test_svg_states_its_unit_or_is_in_metres(tmp_path: Path, size: str, metres: float) -> None:
-    drawing = tmp_path / "box.svg"
-    drawing.write_text(SVG.format(size=size, shape=RECTANGLE))
-    found = size_and_area(read_outline(drawing))
-    assert found == pytest.approx((400 * metres, 300 * metres, 120_000 * metres**2), rel=1e-4)
+POLYGON = {"type": "Polygon", "coordinates": [RING]}
+FEATURE = {"type": "Feature", "properties": {}, "geometry": POLYGON}
+BOXES: list[tuple[str, str, float]] = [
+    ("a.svg", SVG.format(size='width="400mm" height="300mm" ', shape=RECTANGLE), 1.0),
+    ("a.svg", SVG.format(size="", shape=RECTANGLE), 1e3),
+    ("a.svg", SVG.format(size='width="800" height="600" ', shape=RECTANGLE), 2e3),
+    ("a.json", json.dumps(POLYGON), 1.0),
+    ("a.geojson", json.dumps(FEATURE), 1.0),
+    ("a.json", json.dumps({"type": "FeatureCollection", "features": [FEATURE]}), 1.0),
+    ("a.json", json.dumps(RING[:-1]), 1.0),
+    ("a.csv", "# x, y\n0.0, 0.0\n0.4, 0.0\n0.4, 0.3\n0.0, 0.3", 1.0),
+    ("a.csv", "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n", 1.0),
+    ("a.txt", "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n", 1.0),
+    ("a.csv", "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3", 1.0),
+    ("a.csv", "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n", 1.0),
+]
+"""Files with a box of 0.4 m by 0.3 m, times a factor."""
+
+
+@pytest.mark.parametrize(("name", "text", "size"), BOXES)
+def test_boxes_have_their_size(tmp_path: Path, name: str, text: str, size: float) -> None:
+    """SVG states its unit or is in metres; tables are as other programs write them."""
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    found = size_and_area(read_outline(tmp_path / name))
+    assert found == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
 
 
 def test_svg_is_not_mirrored(tmp_path: Path) -> None:
@@ -98,26 +114,8 @@ def test_dxf_blocks_are_taken_apart_and_dimensions_are_no_part(tmp_path: Path) -
     assert found == pytest.approx((0.4, 0.3, 0.12))
 
 
-@pytest.mark.parametrize("wrap", ["Polygon", "Feature", "FeatureCollection", "list"])
-def test_geojson_and_coordinates(tmp_path: Path, wrap: str) -> None:
-    polygon = {"type": "Polygon", "coordinates": [RING]}
-    feature = {"type": "Feature", "properties": {}, "geometry": polygon}
-    content = {
-        "Polygon": polygon,
-        "Feature": feature,
-        "FeatureCollection": {"type": "FeatureCollection", "features": [feature]},
-        "list": RING[:-1],
-    }[wrap]
-    path = tmp_path / "box.json"
-    path.write_text(json.dumps(content))
-    assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))
-
-
-def test_a_table_and_shapely(tmp_path: Path) -> None:
+def test_holes_of_geometries_are_left_out() -> None:
     shapely = import_module("shapely")
-    path = tmp_path / "box.csv"
-    path.write_text("# x, y\n" + "\n".join(f"{x}, {y}" for x, y in RING[:-1]))
-    assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))
     holed = shapely.box(0, 0, 0.4, 0.3).difference(shapely.box(0.1, 0.1, 0.2, 0.2))
     assert size_and_area(outline_of_geometry(holed)) == pytest.approx((0.4, 0.3, 0.12))
 
@@ -148,21 +146,6 @@ def test_what_is_no_outline_is_refused(
     (tmp_path / name).write_text(text)
     with pytest.raises(kind, match=words):
         read_outline(tmp_path / name)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n",
-        "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n",
-        "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3",
-        "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n",
-    ],
-    ids=["headings", "semicolons", "tabs", "ends"],
-)
-def test_tables_as_other_programs_write_them(tmp_path: Path, text: str) -> None:
-    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
-    assert size_and_area(read_outline(tmp_path / "a.csv")) == pytest.approx((0.4, 0.3, 0.12))
 
 
 def test_objects_are_no_larger_than_rooms(tmp_path: Path) -> None:
