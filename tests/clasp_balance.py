@@ -1,13 +1,46 @@
-"""Eq. (2) of the paper in its general form: the unbalanced force at the clasps of a hitch."""
+"""Random hitches, and the unbalanced force at their clasps: eq. (2) of the paper in general."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.geometry import ConvexArc, Outline
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.team import CLOSED, layout_of
+from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
+
+KINDS = ("equal", "unequal", "loaded", "heavy")
+"""Equal and other tensions of clasps that carry nothing; rolled legs with loads, with weight."""
+
+
+def random_outline(seed: int, n: int, topology: str = CLOSED) -> Outline:
+    """Return a polygon of n edges, or n edges in a row of a larger one, off the origin."""
+    rng = np.random.default_rng(seed)
+    closed = topology == CLOSED
+    polygon = random_convex_polygon(n if closed else n + 3, 1.2, rng).translated(rng.normal(size=2))
+    return polygon if closed else ConvexArc(polygon.vertices[: n + 1])
+
+
+def random_hitch(seed: int, n: int, topology: str = CLOSED, kind: str = "unequal") -> Hitch:
+    """Return a hitch of unequal cables and legs at 0.8 m, of one of KINDS."""
+    rng = np.random.default_rng([seed, 1])
+    outline, plain = random_outline(seed, n, topology), kind in KINDS[:2]
+    clasps = n if topology == CLOSED else n - 1
+    team = Team(
+        n,
+        outline.edge_lengths + rng.uniform(0.7, 1.0, n),
+        topology=topology,
+        tension=0.8 if kind == "equal" else rng.uniform(0.75, 0.85, n) + 0.15 * (not plain),
+        cable_density=0.01 if kind == "heavy" else 0.0,
+        load=0.0 if plain else rng.uniform(0.0, 0.008, clasps),
+    )
+    roll = 0.0 if plain else rng.uniform(-0.8, 0.8, clasps)
+    slack = Hitch.balanced(team, outline).slack
+    legs = team.layout.q_legs_of(slack * rng.uniform(0.3, 0.7, n), slack)
+    return Hitch(team, outline, 0.8, legs, roll)
 
 
 def clasp_residuals(

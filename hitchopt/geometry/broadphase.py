@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement, product
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +76,7 @@ def all_pairs(first: int, second: int | None) -> Pairs:
 
 
 def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:
-    """Return a list that holds every pair of boxes that are at most ``cutoff`` apart.
-
-    Parameters
-    ----------
-    first, second: two groups, or one whose pairs (i < j) are looked for.
-    cutoff: [m]
-    """
+    """Return every pair of boxes at most ``cutoff`` [m] apart, of two groups or (i < j) of one."""
     return _listed(first, second, cutoff, _reaches(first, second, cutoff))
 
 
@@ -93,7 +86,7 @@ def few_close_pairs(first: Boxes, second: Boxes | None, cutoff: float, most: int
     They are counted first: a list of all pairs of thousands of boxes is what must not happen.
     """
     reaches = _reaches(first, second, cutoff)
-    found = sum(int(r.a.tree.count_neighbors(r.b.tree, r.distance, p=np.inf)) for r in reaches)
+    found = sum(int(a.tree.count_neighbors(b.tree, reach, p=np.inf)) for a, b, reach in reaches)
     return None if found > most else _listed(first, second, cutoff, reaches)
 
 
@@ -106,47 +99,37 @@ class _SizeClass:
     tree: cKDTree
 
 
-@dataclass(frozen=True, eq=False)
-class _Reach:
-    """Two classes, and how far apart the centres of two close boxes of theirs can be."""
-
-    a: _SizeClass
-    b: _SizeClass
-    distance: float
+Reaches = list[tuple[_SizeClass, _SizeClass, float]]
+"""Two classes, and how far apart the centres of two close boxes of theirs can be [m]."""
 
 
-def _reaches(first: Boxes, second: Boxes | None, cutoff: float) -> list[_Reach]:
+def _reaches(first: Boxes, second: Boxes | None, cutoff: float) -> Reaches:
     groups = _classes(first, cutoff)
-    others = groups if second is None else _classes(second, cutoff)
-    return [
-        _Reach(a, b, cutoff + a.size + b.size)
-        for i, a in enumerate(groups)
-        for j, b in enumerate(others)
-        if second is not None or i <= j
-    ]
-
-
-def _listed(first: Boxes, second: Boxes | None, cutoff: float, reaches: list[_Reach]) -> Pairs:
-    found = []
-    for reach in reaches:
-        a, b = reach.a, reach.b
-        if second is None and a is b:
-            pairs = a.tree.query_pairs(reach.distance, p=np.inf, output_type="ndarray")
-            i, j = a.members[pairs[:, 0]], a.members[pairs[:, 1]]
-        else:
-            table = a.tree.sparse_distance_matrix(
-                b.tree, reach.distance, p=np.inf, output_type="ndarray"
-            )
-            i, j = a.members[table["i"]], b.members[table["j"]]
-        found.append((i, j) if second is not None else (np.minimum(i, j), np.maximum(i, j)))
-    pairs_i = np.concatenate([i for i, _ in found])
-    pairs_j = np.concatenate([j for _, j in found])
-    other = first if second is None else second
-    gaps = np.maximum(
-        first.lower[pairs_i] - other.upper[pairs_j], other.lower[pairs_j] - first.upper[pairs_i]
+    others = None if second is None else _classes(second, cutoff)
+    both = (
+        [*combinations_with_replacement(groups, 2)]
+        if others is None
+        else [*product(groups, others)]
     )
+    return [(a, b, cutoff + a.size + b.size) for a, b in both]
+
+
+def _listed(first: Boxes, second: Boxes | None, cutoff: float, reaches: Reaches) -> Pairs:
+    found = []
+    for a, b, reach in reaches:
+        if second is None and a is b:
+            i, j = a.tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
+        else:
+            table = a.tree.sparse_distance_matrix(b.tree, reach, p=np.inf, output_type="ndarray")
+            i, j = table["i"], table["j"]
+        found.append((a.members[i], b.members[j]))
+    i, j = (np.concatenate(each) for each in zip(*found, strict=True))
+    if second is None:
+        i, j = np.minimum(i, j), np.maximum(i, j)
+    other = first if second is None else second
+    gaps = np.maximum(first.lower[i] - other.upper[j], other.lower[j] - first.upper[i])
     near = np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) <= cutoff * cutoff
-    return Pairs(pairs_i[near], pairs_j[near])
+    return Pairs(i[near], j[near])
 
 
 def _classes(boxes: Boxes, cutoff: float) -> list[_SizeClass]:
@@ -155,10 +138,9 @@ def _classes(boxes: Boxes, cutoff: float) -> list[_SizeClass]:
     sizes = boxes.sizes
     floor = max(1e-6 * float(np.max(sizes)), np.finfo(np.float64).tiny)
     unit = max(cutoff, float(np.median(sizes)), floor)
-    rank = np.ceil(np.log2(np.maximum(sizes / unit, 1.0))).astype(np.intp)
-    classes = []
-    for value in np.unique(rank):
-        members = np.flatnonzero(rank == value)
-        tree = cKDTree(boxes.centres[members])
-        classes.append(_SizeClass(members, float(np.max(sizes[members])), tree))
-    return classes
+    rank = np.ceil(np.log2(np.maximum(sizes / unit, 1.0)))
+    groups = [np.flatnonzero(rank == value) for value in np.unique(rank)]
+    return [
+        _SizeClass(members, float(np.max(sizes[members])), cKDTree(boxes.centres[members]))
+        for members in groups
+    ]

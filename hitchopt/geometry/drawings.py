@@ -22,14 +22,14 @@ FLATNESS = 1e-4
 """[m] Largest distance of a curve to its chords, of chords to the corners that are kept, and of a
 convex outline to its hull."""
 
+CHORDS = 256
+"""Chords of a curve in SVG: they are FLATNESS off a quarter of a circle of 20 m."""
+
 GRID = 1e-6
 """[m] Ends of lines that are nearer than this are one point."""
 
 MAX_SIZE = 20_000_000
 """Largest file [B]: a larger one is no drawing of a single part."""
-
-MOST_CHORDS = 4096
-"""Chords of one curve; a curve that needs more is larger than any object."""
 
 LARGEST = 20.0
 """[m] No outline is larger: it is one in other units."""
@@ -60,8 +60,6 @@ def read_outline(path: str | Path) -> Array:
         lines = reader(path)
     except HitchoptError:
         raise
-    except ImportError as error:
-        raise _missing(error) from None
     except Exception as error:  # parsers raise their own kinds, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
@@ -86,13 +84,14 @@ def object_outline(path: str | Path) -> Array:
 
 def outline_of_geometry(geometry: Any) -> Array:
     """Return the outline (m, 2) [m] of a geometry of shapely, or of what shapely can read."""
-    return _joined(_rings(_shapely("geometry").shape(geometry)), "geometry")
+    return _joined(_rings(_library("shapely.geometry").shape(geometry)), "geometry")
 
 
 def _read_svg(path: Path) -> Lines:
-    elements: Any = import_module("svgelements")
+    elements = _library("svgelements")
     drawing = elements.SVG.parse(str(path), reify=True)
-    stated = {size is not None and size[-2:].isalpha() for size in _svg_sizes(path)}
+    sizes = [drawing.values["attributes"].get(name) for name in ("width", "height")]
+    stated = {size is not None and size[-2:].isalpha() for size in sizes}
     if len(stated) == 2:
         bound, remedy = "a drawing with both width and height in units", "add the other one"
         raise InputError("outline", path.name, bound, remedy)
@@ -101,40 +100,19 @@ def _read_svg(path: Path) -> Lines:
     for shape in drawing.elements(lambda each: isinstance(each, elements.Shape)):
         for part in elements.Path(shape).as_subpaths():
             ends = [
-                _chords(segment.npoint, scale, curved=not isinstance(segment, elements.Line))
+                segment.npoint(np.linspace(0.0, 1.0, CHORDS + 1)[:: CHORDS if straight else 1])
                 for segment in part
                 if segment.start is not None and not isinstance(segment, elements.Move)
+                for straight in [isinstance(segment, elements.Line)]
             ]
-            if ends:
-                lines.append(np.concatenate(ends) * [1.0, -1.0])  # y points down in drawings
+            if ends:  # y points down in drawings
+                lines.append(np.concatenate(ends).astype(np.float64) * [scale, -scale])
     return lines
 
 
-def _svg_sizes(path: Path) -> list[str | None]:
-    from xml.etree import ElementTree  # expat bounds how far entities expand
-
-    for _, element in ElementTree.iterparse(path, events=("start",)):
-        return [element.get("width"), element.get("height")]
-    return []
-
-
-def _chords(points: Callable[[Array], Any], scale: float, *, curved: bool) -> Array:
-    """Return chords (points, 2) [m] of a curve that is given by its parameter from 0 to 1."""
-    count = 4 if curved else 1
-    while True:
-        found = scale * np.asarray(points(np.linspace(0.0, 1.0, 2 * count + 1)), dtype=np.float64)
-        start, middle, end = found[:-1:2], found[1::2], found[2::2]
-        off = np.hypot(*(middle - 0.5 * (start + end)).T)
-        if not curved or float(np.max(off)) < FLATNESS or count >= MOST_CHORDS:
-            return found
-        count *= 2
-
-
 def _read_dxf(path: Path) -> Lines:
-    dxf: Any = import_module("ezdxf")
-    paths: Any = import_module("ezdxf.path")
-    units: Any = import_module("ezdxf.units")
-    drawing = dxf.readfile(str(path))
+    paths, units = _library("ezdxf.path"), _library("ezdxf.units")
+    drawing = _library("ezdxf").readfile(str(path))
     scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
     lines: Lines = []
     for entity in _entities(drawing.modelspace()):
@@ -158,26 +136,17 @@ def _entities(layout: Any) -> Iterator[Any]:
 
 
 def _read_geojson(path: Path) -> Lines:
-    content = parsed_json(path.read_text("utf-8"))
-    if isinstance(content, list):
-        return [_ring(np.array(content, dtype=np.float64))]
-    shape = _shapely("geometry").shape
+    text = path.read_text("utf-8").strip()
+    if text.startswith("["):
+        points = np.array(parsed_json(text), dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError("an outline is a list of points [x, y]")
+        return [np.concatenate([points, points[:1]])]
+    shapely = _library("shapely")
     try:
-        return [line for each in _geometries(content) for line in _rings(shape(each))]
-    except (AttributeError, IndexError, KeyError, TypeError) as error:
-        raise ValueError("it is neither GeoJSON nor a list of points [x, y]") from error
-
-
-def _geometries(content: Any) -> Iterator[Any]:
-    """Return the geometries of a GeoJSON document."""
-    kind = content.get("type")
-    if kind == "FeatureCollection":
-        for feature in content["features"]:
-            yield from _geometries(feature)
-    elif kind == "Feature":
-        yield content["geometry"]
-    else:
-        yield content
+        return _rings(shapely.from_geojson(text))
+    except shapely.errors.ShapelyError:
+        raise ValueError("it is neither GeoJSON nor a list of points [x, y]") from None
 
 
 def _read_table(path: Path) -> Lines:
@@ -194,22 +163,14 @@ def _read_table(path: Path) -> Lines:
         try:
             row = [float(word) for word in words]
         except ValueError:
-            if not rows and not any(map(_is_number, words)):
+            if not rows and not any(character.isdigit() for character in text):
                 continue
             raise ValueError(f"line {number} is not a point x, y: {line.strip()}") from None
         if row:
             rows.append(row)
     if {len(row) for row in rows} != {2}:
         raise ValueError("an outline is a list of points x, y, one on each line")
-    return [_ring(np.array(rows))]
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+    return [np.array([*rows, rows[0]])]
 
 
 def _rings(geometry: Any) -> Lines:
@@ -220,20 +181,13 @@ def _rings(geometry: Any) -> Lines:
     return [np.array(line.coords, dtype=np.float64)[:, :2]]
 
 
-def _ring(points: Array) -> Array:
-    if points.ndim != 2 or points.shape[1] != 2:
-        raise ValueError("an outline is a list of points [x, y]")
-    return np.concatenate([points, points[:1]])
-
-
 def _joined(lines: Lines, name: str) -> Array:
     """Return the outer outline (m, 2) [m] that lines make."""
-    shapely = _shapely()
+    shapely, polygonize = _library("shapely"), _library("shapely.ops").polygonize
     rings = [np.round(line / GRID) * GRID for line in lines]
     if not all(np.all(np.isfinite(ring)) for ring in rings):
         raise InputError("outline", name, "finite", "check its coordinates")
     usable = [shapely.LineString(ring) for ring in rings if len(ring) > 1]
-    polygonize = _shapely("ops").polygonize
     crossing = (each for each in usable if each.is_closed and not each.is_simple)
     if any(len(list(polygonize(shapely.unary_union(each)))) > 1 for each in crossing):
         bound, remedy = "an outline that does not cross itself", "check the order of its points"
@@ -250,16 +204,13 @@ def _joined(lines: Lines, name: str) -> Array:
     return np.array(whole.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
 
 
-def _shapely(part: str = "") -> Any:
+def _library(name: str) -> Any:
     try:
-        return import_module(f"shapely.{part}" if part else "shapely")
+        return import_module(name)
     except ImportError as error:
-        raise _missing(error) from None
-
-
-def _missing(error: ImportError) -> UnsupportedError:
-    needed = error.name or f"other libraries ({error})"
-    return UnsupportedError(f"drawings need {needed}; pip install 'hitchopt[fit]'")
+        needed = error.name or f"other libraries ({error})"
+        message = f"drawings need {needed}; pip install 'hitchopt[fit]'"
+        raise UnsupportedError(message) from None
 
 
 READERS: dict[str, Callable[[Path], Lines]] = {

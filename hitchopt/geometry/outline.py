@@ -55,10 +55,8 @@ class Outline(OneLine, ABC):
     @cached_property
     def edge_vectors(self) -> Array:
         """(edges, 2) [m], read-only: ``p_{k+1} - p_k``."""
-        following = self.vertices[1:]
-        if self.closed:
-            following = np.concatenate([following, self.vertices[:1]])
-        edges: Array = following - self.vertices[: len(following)]
+        edges: Array = np.roll(self.vertices, -1, axis=0) - self.vertices
+        edges = edges if self.closed else edges[:-1]
         edges.setflags(write=False)
         return edges
 
@@ -143,16 +141,7 @@ class Outline(OneLine, ABC):
 
 
 class ConvexArc(Outline):
-    """Points joined in a row that turn right at every inner one, less than once around in all.
-
-    Parameters
-    ----------
-    vertices: (n + 1, 2) [m], n ≥ 2: the ends of n edges. Copied and set read-only.
-
-    Raises
-    ------
-    InputError: wrong shape, not finite, coincident points, not clockwise or not convex.
-    """
+    """Points (n + 1, 2) [m], n ≥ 2, in a row, turning right less than once around in all."""
 
     closed: ClassVar[bool] = False
 
@@ -174,26 +163,16 @@ class ConvexArc(Outline):
 
 def centroids(polygons: Array) -> Array:
     """Return the centres (…, 2) [m] of the areas of polygons (…, n, 2) [m]."""
-    origin = polygons[..., :1, :]
-    points = polygons - origin
-    following = np.concatenate([points[..., 1:, :], points[..., :1, :]], axis=-2)
+    points = polygons - polygons[..., :1, :]
+    following = np.roll(points, -1, axis=-2)
     cross = points[..., 0] * following[..., 1] - points[..., 1] * following[..., 0]
     moments = np.sum((points + following) * cross[..., None], axis=-2)
-    centres: Array = origin[..., 0, :] + moments / (3.0 * np.sum(cross, axis=-1))[..., None]
+    centres: Array = polygons[..., 0, :] + moments / (3.0 * np.sum(cross, axis=-1))[..., None]
     return centres
 
 
 class ConvexPolygon(Outline):
-    """A strictly convex polygon whose vertices run clockwise seen from above.
-
-    Parameters
-    ----------
-    vertices: (n, 2) [m], n ≥ 3. Copied and set read-only.
-
-    Raises
-    ------
-    InputError: wrong shape, not finite, coincident points, not clockwise or not convex.
-    """
+    """A strictly convex polygon of vertices (n, 2) [m], n ≥ 3, clockwise seen from above."""
 
     closed: ClassVar[bool] = True
 
@@ -206,9 +185,8 @@ class ConvexPolygon(Outline):
     @property
     def area(self) -> float:
         """Enclosed area [m²]."""
-        points = self.vertices - self.vertices[0]
-        following = np.roll(points, -1, axis=0)
-        return -0.5 * float(np.sum(points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]))
+        x, y = (self.vertices - self.vertices[0]).T
+        return -0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
     def renumbered(self, shift: int) -> ConvexPolygon:
         """Return the same outline whose vertex 0 is this one's vertex ``shift``."""
@@ -218,22 +196,14 @@ class ConvexPolygon(Outline):
         super()._check_turns()
         turns = round(float(np.sum(self.exterior_angles)) / (2.0 * math.pi))
         if turns != 1:
-            raise InputError(
-                "polygon",
-                self.vertices.tolist(),
-                f"a simple polygon (it goes {turns} times around)",
-                "list its points in clockwise order along the outline",
-            )
+            remedy = "list its points in clockwise order along the outline"
+            raise self._refused(f"a simple polygon (it goes {turns} times around)", remedy)
 
 
 def regular_polygon(n: int, edge: float, angle: float = 0.0) -> ConvexPolygon:
-    """Return the regular n-gon about the origin.
+    """Return the regular n-gon about the origin with edges of one length [m].
 
-    Parameters
-    ----------
-    n: number of vertices, at least 3.
-    edge: length of an edge [m].
-    angle: direction in which vertex 0 lies, counter-clockwise from +x [rad].
+    Vertex 0 lies in the direction ``angle``, counter-clockwise from +x [rad].
 
     Raises
     ------

@@ -15,16 +15,10 @@ from hitchopt.values import Array
 
 
 def shortest_offset(differences: Array) -> Array:
-    """Return the shortest of all vectors from the second body to the first.
+    """Return the shortest of all vectors (…, d) [m] from the second body to the first.
 
-    Parameters
-    ----------
-    differences: (…, 1, 2 or 4, d) [m], as the module says; d = 2 or 3. Bodies may touch, cross, be
-        parallel or shrink to points.
-
-    Returns
-    -------
-    (…, d) [m]; zero where they meet.
+    Of differences (…, 1, 2 or 4, d) [m], as the module says; d = 2 or 3. Bodies may touch, cross,
+    be parallel or shrink to points.
     """
     count = differences.shape[-2]
     if count == 1:

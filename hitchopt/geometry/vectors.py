@@ -39,11 +39,7 @@ def column_lengths(a: Array) -> Array:
 def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
     """Return the directions (…, d) of vectors (…, d), or ``fallback`` where they have none.
 
-    Parameters
-    ----------
-    a: (…, d)
-    fallback: what stands for the direction of vectors no longer than ``least``.
-    least: length up to which a vector has no direction, one or (…, 1).
+    That is where they are no longer than ``least``, one or (…, 1).
     """
     size = length(a)[..., None]
     long = size > np.asarray(least)
@@ -54,12 +50,8 @@ def unit(a: Array, fallback: ArrayLike = 0.0, least: ArrayLike = 0.0) -> Array:
 def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
     """Return the indices (…) of the smallest of values (…, k), the first one in a tie.
 
-    Values tie that differ by less than what rounding makes of equal ones.
-
-    Parameters
-    ----------
-    values: (…, k)
-    scale: (…), size of the numbers of which the values are computed.
+    Values tie that differ by less than rounding makes of equal ones computed of numbers of a size
+    ``scale`` (…).
     """
     smallest = np.min(values, axis=-1, keepdims=True)
     near = values <= smallest + TIE * np.asarray(scale)[..., None]
@@ -68,13 +60,7 @@ def first_smallest(values: Array, scale: Array | float) -> NDArray[np.intp]:
 
 
 def tied_order(values: Array, scale: float) -> NDArray[np.intp]:
-    """Return the order (k,) that sorts values (k,); those that tie stay in their order.
-
-    Parameters
-    ----------
-    values: (k,)
-    scale: size of the numbers of which the values are computed.
-    """
+    """Return the order (k,) that sorts values (k,); those that tie, as above, stay in theirs."""
     order = np.argsort(values, kind="stable")
     steps = np.diff(values[order]) > TIE * scale
     groups = np.empty(len(values), dtype=np.intp)

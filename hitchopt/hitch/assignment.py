@@ -37,9 +37,8 @@ class Assignment(OneLine):
         if sorted(self.robots) != list(range(n)):
             raise InputError("assignment.robots", self.robots, f"0 to {n - 1}, each once", "sort")
         if len(self.flipped) != n:
-            raise InputError(
-                "assignment.flipped", self.flipped, f"{n} truth values", "give one per role"
-            )
+            bound = f"{n} truth values"
+            raise InputError("assignment.flipped", self.flipped, bound, "give one per role")
 
     @classmethod
     def fixed(cls, robots: int) -> Assignment:

@@ -58,16 +58,7 @@ def steepness(ratio: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Catenary:
-    """Hanging cables (…).
-
-    Attributes
-    ----------
-    across: (…) [m], s: distance of the ends seen from above.
-    rise: (…) [m], h: height of the second end over the first one.
-    length: (…) [m], L.
-    sigma: (…), the steepness.
-    tilt: (…), h / Λ.
-    """
+    """Hanging cables (…), by s, h, L [m], the steepness σ and ``h / Λ``."""
 
     across: Array
     rise: Array
@@ -162,8 +153,7 @@ MAX_POINTS = 1_000_000
 def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: int = 50) -> Array:
     """Return points (…, points, 3) [m] of a cable that hangs between two ends, in order.
 
-    They are as far apart along the cable everywhere. Its weight does not matter for its shape: the
-    catenary of this length.
+    They are evenly spaced along the cable, whose weight does not matter for its shape.
 
     Parameters
     ----------

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +20,7 @@ from hitchopt.hitch.forces import (
     shortening,
 )
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.legs import least_roll_of_reference, split_slack, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, coordinate, instance
@@ -33,7 +33,6 @@ plans."""
 SAGGING_LEG = 1e-2
 """The same where cables have weight: whoever gives the leg may have left out that edges sag."""
 
-
 FAR_OFF = 100.0
 """Edge over cable beyond which one of the two is probably in another unit."""
 
@@ -44,20 +43,17 @@ def fitting_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
     closed, points = team.layout.closed, team.layout.points
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
+    given, bound = polygon.vertices.tolist(), ""
     if polygon.closed != closed:
-        raise InputError(
-            "polygon",
-            polygon.vertices.tolist(),
-            f"a {'ConvexPolygon' if closed else 'ConvexArc'}, the team being {team.topology}",
-            "give its points as such, or change team.topology",
-        )
-    if len(polygon) != points:
-        raise InputError(
-            "polygon",
-            f"{len(polygon)} points",
-            f"a list of {points} points, {'one per robot' if closed else 'one more than robots'}",
-            "add or remove points, or change team.robots",
-        )
+        kind = "ConvexPolygon" if closed else "ConvexArc"
+        bound = f"a {kind}, the team being {team.topology}"
+        remedy = "give its points as such, or change team.topology"
+    elif len(polygon) != points:
+        count = "one per robot" if closed else "one more than robots"
+        given, bound = f"{len(polygon)} points", f"a list of {points} points, {count}"
+        remedy = "add or remove points, or change team.robots"
+    if bound:
+        raise InputError("polygon", given, bound, remedy)
     return polygon
 
 
@@ -66,10 +62,7 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
 
     The cable of an edge that sags is longer than the edge (``forces``).
     """
-    lengths = polygon.edge_lengths
-    slack: Array = team.cable_length - lengths
-    if team.cable_density > 0.0:
-        slack = cable_slack_of(team, polygon.edge_directions * lengths[:, None])
+    lengths, slack = polygon.edge_lengths, cable_slack_of(team, polygon.edge_vectors)
     worst = int(slack.argmin())
     if slack[worst] <= 0.0:
         remedy = (
@@ -94,11 +87,8 @@ def checked_legs(team: Team, given: Array, slack: Array) -> Array:
     k = int((np.abs(given - d) / team.cable_length).argmax())
     tolerance = FIXED_LEG if team.cable_density == 0.0 else SAGGING_LEG
     if abs(given[k] - d[k]) > tolerance * team.cable_length[k]:
-        end = int(team.layout.has_leg[k, 0])
-        remedy = (
-            f"{'qr'[end]}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
-        )
-        sense = "max" if given[k] > d[k] else "min"
+        drone, sense = "qr"[int(team.layout.has_leg[k, 0])], "max" if given[k] > d[k] else "min"
+        remedy = f"{drone}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
         raise _refusal(given[k], d[k], sense, f"q{k}", remedy)
     legs = np.where(team.layout.has_leg, np.stack([d, slack - d], axis=1), np.inf)
     k, end = divmod(int(legs.argmin()), 2)
@@ -112,8 +102,7 @@ def checked_roll(team: Team, given: ArrayLike) -> Array:
     """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
     clasps = len(team.layout.clasps)
     try:
-        each = np.asarray(given, dtype=np.float64)
-        roll = np.array(np.broadcast_to(each, clasps)) if each.ndim else np.full(clasps, each)
+        roll = np.array(np.broadcast_to(np.asarray(given, dtype=np.float64), clasps))
     except (TypeError, ValueError):
         bound = f"one angle, or a list of {clasps} (one per clasp)"
         raise InputError("roll", given, bound, "give radians") from None
@@ -139,21 +128,19 @@ class Hitch(OneLine):
     Parameters
     ----------
     team: its cables tie the hitch.
-    polygon: its outline, ``p_0 … p_{n-1}`` of a closed hitch and ``p_0 … p_n`` of a chain, or the
-        points (n, 2) or (n + 1, 2) [m].
+    polygon: its outline or the points, n of a closed hitch, n + 1 of a chain (points, 2) [m].
     altitude: height of its plane [m].
     q_legs: (n,) [m], ``d_k``: the length of cable from vertex k to drone q_k. The rest of cable k's
         slack is ``e_k = L_k - l_k - d_k``, from vertex k+1 to drone r_k. A chain leaves no choice
-        at its ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to be given within 1e-4 of
-        the cable.
+        at its ends: ``d_0 = 0`` and ``d_{n-1} = L_{n-1} - l_{n-1}``, to 1e-4 of the cable.
     roll: one or (clasps,) [rad], ``ψ_k``: by how much the legs at a clasp are turned out of the
         plane in which they hold it, ``q_k`` up and ``r_{k-1}`` down where it is positive.
 
     Raises
     ------
     InputError: a count that does not fit the team, or numbers that are not finite.
-    InfeasibleError: an edge as long as its cable, a leg that is not positive, one at a chain's
-        end that is not the only one there is, or a weight that the tensions cannot carry.
+    InfeasibleError: an edge or legs that do not fit the cables, or a weight that the tensions
+        cannot carry.
     """
 
     team: Team
@@ -170,14 +157,12 @@ class Hitch(OneLine):
         q_legs: ArrayLike,
         roll: ArrayLike = 0.0,
     ) -> None:
-
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
         d = as_array(q_legs)
         if d.shape != (team.robots,) or not np.all(np.isfinite(d)):
-            raise InputError(
-                "legs", q_legs, f"a list of {team.robots} finite lengths d_k", "give one per robot"
-            )
+            bound = f"a list of {team.robots} finite lengths d_k"
+            raise InputError("legs", q_legs, bound, "give one per robot")
         d = checked_legs(team, d, slack)
         d.setflags(write=False)
         object.__setattr__(self, "team", team)
@@ -196,20 +181,12 @@ class Hitch(OneLine):
 
     @classmethod
     def balanced(
-        cls,
-        team: Team,
-        polygon: Outline | ArrayLike,
-        altitude: float = 1.0,
-        roll: ArrayLike = 0.0,
+        cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0, roll: ArrayLike = 0.0
     ) -> Hitch:
         """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
 
-        At the ends of a chain, the cable's one leg takes all of its slack. Legs have the given
-        roll, one or (clasps,) [rad].
-
-        Raises
-        ------
-        InputError, InfeasibleError: as the class.
+        At the ends of a chain, the cable's one leg takes all of its slack. Parameters and errors
+        are those of the class.
         """
         outline = fitting_polygon(team, polygon)
         return cls(team, outline, altitude, balanced_legs(team, outline), roll)
@@ -231,36 +208,19 @@ class Hitch(OneLine):
         distances to cables of at least 1.5 times their limits and legs within theirs; where there
         are none, they have the largest such margin.
 
-        Parameters
-        ----------
-        team, polygon, altitude: as of the class.
+        Parameters and errors are those of the class, but:
+
         limits, separation: the default ones if None.
         roll: one or (clasps,) [rad]; None for none unless legs break a limit without, and then for
             one angle at all clasps, the smallest with which they keep that margin, or else the
             limits.
-
-        Raises
-        ------
-        InputError, InfeasibleError: as the class.
         """
-        from hitchopt.hitch.legs import (
-            split_slack,  # solvers, which files are read without
-            split_with_least_roll,
-        )
-
         outline = fitting_polygon(team, polygon)
-        requirements = Requirements(
-            Limits() if limits is None else limits,
-            Separation() if separation is None else separation,
-        )
-        reference = balanced_legs(team, outline)
-        if roll is None:
-            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements)
-            found, rolled = split_with_least_roll(task)
-        else:
-            rolled = checked_roll(team, roll)
-            task = _leg_task(team, outline, reference, SPREAD_MARGIN, requirements, rolled)
-            found = split_slack(task)
+        requirements = Requirements(limits or Limits(), separation or Separation())
+        fixed = None if roll is None else checked_roll(team, roll)
+        legs = balanced_legs(team, outline)
+        task = _leg_task(team, outline, legs, SPREAD_MARGIN, requirements, fixed)
+        found, rolled = split_with_least_roll(task) if fixed is None else (split_slack(task), fixed)
         return cls(team, outline, altitude, found.q_legs[0], rolled)
 
     @classmethod
@@ -280,21 +240,14 @@ class Hitch(OneLine):
 
         Where there is none, the one with the largest margin. Legs have the given roll, one or
         (clasps,) [rad], unless they break a limit with it: then all have the smallest one that is
-        found to keep them.
-
-        Raises
-        ------
-        InputError, InfeasibleError: as the class.
+        found to keep them. Errors are those of the class.
         """
-        from hitchopt.hitch.legs import split_with_least_roll
-
         outline = fitting_polygon(team, polygon)
         slack = cable_slack(team, outline)
-        wanted = np.asarray(fractions, dtype=np.float64) * slack
-        wanted = team.layout.q_legs_of(wanted, slack)
+        wanted = team.layout.q_legs_of(np.asarray(fractions, dtype=np.float64) * slack, slack)
         requirements = Requirements(limits, separation, arena)
-        given = checked_roll(team, roll)
-        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, given)
+        own = checked_roll(team, roll)
+        task = _leg_task(team, outline, wanted, LIMIT_MARGIN, requirements, own)
         found, rolled = split_with_least_roll(task)
         return cls(team, outline, altitude, found.q_legs[0], rolled)
 
@@ -303,8 +256,6 @@ class Hitch(OneLine):
 
         Not at all where they keep them without, or where no roll helps.
         """
-        from hitchopt.hitch.legs import least_roll_of_reference
-
         task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
         roll = least_roll_of_reference(task)
         return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll)
@@ -326,8 +277,6 @@ class Hitch(OneLine):
         Zero where a chain's end has no leg; less than the lengths of cable where that sags.
         """
         lengths = self.team.layout.legs_of(self.q_legs, self.slack)
-        if self.team.cable_density == 0.0:
-            return lengths
         steep = np.stack([direction[:, 2] for direction in self._directions], axis=-1)
         factors = sag_factors(self.team, self.team.tension)[:, None]
         chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
@@ -349,11 +298,7 @@ class Hitch(OneLine):
 
         Where a chain's end has no leg: along its edge, outward.
         """
-        q, r = self._directions
-        directions = np.stack([q, r], axis=1).reshape(-1, q.shape[-1])
-        if directions.shape[-1] == 2:
-            directions = np.column_stack([directions, np.zeros(len(directions))])
-        return directions
+        return np.stack(self._directions, axis=1).reshape(-1, 3)
 
     @property
     def _loads(self) -> ClaspLoads | None:
@@ -361,12 +306,9 @@ class Hitch(OneLine):
 
     @property
     def _directions(self) -> tuple[Array, Array]:
-        found = _DIRECTIONS.get(self)
-        if found is None:
-            team, along = self.team, self.polygon.edge_directions
-            found = leg_directions(along, team.tension, team.topology, self._loads)
-            _DIRECTIONS[self] = found
-        return found
+        team, u = self.team, self.polygon.edge_directions
+        along = np.column_stack([u, np.zeros(len(u))])
+        return leg_directions(along, team.tension, team.topology, self._loads)
 
     @property
     def drones(self) -> Array:
@@ -382,10 +324,6 @@ class Hitch(OneLine):
         return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
 
 
-_DIRECTIONS: WeakKeyDictionary[Hitch, tuple[Array, Array]] = WeakKeyDictionary()
-"""Those of hitches in use: stored in a hitch they would make it differ from an equal one."""
-
-
 def _leg_task(
     team: Team,
     polygon: Outline,
@@ -394,12 +332,7 @@ def _leg_task(
     requirements: Requirements,
     roll: Array | None = None,
 ) -> LegTask:
-    return LegTask(
-        team,
-        requirements,
-        polygon.vertices[None],
-        reference[None],
-        requirements.limits.leg * LIMIT_MARGIN,
-        margin,
-        roll=None if roll is None else roll[None],
-    )
+    shortest = requirements.limits.leg * LIMIT_MARGIN
+    one = polygon.vertices[None], reference[None]
+    rolled = None if roll is None else roll[None]
+    return LegTask(team, requirements, *one, shortest, margin, roll=rolled)

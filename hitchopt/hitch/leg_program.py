@@ -8,7 +8,7 @@ there.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,6 @@ from hitchopt.values import Array, Indices
 if TYPE_CHECKING:
     import casadi as ca
     import scipy.sparse as sp
-    from scipy import sparse
 
 SPREAD_MARGIN = 1.5
 """Distance over its limit that the leg lengths called ``spread`` keep."""
@@ -77,13 +76,9 @@ class LegTask:
 
     @cached_property
     def margins(self) -> Array:
-        """(J,): the margin of every knot."""
-        return np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
-
-    @cached_property
-    def crossing_margins(self) -> Array:
-        """(J,): margin of the distances of two cables."""
-        return np.minimum(self.margins, CROSSING_MARGIN)
+        """(3, J): the margin of every knot, by kind of pair."""
+        each = np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
+        return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
 
     @cached_property
     def wanted(self) -> float:
@@ -116,14 +111,10 @@ class LegTask:
 
 @dataclass(frozen=True, eq=False)
 class LegLengths:
-    """Leg lengths that were found.
+    """Leg lengths ``d`` (J, n) [m] that were found, their margin, and ``Σ (d - reference)²`` [m²].
 
-    Attributes
-    ----------
-    q_legs: (J, n) [m], ``d``.
-    margin: the smallest distance over its limit, measured on these lengths; where margins
-        differ from knot to knot, in proportion to the largest of them.
-    deviation: sum of ``(d - reference)²`` [m²].
+    The margin is the smallest distance over its limit, measured on these lengths; where margins
+    differ from knot to knot, in proportion to the largest of them.
     """
 
     q_legs: Array
@@ -139,13 +130,8 @@ RESIDUAL = 1e-6
 class QuadraticProgram:
     """``min ½ x'Px + q'x`` over ``lower ≤ A x ≤ upper`` and ``least ≤ x ≤ most``.
 
-    Attributes
-    ----------
-    P: (m, m), symmetric and positive semidefinite.
-    q: (m,)
-    A: (r, m); entries that happen to be zero are stored.
-    lower, upper: (r,)
-    least, most: (m,), or one bound for all unknowns.
+    P (m, m) is symmetric and positive semidefinite; entries of A (r, m) that happen to be zero are
+    stored; least and most are (m,) or one bound for all unknowns.
 
     Raises
     ------
@@ -162,10 +148,9 @@ class QuadraticProgram:
 
     def __post_init__(self) -> None:
         rows, columns = self.A.shape
-        if self.P.shape != (columns, columns) or self.q.shape != (columns,):
-            raise ValueError(f"objective of {self.P.shape}, {self.q.shape} for {columns} unknowns")
-        if self.lower.shape != (rows,) or self.upper.shape != (rows,):
-            raise ValueError(f"bounds of {self.lower.shape}, {self.upper.shape} for {rows} rows")
+        shapes = self.P.shape, self.q.shape, self.lower.shape, self.upper.shape
+        if shapes != ((columns, columns), (columns,), (rows,), (rows,)):
+            raise ValueError(f"shapes P, q, lower, upper {shapes} for {rows} rows of {columns}")
         if not (np.all(np.isfinite(self.q)) and np.all(np.isfinite(self.A.data))):
             raise ValueError("a program with nan or inf")
         if not np.all(self.lower <= self.upper):
@@ -180,12 +165,7 @@ class QuadraticProgram:
 
 
 class Rows:
-    """Rows ``lower ≤ A x ≤ upper`` of a program, gathered block by block.
-
-    Parameters
-    ----------
-    unknowns: number of columns of A.
-    """
+    """Rows ``lower ≤ A x ≤ upper`` of so many unknowns, gathered block by block."""
 
     def __init__(self, unknowns: int) -> None:
         self.count = 0
@@ -231,35 +211,21 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
     """
     import casadi as ca
 
-    H, A = _matrix(program.P), _matrix(program.A)
-    solver = ca.conic(
-        "program", "piqp", {"h": H.sparsity(), "a": A.sparsity()}, {"error_on_fail": False}
-    )
-    solution = solver(
-        h=H,
-        g=program.q,
-        a=A,
-        lba=program.lower,
-        uba=program.upper,
-        lbx=program.least,
-        ubx=program.most,
-    )
+    def matrix(given: sp.csc_array[np.float64]) -> ca.DM:  # its own conversion takes a millisecond
+        given.sort_indices()
+        sparsity = ca.Sparsity(*given.shape, given.indptr.tolist(), given.indices.tolist())
+        return ca.DM(sparsity, given.data)
+
+    H, A = matrix(program.P), matrix(program.A)
+    shapes = {"h": H.sparsity(), "a": A.sparsity()}
+    solver = ca.conic("program", "piqp", shapes, {"error_on_fail": False})
+    rows = {"lba": program.lower, "uba": program.upper}
+    solution = solver(h=H, g=program.q, a=A, lbx=program.least, ubx=program.most, **rows)
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not np.all(np.isfinite(x)) or program.residual(x) > RESIDUAL:
         return None
     return np.clip(x, program.least, program.most)
 
-
-def _matrix(given: sp.csc_array[np.float64]) -> ca.DM:
-    """Return a sparse matrix as casadi has it: its own conversion takes a millisecond."""
-    import casadi as ca
-
-    given.sort_indices()
-    sparsity = ca.Sparsity(*given.shape, given.indptr.tolist(), given.indices.tolist())
-    return ca.DM(sparsity, given.data)
-
-
-Index = NDArray[np.intp]
 
 PENALTY = 1e3
 """[m²] Penalty weight per robot and unit of margin: distances come first, deviation second."""
@@ -274,11 +240,7 @@ class LegBodies:
     In the plane of level legs two coordinates suffice; else there are three, and heights between
     two drones count as much less as their ellipsoid is higher than wide. The directions of legs
     whose cables have weight depend on their lengths: they are those of the lengths last asked for.
-
-    Parameters
-    ----------
-    task: whose bodies.
-    lowest, highest: (J, n) [m], leg lengths between which pairs that never come near are dropped.
+    Pairs that never come near between the lengths ``lowest`` and ``highest`` (J, n) are dropped.
     """
 
     def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
@@ -286,10 +248,9 @@ class LegBodies:
         layout, keep = task.team.layout, task.requirements.separation
         self._task, self._turns = task, task.team.cable_density > 0.0
         self.dimensions = 2 if task.level else 3
-        flat = np.zeros((J, layout.points, self.dimensions))
-        flat[..., :2] = task.polygons
-        self._points, self._slack = flat, task.slack
-        self._edges = unit(layout.edges(flat))
+        self._points = np.zeros((J, layout.points, self.dimensions))
+        self._points[..., :2] = task.polygons
+        self._edges = unit(layout.edges(self._points))
         cable = np.concatenate([np.zeros(layout.points, np.intp), np.repeat(np.arange(n), 2)])
         self.variable = (n * np.arange(J)[:, None] + cable).reshape(-1)
         self.count = layout.points + 2 * n
@@ -303,27 +264,21 @@ class LegBodies:
 
     def _lay(self, d: Array) -> None:
         """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""
-        task, team = self._task, self._task.team
-        layout, J = team.layout, len(d)
-        loads = None
-        if not task.level:
-            loads = clasp_loads(team, d, self._slack, task.roll)
+        task, team, p = self._task, self._task.team, self._points
+        layout, slack, shape = team.layout, task.slack, (len(p), -1, self.dimensions)
+        loads = None if task.level else clasp_loads(team, d, slack, task.roll)
         q, r = leg_directions(self._edges, team.tension, team.topology, loads)
         if self._turns:
             sag = sag_factors(team, team.tension)
             q, r = (
                 leg_vectors(np.ones_like(legs), direction, sag * legs**2)
-                for legs, direction in ((d, q), (self._slack - d, r))
+                for legs, direction in ((d, q), (slack - d, r))
             )
-        following = self._points[:, layout.ends] + self._slack[..., None] * r
-        ends = np.stack([self._points[:, layout.starts], following], axis=2)
+        ends = np.stack([p[:, layout.starts], p[:, layout.ends] + slack[..., None] * r], axis=2)
         slopes = np.stack([q, -r], axis=2)
-        self.base, self.slope = (
-            np.concatenate([points, lines.reshape(J, -1, self.dimensions)], axis=1).reshape(
-                -1, self.dimensions
-            )
-            for points, lines in ((self._points, ends), (np.zeros_like(self._points), slopes))
-        )
+        base = np.concatenate([p, ends.reshape(shape)], axis=1)
+        slope = np.concatenate([np.zeros_like(p), slopes.reshape(shape)], axis=1)
+        self.base, self.slope = base.reshape(shape[1:]), slope.reshape(shape[1:])
 
     def nodes(self, d: Array) -> Array:
         """Return the nodes' positions (J·count, 2 or 3) [m]."""
@@ -340,24 +295,17 @@ class LegBodies:
         between = differences(nodes[self.first], nodes[self.second])
         return shortest_offset(between * self.scale[self.kind][:, None])
 
-    def margin(self, task: LegTask, d: Array) -> float:
-        """Return the smallest distance over its limit; crossings count up to their margin only."""
-        return task.wanted * float(np.min(self._shares(task, d), initial=np.inf))
-
     def margins(self, task: LegTask, d: Array) -> Array:
-        """Return the same (J,) of every polygon by itself."""
-        smallest = np.full(len(d), np.inf)
-        np.minimum.at(smallest, self.frame, self._shares(task, d))
-        return task.wanted * smallest
+        """Return the smallest distance over its limit (J,); crossings count up to their margin.
 
-    def _shares(self, task: LegTask, d: Array) -> Array:
-        """Return the pairs' distances over their limits and margins, (pairs,)."""
-        distance = length(self.offsets(self.nodes(d)))
-        ratios = distance / self.limits[self.kind]
-        enough = task.crossing_margins[self.frame] * (1.0 - 1e-9)
+        Where margins differ from knot to knot, in proportion to the largest of them.
+        """
+        ratios = length(self.offsets(self.nodes(d))) / self.limits[self.kind]
+        enough = task.margins[CROSSING, self.frame] * (1.0 - 1e-9)
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
-        shares: Array = apart / task.margins[self.frame]
-        return shares
+        smallest = np.full(len(d), np.inf)
+        np.minimum.at(smallest, self.frame, apart / task.margins[SEPARATION, self.frame])
+        return task.wanted * smallest
 
     def inside(self, arena: Arena | None, d: Array) -> bool:
         """Return whether every drone is between the arena's upright walls."""
@@ -365,11 +313,6 @@ class LegBodies:
             return True
         drones = self.nodes(d)[self.drones, :2]
         return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
-
-    def cutoff(self, task: LegTask) -> float:
-        """Return the distance [m] from which on a pair has its margin for certain."""
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
-        return cutoff + (SWAY if self._turns else 0.0)
 
     def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
         """Find the pairs whose sweeps between two splits come within reach of their limits."""
@@ -380,82 +323,54 @@ class LegBodies:
             ends.append(self.nodes(upper)[:, :2])
         swept = np.stack(ends).reshape(-1, J, self.count, 2)
         corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
-        cutoff = self.cutoff(task)
+        # From there on a pair has its margin for certain.
+        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        cutoff += SWAY if self._turns else 0.0
         lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
         frame, i, j, kind = parts.near(lowest, highest, self.limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
             moving = ~task.fixed[frame]
             frame, i, j, kind = frame[moving], i[moving], j[moving], kind[moving]
         self.frame, self.kind = frame, kind
-        self.first: Index = parts.nodes[i] + self.count * frame[:, None]
-        self.second: Index = parts.nodes[j] + self.count * frame[:, None]
+        self.first: Indices = parts.nodes[i] + self.count * frame[:, None]
+        self.second: Indices = parts.nodes[j] + self.count * frame[:, None]
 
 
 def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
-    """Return the convex QP around ``d``; variables are d, then two slacks of the margins."""
-    J, n = d.shape
-    size = J * n + 2
-    nodes = bodies.nodes(d)
-    offsets = bodies.offsets(nodes)
-    middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
-    normal = unit(offsets, unit(middles, EAST[: bodies.dimensions]), 1e-9)
+    """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
 
+    One slack is that of drones, the other one of crossings and walls: out of reach, these must not
+    leave the rest undecided.
+    """
+    size = d.size + 2
+    nodes = bodies.nodes(d)
+    middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
+    normal = unit(bodies.offsets(nodes), unit(middles, EAST[: bodies.dimensions]), 1e-9)
     pair, a, b = end_combinations(bodies.kind, bodies.first, bodies.second)
-    kind = bodies.kind[pair]
-    nu = normal[pair] * bodies.scale[kind]
-    limit = bodies.limits[kind]
-    crossing = kind == CROSSING
-    row = np.arange(len(pair))
-    entries = np.concatenate(
-        [
-            np.sum(nu * bodies.slope[a], axis=1),
-            -np.sum(nu * bodies.slope[b], axis=1),
-            limit,  # the slacks: one of all margins, one of crossings and walls
-        ]
-    )
-    columns = np.concatenate(
-        [bodies.variable[a], bodies.variable[b], np.where(crossing, size - 1, size - 2)]
-    )
+    kind, row = bodies.kind[pair], np.arange(len(pair))
+    nu, limit = normal[pair] * bodies.scale[kind], bodies.limits[kind]
+    slacks = np.where(kind == CROSSING, size - 1, size - 2)
     # Slightly more than required, so that rounding does not leave it short.
-    frame = bodies.frame[pair]
-    margins = np.where(crossing, task.crossing_margins[frame], task.margins[frame])
-    wanted = margins * (1.0 + 1e-7) * limit
+    wanted = task.margins[kind, bodies.frame[pair]] * (1.0 + 1e-7) * limit
     least = wanted - np.sum(nu * (bodies.base[a] - bodies.base[b]), axis=1)
+    moved = np.sum(nu * bodies.slope[a], axis=1), -np.sum(nu * bodies.slope[b], axis=1)
+    columns = np.concatenate([bodies.variable[a], bodies.variable[b], slacks])
     rows = Rows(size)
+    entries = np.concatenate([*moved, limit])
     rows.add(np.tile(row, 3), columns, entries, least, np.full(len(least), np.inf))
     if task.requirements.arena is not None:
         _add_walls(rows, bodies, task.requirements.arena, size - 1)
-    hessian = _squares(size)
-    if task.roughness > 0.0 and J > 2:
-        from scipy import sparse
-
-        bends = sparse.block_diag([_roughness(task), sparse.csc_array((2, 2))])
-        hessian = sparse.csc_array(hessian + bends)
-    gradient = np.append(-task.reference.reshape(-1), [PENALTY * n, PENALTY * n])
-    lower, upper = task.bounds
-    return QuadraticProgram(
-        hessian,
-        gradient,
-        *rows.compressed(),
-        np.append(lower.reshape(-1), [0.0, 0.0]),
-        np.append(upper.reshape(-1), [np.inf, np.inf]),
+    penalty = np.full(2, PENALTY * task.team.robots)
+    lower, upper = (
+        np.append(bound.reshape(-1), [end, end])
+        for bound, end in zip(task.bounds, (0.0, np.inf), strict=True)
     )
-
-
-@lru_cache(maxsize=16)
-def _squares(size: int) -> sparse.csc_array:
-    """Return the Hessian of half the sum of squares of all unknowns but the two slacks."""
-    from scipy import sparse
-
-    squares = np.append(np.ones(size - 2), [0.0, 0.0])
-    return sparse.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
+    gradient = np.append(-task.reference.reshape(-1), penalty)
+    return QuadraticProgram(_hessian(task, size), gradient, *rows.compressed(), lower, upper)
 
 
 def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
-    """Add rows that keep every drone between the arena's upright walls, with a common slack.
-
-    Walls and crossings share the slack: out of reach, they must not leave the rest undecided.
-    """
+    """Add rows that keep every drone between the arena's upright walls, with a common slack."""
     base, slope = bodies.base[bodies.drones, :2], bodies.slope[bodies.drones, :2]
     entries = np.concatenate([slope, -slope], axis=1).T.ravel()
     least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
@@ -467,12 +382,20 @@ def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
     rows.extend(first + row, np.full(count, slack), 1.0)
 
 
-def _roughness(task: LegTask) -> sparse.csc_matrix:
-    """Return the Hessian of the fractions' squared second differences along the knots."""
-    from scipy import sparse
+def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
+    """Return the Hessian of half the sum of squares of lengths, and of the fractions' roughness.
 
+    That is their squared second differences along the knots.
+    """
+    import scipy.sparse as sp
+
+    squares = np.append(np.ones(size - 2), [0.0, 0.0])
+    diagonal = sp.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
     J, n = task.reference.shape
-    second = sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
-    fractions = sparse.diags_array(1.0 / task.slack.reshape(-1))
-    bend = sparse.kron(second, sparse.eye_array(n)) @ fractions
-    return sparse.csc_matrix(task.roughness * (bend.T @ bend))
+    if task.roughness == 0.0 or J < 3:
+        return diagonal
+    second = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
+    fractions = sp.diags_array(1.0 / task.slack.reshape(-1))
+    bend = sp.kron(second, sp.eye_array(n)) @ fractions
+    rough = sp.block_diag([task.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
+    return sp.csc_array(diagonal + rough)

@@ -11,9 +11,9 @@ Marks and Wright 1978).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from itertools import product
+from itertools import chain
 
 import numpy as np
 
@@ -49,34 +49,18 @@ def split_slack(task: LegTask) -> LegLengths:
     from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
     is linear in J·n.
     """
-    slack, bodies = task.slack, LegBodies(task, *task.bounds)
-    kept = reference_kept(task, bodies)
+    bodies = LegBodies(task, *task.bounds)
+    kept = _reference_kept(task, bodies)
     if kept is not None:
         return kept
-    start = np.clip(task.reference, *task.bounds)
-    best = _refined(task, bodies, start)
-    single = len(task.reference) == 1
-    if not single or (best.margin >= task.wanted * (1.0 - 1e-9) and best.deviation <= 1e-12):
+    best = _refined(task, bodies, task.reference)
+    if len(task.reference) > 1 or (_keeps(task, best) and best.deviation <= 1e-12):
         return best
-    for pattern in _uneven_fractions(task):
-        start = np.clip(pattern * slack, *task.bounds)
-        found = _refined(task, bodies, start)
+    for fractions in _uneven_fractions(task):
+        found = _refined(task, bodies, fractions * task.slack)
         if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
             best = found
     return best
-
-
-def reference_kept(task: LegTask, bodies: LegBodies) -> LegLengths | None:
-    """Return the reference if it keeps the margin and all bounds, else None.
-
-    To the last bit, where a solver would come within its tolerance.
-    """
-    start = np.clip(task.reference, *task.bounds)
-    if task.roughness == 0.0 and np.array_equal(start, task.reference):
-        margin = bodies.margin(task, start)
-        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
-            return LegLengths(start, margin, 0.0)
-    return None
 
 
 def quick_split(task: LegTask) -> LegLengths:
@@ -85,37 +69,12 @@ def quick_split(task: LegTask) -> LegLengths:
     The first ones that keep it, near the reference or else near uneven splits: ``split_slack``
     takes many times as long to come nearest.
     """
-    bodies, tried = LegBodies(task, *task.bounds), []
-    for start in _starts(task):
-        tried.append(_refined(task, bodies, np.clip(start, *task.bounds), first=True))
-        if tried[-1].margin >= task.wanted * (1.0 - 1e-9):
+    bodies, tried = LegBodies(task, *task.bounds), list[LegLengths]()
+    for start in chain([task.reference], _uneven_fractions(task)[:, None] * task.slack):
+        tried.append(_refined(task, bodies, start, first=True))
+        if _keeps(task, tried[-1]):
             return tried[-1]
     return max(tried, key=lambda found: found.margin)
-
-
-def _starts(task: LegTask) -> Iterator[Array]:
-    """Yield leg lengths (1, n) to begin from on one polygon: the reference, then uneven splits."""
-    yield task.reference
-    for pattern in _uneven_fractions(task):
-        yield pattern * task.slack
-
-
-def _uneven_fractions(task: LegTask) -> Array:
-    """Return fractions (4 or 6, n): equal ones, or alternating from the sharpest clasp on.
-
-    Counted from there, they are the same for a hitch that is renumbered or mirrored.
-    """
-    layout = task.team.layout
-    edges = layout.edges(task.polygons[0])
-    ahead, behind = edges[layout.ahead], edges[layout.behind]
-    lengths = np.linalg.norm(ahead, axis=1) * np.linalg.norm(behind, axis=1)
-    cosines = np.sum(ahead * behind, axis=1) / lengths
-    sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
-    k = np.arange(layout.robots)
-    onward = (k - sharpest) % layout.robots % 2 == 0
-    back = (sharpest - 1 - k) % layout.robots % 2 == 1
-    alike = np.ones_like(onward)
-    return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
 
 
 def reference_margin(task: LegTask) -> float:
@@ -131,6 +90,36 @@ def reference_margins(task: LegTask) -> Array:
     return LegBodies(task, task.reference, task.reference).margins(task, task.reference)
 
 
+def _reference_kept(task: LegTask, bodies: LegBodies) -> LegLengths | None:
+    """Return the reference if it keeps the margin and all bounds to the last bit, else None."""
+    start = np.clip(task.reference, *task.bounds)
+    if task.roughness == 0.0 and np.array_equal(start, task.reference):
+        margin = float(np.min(bodies.margins(task, start)))
+        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
+            return LegLengths(start, margin, 0.0)
+    return None
+
+
+def _uneven_fractions(task: LegTask) -> Array:
+    """Return fractions (4 or 6, n): equal ones, or alternating from the sharpest clasp on.
+
+    Counted from there, they are the same for a hitch that is renumbered or mirrored.
+    """
+    layout = task.team.layout
+    along = unit(layout.edges(task.polygons[0]))
+    cosines = dot(along[layout.ahead], along[layout.behind])
+    sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
+    k = np.arange(layout.robots)
+    onward = (k - sharpest) % layout.robots % 2 == 0
+    back = (sharpest - 1 - k) % layout.robots % 2 == 1
+    alike = np.ones_like(onward)
+    return np.unique(np.where([alike, ~alike, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
+
+
+def _keeps(task: LegTask, found: LegLengths) -> bool:
+    return found.margin >= task.wanted * (1.0 - 1e-9)
+
+
 def _merit(task: LegTask, found: LegLengths) -> float:
     short = max(0.0, task.wanted - found.margin)
     return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation
@@ -141,60 +130,68 @@ def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = Fa
 
     Or the ``first`` ones on the way that keep the margin.
     """
-    d, settled, margin = start, QUICKLY_SETTLED if first else SETTLED, None
+    d, settled = np.clip(start, *task.bounds), QUICKLY_SETTLED if first else SETTLED
     for _ in range(ROUNDS):
         check_time()
         x = solve_qp(leg_program(task, bodies, d))
         if x is None:
             break
-        moved = x[: d.size].reshape(d.shape)
-        step = float(np.max(np.abs(moved - d)))
-        d, margin = moved, float(np.min(bodies.margins(task, moved))) if first else None
-        if step < settled or (margin is not None and margin >= task.wanted * (1.0 - 1e-9)):
+        before, d = d, x[: d.size].reshape(d.shape)
+        if float(np.max(np.abs(d - before))) < settled:
             break
-    margin = bodies.margin(task, d) if margin is None else margin
+        if first and np.min(bodies.margins(task, d)) >= task.wanted * (1.0 - 1e-9):
+            break
+    margin = float(np.min(bodies.margins(task, d)))
     return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))
 
 
 LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
 """[rad] Rolls that are tried until one suffices: up to 60° clasps hold in simulated ropes."""
 
-COARSE = tuple(math.radians(angle) for angle in (20.0, 40.0))
+COARSE = LADDER[3], LADDER[5]
 """[rad] Rolls at which other lengths of legs are looked for, which takes longer."""
 
 HALVINGS = 7
 """Number of halvings of the step of the ladder in which the smallest roll lies: 0.1° are left."""
-
-LESS = 0.9
-"""Share of the roll that the reference needs at which other leg lengths have to suffice, for a
-search with all of them to be worth its time."""
 
 
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     """Return leg lengths on one polygon and the roll (clasps,) [rad] that goes with them.
 
     There is no roll where legs keep all limits without. Else it is the smallest one found with
-    which they keep the margin that is wanted, else the limits; none where no roll helps. Its
-    sense is that of the task's own roll, upward of q-legs without one. Where legs carry weight the
-    other sense is tried as well if that one does not help.
+    which they keep the margin that is wanted, else the limits, as they are or else with other
+    lengths; none where no roll helps. Its sense is that of the task's own roll, upward of q-legs
+    without one.
 
     Parameters
     ----------
     task: of one polygon; its own roll is what legs have without need.
     """
     own = np.zeros(len(task.team.layout.clasps)) if task.roll is None else task.roll[0]
-    without = reference_kept(task, LegBodies(task, *task.bounds))
+    without = _reference_kept(task, LegBodies(task, *task.bounds))
     if without is None and level_margin_bound(task) >= 1.0:
         without = split_slack(task)
     if without is not None and without.margin >= 1.0:
         return without, own
-    margins: dict[float, float] = {}  # of chosen lengths, at the rolls that were tried
-    for sense, margin in product(_senses(task, own), dict.fromkeys((task.wanted, LIMIT_MARGIN))):
+    sense = -1.0 if np.sum(own) < 0.0 else 1.0
+    for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
         aim = replace(task, margin=margin)
-        roll = _least(aim, margins, sense)
+        roll = _least_roll(aim, sense)
+        if roll is None:
+            roll = _least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, COARSE, 3)
         if roll is not None:
             return split_slack(_rolled(aim, roll)), np.full(len(own), roll)
     return without or split_slack(task), own
+
+
+def least_roll_of_reference(task: LegTask) -> Array:
+    """Return the smallest roll (clasps,) [rad] with which the reference itself keeps all limits.
+
+    None, which is zero, where it keeps them without, or where no roll is found to help.
+    """
+    none = np.zeros(len(task.team.layout.clasps))
+    kept = reference_margin(task) >= 1.0
+    return none + ((None if kept else _least_roll(task, 1.0)) or 0.0)
 
 
 def level_margin_bound(task: LegTask) -> float:
@@ -207,101 +204,42 @@ def level_margin_bound(task: LegTask) -> float:
     if not task.level or cable == 0.0:
         return math.inf
     edges = team.layout.edges(task.polygons)
-    lengths, u = length(edges), unit(edges)
+    u, reach = unit(edges), task.slack
     q, r = leg_directions(u, team.tension, team.topology)
-    reach = task.slack
     bound = math.inf
-    for out, along in ((q, u), (r, -u)):
-        ahead = dot(out, along)
-        beside = (ahead > 0.0) & (reach * ahead <= lengths) & (reach > 0.0)
+    for ahead in (dot(q, u), -dot(r, u)):
+        beside = (ahead > 0.0) & (reach * ahead <= length(edges)) & (reach > 0.0)
         away = reach * np.sqrt(np.maximum(1.0 - ahead**2, 0.0))
         bound = min(bound, float(np.min(away, where=beside, initial=math.inf)) / cable)
     return bound
 
 
-def least_roll_of_reference(task: LegTask) -> Array:
-    """Return the smallest roll (clasps,) [rad] with which the reference itself keeps all limits.
+def _least_roll(
+    task: LegTask,
+    sense: float,
+    margin_of: Callable[[LegTask], float] = reference_margin,
+    ladder: tuple[float, ...] = LADDER,
+    halvings: int = HALVINGS,
+) -> float | None:
+    """Return the smallest roll [rad] that is found to give the margin wanted, or None.
 
-    None, which is zero, where it keeps them without, or where no roll is found to help.
+    Between two rungs of a ladder; one that leaves loads no balance gives none.
     """
-    none = np.zeros(len(task.team.layout.clasps))
-    if reference_margin(task) >= 1.0:
-        return none
-    rolls = (_least_as_they_are(task, sense) for sense in _senses(task, none))
-    return none + next((roll for roll in rolls if roll is not None), 0.0)
-
-
-def _senses(task: LegTask, own: Array) -> tuple[float, ...]:
-    """Return the signs of the rolls that are tried, that of the task's own roll first.
-
-    Without weight one is the other one seen from below. A plan whose roll changes its sense passes
-    through none: the smaller one of the two is not looked for.
-    """
-    first = -1.0 if np.sum(own) < 0.0 else 1.0
-    return (first, -first) if task.team.loaded else (first,)
-
-
-def _least(task: LegTask, margins: dict[float, float], sense: float) -> float | None:
-    """Return the smallest roll [rad] with which leg lengths keep the task's margin, or None.
-
-    Lengths as they are come first, which takes no program to be solved.
-
-    Parameters
-    ----------
-    margins: those of chosen lengths at the rolls of COARSE, once they are known.
-    sense: sign of the rolls.
-    """
-
-    def chosen(angle: float) -> bool:
-        roll = sense * angle
-        if angle not in COARSE:
-            return split_slack(_rolled(task, roll)).margin >= task.wanted * (1.0 - 1e-6)
-        if roll not in margins:
-            margins[roll] = split_slack(_rolled(task, roll)).margin
-        return margins[roll] >= task.wanted * (1.0 - 1e-6)
-
-    given = _least_as_they_are(task, sense)
-    if given is None:
-        found = _first(chosen, COARSE, 3)
-    elif _possible(chosen, LESS * abs(given)):
-        found = _first(chosen, (LESS * abs(given),), 3)
-    else:
-        return given
-    return None if found is None else sense * found
-
-
-def _least_as_they_are(task: LegTask, sense: float) -> float | None:
-    """Return the same of the reference's own leg lengths."""
 
     def suffices(angle: float) -> bool:
-        return reference_margin(_rolled(task, sense * angle)) >= task.wanted
+        try:
+            return margin_of(_rolled(task, sense * angle)) >= task.wanted * (1.0 - 5e-7)
+        except InfeasibleError:
+            return False
 
-    found = _first(suffices, LADDER)
-    return None if found is None else sense * found
-
-
-def _first(
-    suffices: Callable[[float], bool], ladder: tuple[float, ...], halvings: int = HALVINGS
-) -> float | None:
-    """Return the smallest roll that is found to suffice, between two rungs of a ladder; or None."""
-    lower = 0.0
-    for rung in ladder:
-        if _possible(suffices, rung):
-            upper = rung
-            for _ in range(halvings):
-                middle = 0.5 * (lower + upper)
-                lower, upper = (lower, middle) if _possible(suffices, middle) else (middle, upper)
-            return upper
-        lower = rung
-    return None
-
-
-def _possible(suffices: Callable[[float], bool], roll: float) -> bool:
-    """Return whether a roll suffices; one that leaves loads no balance does not."""
-    try:
-        return suffices(roll)
-    except InfeasibleError:
-        return False
+    upper = next((rung for rung in ladder if suffices(rung)), None)
+    if upper is None:
+        return None
+    lower = max((rung for rung in ladder if rung < upper), default=0.0)
+    for _ in range(halvings):
+        middle = 0.5 * (lower + upper)
+        lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
+    return sense * upper
 
 
 def _rolled(task: LegTask, roll: float) -> LegTask:

@@ -13,23 +13,8 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.values import Array, acute, finite, instance, not_negative, positive, sequence, units
-from hitchopt.values.units import check_unit, radians_of
-
-UNITS = {
-    "speed": units.SPEED,
-    "acceleration": units.ACCELERATION,
-    "jerk": units.JERK,
-    "tilt": units.TILT,
-    "vertex_speed": units.SPEED,
-    "leg": units.LEG,
-    "duration": units.DURATION,
-    "body_rate": units.BODY_RATE,
-}
-"""Quantities of the limits."""
-
-OPTIONAL = ("duration", "body_rate")
-"""Limits that need not be there."""
+from hitchopt.values import Array, finite, instance, positive, sequence, units
+from hitchopt.values.units import check_unit, radians_of, store
 
 
 @dataclass(frozen=True)
@@ -85,21 +70,17 @@ class Limits(OneLine):
             "speed": speed,
             "acceleration": acceleration,
             "jerk": jerk,
-            "tilt": Limits.tilt if angle is None else acute("tilt", angle),
+            "tilt": Limits.tilt if angle is None else angle,
             "vertex_speed": vertex_speed,
             "leg": leg,
             "duration": duration,
             "body_rate": radians_of("body_rate", body_rate, body_rate_deg, units.BODY_RATE_DEG),
+            "reserve": float(reserve),
         }
         if positive("reserve", reserve) > 1.0:
             raise InputError("reserve", reserve, "at most 1", "0.8 leaves a fifth for stops")
-        object.__setattr__(self, "reserve", float(reserve))
         in_degrees = {"tilt": tilt_deg, "body_rate": body_rate_deg}
-        for name, value in values.items():
-            number = None if value is None and name in OPTIONAL else positive(name, value)
-            object.__setattr__(self, name, number)
-            if number is not None and in_degrees.get(name) is None:
-                check_unit(name, number, UNITS[name])
+        store(self, values, [name for name, given in in_degrees.items() if given is not None])
 
     @property
     def tilt_deg(self) -> float:
@@ -111,9 +92,8 @@ class Limits(OneLine):
         """The limits that a plan keeps at full rate, without its reserve."""
         if self.reserve == 1.0:
             return self
-        used = {"acceleration": self.acceleration, "jerk": self.jerk}
-        shares = {name: self.reserve * value for name, value in used.items()}
-        return replace(self, reserve=1.0, **shares)
+        less = self.reserve * self.acceleration, self.reserve * self.jerk
+        return replace(self, reserve=1.0, acceleration=less[0], jerk=less[1])
 
 
 @dataclass(frozen=True)
@@ -135,12 +115,7 @@ class Separation(OneLine):
     object: float = 0.035
 
     def __post_init__(self) -> None:
-        for name in ("radius", "height"):
-            object.__setattr__(self, name, positive(name, getattr(self, name)))
-            check_unit(name, getattr(self, name), units.ELLIPSOID)
-        for name in ("cable", "crossing", "object"):
-            object.__setattr__(self, name, not_negative(name, getattr(self, name)))
-            check_unit(name, getattr(self, name), units.DISTANCE)
+        store(self, vars(self).copy())
 
     @property
     def scale(self) -> Array:
@@ -165,10 +140,7 @@ class Arena(OneLine):
         self, lower: Sequence[float] | ArrayLike, upper: Sequence[float] | ArrayLike
     ) -> None:
         for name, corner in (("lower", lower), ("upper", upper)):
-            try:
-                given = list(corner)  # type: ignore[arg-type]
-            except TypeError:
-                given = []
+            given = [*corner] if np.iterable(corner) else []
             if len(given) != 3:
                 raise InputError(name, corner, "a point [x, y, z]", "give three numbers in metres")
             point = np.array([finite(f"{name}[{i}]", x) for i, x in enumerate(given)])
@@ -188,11 +160,7 @@ class Prism(OneLine):
     Parameters
     ----------
     polygon: its outline, (m, 2) [m], convex, clockwise seen from above.
-    lower, upper: altitudes of its floor and its ceiling [m]
-
-    Raises
-    ------
-    InputError: the outline is not convex and clockwise, or the ceiling is not above the floor.
+    lower, upper: altitudes of its floor and its ceiling [m]; floor below ceiling.
     """
 
     polygon: ConvexPolygon
@@ -201,9 +169,8 @@ class Prism(OneLine):
 
     def __init__(self, polygon: ConvexPolygon | ArrayLike, lower: float, upper: float) -> None:
         outline = polygon if isinstance(polygon, ConvexPolygon) else ConvexPolygon(polygon)
-        object.__setattr__(self, "polygon", outline)
-        object.__setattr__(self, "lower", finite("lower", lower))
-        object.__setattr__(self, "upper", finite("upper", upper))
+        heights = {"lower": finite("lower", lower), "upper": finite("upper", upper)}
+        store(self, {"polygon": outline, **heights})
         if self.lower >= self.upper:
             bound = f"greater than lower {self.lower:g}"
             remedy = "exchange the altitudes or move them apart"
@@ -212,9 +179,8 @@ class Prism(OneLine):
     @property
     def corners(self) -> Array:
         """Corners of floor and ceiling (2 m, 3) [m]."""
-        outline = self.polygon.vertices
-        levels = np.repeat([self.lower, self.upper], len(outline))
-        return np.column_stack([np.vstack([outline, outline]), levels])
+        levels = np.repeat([self.lower, self.upper], len(self.polygon))
+        return np.column_stack([np.tile(self.polygon.vertices, (2, 1)), levels])
 
     @property
     def slab(self) -> Slab:
@@ -268,9 +234,8 @@ class Requirements(OneLine):
     @property
     def planned(self) -> Requirements:
         """The same requirements with the limits that a plan keeps at full rate."""
-        if self.limits.reserve == 1.0:
-            return self
-        return replace(self, limits=self.limits.planned)
+        planned = self.limits.planned
+        return self if planned is self.limits else replace(self, limits=planned)
 
     @property
     def untimed(self) -> Requirements:

@@ -10,10 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import Array, instance, not_negative, per_robot, positive, sequence, units
-from hitchopt.values.units import check_lift, check_unit
+from hitchopt.values import (
+    Array,
+    Indices,
+    choice,
+    flag,
+    instance,
+    not_negative,
+    per_robot,
+    sequence,
+    units,
+    whole,
+)
+from hitchopt.values.units import check_lift, check_unit, store
 
-Index = NDArray[np.intp]
+Index = Indices
 
 CLOSED, OPEN = "closed", "open"
 
@@ -24,52 +35,42 @@ class Layout:
 
     Attributes
     ----------
-    robots: number n of cables.
-    points: number of points, n or n + 1.
+    robots, points: number n of cables; number of points, n or n + 1.
     starts, ends: (n,), the points between which each edge runs.
     clasps: (c,), the points at which two cables bend around each other: all, or all inner ones.
-    ahead, behind: (c,), the cables that meet there: that of the edge which starts there, and that
-        of the edge which ends there.
+    ahead, behind: (c,), the cables of the edges that start there and that end there.
     has_leg: (n, 2), whether q_k and r_k hang on a leg.
     anchors: (2n,), the point that each drone q0, r0, q1, … belongs to.
     pulled_to: (2n,), the point that its cable leads to from it: the same, or its edge's other end
         where there is no leg.
-    stencil: (n, 4), the points k-1 … k+2 about each edge. Beyond an open chain's ends the edge's
-        other end stands in: mirrored so, the model of a closed hitch holds with legs of no length.
-    neighbours: (n, 3), the cables k-1 … k+1, likewise.
+    neighbours: (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself.
     """
 
     robots: int
     points: int
-    starts: Index
-    ends: Index
-    clasps: Index
-    ahead: Index
-    behind: Index
+    starts: Indices
+    ends: Indices
+    clasps: Indices
+    ahead: Indices
+    behind: Indices
     has_leg: NDArray[np.bool_]
-    anchors: Index
-    pulled_to: Index
-    stencil: Index
-    neighbours: Index
+    anchors: Indices
+    pulled_to: Indices
+    neighbours: Indices
 
     @property
     def closed(self) -> bool:
         """Whether the last edge leads back to the first point."""
         return self.points == self.robots
 
-    @property
-    def around_clasps(self) -> Index:
-        """(c, 3): the points k-1, k and k+1 about every clasp."""
-        return np.column_stack([self.starts[self.behind], self.clasps, self.ends[self.ahead]])
-
     @cached_property
-    def parts(self) -> Index:
+    def parts(self) -> Indices:
         """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
         exists = np.insert(self.has_leg, 1, True, axis=1)
         return np.flatnonzero(exists)
 
     @cached_property
-    def drones_with_legs(self) -> Index:
+    def drones_with_legs(self) -> Indices:
         """(legs,): the drones that hang on a leg, in order."""
         return np.flatnonzero(self.has_leg)
 
@@ -96,12 +97,9 @@ def layout_of(robots: int, topology: str) -> Layout:
     has_leg = np.ones((robots, 2), dtype=np.bool_)
     if topology == CLOSED:
         points, following, clasps = robots, (k + 1) % robots, k
-        stencil = (k[:, None] + np.arange(-1, 3)) % robots
         neighbours = (k[:, None] + np.arange(-1, 2)) % robots
     else:
         points, following, clasps = robots + 1, k + 1, k[1:]
-        stencil = k[:, None] + np.arange(-1, 3)
-        stencil[0, 0], stencil[-1, -1] = 1, robots - 1
         neighbours = np.clip(k[:, None] + np.arange(-1, 2), 0, robots - 1)
         has_leg[0, 0] = has_leg[-1, 1] = False
     own = np.column_stack([k, following])
@@ -116,7 +114,6 @@ def layout_of(robots: int, topology: str) -> Layout:
         has_leg=has_leg,
         anchors=own.ravel(),
         pulled_to=np.where(has_leg, own, own[:, ::-1]).ravel(),
-        stencil=stencil,
         neighbours=neighbours,
     )
     for value in vars(layout).values():
@@ -130,17 +127,6 @@ GRAVITY = 9.81
 
 MAX_ROBOTS = 10_000
 """Largest number of robots, checked before any memory is allocated."""
-
-TOPOLOGIES = (CLOSED, OPEN)
-
-UNITS = {
-    "cable_length": units.CABLE_LENGTH,
-    "cable_density": units.DENSITY,
-    "cable_friction": units.FRICTION,
-    "tension": units.TENSION,
-    "load": units.LOAD,
-}
-"""Quantities whose units are checked."""
 
 
 @dataclass(frozen=True)
@@ -164,18 +150,9 @@ class Quadrotor(OneLine):
     feed_forward: bool = True
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mass", positive("mass", self.mass))
-        object.__setattr__(self, "max_thrust", positive("max_thrust", self.max_thrust))
-        check_unit("mass", self.mass, units.MASS)
-        check_unit("max_thrust", self.max_thrust, units.THRUST)
+        flags = {name: flag(name, getattr(self, name)) for name in ("integral", "feed_forward")}
+        store(self, {**vars(self), **flags})
         check_lift(self.mass, self.max_thrust, GRAVITY)
-        if self.stiffness is not None:
-            object.__setattr__(self, "stiffness", positive("stiffness", self.stiffness))
-            check_unit("stiffness", self.stiffness, units.STIFFNESS)
-        for name in ("integral", "feed_forward"):
-            value = getattr(self, name)
-            if not isinstance(value, bool):
-                raise InputError(name, value, "true or false", "write true or false")
 
 
 def kinds_of(
@@ -187,17 +164,15 @@ def kinds_of(
     for k, each in enumerate(kinds):
         instance(f"quadrotor[{k}]", each, Quadrotor)
     if len(kinds) != count:
-        raise InputError(
-            "quadrotor", len(kinds), f"one kind, or a list of {count}", f"give one per {owner}"
-        )
+        bound = f"one kind, or a list of {count}"
+        raise InputError("quadrotor", len(kinds), bound, f"give one per {owner}")
     return kinds
 
 
 def _loads(given: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
     """Return what hangs at the clasps (clasps,) [kg].
 
-    An array of one value throughout holds for any number of clasps, so that a team can be copied
-    with another topology or number of robots.
+    An array of one value holds for any number of clasps, so that a team can be copied with others.
     """
     if isinstance(given, np.ndarray) and given.size > 0 and given.ndim > 0:
         given = float(given[0]) if np.all(given == given[0]) else given
@@ -216,8 +191,7 @@ class Team(OneLine):
     cable_density: [kg/m]
     cable_friction: coefficient at the clasps, where one cable slides about the other.
     tension: one, or one per robot (n,) [N].
-    quadrotor: one kind for all, or one per robot; both drones of a robot are of its kind. Stored as
-        one per robot.
+    quadrotor: one kind for all, or one per robot, for both of its drones; stored as the latter.
     load: what hangs at the clasps, one or one per clasp (clasps,) [kg]: at every vertex of a closed
         hitch, at the inner points of a chain.
 
@@ -247,31 +221,23 @@ class Team(OneLine):
         quadrotor: Quadrotor | Sequence[Quadrotor] | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
-        if topology not in TOPOLOGIES:
-            raise InputError("topology", topology, " or ".join(TOPOLOGIES), "write closed")
-        least = 3 if topology == CLOSED else 2
-        if isinstance(robots, bool) or not isinstance(robots, int | np.integer):
-            raise InputError("robots", robots, "a whole number", "count the catenary robots")
-        if not least <= robots <= MAX_ROBOTS:
-            raise InputError(
-                "robots", robots, f"from {least} to {MAX_ROBOTS}", f"{topology} hitches need these"
-            )
-        n = int(robots)
+        choice("topology", topology, (CLOSED, OPEN))
+        n = whole("robots", robots, 3 if topology == CLOSED else 2, MAX_ROBOTS)
         kinds = kinds_of(quadrotor, n, "robot")
         values: dict[str, object] = {
             "robots": n,
             "cable_length": per_robot("cable_length", cable_length, n),
             "topology": topology,
-            "cable_density": not_negative("cable_density", cable_density),
-            "cable_friction": not_negative("cable_friction", cable_friction),
+            "cable_density": cable_density,
+            "cable_friction": cable_friction,
             "tension": per_robot("tension", tension, n),
             "quadrotor": kinds,
             "load": _loads(load, len(layout_of(n, topology).clasps)),
         }
-        for name, quantity in UNITS.items():
-            check_unit(name, values[name], quantity)
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        store(self, values)
+        check_unit("cable_length", self.cable_length, units.CABLE_LENGTH)
+        check_unit("tension", self.tension, units.TENSION)
+        check_unit("load", self.load, units.LOAD)
 
     @property
     def drones(self) -> int:
@@ -306,9 +272,8 @@ class Team(OneLine):
     @property
     def stiffness(self) -> NDArray[np.float64]:
         """(2n,) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
-        return self._per_drone(
-            [np.inf if kind.stiffness is None else kind.stiffness for kind in self.quadrotor]
-        )
+        given = [kind.stiffness for kind in self.quadrotor]
+        return self._per_drone([np.inf if each is None else each for each in given])
 
     @property
     def integral(self) -> NDArray[np.bool_]:
@@ -322,7 +287,7 @@ class Team(OneLine):
 
     def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
         """Return one value per drone from one per kind; both drones of a robot are of its kind."""
-        return np.repeat(np.array(values, dtype=np.float64), 2)
+        return np.repeat(np.array(values, dtype=np.float64), self.drones // len(values))
 
     @property
     def point_names(self) -> tuple[str, ...]:
@@ -354,10 +319,7 @@ MAX_DRONES = 2 * MAX_ROBOTS
 class Swarm(Team):
     """N single quadrotors: a team without cables, so that every array over robots is empty.
 
-    Parameters
-    ----------
-    drones: their number N.
-    quadrotor: one kind for all, or one per drone.
+    Of their number, and one kind for all or one per drone.
 
     Raises
     ------
@@ -367,33 +329,17 @@ class Swarm(Team):
     def __init__(
         self, drones: int, *, quadrotor: Quadrotor | Sequence[Quadrotor] | None = None
     ) -> None:
-        if isinstance(drones, bool) or not isinstance(drones, int | np.integer):
-            raise InputError("drones", drones, "a whole number", "count the drones")
-        if not 1 <= drones <= MAX_DRONES:
-            raise InputError("drones", drones, f"from 1 to {MAX_DRONES}", "split the swarm")
+        whole("drones", drones, 1, MAX_DRONES)
         none = np.zeros(0)
         none.setflags(write=False)
-        values: dict[str, object] = {
-            "robots": 0,
-            "cable_length": none,
-            "topology": CLOSED,
-            "cable_density": 0.0,
-            "cable_friction": 0.0,
-            "tension": none,
-            "quadrotor": kinds_of(quadrotor, int(drones), "drone"),
-            "load": none,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        values = dict.fromkeys(("cable_length", "tension", "load"), none)
+        numbers = {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
+        store(self, {**values, **numbers, "quadrotor": kinds_of(quadrotor, int(drones), "drone")})
 
     @property
     def drones(self) -> int:
         """Number N of drones."""
         return len(self.quadrotor)
-
-    def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
-        """Return one value per drone; each drone has a kind of its own."""
-        return np.array(values, dtype=np.float64)
 
     @property
     def drone_names(self) -> tuple[str, ...]:

@@ -38,12 +38,9 @@ SUGGESTED = {
 
 @dataclass(frozen=True)
 class Capacity(OneLine):
-    """What a hold carries at most.
+    """The largest mass [kg] that a hold carries, and the limit that binds, as a check's name.
 
-    Attributes
-    ----------
-    mass: [kg]; 0 where it breaks a limit without a load.
-    binding: the limit that binds, named as the certificate's check.
+    It is 0 where the hold breaks a limit without a load.
     """
 
     mass: float
@@ -71,12 +68,8 @@ def rest_capacity(
 ) -> Capacity:
     """Return the largest mass [kg] that rests on a polygon's edges within all limits.
 
-    Parameters
-    ----------
-    polygon: of the hitch, its centroid under the centre of mass.
-    cable_length: of all cables [m].
-    tension: of all cables [N].
-    height: of the centre of mass above the edges [m].
+    Its centroid is under the centre of mass, ``height`` [m] above the edges; all cables have one
+    length [m] and one tension [N].
     """
     n, limits = len(polygon), requirements.limits
     away, u = polygon.vertices - polygon.centroid, polygon.edge_directions
@@ -94,12 +87,14 @@ def rest_capacity(
         except InfeasibleError as error:
             return -1.0, error.violations[0].constraint
         tilt = np.arctan2(length(thrusts[:, :2]), thrusts[:, 2])
-        shape = (polygon.vertices[None], legs[None], limits.leg, LIMIT_MARGIN)
+        task = LegTask(
+            team, requirements, polygon.vertices[None], legs[None], limits.leg, LIMIT_MARGIN
+        )
         found = {
             "thrust": 1.0 - float(np.max(length(thrusts))) / kind.max_thrust,
             "tilt": 1.0 - float(np.max(tilt)) / limits.tilt,
             "legs": float(np.min(hitch.legs)) / limits.leg - 1.0,
-            "separation": reference_margin(LegTask(team, requirements, *shape)) - 1.0,
+            "separation": reference_margin(task) - 1.0,
             "support": stands,
         }
         return min((margin, name) for name, margin in found.items())

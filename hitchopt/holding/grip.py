@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from hitchopt.errors import InfeasibleError, OneLine, Violation, check_time
-from hitchopt.geometry.segments import differences, shortest_offset
+from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, check_time
+from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import GRAVITY, Quadrotor
@@ -78,30 +78,22 @@ class Grip(OneLine):
         drones: Array = ends + self.legs[..., None] * self.leg_directions
         return drones
 
-    @property
-    def slip_factors(self) -> Array:
-        """(…, n) [N]: ``Σ T_k θ_k`` by cables, friction at both clasps taking the most off edges.
+    def slip_load(self, friction: float) -> Array:
+        """Return the weight (…) [N] at which an object with that friction slips, without factor.
 
-        The object slips under ``μ`` times their sum.
+        It is ``μ Σ T_k θ_k``, with friction at both clasps taking the most off edges' tensions.
         """
         bent = self.wraps.clasp_angles
         worst = np.maximum(bent, np.roll(bent, -1, axis=-1))
         least = self.tension * np.exp(-self.clasp_friction * worst)
-        factors: Array = least * self.wraps.angles
-        return factors
-
-    def slip_load(self, friction: float) -> Array:
-        """Return the weight (…) [N] at which an object with that friction slips, without factor."""
-        load: Array = friction * np.sum(self.slip_factors, axis=-1)
+        load: Array = friction * np.sum(least * self.wraps.angles, axis=-1)
         return load
 
     @property
     def pulls(self) -> Array:
         """(…, n, 2) [N]: forces ``V_k`` of the clasps on object and cables, outward."""
-        pulls: Array = self.tension * (
-            np.roll(self.wraps.arriving, 1, axis=-2) - self.wraps.leaving
-        )
-        return pulls
+        arriving = np.roll(self.wraps.arriving, 1, axis=-2)
+        return np.asarray(self.tension * (arriving - self.wraps.leaving))
 
     @property
     def imbalance(self) -> Array:
@@ -124,15 +116,11 @@ KEPT = 0.05
 BALANCED = 1e-6
 """Largest level force on the section over the tension, and moment over tension and size."""
 
-SCREENING, ITERATIONS = 12, 60
-"""Most quadratic programs from every start, and from those that come farthest with these."""
-
-FINALISTS = 2
-"""Starts that are followed to the end."""
+SCREENING, ITERATIONS, FINALISTS = 12, 60, 2
+"""Most quadratic programs from every start, most from the finalists, and how many these are."""
 
 ALL, SMALLEST = 36, 6
-"""Every quadratic program contains so many margins of a kind, or else its smallest ones, whose
-slopes jump where two are equal."""
+"""Every quadratic program contains so many margins of a kind, or else its smallest ones."""
 
 OFFSETS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
 """Distances of every other starting vertex to the section, and of those between, over its mean
@@ -147,17 +135,9 @@ PLACES = 12
 
 @dataclass(frozen=True, eq=False)
 class GripTask:
-    """A grip to be found.
+    """A grip to be found of a section, by n robots of one kind, cable length [m] and tension [N].
 
-    Attributes
-    ----------
-    section: to be gripped.
-    robots: number n of cables.
-    cable_length: of all cables [m].
-    tension: of all legs [N].
-    clasp_friction: coefficient of cables on each other.
-    requirements: limits and distances.
-    kind: of all drones.
+    ``clasp_friction`` is that of cables on each other.
     """
 
     section: Section
@@ -177,18 +157,12 @@ class GripTask:
 
         Keys are names of the certificate's checks, and ``gap``, of clasps to the section.
         """
-        n = self.robots
-        shape = grip.vertices.shape[:-2]
+        n, shape, contacts = self.robots, grip.vertices.shape[:-2], grip.wraps.contacts
         drones = grip.drones.reshape(*shape, 2 * n, 2)
-        onward, contacts = np.roll(grip.vertices, -1, axis=-2), grip.wraps.contacts
-        k = np.arange(n)
-        ends = [  # q-legs, both tangents, r-legs of all cables
-            (grip.vertices, grip.drones[..., 0, :]),
-            (grip.vertices, contacts[..., 0, :]),
-            (contacts[..., 1, :], onward),
-            (onward, grip.drones[..., 1, :]),
-        ]
-        parts = np.concatenate([np.stack(pair, axis=-2) for pair in ends], axis=-3)
+        here, onward, k = grip.vertices, np.roll(grip.vertices, -1, axis=-2), np.arange(n)
+        starts = here, here, contacts[..., 1, :], onward  # q-legs, both tangents, r-legs
+        ends = grip.drones[..., 0, :], contacts[..., 0, :], onward, grip.drones[..., 1, :]
+        parts = np.stack([np.concatenate(each, axis=-2) for each in (starts, ends)], axis=-2)
         cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
         leg = np.repeat([True, False, False, True], n)
         one, two = np.triu_indices(2 * n, 1)
@@ -259,12 +233,7 @@ def grip_capacity(task: GripTask, grip: Grip, friction: float, factor: float) ->
     """Return the largest mass [kg] that a grip lifts, by friction and thrust, and what binds.
 
     Every leg lifts the same share w of the weight and pulls with the tension T all the same, so
-    that thrust is ``√(T² - w² + (m g + w)²)``.
-
-    Parameters
-    ----------
-    friction: coefficient between cables and object.
-    factor: least slip load over load.
+    that thrust is ``√(T² - w² + (m g + w)²)``. Slip load over load is at least ``factor``.
     """
     weight, legs = GRAVITY * task.kind.mass, 2.0 * task.robots
     spare = task.kind.max_thrust**2 - task.tension**2 - weight**2
@@ -303,18 +272,18 @@ def best_grip(task: GripTask) -> Grip:
 
 def _turns_once(vertices: Array) -> bool:
     """Return whether a polygon (n, 2) turns right at all vertices, once around in all."""
-    onward = np.roll(vertices, -1, axis=0) - vertices
-    before = np.roll(onward, 1, axis=0)
-    right = before[:, 1] * onward[:, 0] - before[:, 0] * onward[:, 1]
-    turns = np.arctan2(right, np.sum(before * onward, axis=1))
-    return bool(np.all(turns > 0.0) and np.sum(turns) < 3.0 * math.pi)
+    try:
+        ConvexPolygon(vertices)
+    except InputError:
+        return False
+    return True
 
 
 def _starts(task: GripTask) -> list[Array]:
     """Return polygons (n, 2) [m] around the section: turned evenly, and facing its sides."""
     core, n = task.section.core, task.robots
     symmetry = 2.0 * math.pi / n
-    sides = np.roll(core, -1, axis=0) - core
+    sides = task.section.sides[:, 1] - core
     facing = np.arctan2(sides[:, 0], -sides[:, 1])[np.argsort(-np.hypot(*sides.T), kind="stable")]
     even = 0.5 * math.pi - symmetry * np.arange(TURNS) / TURNS
     turns = even[:1] if len(core) == 1 else np.append(facing[:SMALLEST], even)
@@ -359,16 +328,11 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
     ]
     options: Any = {"maxiter": iterations, "ftol": 1e-7}
 
-    def lost(x: Array) -> float:
-        return -float(at(x)[0][0])
+    def lost(x: Array) -> Any:
+        return -float(at(x)[0][0]), -at(x)[1][0]
 
-    def steepest(x: Array) -> Array:
-        slope: Array = -at(x)[1][0]
-        return slope
-
-    found = minimize(
-        lost, start.ravel(), jac=steepest, method="SLSQP", constraints=constraints, options=options
-    )
+    given: Any = {"jac": True, "constraints": constraints, "options": options}
+    found = minimize(lost, start.ravel(), method="SLSQP", **given)
     return np.asarray(found.x).reshape(start.shape)
 
 
@@ -383,14 +347,14 @@ def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
         x, y = (start - task.section.centroid).T
         turning = np.column_stack([-y, x]).ravel() / math.hypot(*x, *y)
 
+    def smallest(margins: Array) -> Array:
+        if margins.shape[-1] <= ALL:
+            return margins
+        return np.sort(np.partition(margins, SMALLEST - 1)[..., :SMALLEST])
+
     def values(x: Array) -> Array:
         grip = task.grip(x.reshape(*x.shape[:-1], *start.shape))
-        kept = [
-            each
-            if each.shape[-1] <= ALL
-            else np.sort(np.partition(each, SMALLEST - 1)[..., :SMALLEST])
-            for each in (*task.distances(grip).values(), grip.wraps.angles)
-        ]
+        kept = [smallest(each) for each in (*task.distances(grip).values(), grip.wraps.angles)]
         goal = grip.slip_load(1.0)[..., None] / task.tension
         unbalanced = grip.imbalance / task.tension
         if turning is not None:

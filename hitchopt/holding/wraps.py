@@ -25,8 +25,7 @@ class Bends:
     Attributes
     ----------
     touching: (…, n), whether they turn at all.
-    corners: (…, n, 2), the first and the last corner of those that do; of straight ones twice the
-        one that comes to touch them first.
+    corners: (…, n, 2), the first and the last corner; of straight ones twice the first to touch.
     """
 
     touching: NDArray[np.bool_]
@@ -63,7 +62,6 @@ class Wraps:
     arcs: Array
     angles: Array
     contacts: Array
-
     bends: Bends
 
     @property
@@ -85,8 +83,8 @@ def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) 
     Parameters
     ----------
     vertices: (…, n, 2) [m], outside of the section.
-    bends: (…, n), about what edges turn, where that is known: beyond the last place at which they
-        do, curves continue smoothly. None for what they do.
+    bends: (…, n), about what edges are to turn, so that curves continue smoothly beyond the last
+        place at which they do; None for what they do.
     """
     onward = np.roll(vertices, -1, axis=-2)
     given = (None, None) if bends is None else np.moveaxis(bends.corners, -1, 0)
@@ -100,14 +98,13 @@ def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) 
     chord = onward - vertices
     straight, size = unit(chord), length(chord)
     touches = touching[..., None]
-    middle = 0.5 * (vertices + onward)
     if bends is None:
         left = np.stack([-straight[..., 1], straight[..., 0]], axis=-1)
         corners = np.stack([corner, corner_after], axis=-1)
         first_to_touch = np.argmax(left @ section.core.T, axis=-1)[..., None]
         bends = Bends(touching, np.where(touches, corners, first_to_touch))
     contacts = np.stack([vertices + first[..., None] * a, onward - last[..., None] * b], axis=-2)
-    half = 0.5 * size[..., None]
+    half, middle = 0.5 * size[..., None], 0.5 * (vertices + onward)
     return Wraps(
         np.where(touches, a, straight),
         np.where(touches, b, straight),
@@ -124,10 +121,8 @@ def _tangents(
 ) -> tuple[Array, Array, Indices]:
     """Return tangents from points (…, 2): directions, lengths [m], and the corners touched.
 
-    Parameters
-    ----------
-    side: 1 with the section on the right of them, -1 on the left.
-    about: (…), the corners they touch; None for those with all of the section on that side.
+    The section is on the right of them with side 1, on the left with -1. They touch the corners
+    ``about`` (…), or else those with all of the section on that side.
     """
     to_corners = section.core - points[..., None, :]
     to_middle = np.mean(section.core, axis=0) - points

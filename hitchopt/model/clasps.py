@@ -1,8 +1,7 @@
-"""Legs at a clasp as series: the force triangle with weights, loads, roll and friction.
+"""Edges and legs at a clasp as series of arrays or of casadi's expressions, by the law of forces.
 
-A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k only. Formulas are those of
-``hitchopt.hitch.forces.leg_directions``, over ``Series`` of arrays or of casadi expressions. Legs
-are lengths of cable; the distances of the drones from their vertices are less where it sags.
+A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k only. Legs are lengths of
+cable; the distances of the drones from their vertices are less where it sags.
 """
 
 from __future__ import annotations
@@ -10,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hitchopt.hitch.forces import PASSES, chord_pull, shortening
-from hitchopt.model.series import Series
+from hitchopt.hitch.forces import chord_pull, closed_triangle, shortening
+from hitchopt.hitch.series import Series
 from hitchopt.values import Indices
 
 
@@ -21,10 +20,8 @@ class Edge:
 
     Attributes
     ----------
-    along: its direction.
-    cable: length of its cable [m].
-    pull: along its chord [N].
-    tension: of its cable [N].
+    along, cable: its direction, and the length of its cable [m].
+    pull, tension: along its chord, and of its cable [N].
     sag: factor of ``forces.cable_of`` for its cable [1/m²]; None without weight.
     """
 
@@ -32,7 +29,7 @@ class Edge:
     cable: Series
     pull: Series
     tension: Series
-    sag: Series | None
+    sag: Any
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
@@ -49,24 +46,15 @@ class Edge:
 
     def taken(self, index: Indices) -> Edge:
         """Return some of many edges."""
-        return Edge(
-            self.along.taken(index),
-            self.cable.taken(index),
-            self.pull.taken(index),
-            self.tension.taken(index),
-            None if self.sag is None else self.sag.taken(index),
-        )
+        parts: dict[str, Any] = vars(self)
+        return Edge(**{name: part and part.taken(index) for name, part in parts.items()})
 
 
 @dataclass(frozen=True, eq=False)
 class Clasp:
-    """Both legs at clasp k, that of r_{k-1} first.
+    """Both legs at clasp k, that of r_{k-1} first: directions, and distances of the drones [m].
 
-    Attributes
-    ----------
-    directions: unit vectors to the drones.
-    legs: distances of the drones from the clasp [m].
-    r_cable: length of cable of r_{k-1}'s leg [m].
+    ``r_cable`` is the length of cable of r_{k-1}'s leg [m].
     """
 
     directions: tuple[Series, Series]
@@ -91,19 +79,17 @@ class Clasp:
         ----------
         edges, q_legs: of cables k-1 and k.
         cable_length: of cable k-1 [m].
-        load: outside force on the clasp [N]; None where clasps carry nothing but cables.
-        weight: of cables per length [N/m]; None for none.
-        roll: [rad]; None for none.
+        load, weight, roll: outside force on the clasp [N], of cables per length [N/m], [rad]; each
+            None for none.
         alike: whether all tensions are equal: legs then go on along the neighbouring edges, where
-            nothing else is to be carried. Others in the plane are 0/0 where edges are parallel.
+            nothing else is to be carried.
         """
         behind, ahead = edges
         whole = q_legs[0].constant(cable_length)
         e, d = whole - behind.cable - q_legs[0], q_legs[1]
         tensions = behind.tension, ahead.tension
-        if load is None and weight is None and roll is None:
-            V = None if alike else behind.pull * behind.along - ahead.pull * ahead.along
-            return cls(planar_legs(behind.along, ahead.along, V), (e, d), e)
+        if alike and load is None and weight is None and roll is None:
+            return cls((-ahead.along, behind.along), (e, d), e)
         V = behind.pull * behind.along - ahead.pull * ahead.along
         if load is not None:
             V = V - V.constant(load)
@@ -118,59 +104,5 @@ class Clasp:
         legs = []
         for cable, direction, edge in zip((e, d), directions, edges, strict=True):
             level = direction.row(0, 1)
-            assert edge.sag is not None
             legs.append(cable * shortening(edge.sag * cable * cable * level.dot(level)))
         return cls(directions, (legs[0], legs[1]), e)
-
-
-def planar_legs(behind: Series, ahead: Series, V: Series | None) -> tuple[Series, Series]:
-    """Return the directions of the legs of a clasp that carries nothing, r_{k-1}'s first.
-
-    Parameters
-    ----------
-    behind, ahead: directions of edges k-1 and k.
-    V: what they pull with [N]; None where both pull alike.
-    """
-    if V is None:
-        return -ahead, behind
-    squared = V.dot(V)
-    mirrored = [u - V * (2.0 * u.dot(V) / squared) for u in (behind, ahead)]
-    return -mirrored[0], mirrored[1]
-
-
-def closed_triangle(
-    V: Series,
-    onward: Series,
-    roll: Series | None,
-    tensions: tuple[Series, Series],
-    halves: tuple[Series, Series] | None,
-) -> tuple[Series, Series]:
-    """Return the directions of the legs r_{k-1} and q_k at a clasp.
-
-    Parameters
-    ----------
-    V: the known side of the force triangle [N].
-    onward: a vector on the side of V where q_k is without roll, in the plane of both legs.
-    roll: [rad]; None for none.
-    tensions: of both legs at the clasp [N].
-    halves: half of the weights of both legs [N]; None where they have none.
-    """
-    size = V.dot(V).root
-    along = V / size
-    across = (onward - onward.dot(along) * along).direction
-    if roll is not None:
-        cosine, sine = roll.cosine_and_sine
-        across = cosine * across + sine * across.cross(along)
-    behind, ahead = tensions
-    for left in reversed(range(PASSES if halves else 1)):
-        a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
-        h = ((ahead - a) * (ahead + a)).root
-        sides = ((size - a) * along - h * across, a * along + h * across)
-        directions = sides[0] / behind, sides[1] / ahead
-        if left and halves:
-            rises = [direction.row(2) for direction in directions]
-            behind, ahead = (
-                chord_pull(tension, half, 1.0 - rise * rise, rise)
-                for tension, half, rise in zip(tensions, halves, rises, strict=True)
-            )
-    return directions

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.forces import cable_forces, chord_pull
-from hitchopt.model.clasps import Clasp, Edge, closed_triangle
-from hitchopt.model.series import JET, Series
+from hitchopt.hitch.forces import cable_forces, chord_pull, closed_triangle
+from hitchopt.hitch.series import JET, Series
+from hitchopt.model.clasps import Clasp, Edge
 from hitchopt.values import Array
 
 UPWARD = np.array([0.0, 0.0, GRAVITY])
@@ -20,12 +20,8 @@ UPWARD = np.array([0.0, 0.0, GRAVITY])
 class FlatJets:
     """Flat outputs at J values of a parameter, with derivatives by it up to the third.
 
-    Attributes
-    ----------
-    vertices: (J, points, 3, 4) [m]; n points of a closed hitch, n + 1 of a chain.
-    q_legs: (J, n, 4) [m], lengths of cable.
-    tensions: (J, n, 4) [N]
-    roll: (J, clasps, 4) [rad], or None where legs are not rolled.
+    Vertices (J, points, 3, 4) [m], lengths of cable in q-legs (J, n, 4) [m], tensions (J, n, 4) [N]
+    and roll (J, clasps, 4) [rad], None where legs are not rolled.
     """
 
     vertices: Array
@@ -38,12 +34,9 @@ class FlatJets:
 class DroneJets:
     """Drones, forces and legs of flat outputs at the same J values of the parameter.
 
-    Attributes
-    ----------
-    positions: (J, 2n, 3, 4) [m] and derivatives by the parameter, in the order q0, r0, q1, ….
-    cable_forces: (J, 2n, 3) [N], of the cable on the drone.
-    thrusts: (J, 2n, 3) [N], with the parameter taken as time.
-    legs: (J, n, 2, 4) [m], distances of q_k and r_k from their vertices, and derivatives.
+    Positions (J, 2n, 3, 4) [m], in the order q0, r0, q1, …; forces of cables on drones and thrusts
+    (J, 2n, 3) [N], with the parameter taken as time; legs (J, n, 2, 4) [m], distances of drones
+    from their vertices.
     """
 
     positions: Array
@@ -60,12 +53,9 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     """
     layout = team.layout
     weight = GRAVITY * team.cable_density if team.cable_density > 0.0 else None
-    load = None
-    if np.any(team.load):
-        load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None]
-    equal = bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0])) and not np.any(
-        flat.tensions[..., 1:]
-    )
+    load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if np.any(team.load) else None
+    steady = not np.any(flat.tensions[..., 1:])
+    equal = steady and bool(np.all(flat.tensions[..., 0] == flat.tensions[0, 0, 0]))
     d = _scalars(flat.q_legs)
     with np.errstate(all="ignore"):  # edges of no length have no direction
         vertices = Series.of_jet(flat.vertices)
@@ -112,7 +102,6 @@ def slipping_drones(
 
     Parameters
     ----------
-    team: whose cables.
     vertices: (J, points, 3, 4) [m]
     legs: (J, n, 2, 4) [m], ``d_k`` and ``e_k``, distances of drones from their vertices.
     tensions: (J, n, 4) [N], of the edges.
@@ -123,13 +112,12 @@ def slipping_drones(
 
     Returns
     -------
-    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where no leaning of the
-    legs lets it balance.
+    (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan where none balances it.
     """
     layout = team.layout
-    behind, ahead, around = layout.behind, layout.ahead, layout.around_clasps
+    behind, ahead = layout.behind, layout.ahead
     if planned is None:
-        sides = vertices[:, around[:, 2]] - vertices[:, around[:, 0]]
+        sides = vertices[:, layout.ends[ahead]] - vertices[:, layout.starts[behind]]
     else:
         sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
     half = 0.5 * GRAVITY * team.cable_density

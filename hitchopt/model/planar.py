@@ -9,8 +9,10 @@ from functools import lru_cache
 
 import casadi as ca
 
-from hitchopt.model.clasps import Clasp, Edge, planar_legs
-from hitchopt.model.series import Series
+from hitchopt.hitch.series import Series
+from hitchopt.model.clasps import Clasp, Edge
+
+NAMES = ("vertices", "q_legs", "tensions", "cable_length", "roll", "loads", "weight")
 
 
 @lru_cache
@@ -32,42 +34,18 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
     cables per length [N/m]. Outputs are ``place`` (5, 1): ``q_k``, ``r_k`` from above, ``e_k`` [m],
     and ``turn``: the sine of the exterior angle at ``p_k``.
     """
-    vertices, tensions = ca.SX.sym("p", 8), ca.SX.sym("T", 3)
-    q_legs, lengths = ca.SX.sym("d", 3 if loaded else 1), ca.SX.sym("L", 2 if loaded else 1)
-    given, names = [vertices, q_legs, tensions, lengths], [*NAMES[:4]]
+    names = NAMES if loaded else NAMES[:4]
+    sizes = (8, 3, 3, 2, 2, 6, 1) if loaded else (8, 1, 3, 1)
+    given = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
+    vertices, q_legs, tensions, lengths = given[:4]
+    corners = ca.vertsplit(vertices, 2)
     if loaded:
-        roll, loads, weight = ca.SX.sym("psi", 2), ca.SX.sym("w", 6), ca.SX.sym("g")
-        given, names = [*given, roll, loads, weight], [*NAMES]
-        place, u = _loaded(given, choice)
-    else:
-        place, u = _plain(given, choice)
-    turn = u[0][1] * u[1][0] - u[0][0] * u[1][1]
-    return ca.Function("planar", given, [place, turn], names, ["place", "turn"], {"cse": True})
-
-
-NAMES = ("vertices", "q_legs", "tensions", "cable_length", "roll", "loads", "weight")
-
-
-def _plain(given: list[ca.SX], alike: bool) -> tuple[ca.SX, list[ca.SX]]:
-    """Return place and edges' directions of robot k between clasps that carry nothing."""
-    vertices, q_leg, tensions, length = given
-    points = [Series([point]) for point in ca.vertsplit(vertices, 2)]
-    edges = [Edge.of(points[i + 1] - points[i], Series([tensions[i]]), None) for i in range(3)]
-    d = Series([q_leg])
-    e = d.constant(length) - edges[1].cable - d
-    ends = []
-    for behind, ahead in ((edges[0], edges[1]), (edges[1], edges[2])):
-        V = None if alike else behind.pull * behind.along - ahead.pull * ahead.along
-        ends.append(planar_legs(behind.along, ahead.along, V))
-    q, r = points[1] + d * ends[0][1], points[2] + e * ends[1][0]
-    return ca.vertcat(q.value, r.value, e.value), [edge.along.value for edge in edges]
-
-
-def _loaded(given: list[ca.SX], weighty: bool) -> tuple[ca.SX, list[ca.SX]]:
-    """Return place and edges' directions of robot k between loaded clasps."""
-    vertices, q_legs, tensions, lengths, roll, loads, weight = given
-    points = [Series([ca.vertcat(point, 0.0)]) for point in ca.vertsplit(vertices, 2)]
-    rho = weight if weighty else None
+        roll, loads, weight = given[4:]
+        corners = [ca.vertcat(point, 0.0) for point in corners]
+        rho = weight if choice else None
+    else:  # the legs of cables k-1 and k+1 do not matter
+        q_legs, lengths, rho = ca.vertcat(0.0, q_legs, 0.0), ca.vertcat(0.0, lengths), None
+    points = [Series([point]) for point in corners]
     edges = [Edge.of(points[i + 1] - points[i], Series([tensions[i]]), rho) for i in range(3)]
     d = [Series([q_legs[i]]) for i in range(3)]
     here, there = (
@@ -75,13 +53,16 @@ def _loaded(given: list[ca.SX], weighty: bool) -> tuple[ca.SX, list[ca.SX]]:
             (edges[i], edges[i + 1]),
             (d[i], d[i + 1]),
             lengths[i],
-            loads[3 * i : 3 * i + 3],
+            loads[3 * i : 3 * i + 3] if loaded else None,
             rho,
-            Series([roll[i]]),
+            Series([roll[i]]) if loaded else None,
+            alike=choice,
         )
         for i in range(2)
     )
     q = points[1] + here.legs[1] * here.directions[1]
     r = points[2] + there.legs[0] * there.directions[0]
     place = ca.vertcat(q.value[:2], r.value[:2], there.r_cable.value)
-    return place, [edge.along.value for edge in edges]
+    u = [edge.along.value for edge in edges]
+    turn = u[0][1] * u[1][0] - u[0][0] * u[1][1]
+    return ca.Function("planar", given, [place, turn], [*names], ["place", "turn"], {"cse": True})

@@ -6,14 +6,17 @@ requirements and the roles of its robots are those that were asked for.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import InputError
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Requirements
@@ -38,14 +41,13 @@ def asked_of(motion: Motion) -> dict[str, Any]:
     """
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
     if not team.has_cables:
-        start: dict[str, Any] = {"drones": first.tolist()}
-        return asked(team, motion.requirements, start)
+        return asked(team, motion.requirements, {"drones": first.tolist()})
     given = motion.assignment or Assignment.fixed(team.robots)
     role_of = np.argsort(given.robots)
     flipped = np.array(given.flipped, dtype=np.bool_)[:, None, None]
     pairs = first.reshape(-1, 2, 3)
     pairs = np.where(flipped, pairs[:, ::-1], pairs)[role_of]
-    start = {"drones": {"q": pairs[:, 0].tolist(), "r": pairs[:, 1].tolist()}}
+    start: dict[str, Any] = {"drones": {"q": pairs[:, 0].tolist(), "r": pairs[:, 1].tolist()}}
     if motion.formed[0]:
         vertices = motion.vertices.coefficients[0, ..., 0]
         start["hitch"] = hitch_start(vertices[:, :2], float(np.mean(vertices[:, 2])))
@@ -61,33 +63,32 @@ def asked(
 ) -> dict[str, Any]:
     """Return a team, requirements and a start as plan files store them.
 
-    Parameters
-    ----------
-    team: its robots in the order of the start.
-    start: of the keys ``hitch`` and ``drones``, or the one that is known.
-    objects: by name; None for those of the requirements.
+    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known. Objects
+    are those of the requirements but where they are given, by name.
     """
-    kinds = [dict(vars(kind)) for kind in team.quadrotor]
-    values: dict[str, Any] = {"drones": team.drones, "quadrotor": kinds}
-    if team.has_cables:
-        values = {**vars(team), "quadrotor": kinds}
+    own = vars(team) if team.has_cables else {"drones": team.drones, "quadrotor": team.quadrotor}
     limits = dict(vars(requirements.limits))
     for name in ("tilt", "body_rate"):
         angle = limits.pop(name)
         limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
-    arena = requirements.arena
-    return {
-        "start": dict(start),  # compared first: roles tell the order of all else
-        "team": {name: _plain(value) for name, value in values.items()},
+    values = {
+        "start": start,  # compared first: roles tell the order of all else
+        "team": own,
         "limits": limits,
-        "separation": dict(vars(requirements.separation)),
-        "arena": None if arena is None else {k: _plain(v) for k, v in vars(arena).items()},
-        "keep_out": [_plain(prism) for prism in requirements.keep_out],
-        "objects": {
-            name: _plain(each)
-            for name, each in (requirements.objects if objects is None else objects).items()
-        },
+        "separation": requirements.separation,
+        "arena": requirements.arena,
+        "keep_out": requirements.keep_out,
+        "objects": requirements.objects if objects is None else objects,
     }
+    plain: dict[str, Any] = json.loads(json.dumps(values, default=values_of))
+    return plain
+
+
+def values_of(record: Any) -> Any:
+    """Return a record's fields, an outline's points, or an array's entries, as json takes them."""
+    if isinstance(record, ConvexPolygon):
+        return record.vertices.tolist()
+    return record.tolist() if isinstance(record, np.ndarray) else vars(record)
 
 
 def hitch_start(polygon: Array, altitude: float) -> dict[str, Any]:
@@ -114,76 +115,51 @@ def check_asked(wanted: Any, motion: Motion, *, whole: bool = True) -> None:
     wanted: as ``asked_of`` returns it.
     whole: whether all of that has to be there; else what is missing is not compared.
     """
-    found = asked_of(motion)
-    try:
-        _compare("asked", wanted, found, whole)
-    except InputError as error:
-        if error.key.startswith("asked.start.drones") and _same_places(wanted, found):
-            drones, others = wanted["start"]["drones"], found["start"]["drones"]
-            key, bound = "assignment", "the robots that start where these roles do"
-            if isinstance(drones, dict):
-                pairs = zip(drones["q"], drones["r"], others["q"], others["r"], strict=True)
-                own = all(_near(q, x) or _near(q, y) for q, _, x, y in pairs)
-                key = "assignment.flipped" if own else "assignment.robots"
+    plan = asked_of(motion)
+    there, here = (dict(_leaves("asked", each)) for each in (wanted, plan))
+    missing = [key for key in here if whole or key.startswith("asked.objects.")]
+    for key in [*there, *missing]:
+        slack = AT_START if key.startswith("asked.start") else 0.0
+        if key in there and key in here and _same(there[key], here[key], slack):
+            continue
+        role = _exchanged(wanted, plan) if key.startswith("asked.start.drones") else None
+        if role is not None:
             given = None if motion.assignment is None else motion.assignment.to_dict()
-            raise InputError(key, given, bound, REMEDY) from None
-        raise
+            raise InputError(role, given, "the robots that start where these roles do", REMEDY)
+        bound = f"{there[key]!r} as asked" if key in there else "left out as asked"
+        raise InputError(key, here.get(key, "left out"), bound, REMEDY)
 
 
-def _compare(key: str, wanted: Any, found: Any, whole: bool) -> None:
-    """Raise InputError where ``found`` is not ``wanted``, by the key in the file."""
-    if isinstance(found, dict) and isinstance(wanted, dict):
-        other = wanted.keys() - found.keys()
-        if whole or key == "asked.objects":
-            other |= found.keys() - wanted.keys()
-        if other:
-            raise InputError(f"{key}.{min(other)}", "present", "what the plan has", REMEDY)
-        for name, value in wanted.items():
-            _compare(f"{key}.{name}", value, found[name], whole)
-    elif isinstance(found, list) and isinstance(wanted, list) and len(found) == len(wanted):
-        for i, (one, each) in enumerate(zip(wanted, found, strict=True)):
-            _compare(f"{key}[{i}]", one, each, whole)
-    elif not _same(wanted, found, AT_START if key.startswith("asked.start") else 0.0):
-        raise InputError(key, found, f"{wanted!r} as asked", REMEDY)
-
-
-def _same_places(wanted: Any, found: Any) -> bool:
-    """Return whether drones start at the same places, though other ones at each."""
-    places = []
-    for each in (wanted, found):
-        drones = each["start"]["drones"]
-        rows = [*drones["q"], *drones["r"]] if isinstance(drones, dict) else drones or []
-        if not all(isinstance(x, float | int) for row in rows for x in row):
-            return False
-        places.append(sorted([round(x, 5) for x in row] for row in rows))
-    return bool(places[0] == places[1])
-
-
-def _near(one: list[float], other: list[float]) -> bool:
-    """Return whether two places are the same."""
-    return bool(np.max(np.abs(np.subtract(one, other))) <= AT_START)
+def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield single values, and what is empty, by their keys in the file."""
+    if isinstance(value, dict) and value:
+        for name, each in value.items():
+            yield from _leaves(f"{key}.{name}", each)
+    elif isinstance(value, list) and value:
+        for i, each in enumerate(value):
+            yield from _leaves(f"{key}[{i}]", each)
+    else:
+        yield key, value
 
 
 def _same(wanted: Any, found: Any, slack: float) -> bool:
     """Return whether single values are the same; numbers within TOLERANCE and ``slack``."""
-    numbers = (int, float)
-    if isinstance(wanted, bool) or isinstance(found, bool):
-        return wanted is found
-    if isinstance(wanted, numbers) and isinstance(found, numbers):
-        return abs(wanted - found) <= slack + TOLERANCE * max(abs(wanted), abs(found))
-    return bool(wanted == found)
+    if any(isinstance(each, bool) or not isinstance(each, int | float) for each in (wanted, found)):
+        return type(wanted) is type(found) and bool(wanted == found)
+    return bool(abs(wanted - found) <= slack + TOLERANCE * max(abs(wanted), abs(found)))
 
 
-def _plain(value: Any) -> Any:
-    """Return a value as JSON takes it: records as mappings, arrays as lists."""
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, dict):
-        return {name: _plain(each) for name, each in value.items()}
-    if hasattr(value, "vertices"):  # an outline
-        return value.vertices.tolist()
-    if hasattr(value, "__dict__"):
-        return {name: _plain(each) for name, each in vars(value).items()}
-    return value
+def _exchanged(wanted: Any, found: Any) -> str | None:
+    """Return the key of the roles by which drones start in each other's places, if they do."""
+    drones = [each["start"]["drones"] for each in (wanted, found)]
+    try:
+        if not isinstance(drones[1], dict):
+            one, two = (np.round(np.array(each, dtype=np.float64), 5) for each in drones)
+            return "assignment" if sorted(one.tolist()) == sorted(two.tolist()) else None
+        pairs = [np.round(np.stack([each["q"], each["r"]], axis=1), 5).tolist() for each in drones]
+    except (TypeError, ValueError):
+        return None
+    if sorted(chain(*pairs[0])) != sorted(chain(*pairs[1])):
+        return None
+    own = all(sorted(one) == sorted(two) for one, two in zip(*pairs, strict=True))
+    return "assignment.flipped" if own else "assignment.robots"

@@ -12,14 +12,9 @@ from hitchopt.values import Array
 ITERATIONS = 30
 """Most corrections of legs and roll; without weight the first ones are exact."""
 
-CLOSE = 1e-12
-"""Largest correction [m], [rad] with which they end."""
-
-STEP = 1e-6
-"""Difference of roll by which its effect is found [rad]."""
-
-LEVEL = 1e-9
-"""Roll that is rounding [rad]."""
+CLOSE, STEP, LEVEL = 1e-12, 1e-6, 1e-9
+"""[m], [rad] Largest correction with which they end, difference of roll by which its effect is
+found, and roll that is rounding."""
 
 SAME = 1e-6
 """[m] Largest distance of a drone from the recovered hitch's, as for joints of a motion."""
@@ -42,24 +37,21 @@ def final_hitch(motion: Motion) -> Hitch:
     )
     outline, altitude = vertices[:, :2], float(np.mean(vertices[:, 2]))
     raised = 2 * layout.clasps  # q_k, whose leg is at clasp k
-    heights = drones[raised, 2]
 
     def tied(q_legs: Array, roll: Array) -> Hitch:
         return Hitch(team, outline, altitude, q_legs, roll)
 
     q_legs = layout.q_legs_of(legs[:, 0], Hitch.balanced(team, outline, altitude).slack)
-    roll = np.zeros(len(layout.clasps))
-    hitch = tied(q_legs, roll)
+    hitch = tied(q_legs, np.zeros(len(layout.clasps)))
     for _ in range(ITERATIONS):
         longer = np.where(layout.has_leg[:, 0], legs[:, 0] - hitch.legs[:, 0], 0.0)
         there = hitch.drones[raised, 2]
-        higher = tied(hitch.q_legs, roll + STEP).drones[raised, 2]
-        turned = (heights - there) * STEP / (higher - there)
-        q_legs, roll = hitch.q_legs + longer, roll + np.clip(turned, -0.5, 0.5)
-        hitch = tied(q_legs, roll)
+        higher = tied(hitch.q_legs, hitch.roll + STEP).drones[raised, 2]
+        turned = (drones[raised, 2] - there) * STEP / (higher - there)
+        hitch = tied(hitch.q_legs + longer, hitch.roll + np.clip(turned, -0.5, 0.5))
         if max(np.max(np.abs(longer)), np.max(np.abs(turned))) < CLOSE:
             break
-    hitch = tied(q_legs, np.where(np.abs(roll) < LEVEL, 0.0, roll))
+    hitch = tied(hitch.q_legs, np.where(np.abs(hitch.roll) < LEVEL, 0.0, hitch.roll))
     if np.max(np.abs(hitch.drones - drones)) > SAME:
         raise UnsupportedError("the plan's end is no hitch with the team's tensions to go on from")
     return hitch

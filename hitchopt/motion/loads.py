@@ -1,30 +1,25 @@
 """Tensions that a plan states, and what clasps carry of objects, as its polynomials tell it.
 
 An object of mass m rests with its rim on all clasps of a hitch that moves with it. Clasp k carries
-the share ``μ_k`` of its mass, ``Σ μ_k = 1``, ``Σ μ_k p_k`` its centre of mass seen from above; of
-all such shares those with the least sum of squares, as equally stiff supports have. A mass
-accelerates with its clasp. Since the centre of mass is h above the clasps, its acceleration a moves
-weight from clasp to clasp besides, by ``m h G_k·a``. Forces and moments then balance, except that
-the moment of inertia about the vertical is that of the masses at the clasps.
+the share ``μ_k`` of its mass, with ``Σ μ_k = 1`` and ``Σ μ_k p_k`` its centre of mass seen from
+above; of all such shares those with the least sum of squares, as equally stiff supports have. A
+centre of mass h above the clasps moves the weight ``m h G_k·a`` to clasp k as it accelerates.
 
-Clasps are inside of the rim, whose edge bends their legs: below it they run level, with their
-cables' tension T, and only beyond it they rise. Their level part is then ``sqrt(T² - v²)``, v what
-a leg carries, and the rim holds clasps apart with what that lacks: it takes the share ``κ = 1 -
-sqrt(1 - (v / T)²)`` of what edges pull with. Of one share for all edges no force is left over, and
-no moment: it is that of the mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges.
-
-Vertices are where straight legs would meet. The rim lies on legs at its edge, so vertices are below
-it, and their drones lower, by the mean leg's slope times its distance from there to the edge. Over
-that distance cables run level, and are shorter than straight legs.
+Clasps are inside of the rim, whose edge bends their legs: below it they run level, beyond it they
+rise. The rim takes the share ``κ = 1 - sqrt(1 - (v / T)²)`` of what edges pull with, that of the
+mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges. Vertices, where straight legs
+would meet, are below the rim by the mean leg's slope times its distance to the rim's edge.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
 from hitchopt.objects import SolidObject
@@ -54,11 +49,8 @@ def stated_tensions(motion: Motion) -> Array:
 
     Both are the team's tension where the phase states no range.
     """
-    teams = np.repeat(motion.team.tension[:, None], 2, axis=1)
+    index, teams = ranged_phases(motion), np.repeat(motion.team.tension[:, None], 2, axis=1)
     stated = np.tile(teams, (motion.drones.pieces, 1, 1))
-    if all(phase.tension is None for phase in motion.phases):
-        return stated
-    index = ranged_phases(motion)
     for i in np.unique(index[index >= 0]):
         stated[index == i] = motion.phases[i].tension
     return stated
@@ -67,12 +59,10 @@ def stated_tensions(motion: Motion) -> Array:
 def tautness(motion: Motion) -> Array:
     """Return how far every cable is drawn taut, from 0 (it hangs free) to 1 (all straight parts).
 
-    Weight and level pull of a hanging cable pass to a taut one by this share, as its tension rises
-    from 0 to the least that is stated, or falls from there; so does every weight that clasps carry,
-    loads among them (``forces.cable_forces``). It is ``T / T_stated``, coefficient by
-    coefficient clipped to [0, 1], and 0 while there is no hitch. So it is a polynomial, and
-    continuous wherever tensions are. A morph whose tensions change within its own
-    range has tautness 1.
+    Weight and level pull of a hanging cable, and every weight that clasps carry, pass to a taut one
+    by this share (``forces.cable_forces``). It is ``T / T_stated``, T_stated the least that the
+    phase states or the team's, coefficient by coefficient clipped to [0, 1], and 0 while there is
+    no hitch: a polynomial, continuous wherever tensions are.
 
     Returns
     -------
@@ -84,12 +74,7 @@ def tautness(motion: Motion) -> Array:
 
 
 def leg_tensions(motion: Motion) -> Array:
-    """Return the tensions of legs at their clasps, q0, r0, q1, … [N]; 0 without a hitch.
-
-    Returns
-    -------
-    (pieces, 2n, degree + 1): Bernstein coefficients over the motion's pieces.
-    """
+    """Return the tensions of legs (pieces, 2n, degree + 1) at their clasps [N]; 0 if not formed."""
     return np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
 
 
@@ -104,11 +89,8 @@ def lowered(coefficients: Array) -> Array:
 class Supports:
     """How the clasps below an object share its weight.
 
-    Attributes
-    ----------
-    shares: (…, clasps) of its mass.
-    gains: (…, clasps, 2) [1/m], ``G_k``: by how much a clasp's share grows as the point in which
-        the force meets the clasps' plane moves, in the object's frame.
+    Shares (…, clasps) of its mass, and gains (…, clasps, 2) [1/m], ``G_k``: by how much a clasp's
+    grows as the point in which the force meets the clasps' plane moves, in the object's frame.
     """
 
     shares: Array
@@ -128,30 +110,71 @@ def object_loads(motion: Motion) -> Array | None:
 
     None where clasps carry no objects.
     """
-    if motion.borne is None or not np.any(motion.borne.coefficients):
-        return None
-    total: Array | None = None
-    for index, (name, each) in enumerate(motion.requirements.objects.items()):
-        share = motion.borne.coefficients[:, index]
-        if not np.any(share):
+    return _total(
+        np.where(on[:, None, None, None], _loads(motion, index, body), 0.0)
+        for index, body, on, _ in _resting(motion)
+    )
+
+
+def saved_lengths(motion: Motion) -> Array | None:
+    """Return what rims save cables of their legs (pieces, n, degree + 1) [m]; None if nothing.
+
+    It grows with the square of the share that is borne, as ``strut_shares`` does.
+    """
+    found = []
+    for index, body, on, borne in _resting(motion):
+        if body.rim is None or not motion.team.layout.closed:
             continue
-        loads = _loads(motion, index, each)
-        loads = np.where(held_pieces(motion, name, HoldBy.REST)[:, None, None, None], loads, 0.0)
-        if total is None:
-            total = loads
-        else:
-            order = max(bernstein.degree(total), bernstein.degree(loads))
-            total = bernstein.elevate(total, order) + bernstein.elevate(loads, order)
-    return total
+        poses = motion.object_poses.coefficients[on, index, :, 0]
+        places = in_frame(poses[:, None], motion.vertices.coefficients[on, ..., 0])[..., :2]
+        most = np.zeros((len(on), motion.team.robots))
+        pulls = motion.tensions.coefficients[on, ..., 0]
+        most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
+        found.append(most[..., None] * bernstein.multiply(borne, borne)[:, None])
+    return _total(found)
+
+
+def strut_shares(motion: Motion) -> Array | None:
+    """Return what rims on clasps take of all edges' pulls (pieces, degree + 1); None if nothing.
+
+    It grows with the square of the share that is borne, as ``1 - cos`` of the legs' slope does.
+    """
+    edges = length(motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1))
+    pulls, found = motion.tensions.coefficients[..., 0], []
+    for _, body, on, borne in _resting(motion):
+        most = np.ones(len(on))
+        most[on] = strut_share(motion.team, body.mass, edges[on], pulls[on])
+        found.append(most[:, None] * bernstein.multiply(borne, borne))
+    return _total(found)
+
+
+def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
+    """Return (pieces,) whether an object is held so."""
+    holds = [p.hold is not None and (p.hold.object, p.hold.by) == (name, by) for p in motion.phases]
+    return np.array([*holds, False])[motion.phase_of_piece]
+
+
+def _resting(motion: Motion) -> Iterator[tuple[int, SolidObject, NDArray[np.bool_], Array]]:
+    """Yield objects on clasps: index, itself, (pieces,) where, and the share borne there."""
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        on = held_pieces(motion, name, HoldBy.REST)
+        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
+        if np.any(borne):
+            yield index, body, on, borne
+
+
+def _total(parts: Iterable[Array]) -> Array | None:
+    """Return the sum of polynomials of any degrees; None of none."""
+    found = [*parts]
+    order = max((bernstein.degree(part) for part in found), default=0)
+    raised = [bernstein.elevate(part, order) for part in found]
+    return sum(raised[1:], raised[0]) if raised else None
 
 
 def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
     """Return the share κ (…) of edges' pulls that the rim of an object of a mass [kg] takes.
 
-    Parameters
-    ----------
-    edges: (…, n) [m], lengths.
-    tensions: (…, n) [N]
+    Of edges' lengths (…, n) [m] and tensions (…, n) [N].
     """
     slope = leg_slope(team, mass, edges, tensions)
     share: Array = 1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))
@@ -170,25 +193,20 @@ def rim_drop(
 ) -> Array:
     """Return how far vertices are below a rim that lies on their legs (…) [m].
 
-    Legs run on along the edges of their vertex's two neighbours.
-
-    Parameters
-    ----------
-    places: (…, n, 2) [m], vertices in the object's frame, clockwise.
-    tensions: (…, n) [N]
-    borne: share of the weight that is on the legs (…).
+    Legs run on along the edges of their vertex's two neighbours. Of vertices (…, n, 2) [m] in the
+    object's frame, clockwise, tensions (…, n) [N] and the share (…) of the weight on the legs.
     """
     onward, back = _to_rim(body, places)
-    rise = np.tan(_mean_rise(team, body, places, tensions, borne))
-    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * rise
+    rise = _mean_rise(team, body, places, tensions, borne)
+    drop: Array = np.mean(onward + back, axis=-1) * 0.5 * np.tan(rise)
     return drop
 
 
 def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -> Array:
-    """Return by how much straight legs are longer than those that a rim bends (…, n, 2) [m].
+    """Return by how much straight legs q and r are longer than those a rim bends (…, n, 2) [m].
 
     Cables run level up to the edge of a rim whose whole weight is on the legs, and only then rise.
-    Parameters are those of ``rim_drop``; legs are those of a cable, q and r.
+    Parameters are those of ``rim_drop``.
     """
     onward, back = _to_rim(body, places)
     longer = 1.0 / np.cos(_mean_rise(team, body, places, tensions)) - 1.0
@@ -200,94 +218,41 @@ def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -
 def _to_rim(body: SolidObject, places: Array) -> tuple[Array, Array]:
     """Return how far edges run on to the rim's edge beyond their ends and starts (…, n) [m]."""
     assert body.rim is not None
-    edges = np.roll(places, -1, axis=-2) - places
-    along = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-    reach = body.rim.section.reach
-    return reach(np.roll(places, -1, axis=-2), along), reach(places, -along)
+    onward, reach = np.roll(places, -1, axis=-2), body.rim.section.reach
+    along = unit(onward - places)
+    return reach(onward, along), reach(places, -along)
 
 
 def _mean_rise(
     team: Team, body: SolidObject, places: Array, tensions: Array, borne: Array | float = 1.0
 ) -> Array:
     """Return the angle (…) [rad] at which the mean leg rises, as of ``rim_drop``."""
-    lengths = np.linalg.norm(np.roll(places, -1, axis=-2) - places, axis=-1)
-    slope = borne * leg_slope(team, body.mass, lengths, tensions)
-    rise: Array = np.arcsin(np.minimum(slope, 1.0))
-    return rise
-
-
-def saved_lengths(motion: Motion) -> Array | None:
-    """Return what rims save cables of their legs (pieces, n, degree + 1) [m]; None if nothing.
-
-    It grows with the square of the share that is borne, as ``strut_shares`` does.
-    """
-    total: Array | None = None
-    for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        on = held_pieces(motion, name, HoldBy.REST)
-        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
-        if body.rim is None or not motion.team.layout.closed or not np.any(borne):
-            continue
-        poses = motion.object_poses.coefficients[on, index, :, 0]
-        places = in_frame(poses[:, None], motion.vertices.coefficients[on, ..., 0])[..., :2]
-        most = np.zeros((len(on), motion.team.robots))
-        pulls = motion.tensions.coefficients[on, ..., 0]
-        most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
-        saved = most[..., None] * bernstein.multiply(borne, borne)[:, None]
-        total = saved if total is None else total + saved
-    return total
-
-
-def strut_shares(motion: Motion) -> Array | None:
-    """Return what rims on clasps take of all edges' pulls (pieces, degree + 1); None if nothing.
-
-    It grows with the square of the share that is borne, as ``1 - cos`` of the legs' slope does.
-    """
-    total: Array | None = None
-    for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        on = held_pieces(motion, name, HoldBy.REST)
-        borne = np.where(on[:, None], motion.object_shares.coefficients[:, index], 0.0)
-        if not np.any(borne):
-            continue
-        edges = motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1)
-        pulls = motion.tensions.coefficients[..., 0]
-        most = np.ones(len(on))
-        lengths = np.linalg.norm(edges[on], axis=-1)
-        most[on] = strut_share(motion.team, body.mass, lengths, pulls[on])
-        taken = most[:, None] * bernstein.multiply(borne, borne)
-        total = taken if total is None else total + taken
-    return total
-
-
-def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
-    """Return (pieces,) whether an object is held so."""
-    holds = [p.hold is not None and (p.hold.object, p.hold.by) == (name, by) for p in motion.phases]
-    return np.array([*holds, False])[motion.phase_of_piece]
+    edges = length(np.roll(places, -1, axis=-2) - places)
+    slope = borne * leg_slope(team, body.mass, edges, tensions)
+    return np.asarray(np.arcsin(np.minimum(slope, 1.0)))
 
 
 def _loads(motion: Motion, index: int, body: SolidObject) -> Array:
     """Return the forces of one object (pieces, clasps, 3, degree + 1) [N]."""
-    pose = motion.object_poses
-    clasps = motion.team.layout.clasps
+    pose = motion.object_poses.coefficients[:, index]
     supports = supports_of(motion, index, body)
     share = motion.object_shares.coefficients[:, index]
-    moving = np.ptp(pose.coefficients[:, index], axis=-1) > STILL
-    lifted = np.any(moving, axis=-1)[:, None, None, None]
-    vertices = motion.vertices.differentiated(2).coefficients[:, clasps]
-    vertices = np.where(lifted, vertices, 0.0)  # what stands does not move
-    order = max(bernstein.degree(vertices), bernstein.degree(share))
-    pulled = bernstein.elevate(vertices, order).copy()
+    lifted = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)[:, None, None, None]
+    moved = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
+    moved = np.where(lifted, moved, 0.0)  # what stands does not move
+    order = max(bernstein.degree(moved), bernstein.degree(share))
+    pulled = bernstein.elevate(moved, order).copy()
     pulled[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
-    loads = -body.mass * supports.shares[..., None, None] * pulled
-    centre = centre_path(pose.coefficients[:, index], body)
+    own = -body.mass * supports.shares[..., None, None] * pulled
     durations = motion.drones.durations[:, None, None]
-    pushed = bernstein.differentiate(bernstein.differentiate(centre)) / durations**2
-    heading = pose.coefficients[:, index, 3:]
-    turned = turned_back(np.where(lifted[..., 0], pushed[:, :2], 0.0), heading)
+    pushed = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
+    level = np.where(lifted[..., 0], (pushed / durations**2)[:, :2], 0.0)
     height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
-    moved = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
-    order = max(bernstein.degree(loads), bernstein.degree(moved))
-    found = bernstein.elevate(loads, order).copy()
-    found[:, :, 2] += bernstein.elevate(moved, order)
+    turned = turned_back(level, pose[:, 3:])
+    upward = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
+    tipped = np.stack([0.0 * upward, 0.0 * upward, upward], axis=2)
+    found = _total([own, tipped])
+    assert found is not None
     return found
 
 
@@ -303,15 +268,15 @@ def centre_path(pose: Array, body: SolidObject) -> Array:
     """Return the path of the centre of mass (pieces, 3, …) [m], given its object's poses."""
     x, y, z = body.centre_of_mass
     c, s = pose[:, 3], pose[:, 4]
-    offset = np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
-    centre: Array = pose[:, :3] + offset
+    centre: Array = pose[:, :3] + np.stack(
+        [c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1
+    )
     return centre
 
 
 def turned_back(vectors: Array, heading: Array) -> Array:
     """Return level vectors (pieces, 2, …) as seen from bodies with headings (pieces, 2, …)."""
-    if np.all(heading == heading[..., :1]):
-        heading = heading[..., :1]
+    heading = lowered(heading)
     c, s = heading[:, 0], heading[:, 1]
     x, y = vectors[:, 0], vectors[:, 1]
     along = bernstein.multiply(x, c) + bernstein.multiply(y, s)

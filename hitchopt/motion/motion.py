@@ -26,18 +26,16 @@ class CableState(StrEnum):
     """State of the cables in a phase; the certificate verifies it from the polynomials.
 
     While cables are not hitched, vertices, legs and tensions have no meaning, except that
-    vertices are where the clasps may lie while cables are being tightened.
+    vertices are where the clasps may lie while cables are being tightened. On the ground, cables
+    lie there at least in part and drones fly straight up or down; in clasping, drones of
+    neighbouring cables turn about each other.
     """
 
     NONE = "none"
-    """Single drones carry no cables."""
     GROUND = "on the ground"
-    """Cables lie on the ground at least in part; drones rest, or fly straight up or down."""
     FREE = "hanging free"
     CLASPING = "clasping"
-    """Drones of neighbouring cables turn about each other, to clasp the cables or to undo that."""
     TIGHTENING = "being tightened"
-    """Clasped cables are drawn out to their full length, or slackened again."""
     HITCHED = "hitched"
 
 
@@ -51,23 +49,17 @@ HITCHED_STATE = frozenset({CableState.HITCHED})
 
 
 class HoldBy(StrEnum):
-    """How a hitch holds an object."""
+    """How a hitch holds an object: its rim lies on the clasps, or cables wrap its section."""
 
     REST = "rest"
-    """Its rim lies on the clasps."""
     GRIP = "grip"
-    """Cables are wrapped around its section."""
 
 
 @dataclass(frozen=True)
 class Hold:
-    """What a hitch holds in a phase; the certificate verifies it from the polynomials.
+    """An object that a hitch holds in a phase, by its name, how, and with which cables.
 
-    Attributes
-    ----------
-    object: name of the object.
-    by: how it is held.
-    cables: those that hold it, and may touch it.
+    The certificate verifies it from the polynomials: these cables may touch it.
     """
 
     object: str
@@ -86,11 +78,10 @@ class Phase(OneLine):
     start, end: [s]
     remark: what happens that was not asked for, and why; mostly nothing.
     state: of the cables.
-    tension: smallest and largest tension [N] that the step allows during its motion; None where
-        all tensions are the team's. Like the limits it is part of the problem: the check
-        ``tension`` requires it within the phase, and the team's tensions at both of its ends.
-    hold: what the hitch holds, from where its cables may touch that until they no longer do; None
-        where it holds nothing.
+    tension: smallest and largest tension [N] that the step allows during its motion, None for the
+        team's. Part of the problem: the check ``tension`` requires it, and the team's tensions at
+        both ends.
+    hold: what the hitch holds, while its cables may touch that; None where it holds nothing.
     """
 
     name: str
@@ -104,14 +95,12 @@ class Phase(OneLine):
 
     @property
     def formed(self) -> bool:
-        """Whether the hitch exists; else the cables hang free, or slack in one another."""
+        """Whether the hitch exists."""
         return self.state is CableState.HITCHED
 
     def lasting(self, start: float, end: float) -> Phase:
         """Return the same phase at other times [s]."""
-        made = object.__new__(Phase)
-        vars(made).update(vars(self), start=start, end=end)
-        return made
+        return replace(self, start=start, end=end)
 
 
 def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
@@ -122,10 +111,8 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
     if not phases:
         return
     good = phases[0].start <= start + JOINT and phases[-1].end >= end - JOINT
-    good = good and phases[0].start < phases[0].end
-    for a, b in pairwise(phases):
-        good = good and -JOINT <= b.start - a.end <= JOINT and b.start < b.end
-    if not good:
+    good = good and all(phase.start < phase.end for phase in phases)
+    if not (good and all(abs(b.start - a.end) <= JOINT for a, b in pairwise(phases))):
         raise InputError(
             "phases",
             [[phase.start, phase.end] for phase in phases],
@@ -150,8 +137,8 @@ ROUNDED = 2.0**-40
 class Motion(OneLine):
     """Drones, vertices, legs and tensions over time, and the requirements on them.
 
-    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0; they are
-    stored so that one plan has one set of arrays. A team of single drones has none of them.
+    While no hitch exists, vertices, legs and tensions have no meaning and tensions are 0. A team of
+    single drones has none of them.
 
     Parameters
     ----------
@@ -163,19 +150,18 @@ class Motion(OneLine):
     tensions: of shape (n,) [N].
     phases: one after the other, covering all of the time.
     assignment: which robots fly which roles, where that was chosen.
-    leg_tensions: of shape (n, 2) [N], what the legs ``d_k``, ``e_k`` pull with where cables slide
-        against friction; None where every leg pulls with its cable's tension.
-    poses: of shape (objects, 5), of the requirements' objects in their order: x, y, z [m] of their
-        bases' origins, cosine and sine of their yaws; None where all stay where they stand.
+    leg_tensions: of shape (n, 2) [N], what legs pull with where cables slide against friction; None
+        where every leg pulls with its cable's tension.
+    poses: of shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of their yaws;
+        None where all stay where they stand.
     borne: of shape (objects,), the share of each object's weight that clasps carry, from 0 (it
         stands) to 1; None where they carry none.
     contacts: of shape (n, 2, 3) [m], where edge k meets and leaves the section that it is wrapped
-        around; the same point of a straight edge. None where all edges are straight.
+        around, the same point if straight; None where all edges are straight.
 
     Raises
     ------
-    InputError: shapes that do not fit the team, breaks that are not the same for all, phases that
-        leave a gap or go back, or cables that change their state within a piece.
+    InputError: shapes, breaks or phases that do not fit.
     """
 
     team: Team
@@ -196,40 +182,41 @@ class Motion(OneLine):
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}, pieces: {self.drones.pieces}"
 
     def __post_init__(self) -> None:
-        n = self.team.robots
-        points = self.team.layout.points
+        n, objects = self.team.robots, len(self.requirements.objects)
         shapes = {
             "drones": (self.team.drones, 3),
-            "vertices": (points, 3),
+            "vertices": (self.team.layout.points, 3),
             "legs": (n, 2),
             "tensions": (n,),
             "leg_tensions": (n, 2),
-            "poses": (len(self.requirements.objects), 5),
-            "borne": (len(self.requirements.objects),),
+            "poses": (objects, 5),
+            "borne": (objects,),
             "contacts": (n, 2, 3),
         }
-        for name, shape in shapes.items():
-            part: PiecewisePolynomial | None = getattr(self, name)
-            if part is None:
-                continue
-            if part.shape != shape:
-                raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
-            breaks = self.drones.breaks
+        breaks = self.drones.breaks
+        for name, part in self._polynomials.items():
+            if part.shape != shapes[name]:
+                bound = f"of shape {shapes[name]}"
+                raise InputError(name, part.shape, bound, "one row per robot's parts")
             if part.breaks is not breaks and not np.array_equal(part.breaks, breaks):
                 raise InputError(name, "its breaks", "those of the drones", "split them alike")
-        check_phases(self.phases, float(self.drones.breaks[0]), float(self.drones.breaks[-1]))
-        cabled = self.team.has_cables
-        if any((phase.state == CableState.NONE) is cabled for phase in self.phases):
+        check_phases(self.phases, float(breaks[0]), float(breaks[-1]))
+        if any((phase.state == CableState.NONE) is self.team.has_cables for phase in self.phases):
             bound = "none without cables, another state with them"
             states = [str(phase.state) for phase in self.phases]
             raise InputError("phases.state", states, bound, "give what cables do")
         changes = [b.start for a, b in pairwise(self.phases) if a.state != b.state]
-        if any(np.min(np.abs(time - self.drones.breaks)) > JOINT for time in changes):
+        if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
             bound = "breaks where states change"
             raise InputError("phases", changes, bound, "split the pieces there")
         roles = n if self.assignment is None else len(self.assignment.robots)
         if roles != n:
             raise InputError("assignment", roles, f"{n} robots", "give one per role")
+
+    @property
+    def _polynomials(self) -> dict[str, PiecewisePolynomial]:
+        own = vars(self)
+        return {name: own[name] for name in POLYNOMIALS + FURTHER if own[name] is not None}
 
     @classmethod
     def single(
@@ -243,11 +230,9 @@ class Motion(OneLine):
 
         The state of its phases becomes ``none`` where there are no cables.
         """
-        breaks = drones.breaks
-        n = team.robots
+        shapes = (team.layout.points, 3), (team.robots, 2), (team.robots,)
         vertices, legs, tensions = (
-            PiecewisePolynomial.constant(breaks, np.zeros(shape))
-            for shape in ((team.layout.points, 3), (n, 2), (n,))
+            PiecewisePolynomial.constant(drones.breaks, np.zeros(shape)) for shape in shapes
         )
         if not team.has_cables:
             phases = [replace(phase, state=CableState.NONE) for phase in phases]
@@ -268,11 +253,8 @@ class Motion(OneLine):
     def pulls(self) -> PiecewisePolynomial:
         """Tension of the leg at each drone, q0, r0, q1, …, of shape (2n,) [N]."""
         if self.leg_tensions is None:
-            each = np.repeat(self.tensions.coefficients, 2, axis=1)
-        else:
-            each = self.leg_tensions.coefficients
-            each = each.reshape(len(each), -1, each.shape[-1])
-        return self.drones.alike(each)
+            return self.drones.alike(np.repeat(self.tensions.coefficients, 2, axis=1))
+        return self.leg_tensions.reshaped(self.team.drones)
 
     @property
     def object_poses(self) -> PiecewisePolynomial:
@@ -287,12 +269,11 @@ class Motion(OneLine):
 
         Those that differ from 0 or 1 by rounding alone are 0 or 1.
         """
-        if self.borne is not None:
-            c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
-            shares = np.where(np.abs(c - nearest) <= ROUNDED, nearest, c)
-            return self.borne.alike(shares)
-        count = len(self.requirements.objects)
-        return PiecewisePolynomial.constant(self.drones.breaks, np.zeros(count))
+        if self.borne is None:
+            none = np.zeros(len(self.requirements.objects))
+            return PiecewisePolynomial.constant(self.drones.breaks, none)
+        c, nearest = self.borne.coefficients, np.round(self.borne.coefficients)
+        return self.borne.alike(np.where(np.abs(c - nearest) <= ROUNDED, nearest, c))
 
     @property
     def edge_contacts(self) -> PiecewisePolynomial:
@@ -336,11 +317,6 @@ class Motion(OneLine):
 
         Each at its own times, as a motion of the phases that it overlaps.
         """
-        here = self.cable_states
-        if here <= states:
-            return (self,)
-        if here.isdisjoint(states):
-            return ()
         wanted = self._in_states(states)
         if np.all(wanted):  # phases may be shorter than any piece
             return (self,)
@@ -364,8 +340,7 @@ class Motion(OneLine):
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]
     ) -> Motion:
         """Return the motion with all of its polynomials changed alike, and other phases."""
-        own, names = vars(self), POLYNOMIALS + FURTHER
-        parts = {name: change(own[name]) for name in names if own[name] is not None}
+        parts = {name: change(part) for name, part in self._polynomials.items()}
         return self.altered(phases=tuple(phases), **parts)
 
     def altered(self, **values: Any) -> Motion:
@@ -396,7 +371,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     offset = 0.0
     for motion in motions:
         phases += [
-            p.lasting(offset + p.start, offset + p.end) if offset else p for p in motion.phases
+            phase.lasting(offset + phase.start, offset + phase.end) for phase in motion.phases
         ]
         offset += motion.duration
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
@@ -404,8 +379,7 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
         parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
     if any(motion.leg_tensions is not None for motion in motions):
         pulls = joined([motion.pulls for motion in motions])
-        each = pulls.coefficients.reshape(pulls.pieces, -1, 2, pulls.degree + 1)
-        parts["leg_tensions"] = pulls.alike(each)
+        parts["leg_tensions"] = pulls.reshaped(-1, 2)
     if any(motion.poses is not None or motion.borne is not None for motion in motions):
         parts["poses"] = joined([motion.object_poses for motion in motions])
         parts["borne"] = joined([motion.object_shares for motion in motions])

@@ -7,7 +7,7 @@ Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) ov
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,19 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.motion.asked import asked_of, check_asked, objects_at_first
-from hitchopt.motion.motion import (
-    FURTHER,
-    JOINT,
-    POLYNOMIALS,
-    CableState,
-    Motion,
-    Phase,
-)
+from hitchopt.motion.asked import asked_of, check_asked, objects_at_first, values_of
+from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion, Phase
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
 from hitchopt.storage.archive import BROKEN, read_arrays
@@ -40,20 +32,12 @@ Arrays = dict[str, NDArray[Any]]
 
 FORMAT = "hitchopt-plan/1"
 
-OBJECTS = "objects"
-"""Setting with the objects by name, stored where there are any."""
-
 PER_KIND = ("mass", "max_thrust")
 """Fields of a quadrotor, stored as arrays: (n,), one value a robot; (N,) of single drones."""
 
-CONTROL = "control"
-"""Setting that is true where the fields of a quadrotor's controller are stored as well."""
-
-PER_CONTROLLER = tuple(field.name for field in fields(Quadrotor) if field.name not in PER_KIND)
-"""Fields of a quadrotor that are stored like PER_KIND, unless all of them are defaults.
-
-A rigid loop is stored as an infinite stiffness, and a flag as 0 or 1.
-"""
+PER_CONTROLLER = ("stiffness", "integral", "feed_forward")
+"""Fields of a quadrotor that are stored likewise where one is no default, which a setting
+``control`` says. A rigid loop is an infinite stiffness, a flag 0 or 1."""
 
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
@@ -79,55 +63,45 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     OSError: the file cannot be written.
     """
     team, requirements = motion.team, motion.requirements
-    arrays: Arrays = {
-        name: np.array([getattr(kind, name) for kind in team.quadrotor]) for name in PER_KIND
+    columns = {
+        name: [getattr(kind, name) for kind in team.quadrotor]
+        for name in (*PER_KIND, *PER_CONTROLLER)
     }
+    control = any(set(columns[name]) != {getattr(Quadrotor, name)} for name in PER_CONTROLLER)
+    columns["stiffness"] = [np.inf if x is None else x for x in columns["stiffness"]]
+    arrays: Arrays = {
+        name: np.array(columns[name], dtype=np.float64)
+        for name in (*PER_KIND, *(PER_CONTROLLER if control else ()))
+    }
+    own = {field.name: getattr(team, field.name) for field in fields(team)}
+    if team.has_cables:
+        arrays |= {name: own[name] for name in PER_ROBOT}
+    names = POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]
+    further = [name for name in FURTHER if getattr(motion, name) is not None]
     settings: dict[str, Any] = {
         "title": title,
-        "team": {"drones": team.drones},
+        "team": {k: v for k, v in own.items() if k not in (*PER_ROBOT, "quadrotor")}
+        if team.has_cables
+        else {"drones": team.drones},
         "limits": requirements.limits,
         "separation": requirements.separation,
         "arena": requirements.arena,
         "phases": motion.phases,
         "keep_out": requirements.keep_out,
         "asked": asked_of(motion),
+        "control": control,
+        "objects": objects_at_first(motion),
+        **dict.fromkeys(further, True),  # arrays of these names are there
+        "problem": problem,
+        "assignment": motion.assignment,
     }
-    control = {name: [getattr(kind, name) for kind in team.quadrotor] for name in PER_CONTROLLER}
-    if any(set(column) != {getattr(Quadrotor, name)} for name, column in control.items()):
-        settings[CONTROL] = True
-        for name, column in control.items():
-            stored = [np.inf if value is None else float(value) for value in column]
-            arrays[name] = np.array(stored)
-    polynomials: tuple[str, ...] = POLYNOMIALS[:1]
-    if team.has_cables:
-        polynomials = POLYNOMIALS
-        values = {field.name: getattr(team, field.name) for field in fields(team)}
-        arrays |= {name: values.pop(name) for name in PER_ROBOT}
-        settings["team"] = {name: value for name, value in values.items() if name != "quadrotor"}
-    if requirements.objects:
-        settings[OBJECTS] = objects_at_first(motion)
-    for name in FURTHER:  # a setting of the same name says that they are there
-        if getattr(motion, name) is not None:
-            polynomials += (name,)
-            settings[name] = True
-    if problem:
-        settings["problem"] = problem
-    if motion.assignment is not None:
-        settings["assignment"] = motion.assignment
+    optional = {"control", "objects", "problem", "assignment"}  # left out where there are none
+    stored = {name: value for name, value in settings.items() if value or name not in optional}
     arrays["breaks"] = motion.drones.breaks
-    arrays |= {name: getattr(motion, name).coefficients for name in polynomials}
-    text = json.dumps(settings, allow_nan=False, default=_values_of)
+    arrays |= {name: getattr(motion, name).coefficients for name in (*names, *further)}
+    text = np.array(json.dumps(stored, allow_nan=False, default=values_of))
     with path.open("wb") as file:
-        np.savez(
-            file, allow_pickle=False, format=np.array(FORMAT), settings=np.array(text), **arrays
-        )
-
-
-def _values_of(record: Any) -> Any:
-    """Return a record's fields, or an array's entries, as json takes them."""
-    if isinstance(record, ConvexPolygon):
-        return record.vertices.tolist()
-    return record.tolist() if isinstance(record, np.ndarray) else vars(record)
+        np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
 
 
 def read_plan(path: Path) -> Motion:
@@ -141,22 +115,12 @@ def read_plan(path: Path) -> Motion:
 
 
 def read_title(path: Path) -> str:
-    """Return the title of the plan in a file that hitchopt wrote, or an empty one.
-
-    Raises
-    ------
-    FileError: it cannot be read, or does not hold a plan.
-    """
+    """Return the title of the plan in a file, or an empty one; errors are ``read_plan``'s."""
     return _read(path, lambda settings, _: str(settings["title"]))
 
 
 def read_problem_text(path: Path) -> str:
-    """Return the text of the problem file that a plan was made of; empty if it is not known.
-
-    Raises
-    ------
-    FileError: it cannot be read, or does not hold a plan.
-    """
+    """Return the text of a plan's problem file, empty if not known; errors as ``read_plan``."""
     return _read(path, lambda settings, _: str(settings.get("problem", "")))
 
 
@@ -172,8 +136,7 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
         hitched = (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
         names = ["breaks", POLYNOMIALS[0], *PER_KIND, *hitched]
         names += [name for name in FURTHER if settings.get(name) is True]
-        if settings.get(CONTROL) is True:
-            names += PER_CONTROLLER
+        names += PER_CONTROLLER if settings.get("control") is True else ()
         arrays = read_arrays(path, names)
         for name, array in arrays.items():
             if array.dtype != np.float64:
@@ -187,47 +150,32 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     parts = {}
     for name in (name for name in (*POLYNOMIALS, *FURTHER) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
-            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", "do not edit them")
+            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", DO_NOT)
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
     requirements = Requirements(
         Limits(**settings["limits"]),
         Separation(**settings["separation"]),
         None if settings["arena"] is None else Arena(**settings["arena"]),
         tuple(Prism(**entry) for entry in settings["keep_out"]),
-        {name: _object(**entry) for name, entry in settings.get(OBJECTS, {}).items()},
+        {name: _object(**entry) for name, entry in settings.get("objects", {}).items()},
     )
-    given = settings["team"]
-    kinds = _kinds(arrays)
-    alone = "robots" not in given
-    robots = 0 if alone else int(given["robots"])
+    given, kinds = settings["team"], _kinds(arrays)
     phases = _stored("phases", settings["phases"], tuple[Phase, ...])
-    _check_phases(phases, robots, requirements.objects)
-    if alone:
-        swarm = Swarm(given["drones"], quadrotor=kinds)
-        motion = Motion.single(swarm, requirements, parts["drones"], phases)
-    else:
+    if "robots" in given:
         per_robot: dict[str, Any] = {name: arrays[name] for name in PER_ROBOT}
         team = Team(**given, **per_robot, quadrotor=kinds)
         assignment = _stored("assignment", settings.get("assignment"), Assignment | None)
         motion = Motion(team, requirements, **parts, phases=phases, assignment=assignment)
-    spans = [[phase.start, phase.end] for phase in phases]
-    # A motion has verified that they follow one another and cover the pieces.
-    if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
-        words = f"one after the other from 0 to {motion.duration:g} s"
-        raise InputError("phases", spans, words, "do not edit them")
-    _check_objects(motion)
+    else:
+        swarm = Swarm(given["drones"], quadrotor=kinds)
+        motion = Motion.single(swarm, requirements, parts["drones"], phases)
+    _check_phases(motion)
+    begin, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
+    if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
+        raise InputError("poses", begin.tolist(), "where the objects stand", DO_NOT)
+    check_apart(objects)
     check_asked(settings["asked"], motion)
     return motion
-
-
-def _check_objects(motion: Motion) -> None:
-    """Raise InputError for objects that begin elsewhere than they stand, or share space there."""
-    objects = motion.requirements.objects
-    begin = motion.object_poses.coefficients[0, ..., 0]
-    if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
-        names = [f"objects.{name}" for name in objects]
-        raise InputError("poses", begin.tolist(), f"where {names} stand", "do not edit them")
-    check_apart(objects)
 
 
 def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) -> SolidObject:
@@ -238,24 +186,18 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
     """Return the kinds of quadrotors, whose controllers are the defaults where none are stored."""
-    columns = {name: arrays[name].tolist() for name in PER_KIND}
-    if PER_CONTROLLER[0] in arrays:
-        columns |= {name: arrays[name].tolist() for name in PER_CONTROLLER}
-    rows = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-    return [
-        Quadrotor(**{name: _from_file(name, value) for name, value in row.items()}) for row in rows
-    ]
-
-
-def _from_file(name: str, value: float) -> Any:
-    """Return a quadrotor's field from the number that stands for it in a file."""
-    if name == "stiffness":
-        return None if value == np.inf else value
-    if name in ("integral", "feed_forward"):
-        if value not in (0.0, 1.0):
-            raise InputError(name, value, "0 or 1", "do not edit it")
-        return value == 1.0
-    return value
+    names = [name for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays]
+    columns: dict[str, list[Any]] = {name: arrays[name].tolist() for name in names}
+    for name in PER_CONTROLLER[1:]:
+        for value in columns.get(name, ()):
+            if value not in (0.0, 1.0):
+                raise InputError(name, value, "0 or 1", DO_NOT)
+        if name in columns:
+            columns[name] = [value == 1.0 for value in columns[name]]
+    if "stiffness" in columns:
+        columns["stiffness"] = [None if x == np.inf else x for x in columns["stiffness"]]
+    rows = zip(*columns.values(), strict=True)
+    return [Quadrotor(**dict(zip(names, row, strict=True))) for row in rows]
 
 
 def _stored(key: str, value: Any, kind: Any) -> Any:
@@ -275,18 +217,22 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
         raise InputError(place, first["input"], f"stored ({first['msg']})", DO_NOT) from None
 
 
-def _check_phases(phases: Sequence[Phase], robots: int, objects: Collection[str]) -> None:
-    """Raise InputError for phases that do not fit a team, or name what is not there."""
-    for phase in phases:
-        if (phase.state is CableState.NONE) is (robots > 0):
-            words = "none without cables, and another state with them"
-            raise InputError("phases.state", str(phase.state), words, DO_NOT)
+def _check_phases(motion: Motion) -> None:
+    """Raise InputError for phases of other times, impossible ranges, or holds of what is not there.
+
+    A motion has verified that they follow one another and cover the pieces.
+    """
+    spans = [[phase.start, phase.end] for phase in motion.phases]
+    if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
+        words = f"one after the other from 0 to {motion.duration:g} s"
+        raise InputError("phases", spans, words, DO_NOT)
+    objects, robots = motion.requirements.objects, motion.team.robots
+    for phase in motion.phases:
         if phase.tension is not None and not 0.0 < phase.tension[0] <= phase.tension[1] < np.inf:
             words = "a smallest and a largest tension, or null"
             raise InputError("phases.tension", phase.tension, words, DO_NOT)
         hold = phase.hold
-        known = hold is None or (hold.object in objects and set(hold.cables) <= set(range(robots)))
-        if not known:
+        if hold and not (hold.object in objects and set(hold.cables) <= set(range(robots))):
             bound = f"an object of {sorted(objects)} and cables from 0 to {robots - 1}"
             raise InputError("phases.hold", vars(hold), bound, DO_NOT)
 

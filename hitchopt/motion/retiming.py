@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby, pairwise
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,26 +31,17 @@ def rests(motion: Motion) -> NDArray[np.intp]:
 
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, from t = 0 on."""
-    start, end = float(motion.drones.breaks[first]), float(motion.drones.breaks[last])
+    start, end = motion.drones.breaks[[first, last]].tolist()
     breaks = motion.drones.breaks[first : last + 1] - start
-
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        return whole.alike(whole.coefficients[first:last], breaks)
-
     phases = [
         phase.lasting(max(phase.start, start) - start, min(phase.end, end) - start)
         for phase in motion.overlapping(start, end)
     ]
-    return motion.changed(part, phases)
+    return motion.changed(lambda part: part.alike(part.coefficients[first:last], breaks), phases)
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
-    """Return the same curves with all durations multiplied by ``factor``, and no limit on them.
-
-    Raises
-    ------
-    InputError: a factor below 1.
-    """
+    """Return the same curves ``factor`` times as slow, and no limit on their duration."""
     if not 1.0 <= factor <= 100.0:
         raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
     if factor == 1.0:
@@ -58,12 +49,9 @@ def stretched(motion: Motion, factor: float) -> Motion:
     return motion.untimed.slowed(factor)
 
 
-LONGEST = 0.1
-"""[s] Longest piece: on so short ones polynomials of degree 7 differ from what they are fitted to
-by little more than rounding."""
-
-SHORTEST = 4e-3
-"""[s] Breaks of a plan this close to one of the clock are left out: derivatives of short pieces
+LONGEST, SHORTEST = 0.1, 4e-3
+"""[s] Longest piece, on which degree 7 differs from what it is fitted to by little more than
+rounding; and how close to a break of the clock a plan's is left out: short pieces' derivatives
 suffer from rounding."""
 
 ORDERS = 4
@@ -73,9 +61,7 @@ ORDERS = 4
 def retimed(motion: Motion, clock: ClockPhases) -> Motion:
     """Return the motion flown on one clock, from t = 0, with three derivatives met at all breaks.
 
-    Parameters
-    ----------
-    clock: its phases in a row, within the motion's time.
+    The clock's phases are in a row, within the motion's time.
     """
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
@@ -83,11 +69,9 @@ def retimed(motion: Motion, clock: ClockPhases) -> Motion:
     edges = np.concatenate([[0.0], np.cumsum(clock.duration)])
     breaks = _spaced(times, edges)
     sides = []
-    for ends, side in ((breaks[:-1], "right"), (breaks[1:], "left")):
-        inner = ends + (1e-12 if side == "right" else -1e-12)
-        cell = np.clip(np.searchsorted(times, inner) - 1, 0, len(cells) - 1)
+    for ends, inward in ((breaks[:-1], 1e-12), (breaks[1:], -1e-12)):
+        cell = np.clip(np.searchsorted(times, ends + inward) - 1, 0, len(cells) - 1)
         sides.append((pieces[cell], advanced(cells.jets[cell], ends - times[cell])))
-
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     here = pieces[np.searchsorted(times, middles) - 1]
     index = motion.phase_of_piece[here]
@@ -109,23 +93,21 @@ def _spaced(times: Array, edges: Array) -> Array:
     """Return the breaks: all edges, other times that are far enough from these, and more."""
     near = np.min(np.abs(times[:, None] - edges), axis=1)
     breaks = np.union1d(edges, times[near > SHORTEST])
-    parts = [breaks[-1:]]
-    for first, last in pairwise(breaks):
-        count = max(1, int(np.ceil((last - first) / LONGEST)))
-        parts.append(np.linspace(first, last, count + 1)[:-1])
-    return np.sort(np.concatenate(parts))
+    parts = [
+        np.linspace(first, last, max(1, int(np.ceil((last - first) / LONGEST))) + 1)[:-1]
+        for first, last in pairwise(breaks)
+    ]
+    return np.concatenate([*parts, breaks[-1:]])
 
 
 def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
     """Return derivatives by time (ORDERS, ends, *shape) where a clock has jets (ends, 4)."""
-    c = part.coefficients[pieces]
+    c, h = part.coefficients[pieces], part.durations[pieces]
     axes = (-1, *(1,) * len(part.shape))
-    h = part.durations[pieces].reshape(axes)
-    x = np.clip((clock[:, 0] - part.breaks[pieces]) / part.durations[pieces], 0.0, 1.0)
-    x = x.reshape(axes)
+    x = np.clip((clock[:, 0] - part.breaks[pieces]) / h, 0.0, 1.0).reshape(axes)
     orders = []
     for order in range(ORDERS):
-        orders.append(bernstein.evaluate(c, x) / h**order)
+        orders.append(bernstein.evaluate(c, x) / h.reshape(axes) ** order)
         c = bernstein.differentiate(c)
     f, f1, f2, f3 = orders
     s, a, j = (clock[:, k].reshape(axes) for k in (1, 2, 3))
@@ -134,12 +116,11 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
 
 def _phases(phases: Sequence[Phase], breaks: Array, index: Indices) -> list[Phase]:
     """Return the phases of pieces whose phases have these indices."""
-    found, first = [], 0
-    for i, run in groupby(index.tolist()):
-        last = first + len(list(run))
-        found.append(phases[i].lasting(float(breaks[first]), float(breaks[last])))
-        first = last
-    return found
+    edges = np.flatnonzero(np.diff(index, prepend=-1, append=-1))
+    return [
+        phases[index[first]].lasting(float(breaks[first]), float(breaks[last]))
+        for first, last in pairwise(edges.tolist())
+    ]
 
 
 def before(motion: Motion, time: float) -> Motion:

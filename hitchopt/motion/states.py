@@ -15,26 +15,21 @@ from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
-from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, as_array, not_negative, positive
 
+UPWARD = np.array([0.0, 0.0, GRAVITY])
+"""[m/s²] What thrusts hold against besides accelerations."""
+
 END_TOLERANCE = 1e-6
-"""Distance of a plan's end from the last regular sample [s] below which it is no sample."""
+"""[s] Distance of a plan's end from the last regular sample below which it is no sample."""
 
 MAX_SAMPLES = 50_000_000
 """Largest number of samples; more are refused before any memory is spent on them."""
 
 TIME_TOLERANCE = 1e-9
-"""Distance by which a time may lie outside the plan [s]: the rounding of sums of durations."""
+"""[s] Distance by which a time may lie outside the plan: the rounding of sums of durations."""
 
-
-AT_REST = (
-    "velocities",
-    "accelerations",
-    "jerks",
-    "cable_force_rates",
-    "vertex_velocities",
-)
+AT_REST = ("velocities", "accelerations", "jerks", "cable_force_rates", "vertex_velocities")
 """Fields of states that are zero after a plan's end."""
 
 BLOCK = 1 << 20
@@ -51,19 +46,16 @@ class States(OneLine):
     t: (…) [s], from the plan's start.
     formed: (…) whether the hitch exists; of a swarm without cables it never does.
     positions: of the drones q0, r0, q1, r1, … (…, 2n, 3) [m], or of a swarm's d0, d1, ….
-    velocities, accelerations, jerks: their derivatives (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where
-        pieces join, those of the later piece.
-    cable_forces: (…, 2n, 3) [N], the force of the cable on each drone: the pull of its leg (its
-        edge, at a chain's end), ``T_k`` but for friction, and half of the cable's weight; while
-        there is no hitch, the pull of a hanging cable. As tensions rise from zero or fall
-        to it, the one passes continuously into the other (``hitchopt.motion.loads``).
+    velocities, accelerations, jerks: (…, 2n, 3) [m/s], [m/s²], [m/s³]. Where pieces join, those of
+        the later piece.
+    cable_forces: (…, 2n, 3) [N], of the cable on each drone: of its leg (of its edge at a chain's
+        end), or of a hanging cable while there is no hitch (``forces.cable_forces``).
     cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
-    vertices, vertex_velocities: (…, points, 3) [m], [m/s]; n points of a closed hitch, n + 1 of a
-        chain. These, legs and tensions mean something only where the hitch is formed.
+    vertices, vertex_velocities: (…, points, 3) [m], [m/s]. These, legs and tensions mean something
+        only where the hitch is formed.
     legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
     tensions: (…, n) [N].
-    object_poses: (…, objects, 5), where objects are: x, y, z [m] of their bases, cosine and sine of
-        their yaws.
+    object_poses: (…, objects, 5): x, y, z [m] of their bases, cosine and sine of their yaws.
     borne: (…, objects), the share of each object's weight that clasps carry.
     masses: (…, 2n) [kg], of the drones.
     """
@@ -86,7 +78,8 @@ class States(OneLine):
 
     def thrusts(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N] the thrust vectors ``m (a + g ẑ) - cable force``."""
-        return thrusts_of(team, self.accelerations, self.cable_forces)
+        thrusts: Array = team.mass[:, None] * (self.accelerations + UPWARD) - self.cable_forces
+        return thrusts
 
     def thrust_rates(self, team: Team | Swarm) -> Array:
         """Return (…, 2n, 3) [N/s] the derivatives of the thrust vectors by time."""
@@ -96,33 +89,23 @@ class States(OneLine):
     @cached_property
     def _attitudes(self) -> Attitudes:
         masses = self.masses[..., None]
-        thrusts = masses * (self.accelerations + [0.0, 0.0, GRAVITY]) - self.cable_forces
+        thrusts = masses * (self.accelerations + UPWARD) - self.cable_forces
         return attitudes(thrusts, masses * self.jerks - self.cable_force_rates)
 
     @property
     def quaternions(self) -> Array:
-        """Attitude of each drone with yaw 0, from its axes to the world's, (…, 2n, 4), w, x, y, z.
-
-        Its z axis points along the thrust (``attitudes``).
-        """
+        """(…, 2n, 4), w, x, y, z: attitudes with yaw 0, z along the thrust (``attitudes``)."""
         return self._attitudes.quaternions
 
     @property
     def body_rates(self) -> Array:
-        """Angular velocity of the attitude about the drone's own axes, (…, 2n, 3) [rad/s]."""
+        """(…, 2n, 3) [rad/s]: angular velocity of the attitude about the drone's own axes."""
         return self._attitudes.body_rates
 
 
 @dataclass(frozen=True, eq=False)
 class Attitudes:
-    """Attitudes and their rates.
-
-    Attributes
-    ----------
-    quaternions: (…, 4), w, x, y, z, from the body's axes to the world's; with yaw 0 and a thrust
-        that points upward w is positive.
-    body_rates: (…, 3) [rad/s], angular velocity about the body's axes.
-    """
+    """Attitudes (…, 4), w, x, y, z, body to world, and body rates (…, 3) [rad/s]."""
 
     quaternions: Array
     body_rates: Array
@@ -134,13 +117,12 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
     A quadrotor thrusts along its body's z axis only, so the thrust vector and the yaw determine the
     attitude, and their derivatives the body rates (differential flatness: D. Mellinger and V.
     Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA 2011). Yaw is the
-    first of the angles yaw, pitch, roll about the axes z, y, x, as receivers of quaternions read
-    it. Rates are nan where there is no thrust, and where it points along the body's y axis at rest.
+    first of the angles about the axes z, y, x. Rates are nan where there is no thrust, and where it
+    points along the body's y axis at rest.
 
     Parameters
     ----------
-    thrusts: (…, 3) [N] or any other unit.
-    thrust_rates: (…, 3), their derivatives by time.
+    thrusts, thrust_rates: (…, 3) [N], and their derivatives by time.
     yaw: [rad]
     """
     c, s = np.cos(yaw), np.sin(yaw)
@@ -168,22 +150,10 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
     return Attitudes(np.stack(quaternions, axis=-1), np.stack(body_rates, axis=-1))
 
 
-def thrusts_of(team: Team | Swarm, accelerations: Array, cable_forces: Array) -> Array:
-    """Return the thrust vectors ``m (a + g ẑ) - cable force``, (…, 2n, 3) [N]."""
-    upward = np.array([0.0, 0.0, GRAVITY])
-    thrusts: Array = team.mass[:, None] * (accelerations + upward) - cable_forces
-    return thrusts
-
-
 def sample_times(duration: float, rate: float) -> Array:
-    """Return (samples,) [s]: every multiple of 1/rate from 0, and the end.
+    """Return (samples,) [s]: every multiple of 1/rate [Hz] from 0, and the plan's end.
 
     The end is left out where it is within 1e-6 s of the last multiple.
-
-    Parameters
-    ----------
-    duration: duration of the plan [s], not negative.
-    rate: [Hz], positive.
 
     Raises
     ------
@@ -231,67 +201,39 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``."""
-    h = motion.drones.durations[:, None, None]
-    drones = [motion.drones.coefficients]
-    for _ in range(3):
-        drones.append(bernstein.differentiate(drones[-1]) / h[..., None])
-    parts = [motion.vertices.coefficients, leg_tensions(motion), tautness(motion)]
-    part_rates = [
-        bernstein.differentiate(part) / h.reshape(-1, *[1] * (part.ndim - 1)) for part in parts
-    ]
-    poses, shares = motion.object_poses.coefficients, motion.object_shares.coefficients
-    pieces, x = _places(motion, times)
+    pulls, taut = map(motion.drones.alike, (leg_tensions(motion), tautness(motion)))
+    parts = motion.drones, motion.vertices, pulls, taut
+    rates = [part.differentiated() for part in parts]
+    second, third = (motion.drones.differentiated(order) for order in (2, 3))
     for first in range(0, len(times), size):
-        block = slice(first, first + size)
-
-        def at(coefficients: Array, block: slice = block) -> Array:
-            return _values(coefficients, pieces[block], x[block])
-
-        positions, velocities, accelerations, jerks = map(at, drones)
-        values = positions, *map(at, parts)
-        rates = velocities, *map(at, part_rates)
+        t = times[first : first + size]
+        at = np.minimum(motion.drones.breaks[0] + t, motion.drones.breaks[-1])
+        values, slopes = (tuple(part.at(at) for part in each) for each in (parts, rates))
         yield States(
-            t=times[block],
-            formed=motion.formed[pieces[block]],
-            positions=positions,
-            velocities=velocities,
-            accelerations=accelerations,
-            jerks=jerks,
+            t=t,
+            formed=_formed(motion, at),
+            positions=values[0],
+            velocities=slopes[0],
+            accelerations=second.at(at),
+            jerks=third.at(at),
             cable_forces=cable_forces(motion.team, *values),
-            cable_force_rates=cable_force_rates(motion.team, values, rates),
+            cable_force_rates=cable_force_rates(motion.team, values, slopes),
             vertices=values[1],
-            vertex_velocities=rates[1],
-            legs=at(motion.legs.coefficients),
-            tensions=at(motion.tensions.coefficients),
-            object_poses=at(poses),
-            borne=at(shares),
-            masses=np.broadcast_to(motion.team.mass, positions.shape[:-1]),
+            vertex_velocities=slopes[1],
+            legs=motion.legs.at(at),
+            tensions=motion.tensions.at(at),
+            object_poses=motion.object_poses.at(at),
+            borne=motion.object_shares.at(at),
+            masses=np.broadcast_to(motion.team.mass, values[0].shape[:-1]),
         )
 
 
 def hitch_at(motion: Motion, times: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return whether there is a hitch, its vertices and tensions, as the states at ``times`` do.
-
-    Parameters
-    ----------
-    motion: the plan.
-    times: (samples,) [s], counted from its start.
-    """
-    pieces, x = _places(motion, times)
-    vertices = _values(motion.vertices.coefficients, pieces, x)
-    return motion.formed[pieces], vertices, _values(motion.tensions.coefficients, pieces, x)
+    """Return whether there is a hitch, its vertices and tensions, as states at times [s] do."""
+    at = np.minimum(motion.drones.breaks[0] + times, motion.drones.breaks[-1])
+    return _formed(motion, at), motion.vertices.at(at), motion.tensions.at(at)
 
 
-def _places(motion: Motion, times: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the pieces in which ``times`` (samples,) [s] are, and where in them, from 0 to 1."""
-    breaks = motion.drones.breaks - motion.drones.breaks[0]
-    pieces = np.searchsorted(breaks[1:-1], times, side="right")
-    x: Array = np.clip((times - breaks[pieces]) / motion.drones.durations[pieces], 0.0, 1.0)
-    return pieces, x
-
-
-def _values(coefficients: Array, pieces: NDArray[np.intp], x: Array) -> Array:
-    """Return polynomials (pieces, *shape, degree + 1) at x within pieces, as (times, *shape)."""
-    weights = bernstein.basis(x, bernstein.degree(coefficients))
-    values: Array = np.einsum("s...i,si->s...", coefficients[pieces], weights)
-    return values
+def _formed(motion: Motion, times: Array) -> NDArray[np.bool_]:
+    """Return whether there is a hitch at times [s]; where pieces join, on the later one."""
+    return motion.formed[np.searchsorted(motion.drones.breaks[1:-1], times, side="right")]

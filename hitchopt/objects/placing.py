@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length
-from hitchopt.objects.section import Section
-from hitchopt.objects.slab import Slab
-from hitchopt.objects.solid_object import SolidObject
+from hitchopt.objects.bodies import Section, SolidObject
 from hitchopt.values import Array
 
 TOUCH = 1e-6
@@ -48,11 +46,7 @@ def surface_below(
 ) -> tuple[float, str | None]:
     """Return the height [m] of what is under an object's centre of mass, and whose it is.
 
-    Parameters
-    ----------
-    objects, poses: all of them, and where they are (objects, 5).
-    name: of the object that is to stand there.
-    floor: height of the ground [m].
+    Objects are at poses (objects, 5), the ground is at ``floor`` [m].
     """
     places = dict(zip(objects, poses, strict=True))
     centre = in_world(places[name], objects[name].centre_of_mass)
@@ -77,39 +71,37 @@ def footing(objects: Mapping[str, SolidObject], name: str) -> float:
     """
     body = objects[name]
     bottom = float(body.at[2]) + body.lower
-    below = [
-        each
-        for other, each in objects.items()
-        if other != name and abs(float(each.at[2]) + each.upper - bottom) <= TOUCH
-    ]
-    centre = body.section.centroid
+    others = [each for other, each in objects.items() if other != name]
+    below = [each for each in others if abs(float(each.at[2]) + each.upper - bottom) <= TOUCH]
     if not below:
         return math.inf
-    reach = float(np.max(length(body.section.core - centre))) + body.section.rounding
+    section, centre = body.section, body.section.centroid
+    reach = float(np.max(length(section.core - centre))) + section.rounding
     steps = np.linspace(-reach, reach, GRID)
     grid = centre + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    grid = grid[body.section.clearance(grid)[0] <= 0.0]
+    grid = grid[section.clearance(grid)[0] <= 0.0]
     places = in_world(body.pose, np.column_stack([grid, np.zeros(len(grid))]))
     met = [each.section.clearance(in_frame(each.pose, places)[:, :2])[0] <= 0.0 for each in below]
     if not np.any(met):
         return 0.0
-    away = (grid - centre)[np.any(met, axis=0)]
     angles = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
-    return float(
-        np.min(np.max(np.stack([np.cos(angles), np.sin(angles)], axis=-1) @ away.T, axis=1))
-    )
+    along = np.stack([np.cos(angles), np.sin(angles)]).T @ (grid - centre)[np.any(met, axis=0)].T
+    return float(np.min(np.max(along, axis=1)))
 
 
 def stacked_on(objects: Mapping[str, SolidObject], name: str, floor: float) -> list[str]:
     """Return the names of loose objects that stand on one, where objects are."""
-    found = []
-    for other, each in objects.items():
-        if each.fixed or other == name:
-            continue
-        surface, under = surface_below(objects, poses_of(objects), other, floor)
-        if under == name and abs(float(each.at[2]) + each.lower - surface) <= TOUCH:
-            found.append(other)
-    return found
+    loose = [other for other, each in objects.items() if not each.fixed and other != name]
+    found = [(other, _standing(objects, other, floor)) for other in loose]
+    return [other for other, (gap, _, under) in found if under == name and abs(gap) <= TOUCH]
+
+
+def _standing(
+    objects: Mapping[str, SolidObject], name: str, floor: float
+) -> tuple[float, float, str | None]:
+    """Return the gap [m] below an object, the height [m] of what is there, and whose it is."""
+    surface, under = surface_below(objects, poses_of(objects), name, floor)
+    return float(objects[name].at[2]) + objects[name].lower - surface, surface, under
 
 
 def poses_of(objects: Mapping[str, SolidObject]) -> Array:
@@ -122,14 +114,14 @@ def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
     for name, each in objects.items():
         if each.fixed:
             continue
-        bottom = float(each.at[2]) + each.lower
-        surface, under = surface_below(objects, poses_of(objects), name, floor)
-        if abs(bottom - surface) > TOUCH:
+        gap, surface, under = _standing(objects, name, floor)
+        if abs(gap) > TOUCH:
             what = "the ground" if under is None else f"objects.{under}"
             raise InputError(
                 f"objects.{name}.at",
                 each.at.tolist(),
-                f"such that it stands on {what}, its floor at {surface:.6g} m not {bottom:.6g} m",
+                f"such that it stands on {what}, its floor at {surface:.6g} m not "
+                f"{surface + gap:.6g} m",
                 f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}",
             )
     check_apart(objects)
@@ -146,33 +138,33 @@ def check_apart(objects: Mapping[str, SolidObject]) -> None:
 
 def overlapping(one: SolidObject, two: SolidObject) -> bool:
     """Return whether two objects, where they stand, share more than surfaces."""
-    return any(_overlap(one, a, two, b) for a in one.slabs for b in two.slabs)
-
-
-def _overlap(one: SolidObject, a: Slab, two: SolidObject, b: Slab) -> bool:
-    lower = max(one.at[2] + a.lower, two.at[2] + b.lower)
-    upper = min(one.at[2] + a.upper, two.at[2] + b.upper)
-    if lower >= upper - TOUCH:
-        return False
-    return sections_apart(a.section, one.pose, b.section, two.pose) < -TOUCH
+    for a, b in product(one.slabs, two.slabs):
+        lower = max(one.at[2] + a.lower, two.at[2] + b.lower)
+        upper = min(one.at[2] + a.upper, two.at[2] + b.upper)
+        apart = sections_apart(a.section, one.pose, b.section, two.pose)
+        if lower < upper - TOUCH and apart < -TOUCH:
+            return True
+    return False
 
 
 def sections_apart(first: Section, here: Array, second: Section, there: Array) -> float:
     """Return the distance [m] of two placed sections, seen from above; negative where they meet.
 
-    Where their cores meet it is minus both of their roundings, or minus infinity without any.
+    Where their cores meet it is a depth, which tells no more than that they do.
     """
-    a, b = (
-        section.placed(pose[:2], math.atan2(pose[4], pose[3]))
-        for section, pose in ((first, here), (second, there))
-    )
-    sides = [np.stack([core, np.roll(core, -1, axis=0)], axis=1) for core in (a, b)]
-    each = differences(sides[0][:, None], sides[1][None])
+    both = (first, here), (second, there)
+    a, b = (in_world(pose, _level(section.sides))[..., :2] for section, pose in both)
+    each = differences(a[:, None], b[None])
     apart = float(np.min(length(shortest_offset(each))))
+    ends = (first, here, b[0, 0]), (second, there, a[0, 0])
     within = min(
-        float(first.clearance(in_frame(here, np.append(b[0], 0.0))[:2])[0]),
-        float(second.clearance(in_frame(there, np.append(a[0], 0.0))[:2])[0]),
+        float(section.clearance(in_frame(pose, _level(end))[:2])[0]) for section, pose, end in ends
     )
     if within < 0.0 or apart == 0.0:
         return min(within, -first.rounding - second.rounding, -2.0 * TOUCH)
     return apart - first.rounding - second.rounding
+
+
+def _level(places: Array) -> Array:
+    """Return points (…, 2) as points (…, 3) at height 0."""
+    return np.concatenate([places, np.zeros_like(places[..., :1])], axis=-1)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import FrameType
 from typing import Any
 
 from hitchopt.errors import InputError, UnitWarning
-from hitchopt.values import positive
+from hitchopt.values import acute, not_negative, positive
 
 OUTSIDE = frozenset({"hitchopt", "contextlib", "dataclasses"})
 """Packages between a user's line and the place where a value is checked."""
@@ -89,6 +89,44 @@ def check_unit(key: str, value: Any, quantity: Quantity) -> None:
             words = f"{number:g} {quantity.unit}; {usual}; {_meant(number, quantity)}"
             warn_of_unit(UnitWarning(name, words))
             return
+
+
+FIELDS: Mapping[str, tuple[Callable[[str, Any], Any], Quantity]] = {
+    "mass": (positive, MASS),
+    "max_thrust": (positive, THRUST),
+    "stiffness": (positive, STIFFNESS),
+    "cable_density": (not_negative, DENSITY),
+    "cable_friction": (not_negative, FRICTION),
+    "speed": (positive, SPEED),
+    "acceleration": (positive, ACCELERATION),
+    "jerk": (positive, JERK),
+    "tilt": (acute, TILT),
+    "vertex_speed": (positive, SPEED),
+    "leg": (positive, LEG),
+    "duration": (positive, DURATION),
+    "body_rate": (positive, BODY_RATE),
+    "radius": (positive, ELLIPSOID),
+    "height": (positive, ELLIPSOID),
+    "cable": (not_negative, DISTANCE),
+    "crossing": (not_negative, DISTANCE),
+    "object": (not_negative, DISTANCE),
+}
+"""Checks and quantities of the fields of teams and requirements."""
+
+
+def store(record: object, values: Mapping[str, Any], checked: Collection[str] = ()) -> None:
+    """Set fields of a frozen record; those of FIELDS to what their checks return.
+
+    None is a value where it is the field's default. Units of ``checked`` fields were looked at.
+    """
+    for name, value in values.items():
+        number = value
+        if name in FIELDS and (value is not None or getattr(type(record), name, "") is not None):
+            check, quantity = FIELDS[name]
+            number = check(name, value)
+            if name not in checked:
+                check_unit(name, number, quantity)
+        object.__setattr__(record, name, number)
 
 
 def radians_of(

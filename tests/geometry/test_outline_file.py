@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,15 +29,31 @@ def size_and_area(outline: Array) -> tuple[float, float, float]:
     return float(width), float(depth), ConvexPolygon(section.outline).area
 
 
-@pytest.mark.parametrize(
-    ("size", "metres"),
-    [('width="400mm" height="300mm" ', 1e-3), ("", 1.0), ('width="800" height="600" ', 2.0)],
-)
-def test_svg_states_its_unit_or_is_in_metres(tmp_path: Path, size: str, metres: float) -> None:
-    drawing = tmp_path / "box.svg"
-    drawing.write_text(SVG.format(size=size, shape=RECTANGLE))
-    found = size_and_area(read_outline(drawing))
-    assert found == pytest.approx((400 * metres, 300 * metres, 120_000 * metres**2), rel=1e-4)
+POLYGON = {"type": "Polygon", "coordinates": [RING]}
+FEATURE = {"type": "Feature", "properties": {}, "geometry": POLYGON}
+BOXES: list[tuple[str, str, float]] = [
+    ("a.svg", SVG.format(size='width="400mm" height="300mm" ', shape=RECTANGLE), 1.0),
+    ("a.svg", SVG.format(size="", shape=RECTANGLE), 1e3),
+    ("a.svg", SVG.format(size='width="800" height="600" ', shape=RECTANGLE), 2e3),
+    ("a.json", json.dumps(POLYGON), 1.0),
+    ("a.geojson", json.dumps(FEATURE), 1.0),
+    ("a.json", json.dumps({"type": "FeatureCollection", "features": [FEATURE]}), 1.0),
+    ("a.json", json.dumps(RING[:-1]), 1.0),
+    ("a.csv", "# x, y\n0.0, 0.0\n0.4, 0.0\n0.4, 0.3\n0.0, 0.3", 1.0),
+    ("a.csv", "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n", 1.0),
+    ("a.txt", "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n", 1.0),
+    ("a.csv", "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3", 1.0),
+    ("a.csv", "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n", 1.0),
+]
+"""Files with a box of 0.4 m by 0.3 m, times a factor."""
+
+
+@pytest.mark.parametrize(("name", "text", "size"), BOXES)
+def test_boxes_have_their_size(tmp_path: Path, name: str, text: str, size: float) -> None:
+    """SVG states its unit or is in metres; tables are as other programs write them."""
+    (tmp_path / name).write_text(text, encoding="utf-8")
+    found = size_and_area(read_outline(tmp_path / name))
+    assert found == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
 
 
 def test_svg_is_not_mirrored(tmp_path: Path) -> None:
@@ -54,54 +72,50 @@ def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     assert ho.Section(outline).area == pytest.approx(math.pi * 0.04, rel=2e-3)
 
 
-@pytest.mark.slow
-def test_dxf_lines_are_joined_and_converted(tmp_path: Path) -> None:
-    ezdxf = import_module("ezdxf")
-    for units, scale in ((4, 1e-3), (0, 1.0)):
-        document = ezdxf.new(units=units)
-        space = document.modelspace()
+def dxf(path: Path, units: int, draw: Callable[[Any], object], **made: bool) -> Array:
+    """The outline of what is drawn into a drawing's model space."""
+    drawing = import_module("ezdxf").new(units=units, **made)
+    draw(drawing.modelspace())
+    drawing.saveas(path / "a.dxf")
+    return read_outline(path / "a.dxf")
+
+
+@pytest.mark.parametrize(("units", "scale"), [(4, 1e-3), (0, 1.0)])
+def test_dxf_lines_are_joined_and_converted(tmp_path: Path, units: int, scale: float) -> None:
+    def draw(space: Any) -> None:
         corners = [(0, 0), (400, 0), (400, 300), (0, 300)]
         for first, last in zip(corners, corners[1:] + corners[:1], strict=True):
             space.add_line(first, last)
         space.add_text("not a part of it")
-        document.saveas(tmp_path / "box.dxf")
-        found = size_and_area(read_outline(tmp_path / "box.dxf"))
-        assert found == pytest.approx((400 * scale, 300 * scale, 120_000 * scale**2), rel=1e-4)
+
+    found = size_and_area(dxf(tmp_path, units, draw))
+    assert found == pytest.approx((400 * scale, 300 * scale, 120_000 * scale**2), rel=1e-4)
 
 
 def test_dxf_arcs_close_an_outline(tmp_path: Path) -> None:
-    ezdxf = import_module("ezdxf")
-    document = ezdxf.new(units=6)
-    space = document.modelspace()
-    space.add_arc((0, 0), 0.2, 90, 270)
-    space.add_line((0, -0.2), (0.3, -0.2))
-    space.add_arc((0.3, 0), 0.2, 270, 90)
-    space.add_line((0.3, 0.2), (0, 0.2))
-    document.saveas(tmp_path / "slot.dxf")
-    area = size_and_area(read_outline(tmp_path / "slot.dxf"))[2]
+    def draw(space: Any) -> None:
+        space.add_arc((0, 0), 0.2, 90, 270)
+        space.add_line((0, -0.2), (0.3, -0.2))
+        space.add_arc((0.3, 0), 0.2, 270, 90)
+        space.add_line((0.3, 0.2), (0, 0.2))
+
+    area = size_and_area(dxf(tmp_path, 6, draw))[2]
     assert area == pytest.approx(math.pi * 0.04 + 0.12, rel=2e-3)
 
 
-@pytest.mark.parametrize("wrap", ["Polygon", "Feature", "FeatureCollection", "list"])
-def test_geojson_and_coordinates(tmp_path: Path, wrap: str) -> None:
-    polygon = {"type": "Polygon", "coordinates": [RING]}
-    feature = {"type": "Feature", "properties": {}, "geometry": polygon}
-    content = {
-        "Polygon": polygon,
-        "Feature": feature,
-        "FeatureCollection": {"type": "FeatureCollection", "features": [feature]},
-        "list": RING[:-1],
-    }[wrap]
-    path = tmp_path / "box.json"
-    path.write_text(json.dumps(content))
-    assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))
+def test_dxf_blocks_are_taken_apart_and_dimensions_are_no_part(tmp_path: Path) -> None:
+    def draw(space: Any) -> None:
+        block = space.doc.blocks.new("part")
+        block.add_lwpolyline([(0, 0), (400, 0), (400, 150), (0, 150)], close=True)
+        space.add_blockref("part", (50, 20), dxfattribs={"yscale": 2.0})
+        space.add_linear_dim(base=(0, -30), p1=(0, 0), p2=(200, 0)).render()
+
+    found = size_and_area(dxf(tmp_path, 4, draw, setup=True))
+    assert found == pytest.approx((0.4, 0.3, 0.12))
 
 
-def test_a_table_and_shapely(tmp_path: Path) -> None:
+def test_holes_of_geometries_are_left_out() -> None:
     shapely = import_module("shapely")
-    path = tmp_path / "box.csv"
-    path.write_text("# x, y\n" + "\n".join(f"{x}, {y}" for x, y in RING[:-1]))
-    assert size_and_area(read_outline(path)) == pytest.approx((0.4, 0.3, 0.12))
     holed = shapely.box(0, 0, 0.4, 0.3).difference(shapely.box(0.1, 0.1, 0.2, 0.2))
     assert size_and_area(outline_of_geometry(holed)) == pytest.approx((0.4, 0.3, 0.12))
 
@@ -134,42 +148,7 @@ def test_what_is_no_outline_is_refused(
         read_outline(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n",
-        "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n",
-        "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3",
-        "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n",
-    ],
-    ids=["headings", "semicolons", "tabs", "ends"],
-)
-def test_tables_as_other_programs_write_them(tmp_path: Path, text: str) -> None:
-    (tmp_path / "a.csv").write_text(text, encoding="utf-8")
-    assert size_and_area(read_outline(tmp_path / "a.csv")) == pytest.approx((0.4, 0.3, 0.12))
-
-
 def test_objects_are_no_larger_than_rooms(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("0, 0\n400, 0\n400, 300\n")
     with pytest.raises(ho.InputError, match="400 m; state the drawing's unit"):
         ho.fit(str(tmp_path / "a.csv"), 3)
-
-
-def test_dxf_blocks_are_taken_apart(tmp_path: Path) -> None:
-    dxf = import_module("ezdxf")
-    drawing = dxf.new()
-    drawing.units = dxf.units.MM
-    block = drawing.blocks.new("part")
-    block.add_lwpolyline([(0, 0), (400, 0), (400, 150), (0, 150)], close=True)
-    drawing.modelspace().add_blockref("part", (50, 20), dxfattribs={"yscale": 2.0})
-    drawing.saveas(tmp_path / "a.dxf")
-    assert size_and_area(read_outline(tmp_path / "a.dxf")) == pytest.approx((0.4, 0.3, 0.12))
-
-
-def test_dimensions_are_no_part_of_an_outline(tmp_path: Path) -> None:
-    drawing = import_module("ezdxf").new(setup=True, units=4)
-    space = drawing.modelspace()
-    space.add_lwpolyline([(0, 0), (200, 0), (200, 100), (0, 100)], close=True)
-    space.add_linear_dim(base=(0, -30), p1=(0, 0), p2=(200, 0)).render()
-    drawing.saveas(tmp_path / "a.dxf")
-    assert size_and_area(read_outline(tmp_path / "a.dxf")) == pytest.approx((0.2, 0.1, 0.02))

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch import parts
+from hitchopt.hitch.leg_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
 from problems.random_morph import random_convex_polygon
 
@@ -130,28 +131,22 @@ def test_an_arena_too_small_for_any_legs_still_gives_the_best_one() -> None:
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])
-def test_near_pairs_are_the_same_however_they_are_searched(
-    topology: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """By comparing all, by an index of sweeps through all frames, by one of all frames."""
+def test_near_pairs_are_those_that_all_pairs_in_all_frames_show(topology: str) -> None:
     rng = np.random.default_rng(5)
     found = Parts.of(6, topology)
     middles = rng.normal(size=(1, len(found.nodes), 2)) + 0.3 * rng.normal(size=(7, 1, 2))
     middles += 0.1 * rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
     sizes = rng.uniform(0.0, 0.3, middles.shape)
     limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
-    seen = []
-    for few, neighbours, chunk in ((100, 0, 50), (0, 1000, 50), (0, 1000, 10**6), (0, 0, 1)):
-        monkeypatch.setattr(parts, "FEW", few)
-        monkeypatch.setattr(parts, "NEIGHBOURS", neighbours)
-        monkeypatch.setattr(parts, "CHUNK", chunk)
-        near = found.near(middles - sizes, middles + sizes, limits, 0.4)
-        seen.append(sorted(zip(*(part.tolist() for part in near), strict=True)))
-        apart = found.near(50.0 * middles, 50.0 * middles, limits, 1e-9)
-        assert [len(part) for part in apart] == [0, 0, 0, 0]
-    assert seen[0] == seen[1] == seen[2] == seen[3]
-    assert {kind for *_, kind in seen[0]} == {SEPARATION, CABLE}
-    assert 100 < len(seen[0]) < 7 * len(np.triu_indices(len(found.nodes), 1)[0]) / 2
+    near = found.near(middles - sizes, middles + sizes, limits, 0.4)
+    i, j = np.triu_indices(len(found.nodes), 1)
+    gaps = np.abs(middles[:, i] - middles[:, j]) - sizes[:, i] - sizes[:, j]
+    kind = found.kind(i, j)
+    close = np.linalg.norm(np.maximum(gaps, 0.0), axis=-1) <= 0.4
+    frame, pair = np.nonzero(close & ((kind == SEPARATION) | (kind == CABLE)))
+    expected = zip(frame, i[pair], j[pair], kind[pair], strict=True)
+    assert sorted(zip(*near, strict=True)) == sorted(expected)
+    assert 100 < len(frame) < 7 * len(i) / 2
 
 
 @pytest.mark.parametrize("n", [3, 4, 7])
@@ -181,3 +176,14 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
         else:
             wanted = CROSSING if not clasps & others else -1
         assert kind == wanted, (bodies[a], bodies[b])
+
+
+def test_rows_of_programs_may_be_stored_in_any_order_and_hold_zeros() -> None:
+    """The point nearest to (3, 2, 1) with ``x0 + 2 x1 <= 4`` and ``x2 >= 2`` is (2.4, 0.8, 2)."""
+    data, rows = np.array([1.0, 0.0, 0.0, 2.0, 1.0]), np.array([0, 1, 1, 0, 1])
+    A = sp.csc_array((data, rows, np.array([0, 2, 4, 5])), shape=(2, 3))
+    assert not A.has_sorted_indices
+    q, bounds = np.array([-3.0, -2.0, -1.0]), (np.array([-np.inf, 2.0]), np.array([4.0, np.inf]))
+    x = solve_qp(QuadraticProgram(sp.csc_array(np.eye(3)), q, A, *bounds))
+    assert x is not None
+    assert x == pytest.approx([2.4, 0.8, 2.0], abs=1e-6)

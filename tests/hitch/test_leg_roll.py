@@ -139,44 +139,6 @@ def test_given_legs_with_automatic_roll_are_rolled_where_they_must_be() -> None:
     np.testing.assert_allclose(h.q_legs, 0.45)
 
 
-LOADED = Team(
-    10,
-    [1.129, 1.134, 1.206, 1.197, 1.109, 1.109, 1.13, 1.07, 1.113, 1.205],
-    cable_density=0.005,
-    load=[0.003, 0.0, 0.01, 0.003, 0.003, 0.01, 0.0, 0.01, 0.01, 0.003],
-)
-UNEVEN = [
-    (-0.211, -1.081),
-    (-0.646, -0.896),
-    (-1.103, -0.132),
-    (-0.955, 0.561),
-    (-0.724, 0.834),
-    (-0.072, 1.099),
-    (0.692, 0.861),
-    (1.031, 0.408),
-    (1.026, -0.421),
-    (0.595, -0.93),
-]
-
-
-def mirrored(team: Team, polygon: Array) -> tuple[Team, Array]:
-    """Return the mirror image: edge k of it is edge n-2-k, vertex k vertex n-1-k."""
-    order = (team.robots - 2 - np.arange(team.robots)) % team.robots
-    lengths, load = team.cable_length[order], team.load[::-1]
-    image = Team(team.robots, lengths, cable_density=team.cable_density, load=load)
-    return image, polygon[::-1] * [-1.0, 1.0]
-
-
-@pytest.mark.slow
-def test_weights_that_one_sense_of_roll_does_not_clear_get_the_other_one() -> None:
-    image = mirrored(LOADED, np.array(UNEVEN))
-    one, other = Hitch.spread(LOADED, UNEVEN), Hitch.spread(*image)
-    assert np.all(one.roll < 0.0)
-    assert np.all(other.roll > 0.0)
-    assert margin(one) >= 1.0
-    assert margin(other) >= 1.0
-
-
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
     team, polygon = Team(29, 2.2), regular_polygon(29, 1.3)

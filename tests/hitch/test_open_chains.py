@@ -4,80 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from clasp_balance import clasp_residuals
+from clasp_balance import random_outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import ConvexArc, Hitch, InfeasibleError, InputError, Separation, Team
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch.forces import contact_forces
 from problems.random_morph import random_convex_polygon
 
 seeds = st.integers(0, 2**32 - 1)
-sizes = st.integers(2, 8)
-
-
-def arc(seed: int, n: int) -> ConvexArc:
-    rng = np.random.default_rng(seed)
-    polygon = random_convex_polygon(n + 3, 1.3, rng).translated(rng.normal(size=2))
-    return ConvexArc(polygon.vertices[: n + 1])
-
-
-def chain(seed: int, n: int, *, equal: bool = False) -> Hitch:
-    rng = np.random.default_rng(seed)
-    outline = arc(seed, n)
-    length = outline.edge_lengths + rng.uniform(0.5, 1.0, n)
-    tension = 0.7 if equal else rng.uniform(0.4, 0.6, n)
-    team = Team(n, length, topology="open", tension=tension)
-    fractions = rng.uniform(0.2, 0.8, n)
-    fractions[0], fractions[-1] = 0.0, 1.0
-    return Hitch(team, outline, 0.8, (length - outline.edge_lengths) * fractions)
-
-
-@given(seeds, sizes, st.booleans())
-@settings(max_examples=40)
-def test_clasps_are_in_balance_and_cables_of_their_length(seed: int, n: int, equal: bool) -> None:
-    """Written out clasp by clasp and cable by cable, with complex numbers for the plane."""
-    h = chain(seed, n, equal=equal)
-    p = h.vertices[:, 0] + 1j * h.vertices[:, 1]
-    x = h.drones[:, 0] + 1j * h.drones[:, 1]
-    q, r, T = x[0::2], x[1::2], h.team.tension
-    for k in range(1, n):
-        pulls = [
-            (T[k], q[k]),
-            (T[k], p[k + 1]),
-            (T[k - 1], r[k - 1]),
-            (T[k - 1], p[k - 1]),
-        ]
-        assert abs(sum(t * (z - p[k]) / abs(z - p[k]) for t, z in pulls)) < 1e-9
-    for k in range(n):
-        used = abs(q[k] - p[k]) + abs(p[k + 1] - p[k]) + abs(r[k] - p[k + 1])
-        assert used == pytest.approx(h.team.cable_length[k], rel=1e-12)
-    np.testing.assert_array_equal(h.drones[0], h.vertices[0])
-    np.testing.assert_allclose(h.drones[-1], h.vertices[-1], atol=1e-15)
-    assert h.legs[0, 0] == h.legs[-1, 1] == 0.0
-    residual = clasp_residuals(
-        h.vertices, h.drones[0::2], h.drones[1::2], T, topology=h.team.topology
-    )
-    assert residual.shape == (n - 1, 3)
-    assert np.max(np.abs(residual)) < 1e-9
-
-
-@given(seeds, sizes)
-@settings(max_examples=30)
-def test_end_drones_are_pulled_along_their_edges_and_clasps_press(seed: int, n: int) -> None:
-    h = chain(seed, n)
-    T, p = h.team.tension, h.vertices
-    for drone, own, other in ((0, 0, 1), (2 * n - 1, n, n - 1)):
-        toward = (p[other] - p[own]) / math.dist(p[other], p[own])
-        np.testing.assert_allclose(h.cable_forces[drone], T[drone // 2] * toward, atol=1e-12)
-    u = h.polygon.edge_directions
-    V = T[:-1, None] * u[:-1] - T[1:, None] * u[1:]
-    sine = u[:-1, 1] * u[1:, 0] - u[:-1, 0] * u[1:, 1]
-    expected = 2.0 * T[1:] * T[:-1] * sine / np.linalg.norm(V, axis=1)
-    forces = contact_forces(u, T, "open")
-    np.testing.assert_allclose(forces, expected, rtol=1e-9)
-    assert np.all(forces > 0.0)
 
 
 @given(seeds, st.integers(2, 6))
@@ -98,12 +33,12 @@ def test_a_chain_is_a_closed_hitch_with_cables_left_out(seed: int, n: int) -> No
     np.testing.assert_allclose(h.cable_forces[middle], closed.cable_forces[middle], atol=1e-12)
 
 
-@given(seeds, sizes, st.floats(-3.0, 3.0))
+@given(seeds, st.integers(2, 8), st.floats(-3.0, 3.0))
 @settings(max_examples=12)
 def test_spread_chains_move_turn_and_reverse_with_their_arc(
     seed: int, n: int, angle: float
 ) -> None:
-    outline = arc(seed, n)
+    outline = random_outline(seed, n, "open")
     length = outline.edge_lengths + np.random.default_rng(seed).uniform(0.8, 1.0, n)
     first = Hitch.spread(Team(n, length, topology="open"), outline)
     moved = Hitch.spread(
@@ -153,7 +88,7 @@ def test_outlines_of_the_other_topology_or_count_are_refused() -> None:
         Hitch.balanced(Team(3, 2.2), ConvexArc(points))
     with pytest.raises(InputError, match="4 points, one more than robots"):
         Hitch.balanced(Team(3, 2.2, topology="open"), points)
-    with pytest.raises(InputError, match="from 2 to"):
+    with pytest.raises(InputError, match="at least 2"):
         Team(1, 2.2, topology="open")
 
 

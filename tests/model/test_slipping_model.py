@@ -1,7 +1,7 @@
 """A clasp through which cables slide: forces by hand, derivatives by differences."""
 
 import numpy as np
-import pytest
+from clasp_balance import random_hitch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -9,24 +9,8 @@ from numpy.typing import NDArray
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.model.evaluation import slipping_drones
-from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]
-
-
-def hitch(seed: int, n: int, topology: str = "closed") -> Hitch:
-    rng = np.random.default_rng(seed)
-    points = n if topology == "closed" else n + 1
-    polygon = random_convex_polygon(points, 1.2, rng).translated(rng.normal(size=2))
-    lengths = float(np.max(polygon.edge_lengths)) + rng.uniform(0.8, 1.2, n)
-    tension = 0.5 if topology == "open" else rng.uniform(0.45, 0.55, n)
-    team = Team(n, lengths, tension=tension, topology=topology)
-    corners = polygon.vertices
-    edges = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)[:n]
-    fractions = rng.uniform(0.3, 0.7, n)
-    if topology == "open":
-        fractions[0], fractions[-1] = 0.0, 1.0
-    return Hitch(team, corners, 0.8, fractions * (team.cable_length - edges))
 
 
 def still(values: Array) -> Array:
@@ -43,27 +27,11 @@ def drones_at(h: Hitch, pulls: Array) -> Array:
     return found[0, ..., 0]
 
 
-def at_clasps(h: Hitch) -> Array:
-    """(clasps, 2, 3): where the hitch itself has them."""
-    layout = h.team.layout
-    return np.stack([h.drones[2 * layout.behind + 1], h.drones[2 * layout.ahead]], axis=1)
-
-
-@pytest.mark.parametrize("topology", ["closed", "open"])
-@pytest.mark.parametrize("seed", [3, 4, 5])
-def test_legs_that_pull_like_their_edges_stand_where_a_hitch_has_them(
-    seed: int, topology: str
-) -> None:
-    h = hitch(seed, 4, topology)
-    pulls = np.repeat(h.team.tension[:, None], 2, axis=1)
-    np.testing.assert_allclose(drones_at(h, pulls), at_clasps(h), atol=1e-9)
-
-
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
 @settings(max_examples=40)
 def test_forces_balance_for_any_pulls_that_can(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
-    h = hitch(seed, n)
+    h = random_hitch(seed, n)
     pulls = h.team.tension[:, None] * np.exp(rng.uniform(-0.2, 0.2, (n, 2)))
     places = drones_at(h, pulls)
     corners = h.vertices
@@ -104,7 +72,7 @@ def test_by_how_much_legs_of_a_regular_hitch_lean() -> None:
 
 def test_derivatives_are_those_of_differences() -> None:
     rng = np.random.default_rng(11)
-    h = hitch(11, 5)
+    h = random_hitch(11, 5)
     n, step = 5, 1e-3
     base = [h.vertices, h.legs, h.team.tension, np.repeat(h.team.tension[:, None], 2, axis=1)]
     slopes = [

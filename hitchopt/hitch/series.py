@@ -26,17 +26,22 @@ Bilinear = Callable[[Any, Any], Any]
 
 
 class Series:
-    """Coefficients ``f^(k) / k!`` of a scalar or a vector.
-
-    Parameters
-    ----------
-    coefficients: from order zero on; those of both operands of an operation are as many.
-    """
+    """Coefficients ``f^(k) / k!`` of a scalar or a vector; of both operands there are as many."""
 
     __array_ufunc__ = None  # so that numpy's arrays leave sums and products to this class
 
     def __init__(self, coefficients: Sequence[Any]) -> None:
         self.coefficients = list(coefficients)
+
+    @classmethod
+    def of_vectors(cls, vectors: Array) -> Series:
+        """Return the constant of vectors (…, rows), by value alone."""
+        return cls([np.moveaxis(vectors, -1, 0)])
+
+    @property
+    def vectors(self) -> Array:
+        """(…, rows): the value of arrays."""
+        return np.moveaxis(self.value, 0, -1)
 
     @classmethod
     def of_jet(cls, jet: Array) -> Series:
@@ -73,9 +78,7 @@ class Series:
     @property
     def upward(self) -> Series:
         """A scalar as a vector along z."""
-        return self._each(
-            lambda c: np.concatenate([0.0 * c, 0.0 * c, c]) if _is_array(c) else c * UP
-        )
+        return self._each(lambda c: np.concatenate([0 * c, 0 * c, c]) if _is_array(c) else c * UP)
 
     def _each(self, change: Callable[[Any], Any]) -> Series:
         return Series([c if isinstance(c, float) else change(c) for c in self.coefficients])
@@ -151,16 +154,9 @@ class Series:
 def _convolved(a: Series, b: Series, product: Bilinear) -> Series:
     """Return the series of a bilinear product, by Leibniz' rule."""
     x, y = a.coefficients, b.coefficients
-    if a is not b:
-        return Series(
-            [_sum([_times(x[i], y[k - i], product) for i in range(k + 1)]) for k in range(len(x))]
-        )
-    found = []
-    for k in range(len(x)):  # of a square both halves are alike, but for what is in their middle
-        half = _sum([_times(x[i], x[k - i], product) for i in range((k + 1) // 2)])
-        middle = [] if k % 2 else [_times(x[k // 2], x[k // 2], product)]
-        found.append(_sum([2.0 * half, *middle]))
-    return Series(found)
+    return Series(
+        [_sum([_times(x[i], y[k - i], product) for i in range(k + 1)]) for k in range(len(x))]
+    )
 
 
 def _is_zero(value: Any) -> bool:

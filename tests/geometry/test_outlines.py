@@ -1,0 +1,131 @@
+"""Convex polygons and arcs: what is refused, and laws of what is derived."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from clasp_balance import random_outline
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchopt import InputError
+from hitchopt.geometry import ConvexArc, ConvexPolygon, regular_polygon
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def polygon(seed: int, n: int) -> ConvexPolygon:
+    return ConvexPolygon(random_outline(seed, n))
+
+
+@given(seeds, st.integers(3, 12), st.floats(-3.0, 3.0), st.sampled_from(["closed", "open"]))
+@settings(max_examples=60)
+def test_moving_and_mirroring_keep_lengths_and_angles(
+    seed: int, n: int, angle: float, topology: str
+) -> None:
+    shape = random_outline(seed, n, topology)
+    assert list(shape.corners) == (list(range(n)) if shape.closed else list(range(1, n)))
+    assert shape.exterior_angles.shape == (len(shape.corners),)
+    for moved in (shape.translated([2.0, -1.0]), shape.rotated(angle)):
+        assert type(moved) is type(shape)
+        np.testing.assert_allclose(moved.edge_lengths, shape.edge_lengths, rtol=1e-12)
+        np.testing.assert_allclose(moved.exterior_angles, shape.exterior_angles, atol=1e-9)
+    mirrored = shape.mirrored()
+    np.testing.assert_allclose(mirrored.exterior_angles, shape.exterior_angles[::-1], atol=1e-9)
+    shift = 1 if shape.closed else 0  # edge k of the image is edge n-2-k, of an arc n-1-k
+    lengths = np.roll(shape.edge_lengths[::-1], -shift)
+    np.testing.assert_allclose(mirrored.edge_lengths, lengths, rtol=1e-12)
+    larger = shape.scaled(1.5)
+    np.testing.assert_allclose(larger.edge_lengths, 1.5 * shape.edge_lengths)
+    np.testing.assert_allclose(larger.centroid, shape.centroid, atol=1e-9)
+    if isinstance(shape, ConvexPolygon) and isinstance(larger, ConvexPolygon):
+        assert larger.area == pytest.approx(2.25 * shape.area)
+        np.testing.assert_allclose(shape.renumbered(1).vertices[0], shape.vertices[1])
+
+
+@given(seeds, st.integers(3, 12))
+@settings(max_examples=20)
+def test_area_and_centroid_by_counting_random_points(seed: int, n: int) -> None:
+    shape = polygon(seed, n)
+    lower, upper = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+    points = np.random.default_rng(1).uniform(lower, upper, (40_000, 2))
+    offset = points[:, None] - shape.vertices
+    u = shape.edge_directions
+    inside = np.all(u[:, 0] * offset[..., 1] - u[:, 1] * offset[..., 0] < 0.0, axis=1)
+    share = np.mean(inside) * np.prod(upper - lower)
+    assert share == pytest.approx(shape.area, rel=0.03)
+    size = float(np.max(upper - lower))
+    np.testing.assert_allclose(points[inside].mean(axis=0), shape.centroid, atol=0.02 * size)
+
+
+@given(seeds, st.integers(2, 12))
+@settings(max_examples=20)
+def test_the_centroid_is_the_mean_of_points_spread_evenly_along_the_arc(seed: int, n: int) -> None:
+    shape = random_outline(seed, n, "open")
+    ends = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(shape.vertices, axis=0), axis=1)))
+    along = (np.arange(20_000) + 0.5) / 20_000 * ends[-1]
+    mean = [float(np.mean(np.interp(along, ends, shape.vertices[:, i]))) for i in (0, 1)]
+    np.testing.assert_allclose(shape.centroid, mean, atol=1e-6)
+
+
+def test_regular_polygon_has_its_edge_and_starts_where_told() -> None:
+    shape = regular_polygon(7, 1.3, 0.4)
+    np.testing.assert_allclose(shape.edge_lengths, 1.3)
+    assert math.atan2(shape.vertices[0, 1], shape.vertices[0, 0]) == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("n", [3, 9])
+def test_arcs_turn_by_less_than_once_around(n: int) -> None:
+    """All n edges at equal turns: n - 1 of them."""
+
+    def turning(turn: float) -> np.ndarray:
+        headings = 0.3 - turn * np.arange(n)
+        steps = np.column_stack([np.cos(headings), np.sin(headings)])
+        return np.vstack([[2.0, -1.0], [2.0, -1.0] + np.cumsum(steps, axis=0)])
+
+    most = 2.0 * math.pi / (n - 1)
+    if most < math.pi:
+        with pytest.raises(InputError, match=r"less than 360° in all \(it turns by 36"):
+            ConvexArc(turning(most * 1.001))
+    shape = ConvexArc(turning(min(most, 3.1) * 0.999))
+    np.testing.assert_allclose(shape.exterior_angles, min(most, 3.1) * 0.999)
+
+
+STAR = [[math.sin(4 * math.pi * k / 5), math.cos(4 * math.pi * k / 5)] for k in range(5)]
+"""A pentagram turns right everywhere, twice around."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "points", "key", "word"),
+    [
+        (ConvexPolygon, [[0, 0], [1, 0], [0, 1]], "polygon", "clockwise"),
+        (ConvexPolygon, [[0, 0], [0, 1], [1, 1], [0.4, 0.6]], "polygon[3]", "convex"),
+        (ConvexPolygon, [[0, 0], [0, 1], [0, 2], [1, 1]], "polygon[1]", "convex"),
+        (ConvexPolygon, [[0, 0], [0, 1], [0, 1], [1, 1]], "polygon[1]", "coincident"),
+        (ConvexPolygon, [[0, 0], [0, 1]], "polygon", "at least 3"),
+        (ConvexPolygon, [[0, 0], [0, math.nan], [1, 1]], "polygon[1]", "finite"),
+        (ConvexPolygon, [[0, 0], [0, 1], [1]], "polygon", "at least 3"),
+        (ConvexPolygon, STAR, "polygon", "simple"),
+        (ConvexArc, [[0, 0], [1, 0], [0, 1]], "polygon", "clockwise"),
+        (ConvexArc, [[0, 0], [0, 1], [1, 1], [2, 2]], "polygon[2]", "convex"),
+        (ConvexArc, [[0, 0], [0, 1]], "polygon", "at least 3"),
+        (ConvexArc, [[0, 0], [0, 1], [math.nan, 1]], "polygon[2]", "finite"),
+    ],
+)
+def test_bad_outlines_are_refused_with_the_remedy(
+    kind: type[Any], points: object, key: str, word: str
+) -> None:
+    with pytest.raises(InputError, match=word) as caught:
+        kind(points)
+    assert caught.value.key == key
+    assert caught.value.remedy
+
+
+def test_vertices_are_a_read_only_copy() -> None:
+    given_points = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
+    shape = ConvexPolygon(given_points)
+    given_points[0] = 5.0
+    assert shape.vertices[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        shape.vertices[0, 0] = 1.0
