@@ -131,24 +131,31 @@ class Gradients:
     @classmethod
     def of(cls, energy: HitchEnergy, x: Array) -> Gradients:
         """Return the derivatives of one sample that has settled at nodes x (1, nodes, 3) [m]."""
-        law, nodes, cables = energy.law, energy.nodes, np.arange(len(energy.nodes))
-        found, count = energy.linear(x), len(cables) + 3 * len(energy.points)
+        nodes, cables = energy.nodes, np.arange(len(energy.nodes))
+        blocks, tensions, softness = energy.linear(x)
+        count = len(cables) + 3 * len(energy.points)
         seeds = np.zeros((*x.shape, count))  # outputs by nodes
-        slopes = found.tensions[0].reshape(-1, 4, 3).copy()
-        slopes[:, 1:3, 2] += 0.5 * law.weight  # tensions are those in the edges' middles
-        for k in range(4):
-            seeds[0, nodes[:, k], :, cables] += slopes[:, k]
-        for k, node in enumerate(energy.points):
-            seeds[0, node, :, len(cables) + 3 * k : len(cables) + 3 * k + 3] = np.eye(3)
-        matrix = energy.matrix(found.forces)
+        slopes = tensions[0].reshape(-1, 4, 3)
+        slopes[:, 1:3, 2] += 0.5 * energy.law.weight  # tensions are those in the edges' middles
+        np.add.at(seeds[0], (nodes, slice(None), cables[:, None]), slopes)
+        points = seeds[0][..., len(cables) :].reshape(*x.shape[1:], len(energy.points), 3)
+        points[energy.points, :, np.arange(len(energy.points))] = np.eye(3)
+        matrix = energy.matrix(blocks)
         y = energy.solved(matrix, seeds)
-        direct = (seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)).reshape(y.shape)
-        y, direct = np.moveaxis(y[0], -1, 0), np.moveaxis(direct[0], -1, 0)
-        cable = np.einsum("onai,nai->on", y[:, nodes], found.pulls[0].reshape(-1, 4, 3))
-        cable[cables, cables] -= found.softness[0]
+        direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
+        y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
+        pulls = softness[0, :, None] * blocks[0, ..., 12]
+        cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
+        cable[cables, cables] -= softness[0]
         force, soft = y[:, : energy.drones], energy.stiffness[:, None]
         position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
         return cls(cable[..., None], position, force)
+
+    @property
+    def rows(self) -> Array:
+        """(o, 5n, 3) by all errors, one after the other; those of cables are first components."""
+        cable = np.pad(self.cable, ((0, 0), (0, 0), (0, 2)))
+        return np.concatenate([cable, self.position, self.force], axis=1)
 
 
 SAMPLES = 25
@@ -166,10 +173,6 @@ CORNERS = 4
 REMAINDER = 2.0
 """Factor of the largest difference to first order: the corners are worst for the first order, not
 for what is beyond it."""
-
-
-Corner = tuple[Array, Array, Array]
-"""Errors of cables (n, 1), positions and forces (2n, 3) that reach the end of a range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,90 +304,68 @@ def _range(
     motion: Motion, settled: Settled, i: int, errors: Errors, conditions: Conditions
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
+    n, size = motion.team.robots, (errors.cable, errors.position, errors.force)
     energy, _ = energy_of(motion, conditions, samples_of(motion, settled.t[i], conditions)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
-    rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None])
-    halves, n = _halves(rows, errors), motion.team.robots
-    widest = [*np.argsort(-halves[:n])[:CORNERS], *n + np.argsort(-halves[n:])[:CORNERS]]
-    corners = [_corner(rows, int(o), errors) for o in widest]
-    pulled, moved = _remainders(motion, settled, i, conditions, energy.law.least[0], rows, corners)
-    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, _ellipsoids(rows, n, errors)
+    rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None]).rows
+    bound = np.repeat([one.bound for one in size], [n, 2 * n, 2 * n])[:, None]
+    three = DEVIATIONS * np.repeat([one.deviation for one in size], [n, 2 * n, 2 * n])[:, None]
+    spread = np.sqrt(np.sum((three * rows) ** 2, axis=(1, 2)))
+    halves = length(rows) @ bound[:, 0] + spread
+    widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
+    each = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
+    corners = bound * unit(rows[widest]) + three**2 * rows[widest] / each
+    change = np.einsum("oji,sji->so", rows, corners)
+    pulled, moved = _remainders(
+        motion, settled, i, conditions, energy.law.least[0], np.vstack([change, -change]),
+        np.concatenate([corners, -corners]),
+    )  # fmt: skip
+    J = np.moveaxis(rows[n:].reshape(-1, 3, 5 * n, 3), 2, 1)  # (points, items, 3, 3)
+    ellipsoids = _ellipsoids(J * bound[..., None], J * three[..., None])
+    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, ellipsoids
 
 
-def _kinds(rows: Gradients, errors: Errors) -> tuple[tuple[Array, ErrorSize], ...]:
-    """Return the gradients (o, items, 1 or 3) for every kind of error, and its size."""
-    return (rows.cable, errors.cable), (rows.position, errors.position), (rows.force, errors.force)
-
-
-def _spread(rows: Gradients, errors: Errors) -> Array:
-    """Return the standard deviations (o,) of outputs."""
-    kinds = _kinds(rows, errors)
-    squares = sum(np.sum((size.deviation * row) ** 2, axis=(1, 2)) for row, size in kinds)
-    return np.asarray(np.sqrt(squares))
-
-
-def _halves(rows: Gradients, errors: Errors) -> Array:
-    """Return the half widths (o,) of the ranges of outputs."""
-    kinds = _kinds(rows, errors)
-    bounds = sum(size.bound * np.sum(length(row), axis=-1) for row, size in kinds)
-    return np.asarray(bounds + DEVIATIONS * _spread(rows, errors))
-
-
-def _corner(rows: Gradients, o: int, errors: Errors) -> Corner:
-    """Return the errors that reach the end of an output's range."""
-    one = Gradients(rows.cable[o : o + 1], rows.position[o : o + 1], rows.force[o : o + 1])
-    spread = float(_spread(one, errors)[0]) or 1.0
-    cable, position, force = (
-        size.bound * unit(row[0]) + DEVIATIONS * size.deviation**2 * row[0] / spread
-        for row, size in _kinds(one, errors)
-    )
-    return cable, position, force
-
-
-def _ellipsoids(rows: Gradients, n: int, errors: Errors) -> Array:
+def _ellipsoids(bounded: Array, spread: Array) -> Array:
     """Return (points, 3, 3) [m²] ellipsoids that hold all displacements of points.
 
     The sum of ellipsoids ``E_j`` lies within ``(Σ √tr E_j) Σ E_j/√tr E_j``, of all such the one
     with the least sum of squared axes. Every bound is one of them, all deviations are another.
+
+    Parameters
+    ----------
+    bounded, spread: (points, items, 3, 3) [m], displacements by errors at their bounds and at three
+        deviations.
     """
-    shapes, spread = [], np.zeros((1, 1, 1, 1))
-    for row, size in _kinds(rows, errors):
-        J = row[n:].reshape(-1, 3, *row.shape[1:])  # (points, 3, items, 1 or 3)
-        squares = np.einsum("pijc,pkjc->pjik", J, J)
-        shapes.append(size.bound**2 * squares)
-        spread = spread + (DEVIATIONS * size.deviation) ** 2 * np.sum(squares, 1, keepdims=True)
-    each = np.concatenate([*shapes, spread], axis=1)
-    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))
+    squares = [part @ part.swapaxes(-1, -2) for part in (bounded, spread)]
+    each = np.concatenate([squares[0], np.sum(squares[1], axis=1, keepdims=True)], axis=1)
+    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))[..., None, None]
     shares = np.sum(roots, axis=1, keepdims=True) / np.where(roots > 0.0, roots, np.inf)
-    return np.asarray(np.sum(shares[..., None, None] * each, axis=1))
+    return np.asarray(np.sum(shares * each, axis=1))
 
 
 def _remainders(
-    motion: Motion,
-    settled: Settled,
-    i: int,
-    conditions: Conditions,
-    least: Array,
-    rows: Gradients,
-    corners: list[Corner],
-) -> tuple[float, float]:
-    """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER."""
-    both = [(sign * c, sign * p, sign * f) for c, p, f in corners for sign in (1.0, -1.0)]
-    cable, position, force = (np.stack(part) for part in zip(*both, strict=True))
-    team = motion.team
-    added = {
-        "cable_length": conditions.lengths(team) + cable[..., 0],
-        "offsets": conditions.errors("offsets", team) + position,
-        "forces": conditions.errors("forces", team) + force,
+    motion: Motion, settled: Settled, i: int, conditions: Conditions, least: Array,
+    change: Array, errors: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER.
+
+    Parameters
+    ----------
+    least: (n,) [N], tensions at which cables are slack.
+    change: (s, o), of tensions and points at first order.
+    errors: (s, 5n, 3) that cause it.
+    """
+    n, known = motion.team.robots, conditions.of(motion.team)
+    off = {
+        "cable_length": known["cable_length"] + errors[:, :n, 0],
+        "offsets": known["offsets"] + errors[:, n : 3 * n],
+        "forces": known["forces"] + errors[:, 3 * n :],
     }
     try:
-        found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **added))
+        found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **off))
     except InfeasibleError:  # so far from where it was that first order says nothing
         return np.inf, np.inf
-    sides = zip((rows.cable, rows.position, rows.force), (cable, position, force), strict=True)
-    change = sum(np.einsum("ojc,sjc->so", row, error) for row, error in sides)
-    pulled, moved = np.split(np.asarray(change), [team.robots], axis=1)
-    expected = np.maximum(settled.tensions[i] + pulled, least)
-    vertices = settled.vertices[i] + moved.reshape(len(both), -1, 3)
-    tension = float(np.max(np.abs(found.tensions - expected)))
+    tensions = np.maximum(settled.tensions[i] + change[:, :n], least)
+    vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
+    tension = float(np.max(np.abs(found.tensions - tensions)))
     return REMAINDER * tension, REMAINDER * float(np.max(length(found.vertices - vertices)))
