@@ -10,6 +10,7 @@ from scipy.spatial import HalfspaceIntersection
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
@@ -27,9 +28,6 @@ POINTS = 240
 
 TURNS = 8
 """Starting polygons, turned by equal parts of their symmetry."""
-
-AXES, STRETCHES = 24, (1.0, 1.2, 1.4, 1.7, 2.0, 2.4, 3.0)
-"""Directions and ratios in which regular polygons are stretched."""
 
 SHARPEST = math.radians(150.0)
 """[rad] Largest exterior angle."""
@@ -61,9 +59,11 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
 
     It has the least sum of squares of edges that is found, edges that are not much shorter than
     others, and no flat corners. The directions of its edges, all of which keep just the distance,
-    are improved one by one, from several starts. Where none such are found, as for many edges
-    around a narrow section, it is a regular polygon that is stretched, of which some edges keep
-    more.
+    are improved one by one, from several starts.
+
+    Raises
+    ------
+    InfeasibleError: none such are found, as for many edges around a narrow section.
     """
     sides = np.roll(section.core, -1, axis=0) - section.core
     of_sides = np.arctan2(sides[:, 0], -sides[:, 1]) if len(sides) > 1 else np.zeros(0)
@@ -92,39 +92,13 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
 
     chosen = _improved(squares, n, len(angles))
     if squares(chosen) > worst:
-        return _stretched(section, n, clearance)
+        remedy = "use fewer robots"
+        broken = Violation("convexity", n, n - 1, "max", "edges", (), "", remedy)
+        raise InfeasibleError([broken], "the section is too narrow for so many edges around it")
     normals, far = outward[chosen], distances[chosen]
     pairs = np.stack([np.roll(normals, 1, axis=0), normals], axis=1)
     corners = np.linalg.solve(pairs, np.stack([np.roll(far, 1), far], axis=1)[..., None])[..., 0]
     return ConvexPolygon(corners)
-
-
-def _stretched(section: Section, n: int, clearance: float) -> ConvexPolygon:
-    """Return the least regular n-gon, turned and stretched, that keeps a distance to a section."""
-    axes, stretches, turns = np.meshgrid(
-        math.pi * np.arange(AXES) / AXES, STRETCHES, np.arange(TURNS) / TURNS, indexing="ij"
-    )
-    along = np.stack([np.cos(axes), np.sin(axes)], axis=-1)[..., None, :]
-    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    round_ = 2.0 * math.pi / n * (turns[..., None] - np.arange(n))
-    middle = sum(
-        0.5 * (section.support(unit) - section.support(-unit))[..., None] * unit
-        for unit in (along, across)
-    )
-    corners = (stretches[..., None] * np.cos(round_))[..., None] * along
-    corners = corners + np.sin(round_)[..., None] * across
-    edges = np.roll(corners, -1, axis=-2) - corners
-    sizes = np.linalg.norm(edges, axis=-1, keepdims=True)
-    outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1) / sizes
-    far = section.support(outward) - np.sum(middle * outward, axis=-1) + clearance
-    scale = np.max(far / np.sum(corners * outward, axis=-1), axis=-1)
-    turn = np.arccos(np.sum(outward * np.roll(outward, 1, axis=-2), axis=-1))
-    good = (turn > LEAST_TURN * 2.0 * math.pi / n) & (turn < SHARPEST)
-    long = sizes[..., 0] > LEAST_EDGE * np.mean(sizes[..., 0], axis=-1, keepdims=True)
-    squares = scale**2 * np.sum(sizes[..., 0] ** 2, axis=-1)
-    least = np.argmin(np.where(np.all(good & long, axis=-1), squares, np.inf))
-    best = np.unravel_index(least, squares.shape)
-    return ConvexPolygon(middle[best] + scale[best] * corners[best])
 
 
 def inner_polygon(section: Section, n: int, inset: float) -> ConvexPolygon:
@@ -135,10 +109,10 @@ def inner_polygon(section: Section, n: int, inset: float) -> ConvexPolygon:
     InfeasibleError: the section is too small for it.
     """
     boundary = _inner_boundary(section, inset)
-    count = len(boundary)
+    count, least = len(boundary), LEAST_TURN * 2.0 * math.pi / n
 
-    def lacks(choices: Indices) -> Array:
-        """Return minus the areas (…) of polygons with vertices (…, n) of the boundary."""
+    def lacks(choices: Indices) -> tuple[Array, Array]:
+        """Return minus the areas (…) of polygons of points (…, n) of the boundary, and turns."""
         steps = (choices - np.roll(choices, -1, axis=-1)) % count
         possible = np.all(steps > 0, axis=-1) & (np.sum(steps, axis=-1) == count)
         corners = boundary[choices]
@@ -147,15 +121,16 @@ def inner_polygon(section: Section, n: int, inset: float) -> ConvexPolygon:
         before = np.roll(ahead, 1, axis=-2)
         right = before[..., 1] * ahead[..., 0] - before[..., 0] * ahead[..., 1]
         turn = np.arctan2(right, np.sum(before * ahead, axis=-1))
-        flat = np.maximum(LEAST_TURN * 2.0 * math.pi / n - turn, 0.0)
+        flat = np.sum(np.maximum(least - turn, 0.0), axis=-1)
         areas = corners[..., 0] * onward[..., 1] - corners[..., 1] * onward[..., 0]
-        total = 0.5 * np.sum(areas, axis=-1) + FLAT_COST * np.sum(flat, axis=-1) * section.area
-        return np.where(possible, total, np.inf)
+        total = 0.5 * np.sum(areas, axis=-1) + FLAT_COST * flat * section.area
+        return np.where(possible, total, np.inf), turn
 
-    polygon = ConvexPolygon(boundary[_improved(lacks, n, count)])
-    if np.min(polygon.exterior_angles) < LEAST_TURN * 2.0 * math.pi / n:
-        raise _too_narrow(float(np.min(polygon.edge_lengths)), inset)
-    return polygon
+    chosen = _improved(lambda choices: lacks(choices)[0], n, count)
+    corners = boundary[chosen]
+    if np.min(lacks(chosen)[1]) < least:
+        raise _too_narrow(float(np.min(length(corners - np.roll(corners, 1, axis=0)))), inset)
+    return ConvexPolygon(corners)
 
 
 def _improved(cost: Callable[[Indices], Array], n: int, count: int) -> Indices:
@@ -186,22 +161,19 @@ def _inner_boundary(section: Section, inset: float) -> Array:
     """Return points (points, 2) [m], counter-clockwise, on the boundary of a smaller section."""
     centre, core = section.centroid, section.core
     sides = np.roll(core, -1, axis=0) - core
-    outward = np.stack([-sides[:, 1], sides[:, 0]], axis=1)
-    outward /= np.maximum(np.hypot(*sides.T), np.finfo(float).tiny)[:, None]
+    outward = unit(np.stack([-sides[:, 1], sides[:, 0]], axis=1))
     depth = np.sum((core - centre) * outward, axis=1) + section.rounding - inset
     if np.min(depth) <= inset:
         raise _too_narrow(float(np.min(depth)) + inset, inset)
-    if len(core) == 1:
+    if section.radius is not None:
         angles = 2.0 * np.pi * np.arange(POINTS) / POINTS
-        circle: Array = centre + depth * np.column_stack([np.cos(angles), np.sin(angles)])
-        return circle
+        return np.asarray(centre + depth * np.column_stack([np.cos(angles), np.sin(angles)]))
     corners = HalfspaceIntersection(np.column_stack([outward, -depth]), np.zeros(2)).intersections
     corners = corners[np.argsort(np.arctan2(corners[:, 1], corners[:, 0]) % (2.0 * np.pi))]
     ring = np.vstack([corners, corners[:1]])
-    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(ring, axis=0).T)))
+    along = np.append(0.0, np.cumsum(length(np.diff(ring, axis=0))))
     places = np.unique(np.append(along[:-1], np.linspace(0.0, along[-1], POINTS, endpoint=False)))
-    points: Array = centre + np.stack([np.interp(places, along, x) for x in ring.T], axis=1)
-    return points
+    return np.asarray(centre + np.stack([np.interp(places, along, x) for x in ring.T], axis=1))
 
 
 def _too_narrow(size: float, inset: float) -> InfeasibleError:
@@ -219,16 +191,18 @@ def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
     ------
     InfeasibleError: there are none of up to a metre more than legs need.
     """
-    longest = float(np.max(polygon.edge_lengths))
-    first = math.ceil((longest + 2.0 * LIMIT_MARGIN * requirements.limits.leg) / CENTIMETRE)
-    last = first + round(LONGEST / CENTIMETRE)
-    lengths = [centimetres / 100.0 for centimetres in range(first, last)]
-    for cables, margin_of in ((lengths, reference_margin), (lengths[::STRIDE], _split_margin)):
+    longest, leg = float(np.max(polygon.edge_lengths)), requirements.limits.leg
+    first = math.ceil((longest + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
+    lengths = np.arange(first, first + round(LONGEST / CENTIMETRE)) / 100.0
+    for cables, balanced in ((lengths, True), (lengths[::STRIDE], False)):
         best, found = 0.0, 0.0
-        for cable in cables:
-            margin = min(margin_of(_spread_task(polygon, cable, requirements)), SPREAD_MARGIN)
-            if margin > best + ROUNDING:
-                best, found = margin, cable
+        for cable in cables.tolist():
+            team = Team(len(polygon), cable)
+            shape = polygon.vertices[None], balanced_legs(team, polygon)[None]
+            task = LegTask(team, requirements, *shape, leg, SPREAD_MARGIN)
+            margin = reference_margin(task) if balanced else split_slack(task).margin
+            if min(margin, SPREAD_MARGIN) > best + ROUNDING:
+                best, found = min(margin, SPREAD_MARGIN), cable
             if best >= SPREAD_MARGIN:
                 break
         if best >= LIMIT_MARGIN:
@@ -237,15 +211,3 @@ def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
     remedy = f"{fewer}change the clearance"
     broken = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
     raise InfeasibleError([broken], "no cable length keeps drones around the object apart")
-
-
-def _spread_task(polygon: ConvexPolygon, cable: float, requirements: Requirements) -> LegTask:
-    team = Team(len(polygon), cable)
-    return LegTask(
-        team, requirements, polygon.vertices[None], balanced_legs(team, polygon)[None],
-        requirements.limits.leg, SPREAD_MARGIN,
-    )  # fmt: skip
-
-
-def _split_margin(task: LegTask) -> float:
-    return split_slack(task).margin

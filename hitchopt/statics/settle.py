@@ -25,7 +25,6 @@ from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.simulation.task import Task
 from hitchopt.statics.energy import (
     SAG_RATIO,
     Cables,
@@ -302,11 +301,11 @@ def samples_of(
 
 
 def energy_of(
-    plan: Motion | Task, conditions: Conditions, samples: Sequence[Array]
+    team: Team, conditions: Conditions, samples: Sequence[Array]
 ) -> tuple[HitchEnergy, Array]:
     """Return the energy of samples, see ``samples_of``, and the nodes to start from [m]."""
-    team, layout = plan.team, plan.team.layout
-    known, clasps = conditions.of(team), 2 * team.robots + np.arange(len(layout.clasps))
+    layout, known = team.layout, conditions.of(team)
+    clasps = team.drones + np.arange(len(layout.clasps))
     _, drones, vertices, tensions, cable_forces, lengths, offsets, forces = samples
     points = np.zeros(layout.points, dtype=np.intp)
     points[-1] = team.drones - 1  # a chain's ends are its outer drones, nodes 0 and this
@@ -338,7 +337,7 @@ def energy_of(
 
 def _settled(motion: Motion, conditions: Conditions, samples: Sequence[Array]) -> list[Array]:
     """Return the arrays of ``Settled`` for some samples, in order."""
-    energy, start = energy_of(motion, conditions, samples)
+    energy, start = energy_of(motion.team, conditions, samples)
     law, x = energy.law, settled_nodes(energy, start)
     ends = x[:, energy.nodes]
     T = law.tensions(ends)

@@ -305,7 +305,7 @@ def _range(
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
     n, size = motion.team.robots, (errors.cable, errors.position, errors.force)
-    energy, _ = energy_of(motion, conditions, samples_of(motion, settled.t[i], conditions)[1])
+    energy, _ = energy_of(motion.team, conditions, samples_of(motion, settled.t[i], conditions)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
     rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None]).rows
     bound = np.repeat([one.bound for one in size], [n, 2 * n, 2 * n])[:, None]

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.optimize import root
 
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.task import Setpoints, Task
 from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS
-from hitchopt.statics.energy import HitchEnergy, hitch_energy
 from hitchopt.statics.recordings import Recording
+from hitchopt.statics.settle import Conditions, energy_of
 
 Array = NDArray[np.float64]
 
@@ -44,10 +44,10 @@ def balanced(
     """Points (points, 3) [m] at which clasps are in balance, and forces (2n, 3) [N] on drones."""
     layout, n = team.layout, team.robots
     zero = np.zeros((1, 2 * n, 3))
-    energy: HitchEnergy = hitch_energy(
-        team, np.ones(2 * n), (drones[None], guess[None]), team.tension[None],
-        team.cable_length[None], GRAVITY * density, 1e4, zero, (zero, np.zeros(3)),
-    )[0]  # fmt: skip
+    conditions = Conditions(cable_density=density, stiffness=1.0, feed_forward=False)
+    state = [drones, guess, team.tension, 0.0 * drones, team.cable_length, 0.0 * drones]
+    samples = [np.zeros(1), *(each[None] for each in state), zero]
+    energy = energy_of(team, conditions, samples)[0]
 
     def pulls(x: Array) -> Array:
         nodes = np.concatenate([drones, x.reshape(-1, 3)])[None]

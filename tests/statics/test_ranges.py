@@ -30,7 +30,7 @@ def ranges(hitch: ho.Hitch, errors: Errors, **conditions: Any) -> Tolerance:
 
 def gradients(hitch: ho.Hitch, conditions: Conditions) -> Gradients:
     motion = standing(hitch)
-    energy, _ = energy_of(motion, conditions, samples_of(motion, [1.0], conditions)[1])
+    energy, _ = energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
     found = settle_motion(motion, [1.0], conditions)
     clasps = found.vertices[:, hitch.team.layout.clasps]
     return Gradients.of(energy, np.concatenate([found.drones, clasps], axis=1))
