@@ -31,7 +31,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
@@ -42,7 +41,7 @@ from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.energy import IMAGINARY, HitchEnergy, bends_of
 from hitchopt.statics.recordings import Comparison, Recording, Windows, compare, read_recording
 from hitchopt.statics.settle import Conditions, energy_of
-from hitchopt.values import Array, not_negative, path
+from hitchopt.values import Array, Indices, not_negative, path
 
 SPAN, WINDOW = 6.0, 0.5
 """Lengths of the windows in which stiffness and friction are fitted [s]. Tensions of 0.5 s follow
@@ -293,18 +292,17 @@ class _Balance:
 
     energy: HitchEnergy
     x: Array
-    kinds: NDArray[np.intp]
+    kinds: Indices
     bends: Array
     pulls: Array
 
     @classmethod
-    def of(cls, task: Task, windows: Windows, conditions: Conditions, kinds: Array) -> _Balance:
+    def of(cls, task: Task, windows: Windows, conditions: Conditions, kinds: Indices) -> _Balance:
         """Return the balance at windows, without friction."""
-        team, forced = task.team, np.zeros_like(windows.commanded)
-        samples = [windows.t, windows.commanded, windows.vertices, windows.tensions]
+        team, none = task.team, np.zeros_like(windows.commanded)
         lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
-        samples += [windows.cable_forces, lengths, forced, forced]
-        energy, _ = energy_of(team, conditions, samples)
+        plan = windows.commanded, windows.vertices, windows.tensions, windows.cable_forces
+        energy, _ = energy_of(team, conditions, [windows.t, *plan, lengths, none, none])
         clasps = windows.vertices[:, team.layout.clasps]
         x = np.concatenate([windows.drones, clasps], axis=1)
         chords, sizes, _ = energy.law.spans(x[:, energy.nodes])
@@ -352,21 +350,17 @@ class _Balance:
 
         def jacobian(unknown: Array) -> csr_array:
             """Windows depend on the first unknowns and on their own; one step moves all of them."""
-            columns = []
+            own, columns = unknown[g:].reshape(*planned.shape, 3), []
             for step in 1j * IMAGINARY * np.eye(g + size):
-                own = unknown[g:].reshape(*planned.shape, 3) + step[g:].reshape(-1, 3)
-                columns.append(self.residuals(unknown[:g] + step[:g], own, scales).imag)
-            entries = np.stack(columns, axis=-1) / IMAGINARY
-            count, rows, _ = entries.shape
-            row = np.arange(count * rows).reshape(count, rows, 1)
-            own_columns = g + np.arange(count * size).reshape(count, 1, size)
-            column = np.concatenate([np.tile(np.arange(g), (count, 1, 1)), own_columns], axis=2)
-            rows_of, columns_of = np.broadcast_arrays(row, column)
-            all_ = np.arange(g)
-            places = (
-                np.append(rows_of, count * rows + all_),
-                np.append(columns_of, all_),
-            )
+                moved = unknown[:g] + step[:g], own + step[g:].reshape(-1, 3)
+                columns.append(self.residuals(*moved, scales).imag / IMAGINARY)
+            entries = np.stack(columns, axis=-1)
+            count, each, _ = entries.shape
+            of_own = g + np.arange(count * size).reshape(count, 1, size)
+            column = np.concatenate([np.tile(np.arange(g), (count, 1, 1)), of_own], axis=2)
+            row = np.arange(count * each).reshape(count, each, 1)
+            places = [part.ravel() for part in np.broadcast_arrays(row, column)]
+            places = np.concatenate([places, [count * each + np.arange(g), np.arange(g)]], axis=1)
             return coo_array((np.append(entries, 1.0 / spread), places)).tocsr()
 
         own = np.stack([planned, 0.0 * planned, 0.0 * planned], axis=-1)

@@ -96,7 +96,9 @@ class Conditions:
         InputError: another shape, or a number that is not finite or out of its range.
         """
         drones, load = (team.drones,), (len(team.layout.clasps),)
-        found = {"friction": team.cable_friction if self.friction is None else self.friction}
+        found: dict[str, Any] = {
+            "friction": team.cable_friction if self.friction is None else self.friction
+        }
         for name, shape, least in (
             ("cable_length", (team.robots,), POSITIVE),
             ("cable_density", (), 0.0),

@@ -66,29 +66,22 @@ class ErrorSize(OneLine):
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
 
     @classmethod
-    def of(cls, key: str, given: ErrorSize | float) -> ErrorSize:
-        """Return the size; a number is a bound.
+    def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
+        """Return the size; 0.01 and ``"0.01"`` are bounds, ``"sd:0.01"`` is a deviation.
 
         Raises
         ------
-        InputError: a negative number.
+        InputError: a negative number, or another text.
         """
-        return given if isinstance(given, ErrorSize) else cls(not_negative(key, given))
-
-    @classmethod
-    def parsed(cls, key: str, text: str) -> ErrorSize:
-        """Return the size that a text says: ``0.01`` is a bound, ``sd:0.01`` a deviation.
-
-        Raises
-        ------
-        InputError: no such text.
-        """
+        if isinstance(given, ErrorSize):
+            return given
+        if not isinstance(given, str):
+            return cls(not_negative(key, given))
         try:
-            number = float(text.removeprefix(MARK))
+            size = not_negative(key, float(given.removeprefix(MARK)))
         except ValueError:
-            raise InputError(key, text, "a number, or sd:number", f"write {MARK}0.01") from None
-        size = not_negative(key, number)
-        return cls(deviation=size) if text.startswith(MARK) else cls(size)
+            raise InputError(key, given, "a number, or sd:number", f"write {MARK}0.01") from None
+        return cls(deviation=size) if given.startswith(MARK) else cls(size)
 
     @property
     def words(self) -> str:
@@ -137,7 +130,8 @@ class Gradients:
         seeds = np.zeros((*x.shape, count))  # outputs by nodes
         slopes = tensions[0].reshape(-1, 4, 3)
         slopes[:, 1:3, 2] += 0.5 * energy.law.weight  # tensions are those in the edges' middles
-        np.add.at(seeds[0], (nodes, slice(None), cables[:, None]), slopes)
+        for k in range(4):  # one by one: a chain's end stands for two nodes
+            seeds[0, nodes[:, k], :, cables] += slopes[:, k]
         points = seeds[0][..., len(cables) :].reshape(*x.shape[1:], len(energy.points), 3)
         points[energy.points, :, np.arange(len(energy.points))] = np.eye(3)
         matrix = energy.matrix(blocks)
@@ -286,15 +280,13 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     UnsupportedError: there are none.
     """
     times = np.linspace(0.0, motion.duration, CANDIDATES * count)
-    found = np.zeros(len(times), dtype=np.bool_)
+    taut = np.zeros(0)
     if motion.team.has_cables:
-        states = states_at(motion, times)
-        starts = motion.drones.breaks - motion.drones.breaks[0]
-        piece = np.clip(np.searchsorted(starts, times, "right") - 1, 0, motion.drones.pieces - 1)
+        states, breaks = states_at(motion, times), motion.drones.breaks
+        piece = np.searchsorted(breaks[1:-1] - breaks[0], times, "right")
         least = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
         found = states.formed & np.all(states.tensions >= TAUT * least[piece], axis=-1)
-        found &= ~np.any(states.borne > 0.0, axis=-1)  # statics do not know of objects
-    taut = times[found]
+        taut = times[found & ~np.any(states.borne > 0.0, axis=-1)]  # statics know of no objects
     if not len(taut):
         raise UnsupportedError("a plan without a taut hitch has no tensions that could differ")
     return taut[np.unique(np.linspace(0, len(taut) - 1, count).round().astype(np.intp))]
@@ -304,68 +296,41 @@ def _range(
     motion: Motion, settled: Settled, i: int, errors: Errors, conditions: Conditions
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
-    n, size = motion.team.robots, (errors.cable, errors.position, errors.force)
+    n, known = motion.team.robots, conditions.of(motion.team)
     energy, _ = energy_of(motion.team, conditions, samples_of(motion, settled.t[i], conditions)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
     rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None]).rows
-    bound = np.repeat([one.bound for one in size], [n, 2 * n, 2 * n])[:, None]
-    three = DEVIATIONS * np.repeat([one.deviation for one in size], [n, 2 * n, 2 * n])[:, None]
-    spread = np.sqrt(np.sum((three * rows) ** 2, axis=(1, 2)))
-    halves = length(rows) @ bound[:, 0] + spread
-    widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
-    each = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
-    corners = bound * unit(rows[widest]) + three**2 * rows[widest] / each
-    change = np.einsum("oji,sji->so", rows, corners)
-    pulled, moved = _remainders(
-        motion, settled, i, conditions, energy.law.least[0], np.vstack([change, -change]),
-        np.concatenate([corners, -corners]),
-    )  # fmt: skip
-    J = np.moveaxis(rows[n:].reshape(-1, 3, 5 * n, 3), 2, 1)  # (points, items, 3, 3)
-    ellipsoids = _ellipsoids(J * bound[..., None], J * three[..., None])
-    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, ellipsoids
-
-
-def _ellipsoids(bounded: Array, spread: Array) -> Array:
-    """Return (points, 3, 3) [m²] ellipsoids that hold all displacements of points.
-
-    The sum of ellipsoids ``E_j`` lies within ``(Σ √tr E_j) Σ E_j/√tr E_j``, of all such the one
-    with the least sum of squared axes. Every bound is one of them, all deviations are another.
-
-    Parameters
-    ----------
-    bounded, spread: (points, items, 3, 3) [m], displacements by errors at their bounds and at three
-        deviations.
-    """
-    squares = [part @ part.swapaxes(-1, -2) for part in (bounded, spread)]
-    each = np.concatenate([squares[0], np.sum(squares[1], axis=1, keepdims=True)], axis=1)
+    sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in vars(errors).values()])
+    bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
+    spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
+    halves = length(rows) @ bound + spread
+    # The sum of ellipsoids E_j lies within (Σ √tr E_j) Σ E_j/√tr E_j, of all such the one with the
+    # least sum of squared axes. Every bound is one of them, all deviations are another.
+    J = rows[n:].reshape(-1, 3, 5 * n, 3)
+    squares = np.einsum("pijc,pkjc->jpik", J, J)
+    spreads = np.tensordot(three**2, squares, 1)[None]
+    each = np.concatenate([bound[:, None, None, None] ** 2 * squares, spreads])
     roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))[..., None, None]
-    shares = np.sum(roots, axis=1, keepdims=True) / np.where(roots > 0.0, roots, np.inf)
-    return np.asarray(np.sum(shares * each, axis=1))
-
-
-def _remainders(
-    motion: Motion, settled: Settled, i: int, conditions: Conditions, least: Array,
-    change: Array, errors: Array,
-) -> tuple[float, float]:  # fmt: skip
-    """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER.
-
-    Parameters
-    ----------
-    least: (n,) [N], tensions at which cables are slack.
-    change: (s, o), of tensions and points at first order.
-    errors: (s, 5n, 3) that cause it.
-    """
-    n, known = motion.team.robots, conditions.of(motion.team)
+    shares = np.sum(roots, axis=0) / np.where(roots > 0.0, roots, np.inf)
+    ellipsoids = np.sum(shares * each, axis=0)
+    # The hitch settles at the ends of the widest ranges.
+    widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
+    scale = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
+    ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
+    ends = np.concatenate([ends, -ends])
+    change = np.einsum("oji,sji->so", rows, ends)
     off = {
-        "cable_length": known["cable_length"] + errors[:, :n, 0],
-        "offsets": known["offsets"] + errors[:, n : 3 * n],
-        "forces": known["forces"] + errors[:, 3 * n :],
+        "cable_length": known["cable_length"] + ends[:, :n, 0],
+        "offsets": known["offsets"] + ends[:, n : 3 * n],
+        "forces": known["forces"] + ends[:, 3 * n :],
     }
     try:
         found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **off))
     except InfeasibleError:  # so far from where it was that first order says nothing
-        return np.inf, np.inf
-    tensions = np.maximum(settled.tensions[i] + change[:, :n], least)
-    vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
-    tension = float(np.max(np.abs(found.tensions - tensions)))
-    return REMAINDER * tension, REMAINDER * float(np.max(length(found.vertices - vertices)))
+        pulled = moved = np.inf
+    else:
+        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.law.least[0])
+        vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
+        pulled = REMAINDER * float(np.max(np.abs(found.tensions - tensions)))
+        moved = REMAINDER * float(np.max(length(found.vertices - vertices)))
+    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, ellipsoids
