@@ -43,54 +43,43 @@ from hitchopt.statics.recordings import Comparison, Recording, Windows, compare,
 from hitchopt.statics.settle import Conditions, energy_of
 from hitchopt.values import Array, Indices, not_negative, path
 
-SPAN, WINDOW = 6.0, 0.5
-"""Lengths of the windows in which stiffness and friction are fitted [s]. Tensions of 0.5 s follow
-the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to 13 %."""
+SPAN, WINDOW, RATE_SPAN = 6.0, 0.5, 0.2
+"""Lengths of the windows in which stiffness, friction, and rates of sliding are found [s]. Tensions
+of 0.5 s follow the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to
+13 %; noise reverses rates after more than 0.2 s."""
 
 ROUNDS = 3
 """Solutions of the problem, each with the scatter that the last one left."""
 
 OFFSETS, SHARES = (2e-3, 1e-2), (0.02, 0.02)
-"""Scatter of displacements in long and short windows [m], the latter that of the positions that
-drones measure, and of forces over the tension, before the first solution."""
-
 LEAST_OFFSETS, LEAST_SHARES = (5e-4, 1e-2), (3e-3, 3e-3)
-"""Least scatter that is assumed."""
+"""Scatter of displacements in long and short windows [m], the latter that of the positions that
+drones measure, and of forces over the tension: before the first solution, and the least."""
 
 GUESS = 5.0
 """First guess of a stiffness that the team does not state [N/m]."""
 
-STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE = 3.0, 0.2, 10.0
+STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, KNOWN = 3.0, 0.2, 10.0, 1e-6
 """Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
-force [N], and of a coefficient of friction."""
+force [N], of a coefficient of friction, and of what is known."""
 
-KNOWN = 1e-6
-"""The same of what is known."""
-
-STICKING = 0.5
-"""Standard deviation of the friction that a leg uses where cables do not slide."""
+STICKING, SCATTER = 0.5, 0.01
+"""Standard deviation of the friction that a leg uses where cables do not slide, and of the
+logarithm of a ratio where they do."""
 
 MODEL_ERROR, LARGEST_ERROR = 0.03, 0.25
 """Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
-thickness (calm simulated flights deviate by up to 3 %), and the largest one that counts as
-determined."""
-
-TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
-"""Angles by which cables turn in the plane [rad], for what follows."""
-
-IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
-"""Angle in space over that in the plane, of simulated hitches at rest (10 g/m at 0.5 N) without
-friction. The first value continues the next ones."""
-
-COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
-"""Cosine between the cables where they touch, mean over the contact, measured likewise."""
+thickness, and the largest one that counts as determined."""
 
 GEOMETRY_ERROR, LARGEST_FRICTION_ERROR = 0.15, 0.1
-"""Relative standard error of a friction coefficient by the two above (estimates from simulated
-flights deviate by -13 to +20 %), and the largest absolute one that counts as determined."""
+"""Relative standard error of a friction coefficient by the angles below, and the largest absolute
+one that counts as determined."""
 
-RATE_SPAN = 0.2
-"""Time over which a rate of sliding is measured [s]: a drone's noise reverses it after longer."""
+TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
+IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
+COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
+"""Angles by which cables turn in the plane [rad], that in space over it, and the cosine between the
+cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)."""
 
 BLURRED = 1e-2
 """Rate of sliding below which its direction is blurred [m/s]: by noise of the recorded positions,
@@ -101,9 +90,6 @@ SLIDING, PLANNED = 1e-2, 5e-3
 """Least rates at which cables slide over each other in a window that counts as sliding [m/s], and
 at which the plan has to slide them, the same way: sliding that is due to noise goes with errors of
 the tensions."""
-
-LEAST_SCATTER = 0.01
-"""Standard deviation of the logarithm of a ratio where cables slide."""
 
 LEAST_LENGTH_SCATTER = 3e-4
 """Least scatter that is assumed of a measured cable length [m]."""
@@ -132,10 +118,9 @@ class Estimate(OneLine):
         """Whether the recording determines it."""
         return not self.remark
 
-    @classmethod
-    def unknown(cls, remark: str) -> Estimate:
-        """Return the estimate of a quantity that the recording does not determine."""
-        return cls(float("nan"), float("inf"), remark)
+
+def _unknown(remark: str) -> Estimate:
+    return Estimate(float("nan"), float("inf"), remark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +207,7 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
     expected = np.append(-np.log(np.where(np.isfinite(stated), stated, GUESS)), np.zeros(3))
     spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, KNOWN])
     integral = "integral action returns drones to their set points, whatever their stiffness"
-    estimates = [Estimate.unknown(integral)] * len(kinds)
+    estimates = [_unknown(integral)] * len(kinds)
     if not np.any(winds):
         long = _Balance.of(task, Windows.of(recording, task, SPAN), given, of_drones)
         expected, errors, _ = long.fitted(expected, spread, 0)
@@ -232,10 +217,14 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
     balance = _Balance.of(task, windows, given, of_drones)
     expected[: len(kinds)] = np.where(known, expected[: len(kinds)], -np.log(stated))
     if np.all(np.isfinite(expected)):
-        friction, tensions = _friction(task, recording, windows, balance, expected)
+        pulls, slid = _sliding(task, recording, windows, balance)
+        spread[:-1], spread[-1] = KNOWN, FRICTION_SCALE
+        found, errors, tensions = replace(balance, pulls=pulls).fitted(expected, spread, 1)
+        sliding = int(np.sum(np.any(pulls != 0.0, axis=(1, 2))))
+        friction = _friction(float(found[-1]), float(errors[-1]), slid, sliding)
     else:
         why = "the drones' stiffness is neither determined nor stated by the plan's team"
-        friction, tensions = Estimate.unknown(f"tensions are unknown: {why}"), windows.tensions
+        friction, tensions = _unknown(f"tensions are unknown: {why}"), windows.tensions
     tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
     arcs = balance.energy.law.forces(balance.x[:, balance.energy.nodes], tensions)[1]
     return Calibration(
@@ -252,7 +241,7 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
 def _stiffness(value: float, relative: float) -> Estimate:
     """Return the estimate of a stiffness [N/m], or that it is not determined."""
     if not relative <= LARGEST_ERROR:
-        return Estimate.unknown(
+        return _unknown(
             f"its standard error would be {relative:.0%} of it: drones are displaced by "
             "too little; fly a plan that does not know the cables' weight"
         )
@@ -326,7 +315,7 @@ class _Balance:
         drones = np.exp(common[self.kinds])[:, None] * pulls[:, :many]
         drones = (drones + self.x[:, :many] - energy.places) / scales[0]
         ratios = used * self.bends - common[-1] * self.pulls
-        ratios = ratios / np.where(self.pulls != 0.0, LEAST_SCATTER, STICKING * self.bends)
+        ratios = ratios / np.where(self.pulls != 0.0, SCATTER, STICKING * self.bends)
         parts = drones, pulls[:, many:] / scales[1], ratios
         return np.concatenate([part.reshape(len(self.x), -1) for part in parts], axis=1)
 
@@ -350,17 +339,17 @@ class _Balance:
 
         def jacobian(unknown: Array) -> csr_array:
             """Windows depend on the first unknowns and on their own; one step moves all of them."""
-            own, columns = unknown[g:].reshape(*planned.shape, 3), []
+            own, slopes = unknown[g:].reshape(*planned.shape, 3), []
             for step in 1j * IMAGINARY * np.eye(g + size):
                 moved = unknown[:g] + step[:g], own + step[g:].reshape(-1, 3)
-                columns.append(self.residuals(*moved, scales).imag / IMAGINARY)
-            entries = np.stack(columns, axis=-1)
+                slopes.append(self.residuals(*moved, scales).imag / IMAGINARY)
+            entries = np.stack(slopes, axis=-1)
             count, each, _ = entries.shape
             of_own = g + np.arange(count * size).reshape(count, 1, size)
             column = np.concatenate([np.tile(np.arange(g), (count, 1, 1)), of_own], axis=2)
             row = np.arange(count * each).reshape(count, each, 1)
-            places = [part.ravel() for part in np.broadcast_arrays(row, column)]
-            places = np.concatenate([places, [count * each + np.arange(g), np.arange(g)]], axis=1)
+            rows, columns = np.broadcast_arrays(row, column)
+            places = np.append(rows, count * each + np.arange(g)), np.append(columns, np.arange(g))
             return coo_array((np.append(entries, 1.0 / spread), places)).tocsr()
 
         own = np.stack([planned, 0.0 * planned, 0.0 * planned], axis=-1)
@@ -382,34 +371,19 @@ class _Balance:
         return unknown[:g], errors, unknown[g:].reshape(own.shape)[..., 0]
 
 
-def _friction(
-    task: Task, recording: Recording, windows: Windows, balance: _Balance, known: Array
-) -> tuple[Estimate, Array]:
-    """Return the friction, and the edges' tensions (windows, n) [N].
-
-    Parameters
-    ----------
-    balance: in the windows.
-    known: log(1/k), wind, and a coefficient of friction that is not known.
-    """
-    pulls, slid = _sliding(task, recording, windows, balance)
-    spread = np.full(len(known), KNOWN)
-    spread[-1] = FRICTION_SCALE
-    found, errors, tensions = replace(balance, pulls=pulls).fitted(known, spread, 1)
-    mu, error = float(found[-1]), float(errors[-1])
+def _friction(mu: float, error: float, slid: float, windows: int) -> Estimate:
+    """Return the estimate of a friction, or that cables slid too little [m] for it."""
     if slid < SLID:
-        remark = (
+        return _unknown(
             f"cables slide through clasps by {100 * slid:.1f} cm in all, less than {100 * SLID:g} "
             "cm: friction is not seen; move a vertex by some decimetres"
         )
-    elif error > LARGEST_FRICTION_ERROR or np.sum(np.any(pulls != 0.0, axis=(1, 2))) < 3:
-        remark = (
+    if error > LARGEST_FRICTION_ERROR or windows < 3:
+        return _unknown(
             f"its standard error would be {error:.2g}: tensions scatter by more than friction "
             "changes them; move vertices farther, or record more precisely"
         )
-    else:
-        return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu))), tensions
-    return Estimate.unknown(remark), tensions
+    return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu)))
 
 
 def friction_pulls(turns: Array, rates: Array, blurred: float = 0.0) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -136,8 +136,9 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
             bands = settled.rests[i, ..., :2].swapaxes(0, 1)
             lines = [right.plot(*ends.T, color=colour, lw=4.0, alpha=0.35) for ends in bands]
             lines[0][0].set_label(f"band of rest, {when}")
-        for k in range(0 if ranges is None else layout.points):
-            _draw_ellipse(right, settled.vertices[i, k], ranges.ellipsoids[i, k], colour)
+        shapes = () if ranges is None else ranges.ellipsoids[i]
+        for centre, shape in zip(settled.vertices[i], shapes, strict=False):
+            _draw_ellipse(right, centre, shape, colour)
     right.set_aspect("equal", adjustable="datalim")
     right.set(xlabel="x [m]", ylabel="y [m]")
     for axes in (left, right):
@@ -245,7 +246,7 @@ def save_calibration_picture(path: Path, calibration: Calibration) -> None:
         raise FileError(f"{path}: cannot be written: {error}") from error
 
 
-def _draw_cables(axes: Axes, paths: Sequence[Array], vertices: Array) -> None:
+def _draw_cables(axes: Axes, paths: Iterable[Array], vertices: Array) -> None:
     """Draw cables along paths (points, 2 or 3) [m] with their drones, and the vertices."""
     for k, path in enumerate(paths):
         axes.plot(*path[:, :2].T, color=COLOURS[k % len(COLOURS)], linewidth=1.4)

@@ -143,7 +143,7 @@ def test_a_team_of_different_kinds_lists_them(solved: Path) -> None:
     task = read_task(solved)
     drones, vertices = task.setpoints.positions, task.vertices
     plain = estimate_team(Recording(task.t, drones, vertices), task, 0.01)
-    stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate.unknown("nothing moves"))
+    stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))
     text = team_text(replace(plain, stiffness=stiffness, friction=Estimate(0.123, 0.02)))
     team = parse_yaml(text)
     assert isinstance(team, dict)
