@@ -11,10 +11,9 @@ from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from resting_hitches import random_hitch, regular_hitch, settled, standing
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import HitchEnergy
@@ -35,22 +34,17 @@ def errors(seed: int, n: int, density: float) -> dict[str, Any]:
 
 
 @given(seeds, sizes, topologies)
-@settings(max_examples=30)
-def test_without_error_the_plan_comes_back(seed: int, n: int, topology: str) -> None:
+@settings(max_examples=15)
+def test_plans_come_back_but_for_their_own_error_of_weight(
+    seed: int, n: int, topology: str
+) -> None:
+    """Legs that rise for the weight hold vertices: to second order in weight over tension."""
     hitch = random_hitch(seed, n, topology)
     found = settled(hitch)
     np.testing.assert_allclose(found.vertices, hitch.vertices, atol=1e-9)
     np.testing.assert_allclose(found.drones, hitch.drones, atol=1e-9)
     np.testing.assert_allclose(found.tensions, hitch.team.tension, atol=1e-9)
     assert found.slack_cables == found.loose_clasps == ()
-
-
-@given(seeds, sizes, topologies)
-@settings(max_examples=10)
-def test_plans_that_know_the_weight_come_back_but_for_their_own_error(
-    seed: int, n: int, topology: str
-) -> None:
-    """Legs that rise for the weight hold vertices: to second order in weight over tension."""
     away = []
     for density in (0.002, 0.004):
         hitch = random_hitch(seed, n, topology, density=density)
@@ -94,31 +88,6 @@ def test_forces_balance_as_another_module_computes_them(
         np.testing.assert_allclose(total, 0.0, atol=2e-5)
 
 
-@given(seeds, sizes)
-@settings(max_examples=15)
-def test_the_mirror_image_settles_to_the_mirror_image(seed: int, n: int) -> None:
-    """Seen in a mirror q and r trade their roles, and cables run the other way."""
-    hitch, given_errors = random_hitch(seed, n), errors(seed, n, 0.008)
-    flip = np.array([-1.0, 1.0, 1.0])
-    back = np.arange(n)[::-1]
-    drones = np.stack([2 * back + 1, 2 * back], axis=1).ravel()
-    points = (-np.arange(n)) % n  # edge k of the image is edge n-1-k
-    team = dataclasses.replace(
-        hitch.team,
-        cable_length=hitch.team.cable_length[back],
-        tension=hitch.team.tension[back],
-        quadrotor=tuple(hitch.team.quadrotor[k] for k in back),
-    )
-    polygon = ConvexPolygon(hitch.polygon.vertices[points] * flip[:2])
-    legs = (hitch.slack - hitch.q_legs)[back]
-    other = ho.Hitch(team, polygon, hitch.altitude, legs)
-    np.testing.assert_allclose(other.drones, hitch.drones[drones] * flip, atol=1e-12)
-    mirrored = {name: given_errors[name][drones] * flip for name in ("offsets", "forces")}
-    found, again = settled(hitch, **given_errors), settled(other, **(given_errors | mirrored))
-    np.testing.assert_allclose(again.tensions, found.tensions[back], atol=1e-8)
-    np.testing.assert_allclose(again.vertices, found.vertices[points] * flip, atol=1e-8)
-
-
 def resting_energy(hitch: ho.Hitch, conditions: Conditions) -> tuple[HitchEnergy, np.ndarray]:
     motion = standing(hitch)
     return energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
@@ -135,26 +104,6 @@ def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
         matrix = energy.matrix(energy.linear(x, friction)[0])
         change = (energy.slopes(up, friction) - energy.slopes(down, friction)).ravel() / (2.0 * h)
         np.testing.assert_allclose(matrix @ away.ravel(), change, rtol=1e-5, atol=1e-3)
-
-
-def test_a_general_minimiser_finds_no_lower_energy() -> None:
-    hitch = random_hitch(7, 3)
-    given: Any = {"cable_length": hitch.team.cable_length - 0.01, "axial_stiffness": 300.0}
-    options: Any = {"gtol": 1e-9, "maxiter": 5000}
-    energy, x = resting_energy(hitch, Conditions(**given))
-    found = settled(hitch, **given)
-    ours = np.concatenate([found.drones, found.vertices])[None]
-    guess = (x + np.random.default_rng(0).normal(0.0, 0.1, x.shape)).ravel()
-
-    def value(nodes: np.ndarray) -> float:
-        return float(energy.values(nodes.reshape(x.shape))[0])
-
-    def slope(nodes: np.ndarray) -> np.ndarray:
-        return energy.slopes(nodes.reshape(x.shape)).ravel()
-
-    result = minimize(value, guess, jac=slope, method="BFGS", options=options)
-    assert energy.values(ours)[0] <= result.fun + 1e-9
-    np.testing.assert_allclose(result.x.reshape(ours.shape), ours, atol=1e-4)
 
 
 def test_equal_errors_of_all_cables_of_a_regular_hitch() -> None:
