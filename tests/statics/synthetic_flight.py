@@ -11,7 +11,7 @@ from scipy.optimize import root
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.task import Setpoints, Task
-from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS
+from hitchopt.statics.calibrate import friction_pulls
 from hitchopt.statics.recordings import Recording
 from hitchopt.statics.settle import Conditions, energy_of
 
@@ -20,22 +20,6 @@ Array = NDArray[np.float64]
 RATE = 20.0
 HELD, MOVED = 2.0, 6.0
 """Times at rest, before and after, and time of the movement [s]."""
-
-
-def friction_used(team: Team, bends: Array, rates: Array) -> Array:
-    """Friction (n, 2) that legs use, by bends [rad], at a coefficient of 1, clasp by clasp."""
-    found = np.zeros((team.robots, 2))
-    for a, b in zip(team.layout.ahead, team.layout.behind, strict=True):
-        turn = 0.5 * (bends[a, 0] + bends[b, 1])
-        c = np.interp(turn, TURNS, COSINES)
-        # The surfaces' relative velocity, in the plane that the two cables span.
-        first, second = np.array([1.0, 0.0]), np.array([c, np.sqrt(1.0 - c**2)])
-        sliding = rates[2 * a] * first - rates[2 * b + 1] * second
-        if (speed := np.linalg.norm(sliding)) > 0.0:
-            space = np.interp(turn, TURNS, IN_SPACE)
-            found[a, 0] = space * (sliding @ first) / speed
-            found[b, 1] = -space * (sliding @ second) / speed
-    return found
 
 
 def balanced(
@@ -49,19 +33,22 @@ def balanced(
     samples = [np.zeros(1), *(each[None] for each in state), zero]
     energy = energy_of(team, conditions, samples)[0]
 
+    nodes, ahead, behind = energy.nodes, layout.ahead, layout.behind
+
     def pulls(x: Array) -> Array:
-        nodes = np.concatenate([drones, x.reshape(-1, 3)])[None]
-        units = unit(np.diff(nodes[:, energy.nodes], axis=-2))
+        at = np.concatenate([drones, x.reshape(-1, 3)])[None]
+        units = unit(np.diff(at[:, nodes], axis=-2))
         bends = np.arccos(np.clip(np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1), -1, 1))
-        used = friction * friction_used(team, bends[0], rates)
-        forces = energy.law.forces(nodes[:, energy.nodes], team.tension[None], used)[0]
-        found: Array = energy.pulls(forces)[0]
-        return found
+        used = np.zeros((team.robots, 2))
+        turned = np.stack([bends[0, ahead, 0], bends[0, behind, 1]], axis=-1)
+        pulled = friction_pulls(
+            turned, np.stack([rates[2 * ahead], rates[2 * behind + 1]], axis=-1)
+        )
+        used[ahead, 0], used[behind, 1] = friction * (pulled / turned).T
+        forces = energy.law.forces(at[:, nodes], team.tension[None], used)[0]
+        return np.asarray(energy.pulls(forces)[0])
 
-    def missing(x: Array) -> Array:
-        return pulls(x)[2 * n :].ravel()
-
-    x = root(missing, guess[layout.clasps].ravel(), tol=1e-12).x
+    x = root(lambda x: pulls(x)[2 * n :].ravel(), guess[layout.clasps].ravel(), tol=1e-12).x
     assert np.max(np.abs(pulls(x)[2 * n :])) < 1e-9
     points = guess.copy()
     points[layout.anchors] = drones  # a chain's ends
@@ -106,8 +93,6 @@ def recorded(
 def shaken(recording: Recording, noise: float, seed: int) -> Recording:
     """Return the recording with white measurement noise."""
     random = np.random.default_rng(seed)
-    return replace(
-        recording,
-        drones=recording.drones + noise * random.normal(size=recording.drones.shape),
-        vertices=recording.vertices + noise * random.normal(size=recording.vertices.shape),
-    )
+    places = recording.drones, recording.vertices
+    drones, vertices = (each + noise * random.normal(size=each.shape) for each in places)
+    return replace(recording, drones=drones, vertices=vertices)

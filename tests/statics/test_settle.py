@@ -14,6 +14,7 @@ from resting_hitches import random_hitch, regular_hitch, settled, standing
 from scipy.optimize import brentq
 
 import hitchopt as ho
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import HitchEnergy
@@ -73,9 +74,8 @@ def test_forces_balance_as_another_module_computes_them(
         force = clasp_residuals(found.vertices, q, r, found.tensions, topology=topology)
         assert np.max(np.linalg.norm(force, axis=-1)) < 1e-8
         # Drones: what their springs pull with is what their cables pull with.
-        legs = found.drones - found.vertices[layout.pulled_to]
+        legs = unit(found.drones - found.vertices[layout.pulled_to])
         pull = np.repeat(found.tensions, 2)[:, None] * legs
-        pull /= np.linalg.norm(legs, axis=-1, keepdims=True)
         away = found.drones - hitch.drones - given_errors["offsets"]
         spring = hitch.team.stiffness[:, None] * away
         outer = given_errors["forces"] - hitch.cable_forces
@@ -290,15 +290,9 @@ def test_hitches_whose_drones_are_far_too_near_find_a_rest(
     inward: float, feed_forward: bool
 ) -> None:
     hitch = regular_hitch(4)
-    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
-    legs = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
-    found = settled(
-        hitch,
-        stiffness=12.0,
-        cable_density=0.012,
-        feed_forward=feed_forward,
-        offsets=-inward * legs,
-    )
+    legs = unit(hitch.drones - hitch.vertices[hitch.team.layout.anchors])
+    given: Any = {"stiffness": 12.0, "cable_density": 0.012, "feed_forward": feed_forward}
+    found = settled(hitch, **given, offsets=-inward * legs)
     assert found.force_residual < 1e-8
     assert np.all(found.tensions > 0.0)
     assert np.all(found.tensions < 0.25)
