@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,13 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse, Polygon
+from matplotlib.patches import Ellipse, Polygon
+from scipy.spatial import ConvexHull
 
-from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.errors import InfeasibleError
 from hitchopt.exports.directory import STATICS, STATICS_PICTURE
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Hitch, Quadrotor, Team
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.holding.grip import Grip
 from hitchopt.statics.calibrate import Calibration, Estimate
 from hitchopt.statics.fit import GRIP, REST, Fit
@@ -40,8 +40,8 @@ DRAWN_TIMES = 3
 LABELLED = 12
 """Largest number of curves for which a legend has space."""
 
-ARC_POINTS = 40
-"""Points of a drawn arc."""
+ARC_POINTS = 120
+"""Points of a drawn circle."""
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
@@ -159,15 +159,8 @@ def save_team(path: Path, calibration: Calibration) -> None:
     """Write the block ``team:`` with the estimates; comments state their standard errors.
 
     What the recording does not determine is as in the plan.
-
-    Raises
-    ------
-    FileError: the file cannot be written.
     """
-    try:
-        path.write_text(team_text(calibration), encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error}") from error
+    path.write_text(team_text(calibration), encoding="utf-8")
 
 
 def team_text(calibration: Calibration) -> str:
@@ -204,29 +197,22 @@ def _yaml(value: object) -> str:
 
 
 def save_calibration_picture(path: Path, calibration: Calibration) -> None:
-    """Draw where drones and vertices were and should have been, and how far they were off.
-
-    Raises
-    ------
-    FileError: the file cannot be written.
-    """
+    """Draw where drones and vertices were and should have been, and how far they were off."""
     task, recording, found = calibration.task, calibration.recording, calibration.comparison
-    team, formed, hitched = task.team, task.formed, np.isfinite(found.vertices).all(axis=1)
+    team, seen = task.team, np.isfinite(found.vertices).all(axis=1)
     figure = new_figure(FLIGHT_SIZE)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.1))
     above = figure.add_subplot(grid[:, 0])
-    for places, colour in ((task.setpoints.positions, "0.75"), (recording.drones, "0.35")):
-        above.plot(places[..., 0], places[..., 1], color=colour, lw=0.8)
-    above.plot(task.vertices[formed, :, 0], task.vertices[formed, :, 1], color=INK, lw=0.9, ls=":")
-    above.plot(recording.vertices[hitched, :, 0], recording.vertices[hitched, :, 1], lw=1.2)
-    for i in np.flatnonzero(hitched)[-1:]:
-        drones, points = recording.drones[i].reshape(-1, 2, 3), recording.vertices[i]
-        ends = np.stack([points[team.layout.starts], points[team.layout.ends]], axis=1)
-        _draw_cables(above, np.concatenate([drones[:, :1], ends, drones[:, 1:]], 1), points)
-        for name, point in zip(team.point_names, points, strict=True):
-            above.text(float(point[0]), float(point[1]), name, fontsize=8)
-    title = "recorded, cables at the end; dotted and pale: the plan"
-    above.set(xlabel="x [m]", ylabel="y [m]", title=title)
+    for places, style in (
+        (task.setpoints.positions, {"color": "0.75", "lw": 0.8}),
+        (recording.drones, {"color": "0.35", "lw": 0.8}),
+        (task.vertices[task.formed], {"color": INK, "lw": 0.9, "ls": ":"}),
+        (recording.vertices[seen], {"lw": 1.2}),
+    ):
+        above.plot(places[..., 0], places[..., 1], **style)
+    for name, point in zip(team.point_names, recording.vertices[seen][-1], strict=True):
+        above.text(float(point[0]), float(point[1]), name, fontsize=8)
+    above.set(xlabel="x [m]", ylabel="y [m]", title="recorded; dotted and pale: the plan")
     above.set_aspect("equal", "datalim")
     for row, (errors, names, label) in enumerate(
         (
@@ -240,27 +226,11 @@ def save_calibration_picture(path: Path, calibration: Calibration) -> None:
             axes.legend(fontsize=7, ncols=3)
         axes.set(ylabel=label, xlabel="t [s]")
         axes.grid(alpha=0.3)
-    try:
-        save_figure(figure, path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error}") from error
-
-
-def _draw_cables(axes: Axes, paths: Iterable[Array], vertices: Array) -> None:
-    """Draw cables along paths (points, 2 or 3) [m] with their drones, and the vertices."""
-    for k, path in enumerate(paths):
-        axes.plot(*path[:, :2].T, color=COLOURS[k % len(COLOURS)], linewidth=1.4)
-        axes.plot(*path[[0, -1], :2].T, "o", color=COLOURS[k % len(COLOURS)], markersize=7)
-    axes.plot(*vertices[:, :2].T, "o", color=LIMIT_COLOUR, markersize=3)
+    save_figure(figure, path)
 
 
 def save_fit(directory: Path, fit: Fit) -> None:
-    """Write ``fit.json`` and ``fit.png`` to a directory, which is made if need be.
-
-    Raises
-    ------
-    OSError: a file cannot be written.
-    """
+    """Write ``fit.json`` and ``fit.png`` to a directory, which is made if need be."""
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
     save_figure(draw_fit(fit), directory / "fit.png")
@@ -303,59 +273,33 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
 
 
 def draw_fit(fit: Fit) -> Figure:
-    """Return the picture: what encloses, what grips, and what the rim rests on."""
+    """Return the picture: the object with what encloses it, what grips it, and what it rests on."""
     figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
     axes = figure.subplots(1, 3)
-    style: dict[str, Any] = {"facecolor": "0.88", "edgecolor": "0.55", "linewidth": 0.8}
-    for each in axes:
-        round_ = section.radius is not None
-        each.add_patch(
-            Circle((0.0, 0.0), section.rounding, **style)
-            if round_
-            else Polygon(section.core, **style)
-        )
-        each.set_aspect("equal")
-        each.set_xlabel("x [m]")
-    axes[0].set_ylabel("y [m]")
-    axes[0].set_title(f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m")
-    _draw_hitch(axes[0], fit, holding.enclosing)
-    if isinstance(holding.grip, Grip):
-        _draw_grip(axes[1], holding.grip)
-    if isinstance(holding.rest, ConvexPolygon):
-        _draw_hitch(axes[2], fit, holding.rest)
-    for each, by in zip(axes[1:], (GRIP, REST), strict=True):
+    around = 2.0 * np.pi * np.arange(ARC_POINTS) / ARC_POINTS
+    disc = section.rounding * np.column_stack([np.cos(around), np.sin(around)])
+    outline = (section.core[:, None] + disc).reshape(-1, 2)
+    titles = [f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m"]
+    for by in (GRIP, REST):
         found = holding.capacity(by)
         mass = f"{1e3 * found.mass:.0f} g" if found.mass > 0.0 else "nothing"
-        each.set_title(f"{by}: {mass} ({found.binding} binds)")
+        titles.append(f"{by}: {mass} ({found.binding} binds)")
+    polygons = holding.enclosing, holding.grip, holding.rest
+    for each, polygon, title in zip(axes, polygons, titles, strict=True):
+        each.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
+        each.set_aspect("equal")
+        each.set(xlabel="x [m]", title=title)
+        if isinstance(polygon, InfeasibleError):
+            continue
+        vertices = polygon.vertices[:, :2]
+        # Cables are drawn tight around the section where it is within the polygon.
+        inside = polygon is not holding.rest
+        places = np.vstack([vertices, outline]) if inside else vertices
+        each.add_patch(Polygon(places[ConvexHull(places).vertices], fill=False, ec=COLOURS[0]))
+        each.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3)
+        if isinstance(polygon, Grip):
+            ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+            legs = np.stack([ends, polygon.drones[..., :2]], axis=-2).reshape(-1, 2, 2)
+            each.plot(*legs.T, color=COLOURS[0], marker="o", markevery=[1])
+    axes[0].set_ylabel("y [m]")
     return figure
-
-
-def _draw_hitch(axes: Axes, fit: Fit, polygon: ConvexPolygon) -> None:
-    """Draw the hitch of a polygon with the legs that keep drones well apart."""
-    holding, task = fit.holding, fit.holding.task
-    team = Team(holding.robots, holding.cable_length, tension=task.tension, quadrotor=task.kind)
-    limits, separation = task.requirements.limits, task.requirements.separation
-    try:
-        hitch = Hitch.spread(team, polygon, limits=limits, separation=separation)
-    except InfeasibleError:
-        return
-    drones, p = hitch.drones.reshape(-1, 2, 3), hitch.vertices
-    ends = np.stack([p, np.roll(p, -1, axis=0)], axis=1)
-    _draw_cables(axes, np.concatenate([drones[:, :1], ends, drones[:, 1:]], axis=1), p)
-
-
-def _draw_grip(axes: Axes, grip: Grip) -> None:
-    """Draw a grip, its cables along their arcs on the section."""
-    paths, section, vertices = [], grip.section, grip.vertices[:, :2]
-    onward = np.roll(vertices, -1, axis=0)
-    for k, drones in enumerate(grip.drones[..., :2]):
-        a = grip.wraps.leaving[k]
-        turns = grip.wraps.angles[k] * np.linspace(0.0, 1.0, ARC_POINTS)
-        normals = np.arctan2(a[0], -a[1]) - turns  # outward, on the left of the cable
-        out = np.column_stack([np.cos(normals), np.sin(normals)])
-        touched = section.core[np.argmax(out @ section.core.T, axis=1)] + section.rounding * out
-        first, last = grip.wraps.contacts[k]
-        paths.append(
-            np.vstack([drones[0], vertices[k], first, touched, last, onward[k], drones[1]])
-        )
-    _draw_cables(axes, paths, vertices)

@@ -30,7 +30,7 @@ DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
 """Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
 
 WINDOW_TIGHT = 0.9
-"""Least planned tension over the team's at which a hitch counts as drawn tight in a window."""
+"""Least planned tension over the team's at which a hitch counts in a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ class Recording(OneLine):
     t: (samples,) [s], ascending, from the plan's start.
     drones: (samples, 2n, 3) [m], in the order q0, r0, q1, …; nan where not seen.
     vertices: (samples, points, 3) [m]; nan where not seen. A chain's ends are its drones.
-    density: of the cables [kg/m], where it is known from a simulation.
-    feed_forward, integral: whether drones' controllers had these (2n,), where it is known likewise.
+    density, feed_forward, integral: of the cables [kg/m], and whether the drones' controllers had
+        these (2n,), where they are known from a simulation.
     """
 
     t: Array
@@ -218,14 +218,13 @@ class Windows:
         usable = _tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
         for places in measured[1:]:
             usable &= np.all(np.isfinite(places), axis=(1, 2))
-        _, window, total = np.unique(np.floor(t / size), return_inverse=True, return_counts=True)
-        usable &= (np.bincount(window, usable) >= 0.5 * np.median(total))[window]
-        _, starts, count = np.unique(window[usable], return_index=True, return_counts=True)
-        return cls(
-            *(
-                np.add.reduceat(values[usable], starts, axis=0)
-                / count.reshape(-1, *[1] * (values.ndim - 1))
-                if len(starts) else values[:0]
-                for values in (*measured, *(planned(task, t, each) for each in plan))
-            )
-        )  # fmt: skip
+        window = np.unique(np.floor(t / size), return_inverse=True)[1]
+        share = np.bincount(window, usable) / np.median(np.bincount(window))
+        usable &= (share >= 0.5)[window]
+        firsts, counts = np.unique(window[usable], return_index=True, return_counts=True)[1:]
+
+        def mean(values: Array) -> Array:
+            sums = np.add.reduceat(values[usable], firsts) if len(firsts) else values[:0]
+            return sums / counts.reshape(-1, *[1] * (values.ndim - 1))
+
+        return cls(*map(mean, measured), *(mean(planned(task, t, each)) for each in plan))
