@@ -41,33 +41,25 @@ CONVERGED, CABLE_STEPS = 1e-10, 100
 IMAGINARY = 1e-30
 """[m], [N] Imaginary step by which derivatives are taken: exact to rounding."""
 
-SMALL_FORCE = 1e-11
-"""[N] Forces this small on every node end the iteration."""
+SMALL_FORCE, BAND_FORCE, ROUNDED_FORCE = 1e-11, 1e-7, 16.0 * float(np.finfo(np.float64).eps)
+"""[N] Forces this small on every node end the iteration, without friction and with it; or [1] over
+the cables' stiffness times the coordinates."""
 
-ROUNDED_FORCE = 16.0 * float(np.finfo(np.float64).eps)
-"""Forces end it as well that are this small over the cables' stiffness times the coordinates."""
+LEAST_STIFFNESS, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
+"""[N/m] Added to the Hessian's diagonal, as slack cables hold their clasps by nothing; after the
+first step that does not descend; and at most."""
 
-LEAST_STIFFNESS = 1e-9
-"""[N/m] Added to the Hessian's diagonal: slack cables hold their clasps by nothing."""
-
-NEWTON_STEPS, HALVINGS = 200, 30
-"""Number of Newton steps (5 to 30 are usual), and of times that one is halved."""
-
-FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e6
-"""[N/m] Damping after the first step that does not descend, and the largest one."""
+NEWTON_STEPS, BAND_STEPS, HALVINGS = 200, 20, 30
+"""Number of Newton steps (3 to 30 are usual), and of times that one is halved."""
 
 DESCENT, ROUNDING = 1e-4, 1e-14
 """Share of the linear decrease that a step must bring (Armijo), and rounding of the energies."""
 
-LONGEST_STEP = 0.3
+LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1
 """[m] Longest step of a node: directions change beyond it."""
 
 SHARES = np.linspace(0.1, 1.0, 10)
 """Shares of the friction at which the hitch settles on its way to an end of its band."""
-
-BAND_STEPS, LARGEST_FORCE, LONGEST_BAND_STEP = 20, 1e-7, 0.1
-"""Number of Newton steps at each of them (three to five are usual), the largest force without
-balance [N] but for rounding of stiff cables, and the longest step of a node [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,12 +153,10 @@ class Cables:
     def hanging(self, ends: Array, T: Array) -> NDArray[np.bool_]:
         """Return (S, n) whether cables are slack, or one of their spans hangs as slack ones do.
 
-        A span that has come down pulls with less than T: it hangs by its chord over SAG_RATIO where
-        its own tension is ``SAG_RATIO w s/8``.
+        That is by its chord over SAG_RATIO, by its own tension m: lower spans pull with less.
         """
         _, sizes, heights = self.spans(ends)
-        m = T[..., None] + self.weight * heights
-        deep = 8.0 * m < SAG_RATIO * self.weight * sizes
+        deep = T[..., None] + self.weight * (heights - SAG_RATIO / 8.0 * sizes) < 0.0
         return np.asarray((self.least >= T) | np.any(deep, axis=-1))
 
     def _sag(self, m: Any) -> tuple[Any, Any]:
@@ -299,15 +289,11 @@ class HitchEnergy:
 
 
 def settled_nodes(energy: HitchEnergy, start: Array) -> Array:
-    """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method.
+    """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method from a start.
 
     The caller recomputes the residuals. A diagonal is added where a step does not descend; steps
-    are halved until the energy falls enough.
-
-    Parameters
-    ----------
-    energy: of S samples.
-    start: (S, nodes, 3) [m], where held drones are, and guesses for the other nodes.
+    are halved until the energy falls enough. The force's size is no measure: steps along cables
+    that hardly stretch raise it.
     """
     x, damping, values = start, np.full(len(start), LEAST_STIFFNESS), energy.values(start)
     for _ in range(NEWTON_STEPS):
@@ -335,14 +321,11 @@ def settled_nodes(energy: HitchEnergy, start: Array) -> Array:
 def rubbing_nodes(energy: HitchEnergy, rest: Array, friction: float) -> Array:
     """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
 
-    Parameters
-    ----------
-    energy: of S samples.
-    rest: (S, nodes, 3) [m], where they rest without friction.
-    friction: coefficient, positive for legs that pull more than edges, negative for less.
+    ``rest`` is where they are without friction, whose coefficient is positive for legs that pull
+    more than edges, negative for less.
     """
     x, lost = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
-    small = LARGEST_FORCE + 10.0 * energy.accuracy * float(np.max(np.abs(rest)))
+    small = BAND_FORCE + 10.0 * energy.accuracy * float(np.max(np.abs(rest)))
     for share in SHARES if friction else ():
         for _ in range(BAND_STEPS):
             steps, slopes = energy.steps(x, LEAST_STIFFNESS, LONGEST_BAND_STEP, share * friction)

@@ -25,14 +25,8 @@ from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.statics.energy import (
-    SAG_RATIO,
-    Cables,
-    HitchEnergy,
-    rubbing_nodes,
-    settled_nodes,
-)
-from hitchopt.values import Array, instance, not_negative, positive
+from hitchopt.statics.energy import SAG_RATIO, Cables, HitchEnergy, rubbing_nodes, settled_nodes
+from hitchopt.values import Array, Indices, instance, not_negative, positive
 
 FRICTION = (
     "tensions are those without friction at the clasps: where the cable bends by β they may differ "
@@ -202,19 +196,18 @@ class Settled(OneLine):
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that are slack in any sample: c0, c1, …."""
-        return named("c", self.slack)
+        return named("c", self.slack, np.arange(self.team.robots))
 
     @property
     def loose_clasps(self) -> tuple[str, ...]:
         """Names of the points whose cables do not press on each other in some sample."""
-        loose = ~self.bears.reshape(-1, self.bears.shape[-1]).all(axis=0)
-        return tuple(f"p{k}" for k in self.team.layout.clasps[loose])
+        return named("p", ~self.bears, self.team.layout.clasps)
 
 
-def named(letter: str, flags: NDArray[np.bool_]) -> tuple[str, ...]:
+def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str, ...]:
     """Return the names of the columns of flags (…, n) in which any is set."""
-    columns: Sequence[int] = np.flatnonzero(flags.reshape(-1, flags.shape[-1]).any(axis=0)).tolist()
-    return tuple(f"{letter}{k}" for k in columns)
+    any_ = flags.reshape(-1, flags.shape[-1]).any(axis=0)
+    return tuple(f"{letter}{k}" for k in numbers[any_])
 
 
 LARGEST_RESIDUAL = 1e-6
@@ -292,14 +285,12 @@ def samples_of(
         raise UnsupportedError(f"{when}: statics do not know of objects that a hitch carries")
     planned = states.positions, states.vertices, states.tensions, states.cable_forces
     values = [states.t, *planned, *(known[name] for name in ("cable_length", "offsets", "forces"))]
-    axes = (0, 2, 2, 1, 2, 1, 2, 2)
-    inner = [v.shape[v.ndim - k :] for v, k in zip(values, axes, strict=True)]
-    shape = np.broadcast_shapes(*(v.shape[: v.ndim - k] for v, k in zip(values, axes, strict=True)))
-    flat = [
-        np.broadcast_to(v, (*shape, *own)).reshape((-1, *own))
-        for v, own in zip(values, inner, strict=True)
+    split = [v.ndim - axes for v, axes in zip(values, (0, 2, 2, 1, 2, 1, 2, 2), strict=True)]
+    shape = np.broadcast_shapes(*(v.shape[:k] for v, k in zip(values, split, strict=True)))
+    return shape, [
+        np.broadcast_to(v, (*shape, *v.shape[k:])).reshape((-1, *v.shape[k:]))
+        for v, k in zip(values, split, strict=True)
     ]
-    return shape, flat
 
 
 def energy_of(
@@ -353,9 +344,8 @@ def _settled(motion: Motion, conditions: Conditions, samples: Sequence[Array]) -
             cable = int(np.argmin(short))
             remedy = f"lead its drones farther out: a leg of cable c{cable} has no length left"
         when = f"at t = {samples[0][worst]:.4g} s"
-        limit = LARGEST_RESIDUAL
-        broken = Violation("settling", float(force[worst]), limit, "max", "N", (), when, remedy)
-        raise InfeasibleError([broken], "the hitch finds no rest under these conditions")
+        found = "settling", float(force[worst]), LARGEST_RESIDUAL, "max", "N", (), when, remedy
+        raise InfeasibleError([Violation(*found)], "the hitch finds no rest under these conditions")
     missing = law.forces(ends, T)[1] - law.lengths - law.compliance * (T - law.reference)
     pulling = SLACK_SHARE * law.reference < T
     taut = pulling & (law.least < T)
@@ -379,8 +369,7 @@ def _settled(motion: Motion, conditions: Conditions, samples: Sequence[Array]) -
 def _bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDArray[np.bool_]:
     """Return (S, clasps) whether the two cables of each clasp press on each other.
 
-    The force with which the other cable acts on a cable is what that cable's two spans pull with,
-    and half of their weight, turned round; it has to point into the cable's bend.
+    A cable's two spans pull on the other one, by half of their weight too, into their own bend.
     """
     found = np.ones((len(x), len(team.layout.clasps)), dtype=np.bool_)
     for cables, node, drone in ((team.layout.ahead, 1, 0), (team.layout.behind, 2, 3)):

@@ -152,11 +152,9 @@ class Gradients:
         return np.concatenate([cable, self.position, self.force], axis=1)
 
 
-SAMPLES = 25
-"""Times of a plan at which ranges are computed unless others are given."""
-
-CANDIDATES = 20
-"""Times that are looked at for each of them, to leave out those without a taut hitch."""
+SAMPLES, CANDIDATES = 25, 20
+"""Times of a plan at which ranges are computed unless others are given, and times that are looked
+at for each of them, to leave out those without a taut hitch."""
 
 TAUT = 0.999
 """Share of the least tension that is stated from which on a cable is taut."""
@@ -213,13 +211,12 @@ class Tolerance(OneLine):
     @property
     def slack(self) -> NDArray[np.bool_]:
         """(S, n): whether a cable may be slack."""
-        found: NDArray[np.bool_] = self.settled.slack | (self.tensions[..., 0] <= 0.0)
-        return found
+        return np.asarray(self.settled.slack | (self.tensions[..., 0] <= 0.0))
 
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
-        return named("c", self.slack)
+        return named("c", self.slack, np.arange(self.slack.shape[-1]))
 
 
 def tolerance(
