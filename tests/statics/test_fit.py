@@ -60,8 +60,6 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
 def test_narrow_and_small_sections_carry_no_polygon_and_few_edges() -> None:
     with pytest.raises(ho.InfeasibleError, match="too narrow for such a polygon"):
         inner_polygon(NARROW, 3, 0.035)
-    with pytest.raises(ho.InfeasibleError, match="too narrow for such a polygon"):
-        inner_polygon(BOX, 9, 0.03)  # its sides would carry points in line
     with pytest.raises(ho.InfeasibleError, match="too narrow for so many edges"):
         enclosing_polygon(NARROW, 7, 0.035)
     with pytest.raises(ho.InfeasibleError, match="no cable length"):
@@ -138,7 +136,7 @@ def test_what_is_wrong_or_cannot_be_is_refused() -> None:
             ho.fit(**({"outline": 0.2, "robots": 3} | given))
     with pytest.raises(ho.InfeasibleError, match=r"tilt: 1.3 N .*raise limits.tilt_deg"):
         ho.fit(0.2, 3, tension=1.3)
-    with pytest.raises(ho.InfeasibleError, match=r"edge 0.*use cables of 1\.11 m"):
+    with pytest.raises(ho.InfeasibleError, match=r"edge \d.*use cables of 1\.11 m"):
         ho.fit(0.2, 3, cable_length=1.0)
 
 
