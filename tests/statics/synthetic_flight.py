@@ -48,7 +48,10 @@ def balanced(
         forces = energy.law.forces(at[:, nodes], team.tension[None], used)[0]
         return np.asarray(energy.pulls(forces)[0])
 
-    x = root(lambda x: pulls(x)[2 * n :].ravel(), guess[layout.clasps].ravel(), tol=1e-12).x
+    def missing(x: Array) -> Array:
+        return pulls(x)[2 * n :].ravel()
+
+    x = root(missing, guess[layout.clasps].ravel(), tol=1e-12).x
     assert np.max(np.abs(pulls(x)[2 * n :])) < 1e-9
     points = guess.copy()
     points[layout.anchors] = drones  # a chain's ends

@@ -109,11 +109,10 @@ def test_ends_of_ranges_are_reached() -> None:
     found = ranges(hitch, errors)
     signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 4)).reshape(4, -1).T
     corners = settled(hitch, cable_length=hitch.team.cable_length + 0.004 * signs)
-    for k in range(4):
-        low, high = np.min(corners.tensions[:, k]), np.max(corners.tensions[:, k])
-        span = found.tensions[0, k]
-        assert span[0] <= low <= span[0] + 3.0 * found.tension_remainders[0] + 1e-9
-        assert span[1] >= high >= span[1] - 3.0 * found.tension_remainders[0] - 1e-9
+    most, spare = found.tensions[0], 3.0 * found.tension_remainders[0] + 1e-9
+    low, high = np.min(corners.tensions, axis=0), np.max(corners.tensions, axis=0)
+    assert np.all((most[:, 0] <= low) & (low <= most[:, 0] + spare))
+    assert np.all((most[:, 1] >= high) & (high >= most[:, 1] - spare))
 
 
 @pytest.mark.slow
@@ -135,18 +134,15 @@ def test_standard_deviations_are_those_of_samples() -> None:
 
 
 def test_bounds_add_and_no_error_has_no_width() -> None:
-    hitch = random_hitch(9, 5)
-    one, two = ErrorSize(0.003), ErrorSize(0.01)
-    cable, force = ranges(hitch, Errors(cable=one)), ranges(hitch, Errors(force=two))
-    both = ranges(hitch, Errors(cable=one, force=two))
-    np.testing.assert_allclose(
-        both.tension_halves, cable.tension_halves + force.tension_halves, rtol=1e-9
+    hitch, one, two = random_hitch(9, 5), ErrorSize(0.003), ErrorSize(0.01)
+    cable, force, both, nothing = (
+        ranges(hitch, errors)
+        for errors in (Errors(one), Errors(force=two), Errors(one, force=two), Errors())
     )
-    np.testing.assert_allclose(
-        both.vertex_halves, cable.vertex_halves + force.vertex_halves, rtol=1e-9
-    )
-    nothing = ranges(hitch, Errors())
-    assert not np.any(nothing.tension_halves)
+    for name in ("tension_halves", "vertex_halves"):
+        total = getattr(cable, name) + getattr(force, name)
+        np.testing.assert_allclose(getattr(both, name), total, rtol=1e-9)
+        assert not np.any(getattr(nothing, name))
     assert not np.any(nothing.ellipsoids)
     assert np.max(nothing.tension_remainders) < 1e-9
     np.testing.assert_allclose(nothing.tensions[0, :, 0], hitch.team.tension, atol=1e-8)
