@@ -240,12 +240,12 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
 
 def _stiffness(value: float, relative: float) -> Estimate:
     """Return the estimate of a stiffness [N/m], or that it is not determined."""
-    if not relative <= LARGEST_ERROR:
-        return _unknown(
-            f"its standard error would be {relative:.0%} of it: drones are displaced by "
-            "too little; fly a plan that does not know the cables' weight"
-        )
-    return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
+    if relative <= LARGEST_ERROR:
+        return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
+    return _unknown(
+        f"its standard error would be {relative:.0%} of it: drones are displaced by too little; "
+        "fly a plan that does not know the cables' weight"
+    )
 
 
 def _median(values: Array) -> Estimate:
@@ -352,15 +352,11 @@ class _Balance:
             places = np.append(rows, count * each + np.arange(g)), np.append(columns, np.arange(g))
             return coo_array((np.append(entries, 1.0 / spread), places)).tocsr()
 
-        own = np.stack([planned, 0.0 * planned, 0.0 * planned], axis=-1)
-        unknown = np.append(expected, own)
-        for _ in range(ROUNDS):
-            found = least_squares(
-                values, unknown, jacobian, loss="soft_l1", x_scale="jac", tr_solver="lsmr"
-            )
-            unknown = found.x
-            # The scatter that is left weighs the next round.
-            left = self.residuals(unknown[:g], unknown[g:].reshape(own.shape), scales)
+        unknown = np.append(expected, np.pad(planned[..., None], ((0, 0), (0, 0), (0, 2))))
+        options: dict[str, Any] = {"loss": "soft_l1", "x_scale": "jac", "tr_solver": "lsmr"}
+        for _ in range(ROUNDS):  # the scatter that is left weighs the next one
+            found = least_squares(values, unknown, jacobian, **options)
+            unknown, left = found.x, found.fun[:-g].reshape(len(planned), -1)
             split = np.split(left, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
             scales = np.maximum(scales * [_scatter(part) for part in split], least)
         J = jacobian(unknown)
@@ -368,7 +364,7 @@ class _Balance:
         variance = max(2.0 * found.cost / freedom, 1.0)
         columns = splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))
         errors = np.sqrt(variance * np.diag(columns[:g]))
-        return unknown[:g], errors, unknown[g:].reshape(own.shape)[..., 0]
+        return unknown[:g], errors, unknown[g:].reshape(*planned.shape, 3)[..., 0]
 
 
 def _friction(mu: float, error: float, slid: float, windows: int) -> Estimate:
@@ -421,33 +417,27 @@ def _sliding(
     pulls: (windows, n, 2), as in ``_Balance``.
     slid: distance by which cables slide over each other in all windows and clasps [m].
     """
-    layout, count = task.team.layout, len(windows.t)
+    layout, short = task.team.layout, Windows.of(recording, task, RATE_SPAN)
     cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
+    middle, turns = 0.5 * (short.t[1:] + short.t[:-1]), balance.bends[:, cable, side]
+    same = np.floor(middle / WINDOW)[:, None] == np.floor(windows.t / WINDOW)
+    span, window = np.nonzero(same)
+    total = np.sum(same, axis=0)[:, None, None]
 
-    def rates_of(t: Array, drones: Array, vertices: Array) -> tuple[Array, Array]:
-        """Return the middles (spans,) [s] between times, and rates (spans, clasps, 2) [m/s]."""
-        legs = length(drones - vertices[:, layout.anchors]).reshape(len(t), -1, 2)
-        rates = np.diff(legs[:, cable, side], axis=0) / np.diff(t)[:, None, None]
-        return 0.5 * (t[1:] + t[:-1]), rates
-
-    short = Windows.of(recording, task, RATE_SPAN)
-    middle, rates = rates_of(short.t, short.drones, short.vertices)
-    window = np.searchsorted(np.floor(windows.t / WINDOW), np.floor(middle / WINDOW))
-    within = np.append(np.floor(windows.t / WINDOW), np.nan)[window] == np.floor(middle / WINDOW)
-    window, rates, turns = window[within], rates[within], balance.bends[:, cable, side]
-    total = np.bincount(window, minlength=count)[:, None, None]
+    def rates_of(drones: Array, vertices: Array) -> Array:
+        """Return the rates (spans, clasps, 2) [m/s] at which legs grow."""
+        legs = length(drones - vertices[:, layout.anchors]).reshape(len(drones), -1, 2)
+        rates = np.diff(legs[:, cable, side], axis=0) / np.diff(short.t)[:, None, None]
+        return np.asarray(rates[span])
 
     def mean(values: Array) -> Array:
         sums = np.zeros_like(turns)
         np.add.at(sums, window, values)
         return np.asarray(sums / np.maximum(total, 1))
 
+    rates = rates_of(short.drones, short.vertices)
     pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
-    asked = np.zeros_like(turns)
-    if count > 1:
-        middles, planned = rates_of(windows.t, windows.commanded, windows.planned)
-        asked = planned[np.clip(np.searchsorted(middles, windows.t), 0, count - 2)]
-    speed = _speeds(turns, rate)
+    asked, speed = mean(rates_of(short.commanded, short.planned)), _speeds(turns, rate)
     usable = (total[..., 0] > 1) & (speed > SLIDING) & (_speeds(turns, asked) > PLANNED)
     usable &= np.sum(rate * asked, axis=-1) > 0.0
     of_legs = np.zeros_like(balance.pulls)
