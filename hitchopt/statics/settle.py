@@ -26,7 +26,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.statics.energy import SAG_RATIO, Cables, HitchEnergy, rubbing_nodes, settled_nodes
-from hitchopt.values import Array, Indices, instance, not_negative, positive
+from hitchopt.values import Array, Indices, instance
 
 FRICTION = (
     "tensions are those without friction at the clasps: where the cable bends by β they may differ "
@@ -57,10 +57,6 @@ class Conditions:
     axial_stiffness: EA of the cables [N]; by default that of a braided polyethylene line of 1 mm,
         which is all but inextensible. Without stretch rigid drones would not determine tensions.
     friction: coefficient where one cable slides about the other; it makes bands of rest.
-
-    Raises
-    ------
-    InputError: a number out of its range.
     """
 
     cable_length: ArrayLike | None = None
@@ -74,12 +70,6 @@ class Conditions:
     axial_stiffness: float = 1e4
     friction: float | None = None
 
-    def __post_init__(self) -> None:
-        checks = {"axial_stiffness": positive, "cable_density": not_negative}
-        for name, check in (checks | {"friction": not_negative}).items():
-            if (given := getattr(self, name)) is not None:
-                object.__setattr__(self, name, check(name, given))
-
     def of(self, team: Team) -> dict[str, Any]:
         """Return all as arrays, by name: what is not given is the team's, one number is for all.
 
@@ -89,30 +79,31 @@ class Conditions:
         ------
         InputError: another shape, or a number that is not finite or out of its range.
         """
-        drones, load = (team.drones,), (len(team.layout.clasps),)
-        found: dict[str, Any] = {
-            "friction": team.cable_friction if self.friction is None else self.friction
-        }
-        for name, shape, least in (
-            ("cable_length", (team.robots,), POSITIVE),
-            ("cable_density", (), 0.0),
-            ("load", load, 0.0),
-            ("stiffness", drones, POSITIVE),
-            ("integral", drones, 0.0),
-            ("feed_forward", drones, 0.0),
-            ("offsets", (*drones, 3), -np.inf),
-            ("forces", (*drones, 3), -np.inf),
+        found, drones = {}, (team.drones,)
+        for name, shape, least, sampled in (
+            ("cable_length", (team.robots,), POSITIVE, True),
+            ("cable_density", (), 0.0, False),
+            ("load", (len(team.layout.clasps),), 0.0, False),
+            ("stiffness", drones, POSITIVE, False),
+            ("integral", drones, 0.0, False),
+            ("feed_forward", drones, 0.0, False),
+            ("offsets", (*drones, 3), -np.inf, True),
+            ("forces", (*drones, 3), -np.inf, True),
+            ("axial_stiffness", (), POSITIVE, False),
+            ("friction", (), 0.0, False),
         ):
             given = getattr(self, name)
-            given = getattr(team, name) if given is None else given
+            if given is None:
+                given = team.cable_friction if name == "friction" else getattr(team, name)
             values = np.asarray(given, np.float64)
             if values.ndim == 0:
                 values = np.broadcast_to(values, shape)
+            split = values.ndim - len(shape) if sampled else 0
             largest = np.inf if name == "stiffness" else np.finfo(np.float64).max
-            fits = values.shape[values.ndim - len(shape) :] == shape
-            if not (fits and np.all((values >= least) & (values <= largest))):
+            if values.shape[split:] != shape or not np.all((values >= least) & (values <= largest)):
                 size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
-                bound = f"one {size}number, or an array (…, {', '.join(map(str, shape))}) of them"
+                array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
+                bound = f"one {size}number{array}"
                 raise InputError(name, given, bound, "give plain numbers in SI units")
             found[name] = values
         found["stiffness"] = np.where(found["integral"] > 0.0, np.inf, found["stiffness"])
@@ -224,11 +215,8 @@ def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
     """Return where drones and vertices of a plan's hitch come to rest, and with what tensions.
 
     Drones stand at their set points, offset by ``(F + cable force)/k``: k is the stiffness of their
-    position loops, F the cable force that the set points hold and that is fed forward. Cables are
-    held by clasps without friction, one tension a cable: friction at a clasp lets it change by a
-    factor of up to ``exp(μβ)``, β the angle of the bend, so that a vertex rests anywhere in its
-    ``Settled.band``. Positions and tensions minimise an energy
-    (``hitchopt.statics.energy``); the balance of forces is recomputed from them.
+    position loops, F the cable force that the set points hold and that is fed forward. Tensions are
+    those without friction, which lets a vertex rest anywhere in its ``Settled.band``.
 
     Parameters
     ----------
@@ -312,7 +300,7 @@ def energy_of(
         np.insert(layout.has_leg, 1, True, axis=1),
         lengths,
         weight,
-        team.cable_length / conditions.axial_stiffness,
+        team.cable_length / known["axial_stiffness"],
         tensions,
         0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
         weight * SAG_RATIO / 8.0 * np.max(length(np.diff(at, axis=2)), axis=-1),

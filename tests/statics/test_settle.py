@@ -195,8 +195,8 @@ def test_wrong_conditions_are_refused() -> None:
         ({"cable_length": np.nan}, "cable_length"),
         ({"offsets": np.zeros((5, 3))}, "offsets"),
         ({"load": -1.0}, "load"),
-        ({"cable_density": -0.1}, r"cable_density = -0\.1: must be at least 0"),
-        ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be greater than 0"),
+        ({"cable_density": -0.1}, r"cable_density = -0\.1: must be one non-negative"),
+        ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be one positive"),
         ({"friction": -0.1}, "friction"),
     ):
         with pytest.raises(ho.InputError, match="^" + words):
