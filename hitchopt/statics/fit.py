@@ -32,9 +32,6 @@ GRIP, REST = "grip", "rest"
 MOST_ROBOTS = 24
 """Largest number of robots: pairs of parts of a grip are laid out at once."""
 
-LENGTHENED = 3
-"""Most times that cables are made longer, each time with the best grip for them."""
-
 TABLE_ROBOTS = (3, 4, 5, 6)
 """Numbers of robots that are compared, besides the one asked for."""
 
@@ -70,13 +67,9 @@ class FitTask:
             broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
             raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
         found = self._held(enclosing, cable)
-        for _ in range(0 if self.cable_length else LENGTHENED):
-            needed = self._closing_cable(found)
-            longer = found if needed <= cable else self._held(enclosing, needed)
-            if longer is found or isinstance(longer.grip, InfeasibleError):
-                break
-            found, cable = longer, needed
-        return found
+        needed = cable if self.cable_length else self._closing_cable(found)
+        longer = self._held(enclosing, needed) if needed > cable else found
+        return found if isinstance(longer.grip, InfeasibleError) else longer
 
     def _held(self, enclosing: ConvexPolygon, cable: float) -> Holding:
         """Return what cables of a length [m] hold."""

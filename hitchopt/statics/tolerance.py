@@ -132,8 +132,8 @@ class Gradients:
         slopes[:, 1:3, 2] += 0.5 * energy.law.weight  # tensions are those in the edges' middles
         for k in range(4):  # one by one: a chain's end stands for two nodes
             seeds[0, nodes[:, k], :, cables] += slopes[:, k]
-        points = seeds[0][..., len(cables) :].reshape(*x.shape[1:], len(energy.points), 3)
-        points[energy.points, :, np.arange(len(energy.points))] = np.eye(3)
+        for axis in range(3):
+            seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
         matrix = energy.matrix(blocks)
         y = energy.solved(matrix, seeds)
         direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
