@@ -147,7 +147,7 @@ class Gradients:
 
     @property
     def rows(self) -> Array:
-        """(o, 5n, 3) by all errors, one after the other; those of cables are first components."""
+        """(o, 5n, 3): all derivatives in one row; those by lengths are first components."""
         cable = np.pad(self.cable, ((0, 0), (0, 0), (0, 2)))
         return np.concatenate([cable, self.position, self.force], axis=1)
 
