@@ -10,7 +10,6 @@ Then teams are estimated from flights whose stiffness and cable lengths are draw
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -137,12 +136,13 @@ def calibrated(seed: int) -> tuple[object, ...]:
         plan, preset="accurate", perturbations={"cable_error": 0.005}, seed=seed,
         friction=0.0, stiffness=stiffness, pull_test=False,
     ).flight  # fmt: skip
-    clean = ho.Recording.of_flight(flight)
-    noisy = replace(
-        clean,
-        drones=clean.drones + 1e-3 * rng.normal(size=clean.drones.shape),
-        vertices=clean.vertices + 1e-3 * rng.normal(size=clean.vertices.shape),
+    record = flight.record
+    rows = record.t <= np.fmax(flight.task.duration, flight.rested) + 1e-9
+    drones, vertices = (
+        places[rows] + 1e-3 * rng.normal(size=places[rows].shape)
+        for places in (record.drones, record.vertices)
     )
+    noisy = ho.Recording(record.t[rows], drones, vertices)
     with tempfile.TemporaryDirectory() as place:
         found = ho.calibrate(noisy, plan.save(Path(place) / "plan"), density=flight.density)
     lengths = effective_lengths(flight)

@@ -122,7 +122,7 @@ def _errors(texts: dict[str, str | None], *, usual: bool) -> Errors | None:
         given = {"cable": USUAL_CABLE, "position": USUAL_POSITION}
     if not given:
         return None
-    parsed = {name: ErrorSize.parsed(f"--{name}-error", text) for name, text in given.items()}
+    parsed = {name: ErrorSize.of(f"--{name}-error", text) for name, text in given.items()}
     return Errors(**parsed)
 
 

@@ -303,7 +303,7 @@ def vertex_responses(
     conditions = Conditions(stiffness=stiffness, integral=False)
     found = []
     for time in np.atleast_1d(as_array(times)).tolist():
-        energy, x = energy_of(motion, conditions, samples_of(motion, [time], conditions)[1])
+        energy, x = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
         arcs = energy.law.forces(x[:, energy.nodes], energy.law.reference)[1]
         energy = replace(energy, law=replace(energy.law, lengths=arcs))  # of planned tension
         rows = Gradients.of(energy, x).position[clasps.ravel()]

@@ -31,72 +31,55 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch import GRAVITY, Quadrotor, Team
-from hitchopt.simulation.flight import Flight
+from hitchopt.geometry.vectors import length
 from hitchopt.simulation.task import Task, read_task
-from hitchopt.statics.energy import IMAGINARY, HitchEnergy, bends_of, hitch_energy
+from hitchopt.statics.energy import IMAGINARY, HitchEnergy, bends_of
 from hitchopt.statics.recordings import Comparison, Recording, Windows, compare, read_recording
-from hitchopt.statics.settle import AXIAL_STIFFNESS
-from hitchopt.values import Array, not_negative, path
+from hitchopt.statics.settle import Conditions, energy_of
+from hitchopt.values import Array, Indices, not_negative, path
 
-SPAN, WINDOW = 6.0, 0.5
-"""Lengths of the windows in which stiffness and friction are fitted [s]. Tensions of 0.5 s follow
-the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to 13 %."""
+SPAN, WINDOW, RATE_SPAN = 6.0, 0.5, 0.2
+"""Lengths of the windows in which stiffness, friction, and rates of sliding are found [s]. Tensions
+of 0.5 s follow the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to
+13 %; noise reverses rates after more than 0.2 s."""
 
 ROUNDS = 3
 """Solutions of the problem, each with the scatter that the last one left."""
 
 OFFSETS, SHARES = (2e-3, 1e-2), (0.02, 0.02)
-"""Scatter of displacements in long and short windows [m], the latter that of the positions that
-drones measure, and of forces over the tension, before the first solution."""
-
 LEAST_OFFSETS, LEAST_SHARES = (5e-4, 1e-2), (3e-3, 3e-3)
-"""Least scatter that is assumed."""
+"""Scatter of displacements in long and short windows [m], the latter that of the positions that
+drones measure, and of forces over the tension: before the first solution, and the least."""
 
 GUESS = 5.0
 """First guess of a stiffness that the team does not state [N/m]."""
 
-STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE = 3.0, 0.2, 10.0
+STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, KNOWN = 3.0, 0.2, 10.0, 1e-6
 """Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
-force [N], and of a coefficient of friction."""
+force [N], of a coefficient of friction, and of what is known."""
 
-KNOWN = 1e-6
-"""The same of what is known."""
-
-STICKING = 0.5
-"""Standard deviation of the friction that a leg uses where cables do not slide."""
-
-BULGE = 0.03
-"""Standard deviation, known beforehand, of an offset that is common to the sums of clasps' ratios:
-thick cables pass the measured vertex at one side, which turns legs by 0.02 rad."""
+STICKING, SCATTER = 0.5, 0.01
+"""Standard deviation of the friction that a leg uses where cables do not slide, and of the
+logarithm of a ratio where they do."""
 
 MODEL_ERROR, LARGEST_ERROR = 0.03, 0.25
 """Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
-thickness (calm simulated flights deviate by up to 3 %), and the largest one that counts as
-determined."""
-
-TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
-"""Angles by which cables turn in the plane [rad], for what follows."""
-
-IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
-"""Angle in space over that in the plane, of simulated hitches at rest (10 g/m at 0.5 N) without
-friction. The first value continues the next ones."""
-
-COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
-"""Cosine between the cables where they touch, mean over the contact, measured likewise."""
+thickness, and the largest one that counts as determined."""
 
 GEOMETRY_ERROR, LARGEST_FRICTION_ERROR = 0.15, 0.1
-"""Relative standard error of a friction coefficient by the two above (estimates from simulated
-flights deviate by -13 to +20 %), and the largest absolute one that counts as determined."""
+"""Relative standard error of a friction coefficient by the angles below, and the largest absolute
+one that counts as determined."""
 
-RATE_SPAN = 0.2
-"""Time over which a rate of sliding is measured [s]: a drone's noise reverses it after longer."""
+TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
+IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
+COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
+"""Angles by which cables turn in the plane [rad], that in space over it, and the cosine between the
+cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)."""
 
 BLURRED = 1e-2
 """Rate of sliding below which its direction is blurred [m/s]: by noise of the recorded positions,
@@ -107,13 +90,6 @@ SLIDING, PLANNED = 1e-2, 5e-3
 """Least rates at which cables slide over each other in a window that counts as sliding [m/s], and
 at which the plan has to slide them, the same way: sliding that is due to noise goes with errors of
 the tensions."""
-
-DIRECTION_ERROR, LEAST_SCATTER = 0.2, 0.01
-"""Standard error of the angle between friction and a cable [rad], which changes ``cos ψ`` by ``sin
-ψ``, not at all where a cable slides alone; and least scatter of the logarithm of a ratio."""
-
-USUAL_FRICTION = 0.1
-"""Coefficient of friction that weighs what is unsure for one of 1."""
 
 LEAST_LENGTH_SCATTER = 3e-4
 """Least scatter that is assumed of a measured cable length [m]."""
@@ -142,10 +118,9 @@ class Estimate(OneLine):
         """Whether the recording determines it."""
         return not self.remark
 
-    @classmethod
-    def unknown(cls, remark: str) -> Estimate:
-        """Return the estimate of a quantity that the recording does not determine."""
-        return cls(float("nan"), float("inf"), remark)
+
+def _unknown(remark: str) -> Estimate:
+    return Estimate(float("nan"), float("inf"), remark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +148,7 @@ class Calibration(OneLine):
 
 
 def calibrate(
-    recording: Recording | Flight | Path | str,
+    recording: Recording | Path | str,
     plan: Path | str | None = None,
     *,
     density: float | None = None,
@@ -187,9 +162,8 @@ def calibrate(
     Parameters
     ----------
     recording: a table with the columns ``t,name,x,y,z``, the directory of a simulated flight, or
-        such a recording or flight itself.
-    plan: directory of the plan that was flown; None: that of the flight, or the directory that the
-        recording lies in.
+        such a recording itself.
+    plan: directory of the plan that was flown; None: the directory that the recording lies in.
     density: of the cables [kg/m], as weighed; None: that of the simulated flight, else the plan's.
 
     Raises
@@ -197,19 +171,13 @@ def calibrate(
     FileError: a recording or a plan that cannot be read, or a recording without its hitch.
     InputError: no plan, or a negative density.
     """
-    if not isinstance(recording, Recording | Flight):
-        recording = path("recording", recording)
-    if plan is not None:
-        task = read_task(path("plan", plan))
-    elif isinstance(recording, Flight):
-        task = recording.task
-    elif isinstance(recording, Recording):
+    if plan is None and isinstance(recording, Recording):
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
-    else:
-        task = read_task(recording.absolute().parent)
-    if isinstance(recording, Flight):
-        recording = Recording.of_flight(recording)
-    elif not isinstance(recording, Recording):
+    if not isinstance(recording, Recording):
+        recording = path("recording", recording)
+        plan = recording.absolute().parent if plan is None else plan
+    task = read_task(path("plan", plan))
+    if not isinstance(recording, Recording):
         recording = read_recording(recording, task.team)
     given = recording.density if density is None else not_negative("density", density)
     return estimate_team(recording, task, task.team.cable_density if given is None else given)
@@ -232,30 +200,33 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
         )
     feeds = team.feed_forward if recording.feed_forward is None else recording.feed_forward
     winds = team.integral if recording.integral is None else recording.integral
+    given = Conditions(cable_density=density, stiffness=1.0, integral=False, feed_forward=feeds)
     kinds = sorted(set(team.quadrotor), key=repr)
+    of_drones = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
     stated = np.array([kind.stiffness or np.nan for kind in kinds])
-    guess = np.where(np.isfinite(stated), stated, GUESS)
-    expected = np.concatenate([-np.log(guess), np.zeros(4)])
-    spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, KNOWN, KNOWN])
+    expected = np.append(-np.log(np.where(np.isfinite(stated), stated, GUESS)), np.zeros(3))
+    spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, KNOWN])
     integral = "integral action returns drones to their set points, whatever their stiffness"
-    estimates = [Estimate.unknown(integral)] * len(kinds)
+    estimates = [_unknown(integral)] * len(kinds)
     if not np.any(winds):
-        balance = _Balance.of(team, Windows.of(recording, task, SPAN), density, feeds, kinds)
-        expected, errors, _ = balance.fitted(expected, spread, 0)
+        long = _Balance.of(task, Windows.of(recording, task, SPAN), given, of_drones)
+        expected, errors, _ = long.fitted(expected, spread, 0)
         compliances = zip(expected[: len(kinds)], errors, strict=False)
         estimates = [_stiffness(float(np.exp(-log)), error) for log, error in compliances]
     known = [one.known for one in estimates]
-    balance = _Balance.of(team, windows, density, feeds, kinds)
-    friction, tensions = Estimate.unknown(""), windows.tensions
+    balance = _Balance.of(task, windows, given, of_drones)
     expected[: len(kinds)] = np.where(known, expected[: len(kinds)], -np.log(stated))
     if np.all(np.isfinite(expected)):
-        friction, tensions = _friction(team, recording, windows, balance, expected)
+        pulls, slid = _sliding(task, recording, windows, balance)
+        spread[:-1], spread[-1] = KNOWN, FRICTION_SCALE
+        found, errors, tensions = replace(balance, pulls=pulls).fitted(expected, spread, 1)
+        sliding = int(np.sum(np.any(pulls != 0.0, axis=(1, 2))))
+        friction = _friction(float(found[-1]), float(errors[-1]), slid, sliding)
     else:
         why = "the drones' stiffness is neither determined nor stated by the plan's team"
-        friction = Estimate.unknown(f"tensions are unknown: {why}")
-    planned = windows.tensions
-    tensions = np.clip(tensions, planned / 3.0, 3.0 * planned)
-    arcs = balance.energy.law.forces(balance.ends, tensions)[1]
+        friction, tensions = _unknown(f"tensions are unknown: {why}"), windows.tensions
+    tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
+    arcs = balance.energy.law.forces(balance.x[:, balance.energy.nodes], tensions)[1]
     return Calibration(
         task,
         recording,
@@ -269,12 +240,12 @@ def estimate_team(recording: Recording, task: Task, density: float) -> Calibrati
 
 def _stiffness(value: float, relative: float) -> Estimate:
     """Return the estimate of a stiffness [N/m], or that it is not determined."""
-    if not relative <= LARGEST_ERROR:
-        return Estimate.unknown(
-            f"its standard error would be {relative:.0%} of it: drones are displaced by "
-            "too little; fly a plan that does not know the cables' weight"
-        )
-    return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
+    if relative <= LARGEST_ERROR:
+        return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
+    return _unknown(
+        f"its standard error would be {relative:.0%} of it: drones are displaced by too little; "
+        "fly a plan that does not know the cables' weight"
+    )
 
 
 def _median(values: Array) -> Estimate:
@@ -292,71 +263,61 @@ def _scatter(residuals: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Balance:
-    """Residuals of drones and clasps at measured places, and their derivatives.
+    """Residuals of drones and clasps at measured places.
 
-    Unknowns of all windows come first: log(1/k) of every kind of drone, the wind (2), the
-    coefficient of friction, and the common offset of ratios. Those of windows follow: tension and
-    the friction that both legs use, cable by cable.
+    Unknowns of all windows are log(1/k) of every kind of drone, the wind (2), and the coefficient
+    of friction. Those of a window are the tension of every cable and the friction that both of its
+    legs use (n, 3).
 
     Attributes
     ----------
     energy: of the windows, places being the set points; its stiffness is not used.
     x: (windows, nodes, 3) [m], measured.
     kinds: of each drone (2n,).
-    tensions: (windows, n) [N], the first guess.
-    pulls, unsure: (windows, n, 2), logarithms of ratios that a coefficient of 1 causes, and their
-        standard errors for that; zero where cables do not slide.
-    expected, spread: of the unknowns of all windows (g,), and the standard deviations.
-    scales: (2,), scatter of displacements [m] and of forces on clasps [N].
+    bends: (windows, n, 2) [rad], angles by which cables turn at both clasps.
+    pulls: (windows, n, 2), logarithms of ratios that a coefficient of 1 causes; zero where cables
+        do not slide.
     """
 
     energy: HitchEnergy
     x: Array
-    kinds: NDArray[np.intp]
-    tensions: Array
+    kinds: Indices
+    bends: Array
     pulls: Array
-    unsure: Array
-    expected: Array
-    spread: Array
-    scales: Array
 
     @classmethod
-    def of(
-        cls, team: Team, windows: Windows, density: float, feeds: Any, kinds: list[Quadrotor]
-    ) -> _Balance:
-        """Return the balance at windows, of cables of a density [kg/m]."""
-        weights = np.zeros((len(team.layout.clasps), 3))
-        weights[:, 2] = -GRAVITY * team.load
-        fed = -np.where(np.array(feeds)[:, None], windows.cable_forces, 0.0)
-        energy, _ = hitch_energy(
-            team,
-            np.ones(team.drones),
-            (windows.drones, windows.vertices),
-            windows.tensions,
-            np.broadcast_to(team.cable_length, windows.tensions.shape),
-            GRAVITY * density,
-            AXIAL_STIFFNESS,
-            windows.commanded,
-            (fed, weights),
-        )
+    def of(cls, task: Task, windows: Windows, conditions: Conditions, kinds: Indices) -> _Balance:
+        """Return the balance at windows, without friction."""
+        team, none = task.team, np.zeros_like(windows.commanded)
+        lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
+        plan = windows.commanded, windows.vertices, windows.tensions, windows.cable_forces
+        energy, _ = energy_of(team, conditions, [windows.t, *plan, lengths, none, none])
         clasps = windows.vertices[:, team.layout.clasps]
         x = np.concatenate([windows.drones, clasps], axis=1)
-        kind = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
-        none, empty = np.zeros((*windows.tensions.shape, 2)), np.zeros(0)
-        return cls(energy, x, kind, windows.tensions, none, none, empty, empty, empty)
-
-    @property
-    def ends(self) -> Array:
-        """(windows, n, 4, 3) [m], nodes of every cable."""
-        found: Array = self.x[:, self.energy.nodes]
-        return found
-
-    @property
-    def bends(self) -> Array:
-        """(windows, n, 2) [rad], angles by which cables turn at both clasps."""
-        chords, sizes, _ = self.energy.law.spans(self.ends)
+        chords, sizes, _ = energy.law.spans(x[:, energy.nodes])
         bends = bends_of(chords / np.where(sizes > 0.0, sizes, 1.0)[..., None])
-        return np.asarray(np.where(self.energy.law.exist[:, ::2], bends, 1.0))
+        bends = np.where(energy.law.exist[:, ::2], bends, 1.0)
+        return cls(energy, x, kinds, bends, 0.0 * bends)
+
+    def residuals(self, common: Any, own: Any, scales: Array) -> Any:
+        """Return the residuals (windows, …) of drones, clasps and frictions over their scatter.
+
+        Parameters
+        ----------
+        common: (kinds + 3,) unknowns of all windows.
+        own: (windows, n, 3), of each window.
+        scales: (2,), scatter of displacements [m] and of forces on clasps [N].
+        """
+        energy, many, used = self.energy, self.energy.drones, own[..., 1:]
+        at_ends = energy.law.forces(self.x[:, energy.nodes], own[..., 0], used)[0]
+        pulls = energy.pulls(at_ends)
+        pulls[:, :many, :2] -= common[-3:-1]
+        drones = np.exp(common[self.kinds])[:, None] * pulls[:, :many]
+        drones = (drones + self.x[:, :many] - energy.places) / scales[0]
+        ratios = used * self.bends - common[-1] * self.pulls
+        ratios = ratios / np.where(self.pulls != 0.0, SCATTER, STICKING * self.bends)
+        parts = drones, pulls[:, many:] / scales[1], ratios
+        return np.concatenate([part.reshape(len(self.x), -1) for part in parts], axis=1)
 
     def fitted(self, expected: Array, spread: Array, stage: int) -> tuple[Array, Array, Array]:
         """Return the unknowns of all windows, their standard errors, and tensions (windows, n).
@@ -366,120 +327,59 @@ class _Balance:
         expected, spread: what is known of the former beforehand, and its standard deviations.
         stage: 0 in long windows, 1 in short ones.
         """
-        tension, drones, g = float(np.median(self.tensions)), self.energy.drones, len(expected)
+        planned, many, g = self.energy.law.reference, self.energy.drones, len(expected)
+        tension, size = float(np.median(planned)), 3 * planned.shape[1]
         scales = np.array([OFFSETS[stage], SHARES[stage] * tension])
         least = np.array([LEAST_OFFSETS[stage], LEAST_SHARES[stage] * tension])
-        own = np.concatenate([self.tensions[..., None], 0.0 * self.pulls], axis=-1)
-        unknown = np.concatenate([expected, own.ravel()])
-        for _ in range(ROUNDS):
-            rows = replace(self, expected=expected, spread=spread, scales=scales)
-            found = least_squares(
-                rows.values, unknown, rows.jacobian, loss="soft_l1", x_scale="jac", tr_solver="lsmr"
-            )
-            unknown = found.x
-            of_nodes = rows.values(unknown)[: self.x.size].reshape(self.x.shape)
-            parts = of_nodes[:, :drones], of_nodes[:, drones:]
-            scales = np.maximum(scales * [_scatter(part) for part in parts], least)
-        jacobian = csr_array(rows.jacobian(unknown))
+
+        def values(unknown: Any) -> Any:
+            own = unknown[g:].reshape(*planned.shape, 3)
+            found = self.residuals(unknown[:g], own, scales)
+            return np.append(found, (unknown[:g] - expected) / spread)
+
+        def jacobian(unknown: Array) -> csr_array:
+            """Windows depend on the first unknowns and on their own; one step moves all of them."""
+            own, slopes = unknown[g:].reshape(*planned.shape, 3), []
+            for step in 1j * IMAGINARY * np.eye(g + size):
+                moved = unknown[:g] + step[:g], own + step[g:].reshape(-1, 3)
+                slopes.append(self.residuals(*moved, scales).imag / IMAGINARY)
+            entries = np.stack(slopes, axis=-1)
+            count, each, _ = entries.shape
+            of_own = g + np.arange(count * size).reshape(count, 1, size)
+            column = np.concatenate([np.tile(np.arange(g), (count, 1, 1)), of_own], axis=2)
+            row = np.arange(count * each).reshape(count, each, 1)
+            rows, columns = np.broadcast_arrays(row, column)
+            places = np.append(rows, count * each + np.arange(g)), np.append(columns, np.arange(g))
+            return coo_array((np.append(entries, 1.0 / spread), places)).tocsr()
+
+        unknown = np.append(expected, np.pad(planned[..., None], ((0, 0), (0, 0), (0, 2))))
+        options: dict[str, Any] = {"loss": "soft_l1", "x_scale": "jac", "tr_solver": "lsmr"}
+        for _ in range(ROUNDS):  # the scatter that is left weighs the next one
+            found = least_squares(values, unknown, jacobian, **options)
+            unknown, left = found.x, found.fun[:-g].reshape(len(planned), -1)
+            split = np.split(left, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
+            scales = np.maximum(scales * [_scatter(part) for part in split], least)
+        J = jacobian(unknown)
         freedom = max(len(found.fun) - len(unknown), 1)
         variance = max(2.0 * found.cost / freedom, 1.0)
-        columns = splu((jacobian.T @ jacobian).tocsc()).solve(np.eye(len(unknown), g))
+        columns = splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))
         errors = np.sqrt(variance * np.diag(columns[:g]))
-        return unknown[:g], errors, unknown[g:].reshape(own.shape)[..., 0]
-
-    def _split(self, unknown: Array) -> tuple[Array, Array, Array]:
-        """Return the weights of forces (nodes,), forces (windows, nodes, 3), and frictions."""
-        energy, g = self.energy, len(self.expected)
-        own = unknown[g:].reshape(*self.tensions.shape, 3)
-        at_ends = energy.law.forces(self.ends, own[..., 0], own[..., 1:])[0]
-        pulls = energy.pulls(at_ends)
-        pulls[:, : energy.drones, :2] -= unknown[g - 4 : g - 2]
-        weights = np.full(pulls.shape[1], 1.0 / self.scales[1])
-        weights[: energy.drones] = np.exp(unknown[self.kinds]) / self.scales[0]
-        return weights, pulls, own[..., 1:]
-
-    def _scatters(self) -> Array:
-        """Return the standard deviations (windows, n, 2) of the ratios' logarithms."""
-        sliding = np.hypot(LEAST_SCATTER, USUAL_FRICTION * self.unsure)
-        return np.where(self.pulls != 0.0, sliding, STICKING * self.bends)
-
-    def values(self, unknown: Array) -> Array:
-        """Return the residuals of drones and clasps, of frictions, and of what is expected."""
-        g, drones = len(self.expected), self.energy.drones
-        weights, pulls, used = self._split(unknown)
-        residuals = weights[:, None] * pulls
-        residuals[:, :drones] += (self.x[:, :drones] - self.energy.places) / self.scales[0]
-        ratios = used * self.bends - unknown[g - 2] * self.pulls
-        ratios -= 0.5 * unknown[g - 1] * (self.pulls != 0.0)
-        beforehand = (unknown[:g] - self.expected) / self.spread
-        return np.concatenate([residuals.ravel(), (ratios / self._scatters()).ravel(), beforehand])
-
-    def jacobian(self, unknown: Array) -> csr_array:
-        """Return the derivatives of ``values``, sparse."""
-        energy, g = self.energy, len(self.expected)
-        weights, pulls, used = self._split(unknown)
-        shape, drones = pulls.shape, energy.drones
-        own = g + np.arange(3 * self.tensions.size).reshape(*self.tensions.shape, 3)
-        T = unknown[own[..., 0]]
-        node = 3 * np.arange(shape[0] * shape[1]).reshape(shape[:2])[..., None] + np.arange(3)
-        parts: list[tuple[Array, ...]] = []
-
-        def add(*part: Any) -> None:
-            """Add entries, and their rows and columns, which broadcast with them."""
-            parts.append(tuple(np.broadcast_to(each, part[0].shape).ravel() for each in part))
-
-        of_cables = node[:, energy.nodes]
-        for j in range(3):  # cables depend on none but their own unknowns
-            step = 1j * IMAGINARY * np.eye(3)[j]
-            moved = energy.law.forces(self.ends + 0j, T + step[0], used + step[1:])[0]
-            slopes = weights[energy.nodes][..., None] * moved.imag / IMAGINARY
-            add(slopes, of_cables, own[..., j][..., None, None])
-        pulled = (weights[:, None] * pulls)[:, :drones]
-        add(pulled, node[:, :drones], self.kinds[:, None])
-        blown = -np.broadcast_to(weights[:drones, None], (*shape[:1], drones, 2))
-        add(blown, node[:, :drones, :2], g - 4 + np.arange(2))
-        last, scatters = self.x.size, self._scatters()
-        ratio = last + np.arange(used.size).reshape(used.shape)
-        add(self.bends / scatters, ratio, own[..., 1:])
-        add(-self.pulls / scatters, ratio, g - 2)
-        add(-0.5 * (self.pulls != 0.0) / scatters, ratio, g - 1)
-        add(1.0 / self.spread, last + used.size + np.arange(g), np.arange(g))
-        entries, rows, columns = map(np.concatenate, zip(*parts, strict=True))
-        size = last + used.size + g, len(unknown)
-        return coo_array((entries, (rows, columns)), shape=size).tocsr()
+        return unknown[:g], errors, unknown[g:].reshape(*planned.shape, 3)[..., 0]
 
 
-def _friction(
-    team: Team, recording: Recording, windows: Windows, balance: _Balance, known: Array
-) -> tuple[Estimate, Array]:
-    """Return the friction, and the edges' tensions (windows, n) [N].
-
-    Parameters
-    ----------
-    team: cables and drones.
-    recording, windows: measured places.
-    balance: in these windows.
-    known: log(1/k), wind and two numbers that are not known.
-    """
-    pulls, unsure, slid = _sliding(team, recording, windows, balance)
-    spread = np.full(len(known), KNOWN)
-    spread[-2:] = FRICTION_SCALE, BULGE
-    sliding = replace(balance, pulls=pulls, unsure=unsure)
-    found, errors, tensions = sliding.fitted(known, spread, 1)
+def _friction(mu: float, error: float, slid: float, windows: int) -> Estimate:
+    """Return the estimate of a friction, or that cables slid too little [m] for it."""
     if slid < SLID:
-        remark = (
+        return _unknown(
             f"cables slide through clasps by {100 * slid:.1f} cm in all, less than {100 * SLID:g} "
             "cm: friction is not seen; move a vertex by some decimetres"
         )
-        return Estimate.unknown(remark), tensions
-    mu, error = float(found[-2]), float(errors[-2])
-    if error > LARGEST_FRICTION_ERROR or np.sum(np.any(pulls != 0.0, axis=(1, 2))) < 3:
-        remark = (
+    if error > LARGEST_FRICTION_ERROR or windows < 3:
+        return _unknown(
             f"its standard error would be {error:.2g}: tensions scatter by more than friction "
             "changes them; move vertices farther, or record more precisely"
         )
-        return Estimate.unknown(remark), tensions
-    return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu))), tensions
+    return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu)))
 
 
 def friction_pulls(turns: Array, rates: Array, blurred: float = 0.0) -> Array:
@@ -506,52 +406,40 @@ def _speeds(turns: Array, rates: Array) -> Array:
 
 
 def _sliding(
-    team: Team, recording: Recording, windows: Windows, balance: _Balance
-) -> tuple[Array, Array, float]:
+    task: Task, recording: Recording, windows: Windows, balance: _Balance
+) -> tuple[Array, float]:
     """Return what friction makes of ratios where the plan slides cables over each other.
 
     Noise of the drones slides cables back and forth; therefore directions are those of short spans.
 
     Returns
     -------
-    pulls, unsure: (windows, n, 2), as in ``_Balance``.
+    pulls: (windows, n, 2), as in ``_Balance``.
     slid: distance by which cables slide over each other in all windows and clasps [m].
     """
-    layout = team.layout
+    layout, short = task.team.layout, Windows.of(recording, task, RATE_SPAN)
     cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
+    middle, turns = 0.5 * (short.t[1:] + short.t[:-1]), balance.bends[:, cable, side]
+    same = np.floor(middle / WINDOW)[:, None] == np.floor(windows.t / WINDOW)
+    span, window = np.nonzero(same)
+    total = np.sum(same, axis=0)[:, None, None]
 
-    def legs_of(drones: Array, vertices: Array) -> Array:
-        """Return the lengths (…, clasps, 2) [m] of the legs at all clasps."""
-        legs = np.linalg.norm(drones - vertices[:, layout.anchors], axis=-1)
-        return np.asarray(legs.reshape(len(legs), -1, 2)[:, cable, side])
-
-    seen, turns = recording.seen, balance.bends[:, cable, side]
-    t, legs_seen = recording.t[seen], legs_of(recording.drones[seen], recording.vertices[seen])
-    _, start, count = np.unique(np.floor(t / RATE_SPAN), return_index=True, return_counts=True)
-    time = np.add.reduceat(t, start) / count
-    place = np.add.reduceat(legs_seen, start, axis=0) / count[:, None, None]
-    rates = np.diff(place, axis=0) / np.diff(time)[:, None, None]
-    middle = 0.5 * (time[1:] + time[:-1])
-    nearest = np.searchsorted(0.5 * (windows.t[1:] + windows.t[:-1]), middle)
-    within = np.abs(middle - windows.t[nearest]) <= 0.5 * WINDOW + 1e-9
-    window, rates = nearest[within], rates[within]
-    total = np.bincount(window, minlength=len(windows.t))[:, None, None]
+    def rates_of(drones: Array, vertices: Array) -> Array:
+        """Return the rates (spans, clasps, 2) [m/s] at which legs grow."""
+        legs = length(drones - vertices[:, layout.anchors]).reshape(len(drones), -1, 2)
+        rates = np.diff(legs[:, cable, side], axis=0) / np.diff(short.t)[:, None, None]
+        return np.asarray(rates[span])
 
     def mean(values: Array) -> Array:
         sums = np.zeros_like(turns)
         np.add.at(sums, window, values)
         return np.asarray(sums / np.maximum(total, 1))
 
+    rates = rates_of(short.drones, short.vertices)
     pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
-    asked = legs_of(windows.commanded, windows.planned)
-    asked = np.gradient(asked, windows.t, axis=0) if len(windows.t) > 1 else 0.0 * asked
-    speed = _speeds(turns, rate)
+    asked, speed = mean(rates_of(short.commanded, short.planned)), _speeds(turns, rate)
     usable = (total[..., 0] > 1) & (speed > SLIDING) & (_speeds(turns, asked) > PLANNED)
     usable &= np.sum(rate * asked, axis=-1) > 0.0
-    turn = np.mean(turns, axis=-1, keepdims=True)
-    largest = turns * np.interp(turn, TURNS, IN_SPACE)
-    unsure = DIRECTION_ERROR * np.sqrt(np.maximum(largest**2 - pulls**2, 0.0))
-    of_legs = np.zeros((2, *balance.pulls.shape))
-    for into, values in zip(of_legs, (pulls, unsure), strict=True):
-        into[:, cable, side] = np.where(usable[..., None], values, 0.0)
-    return of_legs[0], of_legs[1], float(np.sum(speed[usable]) * WINDOW)
+    of_legs = np.zeros_like(balance.pulls)
+    of_legs[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
+    return of_legs, float(np.sum(speed[usable]) * WINDOW)

@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from hitchopt.hitch import Team
 from hitchopt.hitch.team import Index
 from hitchopt.values import Array
 
@@ -36,39 +35,31 @@ SAG_RATIO = 4.0
 """A cable is slack where a level span as long as its longest one would hang by more than its chord
 over this number."""
 
-CONVERGED, CABLE_STEPS = 1e-12, 100
+CONVERGED, CABLE_STEPS = 1e-10, 100
 """Relative step at which a cable's tension is found, and number of steps at most."""
 
 IMAGINARY = 1e-30
 """[m], [N] Imaginary step by which derivatives are taken: exact to rounding."""
 
-SMALL_FORCE = 1e-11
-"""[N] Forces this small on every node end the iteration."""
+SMALL_FORCE, BAND_FORCE, ROUNDED_FORCE = 1e-11, 1e-7, 16.0 * float(np.finfo(np.float64).eps)
+"""[N] Forces this small on every node end the iteration, without friction and with it; or [1] over
+the cables' stiffness times the coordinates."""
 
-ROUNDED_FORCE = 16.0 * float(np.finfo(np.float64).eps)
-"""Forces end it as well that are this small over the cables' stiffness times the coordinates."""
+LEAST_STIFFNESS, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
+"""[N/m] Added to the Hessian's diagonal, as slack cables hold their clasps by nothing; after the
+first step that does not descend; and at most."""
 
-LEAST_STIFFNESS = 1e-9
-"""[N/m] Added to the Hessian's diagonal: slack cables hold their clasps by nothing."""
-
-NEWTON_STEPS, HALVINGS = 200, 30
-"""Number of Newton steps (5 to 30 are usual), and of times that one is halved."""
-
-FIRST_DAMPING, MOST_DAMPING = 1e-3, 1e6
-"""[N/m] Damping after the first step that does not descend, and the largest one."""
+NEWTON_STEPS, BAND_STEPS, HALVINGS = 200, 20, 30
+"""Number of Newton steps (3 to 30 are usual), and of times that one is halved."""
 
 DESCENT, ROUNDING = 1e-4, 1e-14
 """Share of the linear decrease that a step must bring (Armijo), and rounding of the energies."""
 
-LONGEST_STEP = 0.3
+LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1
 """[m] Longest step of a node: directions change beyond it."""
 
 SHARES = np.linspace(0.1, 1.0, 10)
 """Shares of the friction at which the hitch settles on its way to an end of its band."""
-
-BAND_STEPS, LARGEST_FORCE, LONGEST_BAND_STEP = 20, 1e-7, 0.1
-"""Number of Newton steps at each of them (three to five are usual), the largest force without
-balance [N] but for rounding of stiff cables, and the longest step of a node [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +114,8 @@ class Cables:
         chords, sizes, heights = self.spans(ends)
         units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
         m = T[..., None] + self.weight * heights
-        sag = self._sag(m)
-        bent = -sag * (2.0 * self._held(m) - m)  # slope of the energy by s h²
+        sag, held = self._sag(m)
+        bent = -sag * (2.0 * held - m)  # slope of the energy by s h²
         level = chords[..., 0] ** 2 + chords[..., 1] ** 2
         pulls = (m + bent * level)[..., None] * units
         pulls[..., :2] += (2.0 * bent * sizes)[..., None] * chords[..., :2]
@@ -142,76 +133,42 @@ class Cables:
         return forces, np.sum(arcs, axis=-1), energies
 
     def tensions(self, ends: Array) -> Array:
-        """Return the T (S, n) [N] at which cables over nodes (S, n, 4, 3) have their lengths."""
+        """Return the T (S, n) [N] at which cables over nodes (S, n, 4, 3) have their lengths.
+
+        Arcs are convex in T: Newton's steps from below do not pass the solution.
+        """
         chords, sizes, heights = self.spans(ends)
-        a = self.compliance
-        spare = np.sum(sizes, axis=-1) - self.lengths + a * self.reference
-        if self.weight == 0.0:
-            return np.asarray(np.maximum(self.least, spare / a))
+        spare = np.sum(sizes, axis=-1) - self.lengths + self.compliance * self.reference
         bulges = sizes * (chords[..., 0] ** 2 + chords[..., 1] ** 2)
-
-        def excess(T: Array) -> tuple[Array, Array]:
-            """Return the excess of length, and how much it falls with T."""
-            m = T[..., None] + self.weight * heights
-            arcs = self._sag(m) * bulges
-            falls = np.where(m > self.least[..., None], 2.0 * arcs / self._held(m), 0.0)
-            return spare - a * T + np.sum(arcs, axis=-1), a + np.sum(falls, axis=-1)
-
-        T = np.maximum(self.least, spare / a)
-        low, high = self.least, T + np.maximum(excess(T)[0], 0.0) / a
-        for _ in range(CABLE_STEPS):  # Newton's method within a bracket
-            over, fall = excess(T)
-            low, high = np.where(over > 0.0, T, low), np.where(over > 0.0, high, T)
-            step = over / fall
-            done = (np.abs(step) <= CONVERGED * T) | ((over <= 0.0) & (self.least >= T))
-            inside = (T + step > low) & (T + step < high)
-            T = np.where(done, T, np.where(inside, T + step, np.sqrt(low * high)))
-            if np.all(done):
+        T = np.maximum(self.least, spare / self.compliance)
+        for _ in range(CABLE_STEPS if self.weight else 0):
+            sag, held = self._sag(T[..., None] + self.weight * heights)
+            excess = spare - self.compliance * T + np.sum(sag * bulges, axis=-1)
+            fall = self.compliance + np.sum(2.0 * sag * bulges / held, axis=-1)
+            before, T = T, np.maximum(self.least, T + excess / fall)
+            if np.all(np.abs(T - before) <= CONVERGED * T):
                 break
         return np.asarray(T)
 
     def hanging(self, ends: Array, T: Array) -> NDArray[np.bool_]:
         """Return (S, n) whether cables are slack, or one of their spans hangs as slack ones do.
 
-        A span that has come down pulls with less than T: it hangs by its chord over SAG_RATIO where
-        its own tension is ``SAG_RATIO w s/8``.
+        That is by its chord over SAG_RATIO, by its own tension m: lower spans pull with less.
         """
         _, sizes, heights = self.spans(ends)
-        m = T[..., None] + self.weight * heights
-        deep = 8.0 * m < SAG_RATIO * self.weight * sizes
+        deep = T[..., None] + self.weight * (heights - SAG_RATIO / 8.0 * sizes) < 0.0
         return np.asarray((self.least >= T) | np.any(deep, axis=-1))
 
-    def _held(self, m: Any) -> Any:
-        return np.where(m.real > self.least[..., None], m, self.least[..., None])
-
-    def _sag(self, m: Any) -> Any:
-        """Return the slope of arcs by s h² for tensions m (…, 3) [N]."""
-        held = self._held(m)
-        return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2
+    def _sag(self, m: Any) -> tuple[Any, Any]:
+        """Return the slope of arcs by s h² for tensions m (…, 3) [N], and these, at least least."""
+        held = np.where(m.real > self.least[..., None], m, self.least[..., None])
+        return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2, held
 
 
 def bends_of(units: Any) -> Any:
     """Return the angles (…, 2) [rad] between spans of directions (…, 3, 3), at both clasps."""
     cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
     return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
-
-
-@dataclass(frozen=True, eq=False)
-class Linear:
-    """Derivatives of cables that have settled, S samples of n.
-
-    Attributes
-    ----------
-    forces: (S, n, 12, 12) [N/m], of the forces on a cable's nodes by these, T following.
-    pulls: (S, n, 12) [N/m], what a longer cable changes these forces by, turned round.
-    tensions: (S, n, 12) [N/m], of T by the nodes.
-    softness: (S, n) [N/m], what T loses per length; zero where a cable is slack.
-    """
-
-    forces: Array
-    pulls: Array
-    tensions: Array
-    softness: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,188 +219,121 @@ class HitchEnergy:
         slopes[:, : self.drones] += self.stiffness[:, None] * (x[:, : self.drones] - self.places)
         return np.where(self.free[:, None], slopes, 0.0)
 
-    def pulls(self, at_ends: Array) -> Array:
+    def pulls(self, at_ends: Any) -> Any:
         """Return minus the forces of cables, of loads and of feed-forward (S, nodes, 3) [N].
 
         ``at_ends`` (S, n, 4, 3) [N] are those of every cable, turned round.
         """
-        pulls = -self.loads
+        pulls = -self.loads.astype(at_ends.dtype)
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
         return pulls
 
-    def linear(self, x: Array, friction: float = 0.0) -> Linear:
-        """Return the derivatives of the cables' law at nodes x (S, nodes, 3) [m]."""
+    def linear(self, x: Array, friction: float = 0.0) -> tuple[Array, Array, Array]:
+        """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
+
+        Returns
+        -------
+        forces: (S, n, 12, 13), of the forces on a cable's nodes, turned round, by these [N/m], T
+            following, and by T.
+        tensions: (S, n, 12) [N/m], of T by the nodes.
+        softness: (S, n) [N/m], what T loses per length; zero where a cable is slack.
+        """
         ends, law = x[:, self.nodes], self.law
         T = law.tensions(ends)
-        moved = np.eye(12).reshape(12, 1, 1, 4, 3) * (1j * IMAGINARY)
-        by_nodes = law.forces(ends + moved, T + 0j * moved[..., 0, 0], friction)
-        by_tension = law.forces(ends + 0j, T + 1j * IMAGINARY, friction)
-        columns = np.moveaxis(by_nodes[0].imag / IMAGINARY, 0, -1).reshape(*T.shape, 12, 12)
-        arcs = np.moveaxis(by_nodes[1].imag / IMAGINARY, 0, -1)
-        pulled = (by_tension[0].imag / IMAGINARY).reshape(*T.shape, 12)
-        softness = 1.0 / (law.compliance - by_tension[1].imag / IMAGINARY)
-        softness = np.where(law.least >= T, 0.0, softness)
-        along = softness[..., None] * arcs
-        forces = columns + pulled[..., :, None] * along[..., None, :]
-        return Linear(forces, softness[..., None] * pulled, along, softness)
+        steps = 1j * IMAGINARY * np.eye(13).reshape(13, 1, 1, 13)
+        moved = ends + steps[..., :12].reshape(13, 1, 1, 4, 3)
+        forces, arcs, _ = law.forces(moved, T + steps[..., 12], friction)
+        columns = np.moveaxis(forces.imag / IMAGINARY, 0, -1).reshape(*T.shape, 12, 13)
+        longer = np.moveaxis(arcs.imag / IMAGINARY, 0, -1)
+        softness = np.where(law.least >= T, 0.0, 1.0 / (law.compliance - longer[..., 12]))
+        tensions = softness[..., None] * longer[..., :12]
+        columns[..., :12] += columns[..., 12:] * tensions[..., None, :]
+        return columns, tensions, softness
 
     def matrix(self, blocks: Array, damping: Array | float = LEAST_STIFFNESS) -> csc_array:
         """Return the derivatives (S N, S N) [N/m] of all forces, N = 3 nodes, sample by sample.
 
         Parameters
         ----------
-        blocks: (S, n, 12, 12), those of the cables.
+        blocks: (S, n, 12, …), those of the cables by their nodes.
         damping: (S,) [N/m], added to the diagonal.
         """
         samples, size = len(blocks), 3 * len(self.free)
         shift = size * np.arange(samples)[:, None, None]
         own = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, 12) + shift
-        rows = np.broadcast_to(own[..., :, None], blocks.shape).ravel()
-        columns = np.broadcast_to(own[..., None, :], blocks.shape).ravel()
+        rows, columns = np.broadcast_arrays(own[..., :, None], own[..., None, :])
         diagonal = np.zeros((samples, size)) + np.reshape(damping, (-1, 1))
         diagonal[:, : 3 * self.drones] += np.repeat(self.stiffness, 3)
         all_ = np.arange(samples * size)
-        entries = np.concatenate([blocks.ravel(), diagonal.ravel()])
-        places = np.concatenate([rows, all_]), np.concatenate([columns, all_])
+        entries = np.concatenate([blocks[..., :12].ravel(), diagonal.ravel()])
+        places = np.concatenate([[rows.ravel(), columns.ravel()], [all_, all_]], axis=1)
         return coo_array((entries, places), shape=(samples * size,) * 2).tocsc()
 
     def solved(self, matrix: csc_array, forces: Array) -> Array:
         """Return the displacements (S, nodes, 3, …) [m] that forces of this shape [N] cause."""
         free = np.flatnonzero(np.tile(np.repeat(self.free, 3), len(forces)))
         found = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
-        options = {"SymmetricMode": True}  # all but symmetric: its diagonal has the pivots
-        factors = splu(
-            matrix[free][:, free],
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options=options,
-        )
+        # All but symmetric: its diagonal has the pivots.
+        order: Any = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
+        factors = splu(matrix[free][:, free], diag_pivot_thresh=0.0, **order)
         found[free] = factors.solve(forces.reshape(found.shape)[free])
         return found.reshape(forces.shape)
 
-
-def hitch_energy(
-    team: Team,
-    stiffness: Array,
-    planned: tuple[Array, Array],
-    reference: Array,
-    lengths: Array,
-    weight: float,
-    axial_stiffness: float,
-    places: Array,
-    loads: tuple[Array, Array],
-) -> tuple[HitchEnergy, Array]:
-    """Return the energy of S samples of a team, and the nodes (S, nodes, 3) [m] to start from.
-
-    Parameters
-    ----------
-    team: cables and drones.
-    stiffness: (2n,) [N/m], infinite for drones that are held.
-    planned: drones (S, 2n, 3) and vertices (S, points, 3) [m] of the plan.
-    reference: (S, n) [N], planned tensions.
-    lengths: (S, n) [m], under these.
-    weight: of the cables per length [N/m].
-    axial_stiffness: EA of the cables [N].
-    places: (S, 2n, 3) [m], where drones are led.
-    loads: forces on drones (S, 2n, 3) and on clasps (clasps, 3) [N].
-    """
-    layout, n = team.layout, team.robots
-    points = np.zeros(layout.points, dtype=np.intp)
-    points[layout.clasps] = 2 * n + np.arange(len(layout.clasps))
-    for point, drone in ((0, 0), (layout.points - 1, 2 * n - 1)) if not layout.closed else ():
-        points[point] = drone
-    cables = np.arange(n)
-    ends = points[layout.starts], points[layout.ends]
-    nodes = np.column_stack([2 * cables, *ends, 2 * cables + 1])
-    legs = layout.has_leg
-    exist = np.column_stack([legs[:, 0], np.ones(n, dtype=np.bool_), legs[:, 1]])
-    drones, vertices = planned
-    clasps = vertices[:, layout.clasps]
-    at = np.concatenate([drones, clasps], axis=1)[:, nodes]
-    chords = np.linalg.norm(np.diff(at, axis=2), axis=-1)
-    law = Cables(
-        exist,
-        lengths,
-        weight,
-        team.cable_length / axial_stiffness,
-        reference,
-        0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
-        weight * SAG_RATIO / 8.0 * np.max(chords, axis=-1),
-    )
-    held = np.isinf(stiffness)
-    free = np.concatenate([~held, np.ones(len(layout.clasps), dtype=np.bool_)])
-    pushed = np.concatenate([loads[0], np.broadcast_to(loads[1], clasps.shape)], axis=1)
-    soft = np.where(held, 0.0, stiffness)
-    start = np.concatenate([places, clasps], axis=1)
-    return HitchEnergy(nodes, points, free, law, places, soft, pushed), start
+    def steps(self, x: Array, damping: Array | float, longest: float, friction: float) -> Any:
+        """Return Newton's steps (S, nodes, 3) [m], no node's longer than that, and the slopes."""
+        slopes = self.slopes(x, friction)
+        steps = self.solved(self.matrix(self.linear(x, friction)[0], damping), -slopes)
+        sizes = np.max(np.linalg.norm(steps, axis=-1), axis=1)
+        shares = np.minimum(1.0, longest / np.maximum(sizes, 1e-300))
+        return steps * shares[:, None, None], slopes
 
 
 def settled_nodes(energy: HitchEnergy, start: Array) -> Array:
-    """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method.
+    """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method from a start.
 
     The caller recomputes the residuals. A diagonal is added where a step does not descend; steps
-    are halved until the energy falls enough.
-
-    Parameters
-    ----------
-    energy: of S samples.
-    start: (S, nodes, 3) [m], where held drones are, and guesses for the other nodes.
+    are halved until the energy falls enough. The force's size is no measure: steps along cables
+    that hardly stretch raise it.
     """
     x, damping, values = start, np.full(len(start), LEAST_STIFFNESS), energy.values(start)
     for _ in range(NEWTON_STEPS):
-        slopes = energy.slopes(x)
+        steps, slopes = energy.steps(x, damping, LONGEST_STEP, 0.0)
         small = SMALL_FORCE + energy.accuracy * np.max(np.abs(x), axis=(1, 2))
         active = np.max(np.abs(slopes), axis=(1, 2)) > small
         if not active.any():
             break
-        matrix = energy.matrix(energy.linear(x).forces, damping)
-        steps = _shortened(-energy.solved(matrix, slopes), LONGEST_STEP)
         falls = np.einsum("sni,sni->s", steps, slopes)
         pending, failed = active & (falls < 0.0), active & (falls >= 0.0)
-        found, reached = x, values
         for share in 0.5 ** np.arange(HALVINGS):
             if not pending.any():
                 break
-            tried = x + share * steps
+            tried = x + share * np.where(pending[:, None, None], steps, 0.0)
             energies = energy.values(tried)
             allowed = values + DESCENT * share * falls + ROUNDING * (1.0 + np.abs(values))
             good = pending & (energies <= allowed)
-            found = np.where(good[:, None, None], tried, found)
-            reached = np.where(good, energies, reached)
+            x, values = np.where(good[:, None, None], tried, x), np.where(good, energies, values)
             pending = pending & ~good
-        raised = np.minimum(np.maximum(10.0 * damping, FIRST_DAMPING), MOST_DAMPING)
+        raised = np.clip(10.0 * damping, FIRST_DAMPING, MOST_DAMPING)
         damping = np.where(failed | pending, raised, np.maximum(0.1 * damping, LEAST_STIFFNESS))
-        x, values = found, reached
     return x
 
 
 def rubbing_nodes(energy: HitchEnergy, rest: Array, friction: float) -> Array:
     """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
 
-    Parameters
-    ----------
-    energy: of S samples.
-    rest: (S, nodes, 3) [m], where they rest without friction.
-    friction: coefficient, positive for legs that pull more than edges, negative for less.
+    ``rest`` is where they are without friction, whose coefficient is positive for legs that pull
+    more than edges, negative for less.
     """
-    x, lost = rest, np.zeros(len(rest), dtype=np.bool_)
-    small = LARGEST_FORCE + 10.0 * energy.accuracy * float(np.max(np.abs(rest)))
+    x, lost = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
+    small = BAND_FORCE + 10.0 * energy.accuracy * float(np.max(np.abs(rest)))
     for share in SHARES if friction else ():
         for _ in range(BAND_STEPS):
-            slopes = energy.slopes(x, share * friction)
-            moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2)) <= small)
+            steps, slopes = energy.steps(x, LEAST_STIFFNESS, LONGEST_BAND_STEP, share * friction)
+            moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
             if not np.any(moving):
                 break
-            matrix = energy.matrix(energy.linear(x, share * friction).forces)
-            steps = _shortened(-energy.solved(matrix, slopes), LONGEST_BAND_STEP)
-            x = np.where(moving[:, None, None], x + steps, x)
+            x = np.where(moving, x + steps, x)
         else:
-            lost |= moving
-            x = np.where(lost[:, None, None], rest, x)
-    return np.where(lost[:, None, None], np.nan, x)
-
-
-def _shortened(steps: Array, longest: float) -> Array:
-    """Return steps (S, nodes, 3) [m], each sample's shortened such that no node goes farther."""
-    sizes = np.max(np.linalg.norm(steps, axis=-1), axis=1)
-    return np.asarray(steps * np.minimum(1.0, longest / np.maximum(sizes, 1e-300))[:, None, None])
+            lost = lost | moving
+            x = np.where(lost, rest, x)
+    return np.where(lost, np.nan, x)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,15 +10,14 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Ellipse, Polygon
+from matplotlib.patches import Ellipse, Polygon
+from scipy.spatial import ConvexHull
 
-from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.errors import InfeasibleError
 from hitchopt.exports.directory import STATICS, STATICS_PICTURE
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Hitch, Quadrotor, Team
-from hitchopt.holding.capacity import Capacity
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.holding.grip import Grip
-from hitchopt.objects import Section
 from hitchopt.statics.calibrate import Calibration, Estimate
 from hitchopt.statics.fit import GRIP, REST, Fit
 from hitchopt.statics.settle import Settled
@@ -28,96 +26,22 @@ from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, new_figure, save_figure
 
-STATICS_SIZE = (10.0, 4.8)
-"""Width and height [inch]."""
+STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
-MOST_CURVES = 12
-"""Cables whose tensions are drawn one by one; of larger teams all are one band."""
+STATICS_SIZE, FLIGHT_SIZE, FIT_SIZE = (10.0, 4.8), (11.0, 5.0), (12.0, 4.6)
+"""Widths and heights [inch]."""
+
+PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
+"""Lines of the plan."""
 
 DRAWN_TIMES = 3
 """Times at which vertices are drawn: the first, the middle and the last one."""
 
+LABELLED = 12
+"""Largest number of curves for which a legend has space."""
 
-def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
-    """Return the picture."""
-    figure = new_figure(STATICS_SIZE)
-    left, right = figure.subplots(1, 2)
-    _draw_tensions(left, settled, ranges)
-    _draw_vertices(right, settled, ranges)
-    return figure
-
-
-def _draw_tensions(axes: Axes, settled: Settled, ranges: Tolerance | None) -> None:
-    t, count = settled.t, settled.tensions.shape[-1]
-    marker = "o" if len(t) == 1 else None
-    limits = None if ranges is None else ranges.tensions
-    if limits is not None:
-        low, high = np.min(limits[..., 0], axis=1), np.max(limits[..., 1], axis=1)
-        finite = np.where(np.isfinite(high), high, 2.0 * np.max(settled.tensions))
-        words = f"any cable, for errors of {_error_words(ranges)}"
-        axes.fill_between(t, low, finite, color="0.87", label=words, zorder=1)
-    if count <= MOST_CURVES:
-        for k in range(count):
-            axes.plot(
-                t, settled.tensions[:, k], color=COLOURS[k % len(COLOURS)], marker=marker,
-                linewidth=1.2, zorder=3, label="at rest" if k == 0 else None,
-            )  # fmt: skip
-    else:
-        spread = np.min(settled.tensions, axis=1), np.max(settled.tensions, axis=1)
-        axes.fill_between(t, *spread, color=COLOURS[0], label="at rest", zorder=3)
-    axes.plot(t, settled.planned_tensions, color=INK, linestyle=DASHES, linewidth=0.8, zorder=2)
-    axes.plot([], [], color=INK, linestyle=DASHES, linewidth=0.8, label="planned")
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlabel("t [s]")
-    axes.set_ylabel("tension [N]")
-    axes.legend(frameon=False, fontsize="small")
-
-
-def _draw_vertices(axes: Axes, settled: Settled, ranges: Tolerance | None) -> None:
-    times = np.unique(np.linspace(0, len(settled.t) - 1, DRAWN_TIMES).round().astype(np.intp))
-    layout = settled.team.layout
-    for colour, i in zip(COLOURS, times, strict=False):
-        ring = np.append(np.arange(layout.points), 0) if layout.closed else np.arange(layout.points)
-        planned, found = settled.planned_vertices[i], settled.vertices[i]
-        axes.plot(*planned[ring, :2].T, color=INK, linestyle=DASHES, linewidth=0.8)
-        words = f"t = {settled.t[i]:.2f} s"
-        axes.plot(*found[ring, :2].T, color=colour, marker=".", linewidth=1.2, label=words)
-        axes.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
-        band = settled.rests[i, :, :, :2]
-        if np.ptp(settled.band[i]) > 0.0:
-            for number, ends in enumerate(np.swapaxes(band, 0, 1)):
-                label = f"band of rest, t = {settled.t[i]:.2f} s" if number == 0 else None
-                axes.plot(*ends.T, color=colour, linewidth=4.0, alpha=0.35, label=label)
-        if ranges is not None:
-            for centre, shape in zip(found, ranges.ellipsoids[i], strict=True):
-                axes.add_patch(_ellipse(centre, shape, colour))
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-    axes.legend(frameon=False, fontsize="small")
-
-
-def _ellipse(centre: Array, shape: Array, colour: str) -> Ellipse:
-    """Return the outline of an ellipsoid (3, 3) [m²] as seen from above."""
-    sizes, directions = np.linalg.eigh(shape[:2, :2])
-    width, height = 2.0 * np.sqrt(np.maximum(sizes, 0.0))
-    angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
-    return Ellipse(
-        (centre[0], centre[1]), width, height, angle=angle, facecolor=colour, alpha=0.35,
-        edgecolor=colour,
-    )  # fmt: skip
-
-
-def _error_words(ranges: Tolerance | None) -> str:
-    """Return the sizes of the errors in words."""
-    if ranges is None:
-        return ""
-    units = {"cable": "m of cable", "position": "m of position", "force": "N"}
-    sizes = vars(ranges.errors).items()
-    return ", ".join(f"{s.words} {units[name]}" for name, s in sizes if s.bound or s.deviation)
-
-
-STATICS_FORMAT = "hitchopt-statics/1"
+ARC_POINTS = 120
+"""Points of a drawn circle."""
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
@@ -147,18 +71,6 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
     ``band`` of a vertex is how far outside of its plan it can rest with friction, least and most;
     an end without rest is null.
     """
-    team = settled.team
-    cables = {
-        "planned_tension": settled.planned_tensions,
-        "tension": settled.tensions,
-        "slack": settled.slack,
-    }
-    vertices = {
-        "planned": settled.planned_vertices,
-        "position": settled.vertices,
-        "band": settled.band,
-    }
-    drones = {"planned": settled.planned_drones, "position": settled.drones}
     content: dict[str, Any] = {
         "format": STATICS_FORMAT,
         "t": settled.t.tolist(),
@@ -167,6 +79,14 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
         "force_residual": float(settled.force_residual.max()),
         "length_residual": float(settled.length_residual.max()),
     }
+    cables = {
+        "planned_tension": settled.planned_tensions,
+        "tension": settled.tensions,
+        "slack": settled.slack,
+    }
+    vertices = {"planned": settled.planned_vertices, "position": settled.vertices}
+    vertices["band"] = settled.band
+    drones = {"planned": settled.planned_drones, "position": settled.drones}
     if ranges is not None:
         content["errors"] = {name: vars(size) for name, size in vars(ranges.errors).items()}
         content["may_be_slack"] = list(ranges.slack_cables)
@@ -174,36 +94,73 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
         content["vertex_remainder"] = ranges.vertex_remainders.tolist()
         cables |= {"smallest": ranges.tensions[..., 0], "largest": ranges.tensions[..., 1]}
         vertices |= {"half_widths": ranges.vertex_halves, "radius": ranges.radii}
-    names = [f"c{k}" for k in range(team.robots)]
-    return {
-        **content,
-        "cables": _rows(names, cables),
-        "vertices": _rows(team.point_names, vertices),
-        "drones": _rows(team.drone_names, drones),
-    }
+    team = settled.team
+    for kind, names, columns in (
+        ("cables", [f"c{k}" for k in range(team.robots)], cables),
+        ("vertices", team.point_names, vertices),
+        ("drones", team.drone_names, drones),
+    ):
+        content[kind] = [
+            {"name": name, **{key: values[:, k].tolist() for key, values in columns.items()}}
+            for k, name in enumerate(names)
+        ]
+    return content
 
 
-def _rows(names: Sequence[str], columns: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return what is said of each item, from arrays (S, items, …)."""
-    return [
-        {"name": name, **{key: values[:, k].tolist() for key, values in columns.items()}}
-        for k, name in enumerate(names)
-    ]
+def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
+    """Return the picture: tensions over time, and vertices from above."""
+    figure = new_figure(STATICS_SIZE)
+    left, right = figure.subplots(1, 2)
+    t, layout = settled.t, settled.team.layout
+    if ranges is not None:
+        low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
+        finite = np.where(np.isfinite(high), high, 2.0 * np.max(settled.tensions))
+        units = {"cable": "m of cable", "position": "m of position", "force": "N"}
+        sizes = vars(ranges.errors).items()
+        words = [f"{s.words} {units[name]}" for name, s in sizes if s.bound or s.deviation]
+        label = f"any cable, for errors of {', '.join(words)}"
+        left.fill_between(t, low, finite, color="0.87", label=label, zorder=1)
+    left.set_prop_cycle(color=COLOURS)
+    marker = "o" if len(t) == 1 else None
+    left.plot(t, settled.tensions, marker=marker, linewidth=1.2, zorder=3)[0].set_label("at rest")
+    left.plot(t, settled.planned_tensions, **PLANNED)[0].set_label("planned")
+    left.set(ylim=(0.0, None), xlabel="t [s]", ylabel="tension [N]")
+    ring = np.append(np.arange(layout.points), [0] * layout.closed)
+    times = np.unique(np.linspace(0, len(t) - 1, DRAWN_TIMES).round().astype(np.intp))
+    for colour, i in zip(COLOURS, times, strict=False):
+        when = f"t = {t[i]:.2f} s"
+        right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
+        right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.2, label=when)
+        right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
+        if np.ptp(settled.band[i]) > 0.0:
+            bands = settled.rests[i, ..., :2].swapaxes(0, 1)
+            lines = [right.plot(*ends.T, color=colour, lw=4.0, alpha=0.35) for ends in bands]
+            lines[0][0].set_label(f"band of rest, {when}")
+        shapes = () if ranges is None else ranges.ellipsoids[i]
+        for centre, shape in zip(settled.vertices[i], shapes, strict=False):
+            _draw_ellipse(right, centre, shape, colour)
+    right.set_aspect("equal", adjustable="datalim")
+    right.set(xlabel="x [m]", ylabel="y [m]")
+    for axes in (left, right):
+        axes.legend(frameon=False, fontsize="small")
+    return figure
+
+
+def _draw_ellipse(axes: Axes, centre: Array, shape: Array, colour: str) -> None:
+    """Draw an ellipsoid (3, 3) [m²] as seen from above."""
+    sizes, directions = np.linalg.eigh(shape[:2, :2])
+    width, height = 2.0 * np.sqrt(np.maximum(sizes, 0.0))
+    angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
+    place = float(centre[0]), float(centre[1])
+    axes.add_patch(Ellipse(place, width, height, angle=angle, color=colour, alpha=0.35))
 
 
 def save_team(path: Path, calibration: Calibration) -> None:
     """Write the block ``team:`` with the estimates; comments state their standard errors.
 
     What the recording does not determine is as in the plan.
-
-    Raises
-    ------
-    FileError: the file cannot be written.
     """
-    try:
-        path.write_text(team_text(calibration), encoding="utf-8")
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error}") from error
+    path.write_text(team_text(calibration), encoding="utf-8")
 
 
 def team_text(calibration: Calibration) -> str:
@@ -215,26 +172,23 @@ def team_text(calibration: Calibration) -> str:
     lengths = ", ".join(f"{one.value:.4f}" for one in calibration.lengths)
     values["cable_length"] = f"[{lengths}]  # ± {errors} m"
     values["cable_density"] = f"{_yaml(calibration.density)}  # as assumed"
-    values["cable_friction"] = f"{_yaml(team.cable_friction)}  # of the plan: not determined"
+    values["cable_friction"] += "  # of the plan: not determined"
     if friction.known:
         values["cable_friction"] = f"{friction.value:.3f}  # ± {friction.error:.1g}"
-    values["quadrotor"] = _quadrotors(team.quadrotor, calibration.stiffness)
+    kinds = list(map(_kind, team.quadrotor, calibration.stiffness))
+    same = len(set(kinds)) == 1
+    values["quadrotor"] = kinds[0] if same else "".join(f"\n    - {kind}" for kind in kinds)
     return "\n".join(["team:", *(f"  {name}: {text}" for name, text in values.items())]) + "\n"
 
 
-def _quadrotors(kinds: Sequence[Quadrotor], stiffness: Sequence[Estimate]) -> str:
-    """Return one kind where all robots have the same, else a list."""
-    texts, remarks = [], []
-    for kind, estimate in zip(kinds, stiffness, strict=True):
-        entries = {field.name: _yaml(getattr(kind, field.name)) for field in fields(Quadrotor)}
-        if estimate.known:
-            entries["stiffness"] = f"{estimate.value:.3g}"
-        texts.append("{" + ", ".join(f"{name}: {text}" for name, text in entries.items()) + "}")
-        known = f"± {estimate.error:.1g} N/m" if estimate.known else "of the plan: not determined"
-        remarks.append(f"  # stiffness {known}")
-    if len(set(texts)) == 1:
-        return texts[0] + remarks[0]
-    return "".join(f"\n    - {a}{b}" for a, b in zip(texts, remarks, strict=True))
+def _kind(kind: Quadrotor, stiffness: Estimate) -> str:
+    """Return a kind of drone in YAML, with the estimate of its stiffness."""
+    entries = {name: _yaml(value) for name, value in vars(kind).items()}
+    known = "of the plan: not determined"
+    if stiffness.known:
+        entries["stiffness"] = f"{stiffness.value:.3g}"
+        known = f"± {stiffness.error:.1g} N/m"
+    return f"{{{', '.join(': '.join(entry) for entry in entries.items())}}}  # stiffness {known}"
 
 
 def _yaml(value: object) -> str:
@@ -242,159 +196,41 @@ def _yaml(value: object) -> str:
     return json.dumps(value, default=lambda array: np.round(array, 9).tolist())
 
 
-FLIGHT_SIZE = (11.0, 5.0)
-"""Width and height [inch]."""
-
-LABELLED = 12
-"""Largest number of curves for which a legend has space."""
-
-
 def save_calibration_picture(path: Path, calibration: Calibration) -> None:
-    """Draw where drones and vertices were and should have been, and how far they were off.
-
-    Raises
-    ------
-    FileError: the file cannot be written.
-    """
+    """Draw where drones and vertices were and should have been, and how far they were off."""
     task, recording, found = calibration.task, calibration.recording, calibration.comparison
+    team, seen = task.team, np.isfinite(found.vertices).all(axis=1)
     figure = new_figure(FLIGHT_SIZE)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.1))
     above = figure.add_subplot(grid[:, 0])
-    for k in range(task.team.drones):
-        above.plot(*task.setpoints.positions[:, k, :2].T, color="0.75", lw=0.8)
-        above.plot(*recording.drones[:, k, :2].T, color="0.35", lw=0.8)
-    seen = np.isfinite(found.vertices)
-    layout, last = task.team.layout, np.flatnonzero(seen.all(axis=1))[-1:]
-    for i in last:
-        for k in range(task.team.robots):
-            ends = recording.vertices[i, [layout.starts[k], layout.ends[k]]]
-            line = np.vstack([recording.drones[i, 2 * k], ends, recording.drones[i, 2 * k + 1]])
-            above.plot(line[:, 0], line[:, 1], "o-", color=f"C{k % 10}", lw=0.8, ms=3, alpha=0.5)
-    for p, name in enumerate(task.team.point_names):
-        planned = task.vertices[task.formed][:, p]
-        above.plot(planned[:, 0], planned[:, 1], color="black", lw=0.9, ls=":")
-        above.plot(*recording.vertices[seen[:, p], p, :2].T, color=f"C{p % 10}", lw=1.2)
-        above.text(float(planned[-1, 0]), float(planned[-1, 1]), name, fontsize=8)
-    above.set(
-        xlabel="x [m]",
-        ylabel="y [m]",
-        title="recorded, cables at the end; dotted and pale: the plan",
-    )
+    for places, style in (
+        (task.setpoints.positions, {"color": "0.75", "lw": 0.8}),
+        (recording.drones, {"color": "0.35", "lw": 0.8}),
+        (task.vertices[task.formed], {"color": INK, "lw": 0.9, "ls": ":"}),
+        (recording.vertices[seen], {"lw": 1.2}),
+    ):
+        above.plot(places[..., 0], places[..., 1], **style)
+    for name, point in zip(team.point_names, recording.vertices[seen][-1], strict=True):
+        above.text(float(point[0]), float(point[1]), name, fontsize=8)
+    above.set(xlabel="x [m]", ylabel="y [m]", title="recorded; dotted and pale: the plan")
     above.set_aspect("equal", "datalim")
-    for row, errors, title in (
-        (0, found.vertices, "vertex error [cm]"),
-        (1, found.drones, "drone to set point [cm]"),
+    for row, (errors, names, label) in enumerate(
+        (
+            (found.vertices, team.point_names, "vertex error [cm]"),
+            (found.drones, team.drone_names, "drone to set point [cm]"),
+        )
     ):
         axes = figure.add_subplot(grid[row, 1])
-        names = task.team.drone_names if row else task.team.point_names
         axes.plot(found.t, 100.0 * errors, lw=0.9, label=names)
         if len(names) <= LABELLED:
             axes.legend(fontsize=7, ncols=3)
-        axes.set(ylabel=title, xlabel="t [s]" if row else "")
+        axes.set(ylabel=label, xlabel="t [s]")
         axes.grid(alpha=0.3)
-    try:
-        save_figure(figure, path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error}") from error
-
-
-FIT_SIZE = (12.0, 4.6)
-"""Width and height [inch]."""
-
-ARC_POINTS = 40
-"""Points of a drawn arc."""
-
-
-def draw_fit(fit: Fit) -> Figure:
-    """Return the picture."""
-    figure = new_figure(FIT_SIZE)
-    axes = figure.subplots(1, 3)
-    holding = fit.holding
-    for each in axes:
-        _draw_section(each, fit.section)
-        each.set_aspect("equal")
-        each.set_xlabel("x [m]")
-    axes[0].set_ylabel("y [m]")
-    _draw_hitch(axes[0], fit, fit.enclosing)
-    axes[0].set_title(f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m")
-    if isinstance(holding.grip, Grip):
-        _draw_grip(axes[1], holding.grip)
-    axes[1].set_title(_held("grip", holding.grip_capacity))
-    if not isinstance(holding.rest, InfeasibleError):
-        _draw_hitch(axes[2], fit, holding.rest)
-    axes[2].set_title(_held("rest", holding.rest_capacity))
-    return figure
-
-
-def _held(by: str, capacity: Capacity) -> str:
-    if capacity.mass == 0.0:
-        return f"{by}: nothing ({capacity.binding})"
-    return f"{by}: {1e3 * capacity.mass:.0f} g ({capacity.binding} binds)"
-
-
-def _draw_section(axes: Axes, section: Section) -> None:
-    style: dict[str, Any] = {"facecolor": "0.88", "edgecolor": "0.55", "linewidth": 0.8}
-    if section.radius is not None:
-        axes.add_patch(Circle((0.0, 0.0), section.radius, **style))
-    else:
-        axes.add_patch(Polygon(section.core, **style))
-
-
-def _draw_hitch(axes: Axes, fit: Fit, polygon: ConvexPolygon) -> None:
-    """Draw the hitch of a polygon with the legs that keep drones well apart."""
-    holding, task = fit.holding, fit.holding.task
-    team = Team(holding.robots, holding.cable_length, tension=task.tension, quadrotor=task.kind)
-    limits, separation = task.requirements.limits, task.requirements.separation
-    try:
-        hitch = Hitch.spread(team, polygon, limits=limits, separation=separation)
-    except InfeasibleError:
-        return
-    p = hitch.vertices
-    drones = hitch.drones.reshape(-1, 2, 3)
-    ends = np.stack([p, np.roll(p, -1, axis=0)], axis=1)
-    paths = [np.stack([drones[k, 0], *ends[k], drones[k, 1]])[:, :2] for k in range(holding.robots)]
-    _draw_cables(axes, paths, p[:, :2])
-
-
-def _draw_grip(axes: Axes, grip: Grip) -> None:
-    paths = []
-    for k in range(len(grip.vertices)):
-        onward = grip.vertices[(k + 1) % len(grip.vertices)]
-        ends = grip.drones[k, 0, :2], grip.drones[k, 1, :2]
-        path = [ends[0][None], grip.vertices[k, None, :2], _arc(grip, k), onward[None, :2]]
-        paths.append(np.concatenate([*path, ends[1][None]]))
-    _draw_cables(axes, paths, grip.vertices[:, :2])
-
-
-def _arc(grip: Grip, k: int) -> Array:
-    """Return points (points, 2) [m] along the arc of cable k on the section."""
-    a = grip.wraps.leaving[k]
-    turns = grip.wraps.angles[k] * np.linspace(0.0, 1.0, ARC_POINTS)
-    normals = np.arctan2(a[0], -a[1]) - turns  # outward, on the left of the cable
-    out = np.column_stack([np.cos(normals), np.sin(normals)])
-    core = grip.section.core
-    touched = core[np.argmax(out @ core.T, axis=1)] + grip.section.rounding * out
-    first, last = grip.wraps.contacts[k]
-    return np.concatenate([first[None], touched, last[None]])
-
-
-def _draw_cables(axes: Axes, paths: list[Array], vertices: Array) -> None:
-    for k, path in enumerate(paths):
-        axes.plot(*path.T, color=COLOURS[k % len(COLOURS)], linewidth=1.4)
-        axes.plot(*path[[0, -1]].T, "o", color=COLOURS[k % len(COLOURS)], markersize=7)
-    axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3)
-
-
-FIT_FORMAT = "hitchopt-fit/1"
+    save_figure(figure, path)
 
 
 def save_fit(directory: Path, fit: Fit) -> None:
-    """Write ``fit.json`` and ``fit.png`` to a directory, which is made if need be.
-
-    Raises
-    ------
-    OSError: a file cannot be written.
-    """
+    """Write ``fit.json`` and ``fit.png`` to a directory, which is made if need be."""
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
     save_figure(draw_fit(fit), directory / "fit.png")
@@ -402,7 +238,7 @@ def save_fit(directory: Path, fit: Fit) -> None:
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
     """Return the content of ``fit.json``: polygons in metres, masses with what binds."""
-    holding, task = fit.holding, fit.holding.task
+    holding, task, grip, rest = fit.holding, fit.holding.task, fit.holding.grip, fit.holding.rest
     content: dict[str, Any] = {
         "format": FIT_FORMAT,
         "notes": list(fit.notes),
@@ -414,26 +250,56 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         "enclosing": holding.enclosing.vertices.tolist(),
         "grip": None,
         "rest": None,
+        "largest_mass": {GRIP: {}, REST: {}},
     }
-    if isinstance(holding.grip, Grip):
-        grip = holding.grip
+    if isinstance(grip, Grip):
         content["grip"] = {
             "polygon": grip.vertices[:, :2].tolist(),
             "wraps_deg": np.degrees(grip.wraps.angles).tolist(),
             "legs": grip.legs[:, 0].tolist(),
             "slip_load": float(grip.slip_load(task.friction)),
         }
-    if not isinstance(holding.rest, InfeasibleError):
-        content["rest"] = {"polygon": holding.rest.vertices.tolist()}
-    content["largest_mass"] = {
-        by: {str(n): _capacity(each) for n, each in fit.capacities(by).items()}
-        for by in (GRIP, REST)
-    }
+    if isinstance(rest, ConvexPolygon):
+        content["rest"] = {"polygon": rest.vertices.tolist()}
+    for by, masses in content["largest_mass"].items():
+        for n, found in fit.capacities(by).items():
+            said: tuple[object, ...]
+            if isinstance(found, InfeasibleError):
+                said = 0.0, found.violations[0].constraint, found.violations[0].remedy
+            else:
+                said = found.mass, found.binding, found.suggested
+            masses[str(n)] = dict(zip(("mass", "limit", "suggested change"), said, strict=True))
     return content
 
 
-def _capacity(found: Capacity | InfeasibleError) -> dict[str, Any]:
-    if isinstance(found, InfeasibleError):
-        broken = found.violations[0]
-        return {"mass": 0.0, "limit": broken.constraint, "suggested change": broken.remedy}
-    return {"mass": found.mass, "limit": found.binding, "suggested change": found.suggested}
+def draw_fit(fit: Fit) -> Figure:
+    """Return the picture: the object with what encloses it, what grips it, and what it rests on."""
+    figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
+    axes = figure.subplots(1, 3)
+    around = 2.0 * np.pi * np.arange(ARC_POINTS) / ARC_POINTS
+    disc = section.rounding * np.column_stack([np.cos(around), np.sin(around)])
+    outline = (section.core[:, None] + disc).reshape(-1, 2)
+    titles = [f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m"]
+    for by in (GRIP, REST):
+        found = holding.capacity(by)
+        mass = f"{1e3 * found.mass:.0f} g" if found.mass > 0.0 else "nothing"
+        titles.append(f"{by}: {mass} ({found.binding} binds)")
+    polygons = holding.enclosing, holding.grip, holding.rest
+    for each, polygon, title in zip(axes, polygons, titles, strict=True):
+        each.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
+        each.set_aspect("equal")
+        each.set(xlabel="x [m]", title=title)
+        if isinstance(polygon, InfeasibleError):
+            continue
+        vertices = polygon.vertices[:, :2]
+        # Cables are drawn tight around the section where it is within the polygon.
+        inside = polygon is not holding.rest
+        places = np.vstack([vertices, outline]) if inside else vertices
+        each.add_patch(Polygon(places[ConvexHull(places).vertices], fill=False, ec=COLOURS[0]))
+        each.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3)
+        if isinstance(polygon, Grip):
+            ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
+            legs = np.stack([ends, polygon.drones[..., :2]], axis=-2).reshape(-1, 2, 2)
+            each.plot(*legs.T, color=COLOURS[0], marker="o", markevery=[1])
+    axes[0].set_ylabel("y [m]")
+    return figure

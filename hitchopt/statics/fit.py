@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,33 +22,7 @@ from hitchopt.holding.grip import Grip, GripTask, best_grip, grip_capacity, larg
 from hitchopt.objects import Section
 from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
-from hitchopt.values import Array, instance, not_negative, points, positive, whole
-
-
-def section_of(outline: Any) -> tuple[Array | None, Section, list[str]]:
-    """Return the outline as given, its convex section, and what is to be said of it."""
-    if isinstance(outline, Section):
-        return outline.outline, outline, []
-    if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
-        return None, Section(radius=float(outline)), []
-    if isinstance(outline, str | Path):
-        found = object_outline(outline)
-    elif hasattr(outline, "__geo_interface__"):
-        found = outline_of_geometry(outline)
-    else:
-        remedy = "give points in metres, a radius, or a drawing"
-        found = points("outline", outline, (3, 2), "a list of at least 3 points [x, y]", remedy)
-    found = points("outline", found, (3, 2), "points [x, y]", "write [[x, y], …] in metres")
-    with contextlib.suppress(InputError):
-        return found, Section(found), []
-    try:
-        hull = found[ConvexHull(found).vertices]
-    except QhullError:
-        bound, remedy = "an outline around an area", "give three points that are not in line"
-        raise InputError("outline", found.tolist(), bound, remedy) from None
-    note = f"the outline is concave: its convex hull of {len(hull)} corners is used"
-    return found, Section(hull), [note]
-
+from hitchopt.values import instance, not_negative, points, positive, whole
 
 SAFETY = 1.5
 """Least slip load over load."""
@@ -57,36 +32,20 @@ GRIP, REST = "grip", "rest"
 MOST_ROBOTS = 24
 """Largest number of robots: pairs of parts of a grip are laid out at once."""
 
-LENGTHENED = 3
-"""Most times that cables are made longer, each time with the best grip for them."""
-
 TABLE_ROBOTS = (3, 4, 5, 6)
 """Numbers of robots that are compared, besides the one asked for."""
 
 
 @dataclass(frozen=True)
 class FitTask:
-    """What a hitch is fitted to.
-
-    Parameters
-    ----------
-    section: convex section of the object.
-    clearance: distance of cables to it while it is enclosed, and of vertices inside of its rim [m].
-    height: of the object [m]; its centre of mass is at half of it.
-    friction: coefficient between cables and object.
-    tension: of all cables [N].
-    cable_length: of all cables [m], or None for the shortest that suits each number of robots.
-    clasp_friction: coefficient of cables on each other.
-    kind: of all drones.
-    requirements: limits and distances.
-    """
+    """What a hitch is fitted to, as in ``fit``."""
 
     section: Section
-    clearance: float
-    height: float
+    clearance: float  # [m]
+    height: float  # [m]
     friction: float
-    tension: float
-    cable_length: float | None
+    tension: float  # [N]
+    cable_length: float | None  # [m], None for the shortest that suits each number of robots
     clasp_friction: float
     kind: Quadrotor
     requirements: Requirements
@@ -107,14 +66,54 @@ class FitTask:
             remedy = f"use cables of {longest + cable - least:.3g} m or more, or more robots"
             broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
             raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
-        found = Holding(self, enclosing, cable)
-        for _ in range(0 if self.cable_length else LENGTHENED):
-            needed = found.closing_cable
-            longer = Holding(self, enclosing, max(needed, found.cable_length))
-            if needed <= found.cable_length or isinstance(longer.grip, InfeasibleError):
-                break
-            found = longer
-        return found
+        found = self._held(enclosing, cable)
+        needed = cable if self.cable_length else self._closing_cable(found)
+        longer = self._held(enclosing, needed) if needed > cable else found
+        return found if isinstance(longer.grip, InfeasibleError) else longer
+
+    def _held(self, enclosing: ConvexPolygon, cable: float) -> Holding:
+        """Return what cables of a length [m] hold."""
+        n, requirements = len(enclosing), self.requirements
+        gripping = GripTask(
+            self.section, n, cable, self.tension, self.clasp_friction, requirements, self.kind
+        )
+        grip: Grip | InfeasibleError = _attempt(lambda: best_grip(gripping))
+        rest = _attempt(lambda: inner_polygon(self.section, n, self.clearance))
+        gripped: Any = grip
+        rested: Any = rest
+        if isinstance(grip, Grip):
+            gripped = grip_capacity(gripping, grip, self.friction, SAFETY)
+        if isinstance(rest, ConvexPolygon):
+            load = self.tension, self.kind, requirements, 0.5 * self.height
+            rested = _attempt(lambda: rest_capacity(rest, cable, *load))
+        return Holding(self, enclosing, cable, grip, rest, _capacity(gripped), _capacity(rested))
+
+    def _closing_cable(self, found: Holding) -> float:
+        """Return the shortest cables [m] at the polygon from which they close around the object.
+
+        There ``enclose`` keeps room for where the object really is. They are no other ones where
+        nothing is gripped, or drones come too close there whatever the cables.
+        """
+        if isinstance(found.grip, InfeasibleError):
+            return found.cable_length
+        closed, gap = found.grip.vertices, self.clearance + ROOM
+        about = HoldPolygons.about(closed, self.section.centroid, (self.section,), gap, STRETCHES)
+        needed = _attempt(lambda: shortest_cable(ConvexPolygon(about.around), self.requirements))
+        return found.cable_length if isinstance(needed, InfeasibleError) else float(needed)
+
+
+def _attempt(search: Callable[[], Any]) -> Any:
+    """Return what is found, or why there is none."""
+    try:
+        return search()
+    except InfeasibleError as error:
+        return error
+
+
+def _capacity(found: Any) -> Capacity:
+    """Return a capacity: none where a limit is in the way."""
+    nothing = isinstance(found, InfeasibleError)
+    return Capacity(0.0, found.violations[0].constraint) if nothing else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,78 +125,27 @@ class Holding(OneLine):
     task: what they are for.
     enclosing: the polygon that is lowered around the object, with the clearance asked.
     cable_length: of all cables [m].
+    grip: the grip with the largest slip load, or why there is none.
+    rest: the polygon on which the outline rests, as of a rim, or why there is none.
+    grip_capacity, rest_capacity: the largest masses that are gripped, and rest on the edges.
     """
 
     task: FitTask
     enclosing: ConvexPolygon
     cable_length: float
+    grip: Grip | InfeasibleError
+    rest: ConvexPolygon | InfeasibleError
+    grip_capacity: Capacity
+    rest_capacity: Capacity
 
     @property
     def robots(self) -> int:
         """Number of cables."""
         return len(self.enclosing)
 
-    @cached_property
-    def grip(self) -> Grip | InfeasibleError:
-        """The grip with the largest slip load, or why there is none."""
-        try:
-            return best_grip(self._grip_task)
-        except InfeasibleError as error:
-            return error
-
-    @property
-    def closing_cable(self) -> float:
-        """The shortest cables [m] at the polygon from which they close around the object.
-
-        There ``enclose`` keeps room for where the object really is. They are no other ones where
-        nothing is gripped, or drones come too close there whatever the cables.
-        """
-        if isinstance(self.grip, InfeasibleError):
-            return self.cable_length
-        section, gap = self.task.section, self.task.clearance + ROOM
-        closed, centre = self.grip.vertices, section.centroid
-        around = HoldPolygons.about(closed, centre, (section,), gap, STRETCHES).around
-        try:
-            return shortest_cable(ConvexPolygon(around), self.task.requirements)
-        except InfeasibleError:
-            return self.cable_length
-
-    @cached_property
-    def rest(self) -> ConvexPolygon | InfeasibleError:
-        """The polygon on which the outline rests, as of a rim, or why there is none."""
-        try:
-            return inner_polygon(self.task.section, self.robots, self.task.clearance)
-        except InfeasibleError as error:
-            return error
-
-    @cached_property
-    def grip_capacity(self) -> Capacity:
-        """The largest mass that is gripped."""
-        if isinstance(self.grip, InfeasibleError):
-            return Capacity(0.0, self.grip.violations[0].constraint)
-        return grip_capacity(self._grip_task, self.grip, self.task.friction, SAFETY)
-
-    @cached_property
-    def rest_capacity(self) -> Capacity:
-        """The largest mass that rests on the edges."""
-        if isinstance(self.rest, InfeasibleError):
-            return Capacity(0.0, self.rest.violations[0].constraint)
-        task = self.task
-        try:
-            return rest_capacity(
-                self.rest, self.cable_length, task.tension, task.kind, task.requirements,
-                0.5 * task.height,
-            )  # fmt: skip
-        except InfeasibleError as error:
-            return Capacity(0.0, error.violations[0].constraint)
-
-    @property
-    def _grip_task(self) -> GripTask:
-        task = self.task
-        return GripTask(
-            task.section, self.robots, self.cable_length, task.tension, task.clasp_friction,
-            task.requirements, task.kind,
-        )  # fmt: skip
+    def capacity(self, by: str) -> Capacity:
+        """Return the largest mass that is held by ``grip`` or ``rest``."""
+        return self.grip_capacity if by == GRIP else self.rest_capacity
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,14 +154,12 @@ class Fit(OneLine):
 
     Attributes
     ----------
-    outline: (m, 2) [m], as given; None of a circle.
-    section: its convex hull, or the circle.
+    section: the outline's convex hull, or the circle.
     holding: polygons for the number of robots asked for.
     others: by numbers of robots, the polygons for these, or why there are none.
     notes: what was assumed of the outline and the tension.
     """
 
-    outline: Array | None
     section: Section
     holding: Holding
     others: dict[int, Holding | InfeasibleError]
@@ -224,28 +170,16 @@ class Fit(OneLine):
         """The polygon that is lowered around the object."""
         return self.holding.enclosing
 
-    @property
-    def grip(self) -> Grip | InfeasibleError:
-        """The grip with the largest slip load, or why there is none."""
-        return self.holding.grip
-
-    @property
-    def rest(self) -> ConvexPolygon | InfeasibleError:
-        """The polygon on which the outline rests, as of a rim, or why there is none."""
-        return self.holding.rest
-
     def capacities(self, by: str) -> dict[int, Capacity | InfeasibleError]:
         """Return what each number of robots holds at most, by ``grip`` or ``rest``, or why not."""
+        found = self.others.items()
         return {
-            n: each
-            if isinstance(each, InfeasibleError)
-            else (each.grip_capacity if by == GRIP else each.rest_capacity)
-            for n, each in self.others.items()
+            n: each if isinstance(each, InfeasibleError) else each.capacity(by) for n, each in found
         }
 
     def raise_if_too_heavy(self, mass: float, by: str = GRIP) -> None:
         """Raise InfeasibleError if a mass [kg] is not held by ``grip`` or ``rest``."""
-        found = self.holding.grip_capacity if by == GRIP else self.holding.rest_capacity
+        found = self.holding.capacity(by)
         if mass > found.mass:
             remedy = f"at {found.mass:.3g} kg {found.binding} binds: {found.suggested}"
             raise InfeasibleError([Violation(by, mass, found.mass, "max", "kg", (), "", remedy)])
@@ -288,16 +222,14 @@ def fit(
     """
     if whole("robots", robots, 3) > MOST_ROBOTS:
         raise InputError("robots", robots, f"a whole number from 3 to {MOST_ROBOTS}", "use three")
-    for key, value, expected in (
-        ("quadrotor", quadrotor, Quadrotor),
-        ("limits", limits, Limits),
-        ("separation", separation, Separation),
-    ):
-        if value is not None:
-            instance(key, value, expected)
-    given, section, notes = section_of(outline)
-    kind = quadrotor or Quadrotor()
-    requirements = Requirements(limits or Limits(), separation or Separation())
+    kind = Quadrotor() if quadrotor is None else quadrotor
+    limits = Limits() if limits is None else limits
+    separation = Separation() if separation is None else separation
+    instance("quadrotor", kind, Quadrotor)
+    instance("limits", limits, Limits)
+    instance("separation", separation, Separation)
+    section, notes = _section_of(outline)
+    requirements = Requirements(limits, separation)
     most, binding = largest_tension(requirements, kind)
     if tension is None:
         tension = most
@@ -317,11 +249,30 @@ def fit(
         kind,
         requirements,
     )
+    numbers = sorted({robots, *TABLE_ROBOTS})
     holding = task.holding(robots)
-    others: dict[int, Holding | InfeasibleError] = {}
-    for n in sorted({robots, *TABLE_ROBOTS}):
-        try:
-            others[n] = holding if n == robots else task.holding(n)
-        except InfeasibleError as error:
-            others[n] = error
-    return Fit(given, section, holding, others, tuple(notes))
+    others = {n: holding if n == robots else _attempt(partial(task.holding, n)) for n in numbers}
+    return Fit(section, holding, others, tuple(notes))
+
+
+def _section_of(outline: Any) -> tuple[Section, list[str]]:
+    """Return the convex section of an outline, and what is to be said of it."""
+    if isinstance(outline, Section):
+        return outline, []
+    if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
+        return Section(radius=float(outline)), []
+    if isinstance(outline, str | Path):
+        outline = object_outline(outline)
+    elif hasattr(outline, "__geo_interface__"):
+        outline = outline_of_geometry(outline)
+    remedy = "give points in metres, a radius, or a drawing"
+    found = points("outline", outline, (3, 2), "a list of at least 3 points [x, y]", remedy)
+    with contextlib.suppress(InputError):
+        return Section(found), []
+    try:
+        hull = found[ConvexHull(found).vertices]
+    except QhullError:
+        bound, remedy = "an outline around an area", "give three points that are not in line"
+        raise InputError("outline", found.tolist(), bound, remedy) from None
+    note = f"the outline is concave: its convex hull of {len(hull)} corners is used"
+    return Section(hull), [note]

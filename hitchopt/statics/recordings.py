@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, OneLine
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.simulation.flight import Flight
 from hitchopt.simulation.judgement import STILL, TIGHT, Spread
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
@@ -29,7 +30,7 @@ DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
 """Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
 
 WINDOW_TIGHT = 0.9
-"""Least planned tension over the team's at which a hitch counts as drawn tight in a window."""
+"""Least planned tension over the team's at which a hitch counts in a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class Recording(OneLine):
     t: (samples,) [s], ascending, from the plan's start.
     drones: (samples, 2n, 3) [m], in the order q0, r0, q1, …; nan where not seen.
     vertices: (samples, points, 3) [m]; nan where not seen. A chain's ends are its drones.
-    density: of the cables [kg/m], where it is known from a simulation.
-    feed_forward, integral: whether drones' controllers had these (2n,), where it is known likewise.
+    density, feed_forward, integral: of the cables [kg/m], and whether the drones' controllers had
+        these (2n,), where they are known from a simulation.
     """
 
     t: Array
@@ -51,23 +52,6 @@ class Recording(OneLine):
     density: float | None = None
     feed_forward: NDArray[np.bool_] | None = None
     integral: NDArray[np.bool_] | None = None
-
-    @classmethod
-    def of_flight(cls, flight: Flight) -> Recording:
-        """Return what a simulated flight recorded until it had rested."""
-        record, team = flight.record, flight.task.team
-        rows = record.t <= np.fmax(flight.task.duration, flight.rested) + 1e-9
-        drones = record.drones[rows]
-        vertices = np.full((len(drones), team.layout.points, 3), np.nan)
-        vertices[:, team.layout.clasps] = record.vertices[rows]
-        known = flight.density, flight.gains.feed_forward, flight.gains.integral > 0.0
-        return cls(record.t[rows], drones, _with_ends(vertices, drones, team), *known)
-
-    @property
-    def seen(self) -> NDArray[np.bool_]:
-        """(samples,): whether all drones and points are, after the plan's start."""
-        seen = np.all(np.isfinite(self.drones), axis=(1, 2)) & (self.t >= 0.0)
-        return np.asarray(seen & np.all(np.isfinite(self.vertices), axis=(1, 2)))
 
 
 def read_recording(path: Path, team: Team) -> Recording:
@@ -82,17 +66,17 @@ def read_recording(path: Path, team: Team) -> Recording:
     ------
     FileError: a file that is missing, no such table, or without a drone or vertex of the team.
     """
-    names = (*team.drone_names, *team.point_names)
+    names, layout = (*team.drone_names, *team.point_names), team.layout
     known: tuple[Any, ...] = ()
     if path.is_dir():
-        drones = _rows(path / DRONES, "drone", {name: i for i, name in enumerate(names)})
-        points = {str(p): team.drones + p for p in range(team.layout.points)}
-        vertices = _rows(path / VERTICES, "vertex", points)
+        drones = _rows(path / DRONES, "drone", team.drone_names)
+        vertices = _rows(path / VERTICES, "vertex", [str(p) for p in range(layout.points)])
+        vertices[:, 1] += team.drones
         last = np.max(vertices[:, 0], initial=-np.inf)  # drones alone are recorded longer
         rows = np.vstack([drones[~(drones[:, 0] > last) | np.isinf(last)], vertices])
         known = _simulated(path / SUMMARY, team)
     else:
-        rows = _rows(path, "name", {name: i for i, name in enumerate(names)})
+        rows = _rows(path, "name", names)
     item = rows[:, 1].astype(np.intp)
     for k in np.setdiff1d(np.arange(team.drones), item)[:1]:
         raise FileError(
@@ -103,58 +87,36 @@ def read_recording(path: Path, team: Team) -> Recording:
         raise FileError(f"{path}: holds a name twice at the same time; record it once")
     places = np.full((len(t), len(names), 3), np.nan)
     places[sample, item] = rows[:, 2:]
-    drones, vertices = places[:, : team.drones], places[:, team.drones :]
-    return Recording(t, drones, _with_ends(vertices, drones, team), *known)
+    ends = np.flatnonzero(~layout.has_leg.ravel())  # drones that are a chain's points
+    places[:, team.drones + layout.anchors[ends]] = places[:, ends]
+    return Recording(t, places[:, : team.drones], places[:, team.drones :], *known)
 
 
 def _simulated(path: Path, team: Team) -> tuple[Any, ...]:
-    """Return density, feed-forward and integral action of a simulated flight from its summary.
-
-    Raises
-    ------
-    FileError: the file is missing, or not such a summary of this team.
-    """
+    """Return density, feed-forward and integral action of a simulated flight from its summary."""
     try:
         content = parsed_json(path.read_text(encoding="utf-8"))
         loops = content["position_loops"]
-        density = float(content["density"]["simulated"])
-        feeds = np.array(loops["feed_forward"], dtype=np.bool_)
-        winds = np.array(loops["integral"], dtype=np.float64) > 0.0
+        feeds = np.array(loops["feed_forward"], np.float64).reshape(team.drones) > 0.0
+        winds = np.array(loops["integral"], np.float64).reshape(team.drones) > 0.0
+        return float(content["density"]["simulated"]), feeds, winds
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise FileError(f"{path}: not a summary of a flight; simulate again ({error})") from error
-    if feeds.shape != (team.drones,) or winds.shape != (team.drones,):
-        raise FileError(f"{path}: is not of this plan's {team.drones} drones; simulate again")
-    return density, feeds, winds
+        raise FileError(
+            f"{path}: not a summary of this plan's flight; simulate again ({error})"
+        ) from error
 
 
-def _with_ends(vertices: Array, drones: Array, team: Team) -> Array:
-    """Return the points, a chain's ends replaced by the drones that hold them."""
-    without = np.flatnonzero(~team.layout.has_leg.ravel())
-    vertices = vertices.copy()
-    vertices[:, team.layout.anchors[without]] = drones[:, without]
-    return vertices
+def _rows(path: Path, kind: str, names: Any) -> Array:
+    """Return (rows, 5): time, index of the name in column ``kind``, and position.
 
-
-def _rows(path: Path, kind: str, items: dict[str, int]) -> Array:
-    """Return (rows, 5): time, number of the item, and position, of a table's known names.
-
-    Parameters
-    ----------
-    path: CSV file.
-    kind: title of the column with names.
-    items: number of each name; others are left out.
-
-    Raises
-    ------
-    FileError: the file is missing, too large, or no such table.
+    Rows of other names are left out.
     """
     try:
         if path.stat().st_size > MAX_BYTES:
             raise FileError(f"{path}: is larger than {MAX_BYTES:.0e} bytes; record at a lower rate")
         with path.open(encoding="utf-8-sig", newline="") as file:
-            table = csv.reader(file)
-            titles = [title.strip() for title in next(table, [])]
-            lines = [line for line in table if line]
+            titles = [title.strip() for title in next(csv.reader(file), [])]
+            lines = list(csv.DictReader(file, titles, restval="missing"))
     except FileNotFoundError:
         raise FileError(f"{path}: there is no such file; give a recording") from None
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -162,38 +124,32 @@ def _rows(path: Path, kind: str, items: dict[str, int]) -> Array:
     for title in ("t", kind, "x", "y", "z"):
         if title not in titles:
             raise FileError(f"{path}: has no column {title!r}; a recording has {HEADER}")
-    wanted, name = [titles.index(title) for title in ("t", "x", "y", "z")], titles.index(kind)
+    index = {name: float(i) for i, name in enumerate(names)}
     try:
-        item = np.array([items.get(line[name].strip(), -1) for line in lines], dtype=np.intp)
-        cells = [[float(line[c] or "nan") for c in wanted] for line in lines]
-    except (ValueError, IndexError) as error:
+        cells = [
+            [float(line["t"]), index[line[kind].strip()], *(float(line[c] or "nan") for c in "xyz")]
+            for line in lines
+            if line[kind].strip() in index
+        ]
+    except (ValueError, TypeError, AttributeError) as error:
         raise FileError(f"{path}: holds a row that is not of numbers: {error}") from error
-    values = np.array(cells, dtype=np.float64).reshape(len(lines), len(wanted))
-    if not np.all(np.isfinite(values[:, 0])):
+    rows = np.array(cells, np.float64).reshape(-1, 5)
+    if not np.all(np.isfinite(rows[:, 0])):
         raise FileError(f"{path}: holds a time that is not finite; give every row its time")
-    return np.column_stack([values[:, 0], item, values[:, 1:]])[item >= 0]
+    return rows
 
 
-class PlanRows:
-    """A plan's samples at times (times,) [s] from its start, which stands still outside of it.
+def planned(task: Task, t: ArrayLike, values: Array) -> Array:
+    """Return a plan's values (samples, …) at times [s] from its start; it stands still outside."""
+    times = task.t[0] + np.clip(t, 0.0, task.duration)
+    found: Array = make_interp_spline(task.t, values, k=1)(times)
+    return found
 
-    Attributes
-    ----------
-    low, high: indices of the samples (times,) between which the times fall.
-    """
 
-    def __init__(self, task: Task, times: Array) -> None:
-        asked, last = task.t[0] + np.clip(times, 0.0, task.duration), len(task.t) - 1
-        self.low = np.clip(np.searchsorted(task.t, asked, side="right") - 1, 0, last)
-        self.high = np.minimum(self.low + 1, last)
-        step = np.where(self.high > self.low, task.t[self.high] - task.t[self.low], 1.0)
-        self._share = np.clip((asked - task.t[self.low]) / step, 0.0, 1.0)
-
-    def of(self, values: Array) -> Array:
-        """Return the plan's values (samples, …), interpolated linearly: (times, …)."""
-        share = self._share.reshape(-1, *[1] * (values.ndim - 1))
-        found: Array = (1.0 - share) * values[self.low] + share * values[self.high]
-        return found
+def _tight(task: Task, t: Array, share: float) -> NDArray[np.bool_]:
+    """Return whether the plan has a hitch with that share of the team's tension, around times."""
+    tight = np.all(task.tensions >= share * task.team.tension, axis=-1) & task.formed
+    return planned(task, t, tight.astype(np.float64)) > 1.0 - 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,15 +178,13 @@ class Comparison:
 
 def compare(recording: Recording, task: Task) -> Comparison:
     """Return how far a recording is from its plan."""
-    rows, places = PlanRows(task, recording.t), task.setpoints.positions
-    tight = np.all(task.tensions >= TIGHT * task.team.tension, axis=-1) & task.formed
-    hitched = tight[rows.low] & tight[rows.high]
-    off = np.linalg.norm(recording.vertices - rows.of(task.vertices), axis=-1)
-    drones = np.linalg.norm(recording.drones - rows.of(places), axis=-1)
-    steps = np.max(np.abs(places[rows.high] - places[rows.low]), axis=(1, 2))
-    inside = (recording.t >= 0.0) & (recording.t <= task.duration)
-    vertices = np.where(hitched[:, None], off, np.nan)
-    return Comparison(recording.t, vertices, drones, (steps > STILL) & inside)
+    t, places = recording.t, task.setpoints.positions
+    off = length(recording.vertices - planned(task, t, task.vertices))
+    vertices = np.where(_tight(task, t, TIGHT)[:, None], off, np.nan)
+    steps = np.max(np.abs(np.diff(places, axis=0)), axis=(1, 2))
+    step = np.clip(np.searchsorted(task.t - task.t[0], t, "right") - 1, 0, len(steps) - 1)
+    moving = (steps[step] > STILL) & (t >= 0.0) & (t <= task.duration)
+    return Comparison(t, vertices, length(recording.drones - planned(task, t, places)), moving)
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,21 +212,19 @@ class Windows:
     @classmethod
     def of(cls, recording: Recording, task: Task, size: float) -> Windows:
         """Return the windows of a size [s], those left out of which less than half is usable."""
-        rows, least = PlanRows(task, recording.t), WINDOW_TIGHT * task.team.tension
-        tight = task.formed & np.all(task.tensions >= least, axis=-1)
-        usable = recording.seen & tight[rows.low]
-        _, window, total = np.unique(
-            np.floor(recording.t / size), return_inverse=True, return_counts=True
-        )
-        usable &= (np.bincount(window, usable) >= 0.5 * np.median(total))[window]
-        _, window, count = np.unique(window[usable], return_inverse=True, return_counts=True)
+        t, setpoints = recording.t, task.setpoints
+        measured = t, recording.drones, recording.vertices
+        plan = setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions
+        usable = _tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
+        for places in measured[1:]:
+            usable &= np.all(np.isfinite(places), axis=(1, 2))
+        window = np.unique(np.floor(t / size), return_inverse=True)[1]
+        share = np.bincount(window, usable) / np.median(np.bincount(window))
+        usable &= (share >= 0.5)[window]
+        firsts, counts = np.unique(window[usable], return_index=True, return_counts=True)[1:]
 
         def mean(values: Array) -> Array:
-            sums = np.zeros((len(count), *values.shape[1:]))
-            np.add.at(sums, window, values[usable])
-            return sums / count.reshape(-1, *[1] * (values.ndim - 1))
+            sums = np.add.reduceat(values[usable], firsts) if len(firsts) else values[:0]
+            return sums / counts.reshape(-1, *[1] * (values.ndim - 1))
 
-        setpoints = task.setpoints
-        plan = setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions
-        measured = map(mean, (recording.t, recording.drones, recording.vertices))
-        return cls(*measured, *(mean(rows.of(values)) for values in plan))
+        return cls(*map(mean, measured), *(mean(planned(task, t, each)) for each in plan))

@@ -66,29 +66,22 @@ class ErrorSize(OneLine):
             object.__setattr__(self, name, not_negative(name, getattr(self, name)))
 
     @classmethod
-    def of(cls, key: str, given: ErrorSize | float) -> ErrorSize:
-        """Return the size; a number is a bound.
+    def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
+        """Return the size; 0.01 and ``"0.01"`` are bounds, ``"sd:0.01"`` is a deviation.
 
         Raises
         ------
-        InputError: a negative number.
+        InputError: a negative number, or another text.
         """
-        return given if isinstance(given, ErrorSize) else cls(not_negative(key, given))
-
-    @classmethod
-    def parsed(cls, key: str, text: str) -> ErrorSize:
-        """Return the size that a text says: ``0.01`` is a bound, ``sd:0.01`` a deviation.
-
-        Raises
-        ------
-        InputError: no such text.
-        """
+        if isinstance(given, ErrorSize):
+            return given
+        if not isinstance(given, str):
+            return cls(not_negative(key, given))
         try:
-            number = float(text.removeprefix(MARK))
+            size = not_negative(key, float(given.removeprefix(MARK)))
         except ValueError:
-            raise InputError(key, text, "a number, or sd:number", f"write {MARK}0.01") from None
-        size = not_negative(key, number)
-        return cls(deviation=size) if text.startswith(MARK) else cls(size)
+            raise InputError(key, given, "a number, or sd:number", f"write {MARK}0.01") from None
+        return cls(deviation=size) if given.startswith(MARK) else cls(size)
 
     @property
     def words(self) -> str:
@@ -131,31 +124,37 @@ class Gradients:
     @classmethod
     def of(cls, energy: HitchEnergy, x: Array) -> Gradients:
         """Return the derivatives of one sample that has settled at nodes x (1, nodes, 3) [m]."""
-        law, nodes, cables = energy.law, energy.nodes, np.arange(len(energy.nodes))
-        found, count = energy.linear(x), len(cables) + 3 * len(energy.points)
+        nodes, cables = energy.nodes, np.arange(len(energy.nodes))
+        blocks, tensions, softness = energy.linear(x)
+        count = len(cables) + 3 * len(energy.points)
         seeds = np.zeros((*x.shape, count))  # outputs by nodes
-        slopes = found.tensions[0].reshape(-1, 4, 3).copy()
-        slopes[:, 1:3, 2] += 0.5 * law.weight  # tensions are those in the edges' middles
-        for k in range(4):
+        slopes = tensions[0].reshape(-1, 4, 3)
+        slopes[:, 1:3, 2] += 0.5 * energy.law.weight  # tensions are those in the edges' middles
+        for k in range(4):  # one by one: a chain's end stands for two nodes
             seeds[0, nodes[:, k], :, cables] += slopes[:, k]
-        for k, node in enumerate(energy.points):
-            seeds[0, node, :, len(cables) + 3 * k : len(cables) + 3 * k + 3] = np.eye(3)
-        matrix = energy.matrix(found.forces)
+        for axis in range(3):
+            seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
+        matrix = energy.matrix(blocks)
         y = energy.solved(matrix, seeds)
-        direct = (seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)).reshape(y.shape)
-        y, direct = np.moveaxis(y[0], -1, 0), np.moveaxis(direct[0], -1, 0)
-        cable = np.einsum("onai,nai->on", y[:, nodes], found.pulls[0].reshape(-1, 4, 3))
-        cable[cables, cables] -= found.softness[0]
+        direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
+        y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
+        pulls = softness[0, :, None] * blocks[0, ..., 12]
+        cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
+        cable[cables, cables] -= softness[0]
         force, soft = y[:, : energy.drones], energy.stiffness[:, None]
         position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
         return cls(cable[..., None], position, force)
 
+    @property
+    def rows(self) -> Array:
+        """(o, 5n, 3): all derivatives in one row; those by lengths are first components."""
+        cable = np.pad(self.cable, ((0, 0), (0, 0), (0, 2)))
+        return np.concatenate([cable, self.position, self.force], axis=1)
 
-SAMPLES = 25
-"""Times of a plan at which ranges are computed unless others are given."""
 
-CANDIDATES = 20
-"""Times that are looked at for each of them, to leave out those without a taut hitch."""
+SAMPLES, CANDIDATES = 25, 20
+"""Times of a plan at which ranges are computed unless others are given, and times that are looked
+at for each of them, to leave out those without a taut hitch."""
 
 TAUT = 0.999
 """Share of the least tension that is stated from which on a cable is taut."""
@@ -166,10 +165,6 @@ CORNERS = 4
 REMAINDER = 2.0
 """Factor of the largest difference to first order: the corners are worst for the first order, not
 for what is beyond it."""
-
-
-Corner = tuple[Array, Array, Array]
-"""Errors of cables (n, 1), positions and forces (2n, 3) that reach the end of a range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,13 +211,12 @@ class Tolerance(OneLine):
     @property
     def slack(self) -> NDArray[np.bool_]:
         """(S, n): whether a cable may be slack."""
-        found: NDArray[np.bool_] = self.settled.slack | (self.tensions[..., 0] <= 0.0)
-        return found
+        return np.asarray(self.settled.slack | (self.tensions[..., 0] <= 0.0))
 
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
-        return named("c", self.slack)
+        return named("c", self.slack, np.arange(self.slack.shape[-1]))
 
 
 def tolerance(
@@ -283,15 +277,13 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     UnsupportedError: there are none.
     """
     times = np.linspace(0.0, motion.duration, CANDIDATES * count)
-    found = np.zeros(len(times), dtype=np.bool_)
+    taut = np.zeros(0)
     if motion.team.has_cables:
-        states = states_at(motion, times)
-        starts = motion.drones.breaks - motion.drones.breaks[0]
-        piece = np.clip(np.searchsorted(starts, times, "right") - 1, 0, motion.drones.pieces - 1)
+        states, breaks = states_at(motion, times), motion.drones.breaks
+        piece = np.searchsorted(breaks[1:-1] - breaks[0], times, "right")
         least = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
         found = states.formed & np.all(states.tensions >= TAUT * least[piece], axis=-1)
-        found &= ~np.any(states.borne > 0.0, axis=-1)  # statics do not know of objects
-    taut = times[found]
+        taut = times[found & ~np.any(states.borne > 0.0, axis=-1)]  # statics know of no objects
     if not len(taut):
         raise UnsupportedError("a plan without a taut hitch has no tensions that could differ")
     return taut[np.unique(np.linspace(0, len(taut) - 1, count).round().astype(np.intp))]
@@ -301,90 +293,41 @@ def _range(
     motion: Motion, settled: Settled, i: int, errors: Errors, conditions: Conditions
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
-    energy, _ = energy_of(motion, conditions, samples_of(motion, settled.t[i], conditions)[1])
+    n, known = motion.team.robots, conditions.of(motion.team)
+    energy, _ = energy_of(motion.team, conditions, samples_of(motion, settled.t[i], conditions)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
-    rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None])
-    halves, n = _halves(rows, errors), motion.team.robots
-    widest = [*np.argsort(-halves[:n])[:CORNERS], *n + np.argsort(-halves[n:])[:CORNERS]]
-    corners = [_corner(rows, int(o), errors) for o in widest]
-    pulled, moved = _remainders(motion, settled, i, conditions, energy.law.least[0], rows, corners)
-    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, _ellipsoids(rows, n, errors)
-
-
-def _kinds(rows: Gradients, errors: Errors) -> tuple[tuple[Array, ErrorSize], ...]:
-    """Return the gradients (o, items, 1 or 3) for every kind of error, and its size."""
-    return (rows.cable, errors.cable), (rows.position, errors.position), (rows.force, errors.force)
-
-
-def _spread(rows: Gradients, errors: Errors) -> Array:
-    """Return the standard deviations (o,) of outputs."""
-    kinds = _kinds(rows, errors)
-    squares = sum(np.sum((size.deviation * row) ** 2, axis=(1, 2)) for row, size in kinds)
-    return np.asarray(np.sqrt(squares))
-
-
-def _halves(rows: Gradients, errors: Errors) -> Array:
-    """Return the half widths (o,) of the ranges of outputs."""
-    kinds = _kinds(rows, errors)
-    bounds = sum(size.bound * np.sum(length(row), axis=-1) for row, size in kinds)
-    return np.asarray(bounds + DEVIATIONS * _spread(rows, errors))
-
-
-def _corner(rows: Gradients, o: int, errors: Errors) -> Corner:
-    """Return the errors that reach the end of an output's range."""
-    one = Gradients(rows.cable[o : o + 1], rows.position[o : o + 1], rows.force[o : o + 1])
-    spread = float(_spread(one, errors)[0]) or 1.0
-    cable, position, force = (
-        size.bound * unit(row[0]) + DEVIATIONS * size.deviation**2 * row[0] / spread
-        for row, size in _kinds(one, errors)
-    )
-    return cable, position, force
-
-
-def _ellipsoids(rows: Gradients, n: int, errors: Errors) -> Array:
-    """Return (points, 3, 3) [m²] ellipsoids that hold all displacements of points.
-
-    The sum of ellipsoids ``E_j`` lies within ``(Σ √tr E_j) Σ E_j/√tr E_j``, of all such the one
-    with the least sum of squared axes. Every bound is one of them, all deviations are another.
-    """
-    shapes, spread = [], np.zeros((1, 1, 1, 1))
-    for row, size in _kinds(rows, errors):
-        J = row[n:].reshape(-1, 3, *row.shape[1:])  # (points, 3, items, 1 or 3)
-        squares = np.einsum("pijc,pkjc->pjik", J, J)
-        shapes.append(size.bound**2 * squares)
-        spread = spread + (DEVIATIONS * size.deviation) ** 2 * np.sum(squares, 1, keepdims=True)
-    each = np.concatenate([*shapes, spread], axis=1)
-    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))
-    shares = np.sum(roots, axis=1, keepdims=True) / np.where(roots > 0.0, roots, np.inf)
-    return np.asarray(np.sum(shares[..., None, None] * each, axis=1))
-
-
-def _remainders(
-    motion: Motion,
-    settled: Settled,
-    i: int,
-    conditions: Conditions,
-    least: Array,
-    rows: Gradients,
-    corners: list[Corner],
-) -> tuple[float, float]:
-    """Return what tensions [N] and vertices [m] differ by from first order, times REMAINDER."""
-    both = [(sign * c, sign * p, sign * f) for c, p, f in corners for sign in (1.0, -1.0)]
-    cable, position, force = (np.stack(part) for part in zip(*both, strict=True))
-    team = motion.team
-    added = {
-        "cable_length": conditions.lengths(team) + cable[..., 0],
-        "offsets": conditions.errors("offsets", team) + position,
-        "forces": conditions.errors("forces", team) + force,
+    rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None]).rows
+    sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in vars(errors).values()])
+    bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
+    spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
+    halves = length(rows) @ bound + spread
+    # The sum of ellipsoids E_j lies within (Σ √tr E_j) Σ E_j/√tr E_j, of all such the one with the
+    # least sum of squared axes. Every bound is one of them, all deviations are another.
+    J = rows[n:].reshape(-1, 3, 5 * n, 3)
+    squares = np.einsum("pijc,pkjc->jpik", J, J)
+    spreads = np.tensordot(three**2, squares, 1)[None]
+    each = np.concatenate([bound[:, None, None, None] ** 2 * squares, spreads])
+    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))[..., None, None]
+    shares = np.sum(roots, axis=0) / np.where(roots > 0.0, roots, np.inf)
+    ellipsoids = np.sum(shares * each, axis=0)
+    # The hitch settles at the ends of the widest ranges.
+    widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
+    scale = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
+    ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
+    ends = np.concatenate([ends, -ends])
+    change = np.einsum("oji,sji->so", rows, ends)
+    off = {
+        "cable_length": known["cable_length"] + ends[:, :n, 0],
+        "offsets": known["offsets"] + ends[:, n : 3 * n],
+        "forces": known["forces"] + ends[:, 3 * n :],
     }
     try:
-        found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **added))
+        found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **off))
     except InfeasibleError:  # so far from where it was that first order says nothing
-        return np.inf, np.inf
-    sides = zip((rows.cable, rows.position, rows.force), (cable, position, force), strict=True)
-    change = sum(np.einsum("ojc,sjc->so", row, error) for row, error in sides)
-    pulled, moved = np.split(np.asarray(change), [team.robots], axis=1)
-    expected = np.maximum(settled.tensions[i] + pulled, least)
-    vertices = settled.vertices[i] + moved.reshape(len(both), -1, 3)
-    tension = float(np.max(np.abs(found.tensions - expected)))
-    return REMAINDER * tension, REMAINDER * float(np.max(length(found.vertices - vertices)))
+        pulled = moved = np.inf
+    else:
+        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.law.least[0])
+        vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
+        pulled = REMAINDER * float(np.max(np.abs(found.tensions - tensions)))
+        moved = REMAINDER * float(np.max(length(found.vertices - vertices)))
+    return halves[:n], pulled, halves[n:].reshape(-1, 3), moved, ellipsoids

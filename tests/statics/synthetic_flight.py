@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.optimize import root
 
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.task import Setpoints, Task
-from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS
-from hitchopt.statics.energy import HitchEnergy, hitch_energy
+from hitchopt.statics.calibrate import friction_pulls
 from hitchopt.statics.recordings import Recording
+from hitchopt.statics.settle import Conditions, energy_of
 
 Array = NDArray[np.float64]
 
@@ -22,41 +22,31 @@ HELD, MOVED = 2.0, 6.0
 """Times at rest, before and after, and time of the movement [s]."""
 
 
-def friction_used(team: Team, bends: Array, rates: Array) -> Array:
-    """Friction (n, 2) that legs use, by bends [rad], at a coefficient of 1, clasp by clasp."""
-    found = np.zeros((team.robots, 2))
-    for a, b in zip(team.layout.ahead, team.layout.behind, strict=True):
-        turn = 0.5 * (bends[a, 0] + bends[b, 1])
-        c = np.interp(turn, TURNS, COSINES)
-        # The surfaces' relative velocity, in the plane that the two cables span.
-        first, second = np.array([1.0, 0.0]), np.array([c, np.sqrt(1.0 - c**2)])
-        sliding = rates[2 * a] * first - rates[2 * b + 1] * second
-        if (speed := np.linalg.norm(sliding)) > 0.0:
-            space = np.interp(turn, TURNS, IN_SPACE)
-            found[a, 0] = space * (sliding @ first) / speed
-            found[b, 1] = -space * (sliding @ second) / speed
-    return found
-
-
 def balanced(
     team: Team, density: float, drones: Array, guess: Array, rates: Array, friction: float
 ) -> tuple[Array, Array]:
     """Points (points, 3) [m] at which clasps are in balance, and forces (2n, 3) [N] on drones."""
     layout, n = team.layout, team.robots
     zero = np.zeros((1, 2 * n, 3))
-    energy: HitchEnergy = hitch_energy(
-        team, np.ones(2 * n), (drones[None], guess[None]), team.tension[None],
-        team.cable_length[None], GRAVITY * density, 1e4, zero, (zero, np.zeros(3)),
-    )[0]  # fmt: skip
+    conditions = Conditions(cable_density=density, stiffness=1.0, feed_forward=False)
+    state = [drones, guess, team.tension, 0.0 * drones, team.cable_length, 0.0 * drones]
+    samples = [np.zeros(1), *(each[None] for each in state), zero]
+    energy = energy_of(team, conditions, samples)[0]
+
+    nodes, ahead, behind = energy.nodes, layout.ahead, layout.behind
 
     def pulls(x: Array) -> Array:
-        nodes = np.concatenate([drones, x.reshape(-1, 3)])[None]
-        units = unit(np.diff(nodes[:, energy.nodes], axis=-2))
+        at = np.concatenate([drones, x.reshape(-1, 3)])[None]
+        units = unit(np.diff(at[:, nodes], axis=-2))
         bends = np.arccos(np.clip(np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1), -1, 1))
-        used = friction * friction_used(team, bends[0], rates)
-        forces = energy.law.forces(nodes[:, energy.nodes], team.tension[None], used)[0]
-        found: Array = energy.pulls(forces)[0]
-        return found
+        used = np.zeros((team.robots, 2))
+        turned = np.stack([bends[0, ahead, 0], bends[0, behind, 1]], axis=-1)
+        pulled = friction_pulls(
+            turned, np.stack([rates[2 * ahead], rates[2 * behind + 1]], axis=-1)
+        )
+        used[ahead, 0], used[behind, 1] = friction * (pulled / turned).T
+        forces = energy.law.forces(at[:, nodes], team.tension[None], used)[0]
+        return np.asarray(energy.pulls(forces)[0])
 
     def missing(x: Array) -> Array:
         return pulls(x)[2 * n :].ravel()
@@ -106,8 +96,6 @@ def recorded(
 def shaken(recording: Recording, noise: float, seed: int) -> Recording:
     """Return the recording with white measurement noise."""
     random = np.random.default_rng(seed)
-    return replace(
-        recording,
-        drones=recording.drones + noise * random.normal(size=recording.drones.shape),
-        vertices=recording.vertices + noise * random.normal(size=recording.vertices.shape),
-    )
+    places = recording.drones, recording.vertices
+    drones, vertices = (each + noise * random.normal(size=each.shape) for each in places)
+    return replace(recording, drones=drones, vertices=vertices)

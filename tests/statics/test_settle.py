@@ -11,10 +11,10 @@ from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from resting_hitches import random_hitch, regular_hitch, settled, standing
-from scipy.optimize import brentq, minimize
+from scipy.optimize import brentq
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import HitchEnergy
@@ -35,22 +35,17 @@ def errors(seed: int, n: int, density: float) -> dict[str, Any]:
 
 
 @given(seeds, sizes, topologies)
-@settings(max_examples=30)
-def test_without_error_the_plan_comes_back(seed: int, n: int, topology: str) -> None:
+@settings(max_examples=15)
+def test_plans_come_back_but_for_their_own_error_of_weight(
+    seed: int, n: int, topology: str
+) -> None:
+    """Legs that rise for the weight hold vertices: to second order in weight over tension."""
     hitch = random_hitch(seed, n, topology)
     found = settled(hitch)
     np.testing.assert_allclose(found.vertices, hitch.vertices, atol=1e-9)
     np.testing.assert_allclose(found.drones, hitch.drones, atol=1e-9)
     np.testing.assert_allclose(found.tensions, hitch.team.tension, atol=1e-9)
     assert found.slack_cables == found.loose_clasps == ()
-
-
-@given(seeds, sizes, topologies)
-@settings(max_examples=10)
-def test_plans_that_know_the_weight_come_back_but_for_their_own_error(
-    seed: int, n: int, topology: str
-) -> None:
-    """Legs that rise for the weight hold vertices: to second order in weight over tension."""
     away = []
     for density in (0.002, 0.004):
         hitch = random_hitch(seed, n, topology, density=density)
@@ -79,9 +74,8 @@ def test_forces_balance_as_another_module_computes_them(
         force = clasp_residuals(found.vertices, q, r, found.tensions, topology=topology)
         assert np.max(np.linalg.norm(force, axis=-1)) < 1e-8
         # Drones: what their springs pull with is what their cables pull with.
-        legs = found.drones - found.vertices[layout.pulled_to]
+        legs = unit(found.drones - found.vertices[layout.pulled_to])
         pull = np.repeat(found.tensions, 2)[:, None] * legs
-        pull /= np.linalg.norm(legs, axis=-1, keepdims=True)
         away = found.drones - hitch.drones - given_errors["offsets"]
         spring = hitch.team.stiffness[:, None] * away
         outer = given_errors["forces"] - hitch.cable_forces
@@ -94,34 +88,9 @@ def test_forces_balance_as_another_module_computes_them(
         np.testing.assert_allclose(total, 0.0, atol=2e-5)
 
 
-@given(seeds, sizes)
-@settings(max_examples=15)
-def test_the_mirror_image_settles_to_the_mirror_image(seed: int, n: int) -> None:
-    """Seen in a mirror q and r trade their roles, and cables run the other way."""
-    hitch, given_errors = random_hitch(seed, n), errors(seed, n, 0.008)
-    flip = np.array([-1.0, 1.0, 1.0])
-    back = np.arange(n)[::-1]
-    drones = np.stack([2 * back + 1, 2 * back], axis=1).ravel()
-    points = (-np.arange(n)) % n  # edge k of the image is edge n-1-k
-    team = dataclasses.replace(
-        hitch.team,
-        cable_length=hitch.team.cable_length[back],
-        tension=hitch.team.tension[back],
-        quadrotor=tuple(hitch.team.quadrotor[k] for k in back),
-    )
-    polygon = ConvexPolygon(hitch.polygon.vertices[points] * flip[:2])
-    legs = (hitch.slack - hitch.q_legs)[back]
-    other = ho.Hitch(team, polygon, hitch.altitude, legs)
-    np.testing.assert_allclose(other.drones, hitch.drones[drones] * flip, atol=1e-12)
-    mirrored = {name: given_errors[name][drones] * flip for name in ("offsets", "forces")}
-    found, again = settled(hitch, **given_errors), settled(other, **(given_errors | mirrored))
-    np.testing.assert_allclose(again.tensions, found.tensions[back], atol=1e-8)
-    np.testing.assert_allclose(again.vertices, found.vertices[points] * flip, atol=1e-8)
-
-
 def resting_energy(hitch: ho.Hitch, conditions: Conditions) -> tuple[HitchEnergy, np.ndarray]:
     motion = standing(hitch)
-    return energy_of(motion, conditions, samples_of(motion, [1.0], conditions)[1])
+    return energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
 
 
 def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
@@ -132,29 +101,9 @@ def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
     change = (energy.values(up) - energy.values(down))[0] / (2.0 * h)
     assert np.sum(energy.slopes(x) * away) == pytest.approx(change, rel=1e-5)
     for friction in (0.0, 0.1):
-        matrix = energy.matrix(energy.linear(x, friction).forces)
+        matrix = energy.matrix(energy.linear(x, friction)[0])
         change = (energy.slopes(up, friction) - energy.slopes(down, friction)).ravel() / (2.0 * h)
         np.testing.assert_allclose(matrix @ away.ravel(), change, rtol=1e-5, atol=1e-3)
-
-
-def test_a_general_minimiser_finds_no_lower_energy() -> None:
-    hitch = random_hitch(7, 3)
-    given: Any = {"cable_length": hitch.team.cable_length - 0.01, "axial_stiffness": 300.0}
-    options: Any = {"gtol": 1e-9, "maxiter": 5000}
-    energy, x = resting_energy(hitch, Conditions(**given))
-    found = settled(hitch, **given)
-    ours = np.concatenate([found.drones, found.vertices])[None]
-    guess = (x + np.random.default_rng(0).normal(0.0, 0.1, x.shape)).ravel()
-
-    def value(nodes: np.ndarray) -> float:
-        return float(energy.values(nodes.reshape(x.shape))[0])
-
-    def slope(nodes: np.ndarray) -> np.ndarray:
-        return energy.slopes(nodes.reshape(x.shape)).ravel()
-
-    result = minimize(value, guess, jac=slope, method="BFGS", options=options)
-    assert energy.values(ours)[0] <= result.fun + 1e-9
-    np.testing.assert_allclose(result.x.reshape(ours.shape), ours, atol=1e-4)
 
 
 def test_equal_errors_of_all_cables_of_a_regular_hitch() -> None:
@@ -169,19 +118,6 @@ def test_equal_errors_of_all_cables_of_a_regular_hitch() -> None:
     expected = T - change / (2.0 / k + 2.4 / EA)
     np.testing.assert_allclose(found.tensions, expected * np.ones(3), rtol=1e-9)
     np.testing.assert_allclose(found.displacements, 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize("change", [-1e-5, 1e-5])
-def test_one_cable_with_rigid_drones(change: float) -> None:
-    """Tensions stay in the self-stress's direction: EA/L shares the length among n cables."""
-    T, EA, n = 0.5, 500.0, 3
-    lengths = 2.4 + change * np.array([1.0, 0.0, 0.0])
-    found = settled(regular_hitch(n, T), cable_length=lengths, axial_stiffness=EA)
-    # The lengths' Jacobian has the one self-stress (1, 1, 1): the work of it on the change is all
-    # that cannot be met by moving vertices.
-    expected = T - EA / 2.4 * change / n
-    assert np.max(np.abs(found.tensions - expected)) < 0.05 * abs(expected - T)
-    np.testing.assert_array_equal(found.drones, found.planned_drones)
 
 
 def test_without_feed_forward_nothing_pulls_and_moved_set_points_pull_again() -> None:
@@ -201,15 +137,6 @@ def test_an_integral_holds_drones_where_they_are_led_whatever_their_stiffness() 
     np.testing.assert_array_equal(found.drones, hitch.drones)
     np.testing.assert_array_equal(found.tensions, rigid.tensions)
     np.testing.assert_allclose(found.tensions, 0.5 + 200.0 * 0.01 / 2.4, rtol=1e-9)
-
-
-def test_sag_of_a_regular_hitch_is_the_closed_form() -> None:
-    """z = ρ g d (l + d)/(2 T), for drones that keep their height; here they are rigid."""
-    n, edge, d, rho = 6, 1.2, 0.6, 0.0005
-    found = settled(regular_hitch(n), cable_density=rho, cable_length=2.4 + 1.0e-5, stiffness=1e9)
-    T = float(found.tensions[0])
-    sag = found.planned_vertices[:, 2] - found.vertices[:, 2]
-    np.testing.assert_allclose(sag, rho * 9.81 * d * (edge + d) / (2.0 * T), rtol=2e-3)
 
 
 def test_loads_hang_at_their_clasps_and_move_nothing_where_they_are_zero() -> None:
@@ -259,14 +186,17 @@ def test_a_hitch_of_a_thousand_robots_settles() -> None:
 
 def test_wrong_conditions_are_refused() -> None:
     for conditions, words in (
-        ({"stiffness": 0.0}, r"stiffness = 0\.0: must be one positive number, or 6 of them"),
+        (
+            {"stiffness": 0.0},
+            r"stiffness = 0\.0: must be one positive number, or an array \(…, 6\)",
+        ),
         ({"stiffness": [1.0, 2.0]}, "stiffness"),
         ({"cable_length": [1.0, 2.0]}, "cable_length"),
         ({"cable_length": np.nan}, "cable_length"),
         ({"offsets": np.zeros((5, 3))}, "offsets"),
         ({"load": -1.0}, "load"),
-        ({"cable_density": -0.1}, r"cable_density = -0\.1: must be at least 0"),
-        ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be greater than 0"),
+        ({"cable_density": -0.1}, r"cable_density = -0\.1: must be one non-negative"),
+        ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be one positive"),
         ({"friction": -0.1}, "friction"),
     ):
         with pytest.raises(ho.InputError, match="^" + words):
@@ -328,7 +258,7 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
     energy, _ = resting_energy(hitch, Conditions())
     x = np.concatenate([found.drones, found.vertices])[None]
     missed = np.concatenate([drones, clasps])[None]
-    moved = energy.solved(energy.matrix(energy.linear(x).forces), missed)[0]
+    moved = energy.solved(energy.matrix(energy.linear(x)[0]), missed)[0]
     assert np.max(np.linalg.norm(moved, axis=-1)) < 1e-3
 
 
@@ -338,15 +268,9 @@ def test_hitches_whose_drones_are_far_too_near_find_a_rest(
     inward: float, feed_forward: bool
 ) -> None:
     hitch = regular_hitch(4)
-    legs = hitch.drones - hitch.vertices[hitch.team.layout.anchors]
-    legs = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
-    found = settled(
-        hitch,
-        stiffness=12.0,
-        cable_density=0.012,
-        feed_forward=feed_forward,
-        offsets=-inward * legs,
-    )
+    legs = unit(hitch.drones - hitch.vertices[hitch.team.layout.anchors])
+    given: Any = {"stiffness": 12.0, "cable_density": 0.012, "feed_forward": feed_forward}
+    found = settled(hitch, **given, offsets=-inward * legs)
     assert found.force_residual < 1e-8
     assert np.all(found.tensions > 0.0)
     assert np.all(found.tensions < 0.25)
