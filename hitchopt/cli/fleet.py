@@ -237,7 +237,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     rows = []
     for entry in found.entries:
         phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
-        times = (entry.start, entry.start + entry.seconds, entry.certified.motion.duration)
+        times = (entry.start, entry.start + entry.seconds, entry.motion.duration)
         rows.append((phase.name, *(f"{t:.3f} s" for t in times)))
     heads = ["commands until", "at rest after", "ends"]
     say(table(f"Aborts: {chosen}", ["phase"], heads, rows))
@@ -276,8 +276,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned.
     --rate HZ (50.0): Setpoints per second and drone.
-    --how release_and_land|land: What key a does: by default what aborts.json in DIR does, else
-        release_and_land, land without cables.
+    --how release_and_land|land: What key a does: by default release_and_land, land without cables.
     --patience SECONDS (5.0): From a lost link to landing.
     --measurements/--no-measurements (True): Whether drones must be measured: a silence of 0.5 s is
         a lost link.
@@ -299,8 +298,7 @@ def fly(
 
     The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
     a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
-    changes, and the aborts: those that hitchopt abort has written to DIR, certified anew, and
-    others are planned first. A lost operator or lost measurements end in a
+    changes, and the aborts, which are planned first. A lost operator or lost measurements end in a
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.live.fly import Course, Flight, Timing
@@ -308,13 +306,12 @@ def fly(
     from hitchopt.plan import load
 
     timing = Timing(rate=rate, patience=patience)
-    place = plan_path(directory).parent
     with LateProgress("certifying"):
-        plan = load(place)
+        plan = load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
     motion = plan.motion
     reach = _outlet_of(motion.team, **options)
-    tables = flown_aborts(place, motion, how)
+    tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
     with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, _listening(operator) as remote:
         steering = OperatorLink(keys, remote)
@@ -393,24 +390,15 @@ def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
     return found * count if len(found) == 1 else found
 
 
-def flown_aborts(directory: Path, motion: Motion, how: str | None) -> dict[str, AbortTable]:
-    """Return the aborts for the commands ``abort`` and ``land``: those of the directory, or new."""
-    from hitchopt.live.abort import abort_table, read_aborts
+def _flown_aborts(motion: Motion, how: str | None) -> dict[str, AbortTable]:
+    """Return the aborts for the commands ``abort`` and ``land``."""
+    from hitchopt.live.abort import abort_table
 
-    with LateProgress("reading aborts") as progress:
-        saved = read_aborts(directory, motion, progress)
-    usual = "release_and_land" if motion.team.has_cables else "land"
-    if saved is not None and saved.how in ("release_and_land", "land"):
-        usual = saved.how
-    chosen = how or usual
+    chosen = how or ("release_and_land" if motion.team.has_cables else "land")
     found = {}
     with LateProgress("planning aborts") as progress:
         for each in dict.fromkeys(("land", chosen)):
-            if saved is not None and saved.how == each:
-                say(f"{each}: {len(saved.entries)} entries of aborts.zip, certified anew")
-                found[each] = saved
-            else:
-                found[each] = abort_table(motion, each, progress=progress)
+            found[each] = abort_table(motion, each, progress=progress)
             if not found[each].entries:
                 remedy = "a lost link could not end on the ground; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")

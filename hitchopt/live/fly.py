@@ -151,7 +151,7 @@ def _ready(motion: Motion, time: float, rate: float) -> Player:
 
 def _landing(entry: Abort) -> Player:
     """Return the player of what follows the rest of an entry."""
-    return _ready(entry.certified.motion, entry.start + entry.seconds, 1.0)
+    return _ready(entry.motion, entry.start + entry.seconds, 1.0)
 
 
 class Steering(Protocol):
