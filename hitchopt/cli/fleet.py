@@ -301,11 +301,12 @@ def fly(
     changes, and the aborts, which are planned first. A lost operator or lost measurements end in a
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
-    from hitchopt.live.fly import Course, Flight, Timing
+    from hitchopt.live.fly import Course, Flight
     from hitchopt.live.links import KEYS_HELP, OperatorLink, terminal_keys
     from hitchopt.plan import load
+    from hitchopt.values import positive
 
-    timing = Timing(rate=rate, patience=patience)
+    rate, patience = positive("--rate", rate), positive("--patience", patience)
     with LateProgress("certifying"):
         plan = load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
@@ -313,11 +314,11 @@ def fly(
     reach = _outlet_of(motion.team, **options)
     tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
-    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, _listening(operator) as remote:
-        steering = OperatorLink(keys, remote)
-        course = Course(motion, tables, workers.submit)
-        outlet = reach()
-        flight = Flight(course, outlet, steering, timing, watched, workers.submit, say)
+    course = Course(motion, tables)
+    with ThreadPoolExecutor(1) as workers, terminal_keys() as keys, _listening(operator) as remote:
+        steering, outlet = OperatorLink(keys, remote), reach()
+        parts = course, outlet, steering.commands, watched, workers.submit, say
+        flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _signals(steering.add):
             try:

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
-from hitchopt.live.fly import Course, Flight, Flown, Timing
+from hitchopt.live.fly import Course, Flight, Flown
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-TIMING = Timing(rate=50.0, patience=2.0)
+PATIENCE = 2.0
 
 
 @cache
@@ -62,21 +62,22 @@ class Rig:
     def __init__(
         self,
         later: Callable[[Callable[[], str]], Future[str]] = at_once,
-        timing: Timing = TIMING,
+        rate: float = 50.0,
         *,
         swarm: bool = False,
     ) -> None:
         self.plan = plan = landing_plan() if swarm else plan_of()
         self.names = plan.motion.team.drone_names
-        self.course = Course(plan.motion, swarm_tables() if swarm else tables(), at_once)
+        self.course = Course(plan.motion, swarm_tables() if swarm else tables())
         self.pressed: list[str] = []
         self.operator = True
         self.silent: set[str] = set()
         self.off = np.zeros(3)
         self.sent: list[Flown] = []
         self.said: list[str] = []
-        self.now, self.going, self.timing = 100.0, True, timing
-        self.flight = Flight(self.course, self, self, timing, self.names, later, self.said.append)
+        self.now, self.going, self.rate = 100.0, True, rate
+        parts = self.course, self, self.commands, self.names, later, self.said.append
+        self.flight = Flight(*parts, rate=rate, patience=PATIENCE)
 
     def send(self, flown: Flown, now: float) -> None:
         assert now == self.now
@@ -99,7 +100,7 @@ class Rig:
         self.pressed += commands
         end = self.now + seconds
         while self.going and self.now < end - 1e-9:
-            self.now += 1.0 / self.timing.rate
+            self.now += 1.0 / self.rate
             self.going = self.flight.tick(self.now)
 
     def begin(self, seconds: float) -> None:
@@ -117,7 +118,7 @@ class Rig:
 
     def check(self) -> None:
         """All that was sent keeps the limits, and follows from the setpoint before."""
-        limits, step = self.plan.motion.requirements.limits, 1.0 / self.timing.rate
+        limits, step = self.plan.motion.requirements.limits, 1.0 / self.rate
         series = [flown.setpoints for flown in self.sent]
         positions, velocities, accelerations = (
             np.array([getattr(each, name) for each in series])

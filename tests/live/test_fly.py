@@ -7,10 +7,10 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
-from streamed_flights import Rig, plan_of
+from streamed_flights import PATIENCE, Rig, plan_of
 
 import hitchopt as ho
-from hitchopt.live.fly import COMMANDS, Timing
+from hitchopt.live.fly import COMMANDS
 
 LONG = 60.0
 
@@ -60,7 +60,7 @@ def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
 
 
 def test_what_is_sent_belongs_to_the_cables() -> None:
-    rig, plan = Rig(timing=Timing(rate=1000.0)), plan_of()
+    rig, plan = Rig(rate=1000.0), plan_of()
     rig.begin(0.7)
     flown, team = rig.sent[-1], plan.motion.team
     states = plan.at(flown.setpoints.time)
@@ -70,7 +70,7 @@ def test_what_is_sent_belongs_to_the_cables() -> None:
         np.array([getattr(each, name) for each in rig.sent[-400:]])
         for name in ("thrusts", "thrust_rates")
     )
-    slopes = 0.5 * rig.timing.rate * (thrusts[2:] - thrusts[:-2])
+    slopes = 0.5 * rig.rate * (thrusts[2:] - thrusts[:-2])
     off = np.max(np.abs(rates[1:-1] - slopes), axis=(1, 2))
     assert np.quantile(off, 0.9) < 1e-3  # the jerk itself jumps here and there
     assert np.max(np.abs(rates)) > 0.02
@@ -83,7 +83,7 @@ def test_a_lost_link_ends_in_a_hold_and_then_on_the_ground(who: str) -> None:
     begun = rig.sent[-1].setpoints.positions
     assert rig.speed > 0.0
     rig.operator, rig.silent = who != "operator", {who}
-    rig.run(rig.timing.patience)
+    rig.run(PATIENCE)
     assert rig.going
     assert rig.course.resting
     assert rig.speed == 0.0
@@ -150,7 +150,7 @@ def test_setpoints_go_on_while_a_command_is_computed(*, ticks: int, late: bool) 
     for command in ("resume", "pause", "abort"):
         rig.pressed.append(command)
         for _ in range(60):
-            rig.run(1.0 / rig.timing.rate)
+            rig.run(1.0 / rig.rate)
             if waiting and len(rig.sent) >= waiting[0][0]:
                 _, compute, future = waiting.pop(0)
                 future.set_result(compute())
@@ -169,5 +169,3 @@ def test_refusals_leave_the_flight_as_it_is() -> None:
     assert rig.course.descending
     with pytest.raises(ho.InfeasibleError, match="the landing has begun"):
         rig.course.obey("back")
-    with pytest.raises(ho.InputError, match="patience"):
-        Timing(patience=0.0)
