@@ -269,8 +269,6 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         14600 (json) or 14580 (mavlink) on, one port for each drone.
     --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
         this machine's address on the drones' network.
-    --operator HOST:PORT (text): Listen there for the commands and heartbeats of another machine,
-        and require them.
     --fleet FILE (path): Names of the Crazyflies.
     --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies for the drones: east, north, up
         [m].
@@ -289,7 +287,6 @@ def fly(
     how: str | None,
     patience: float,
     rate: float,
-    operator: str | None,
     *,
     measurements: bool,
     **options: Any,
@@ -302,7 +299,7 @@ def fly(
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.live.fly import Course, Flight
-    from hitchopt.live.links import KEYS_HELP, OperatorLink, terminal_keys
+    from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.plan import load
     from hitchopt.values import positive
 
@@ -314,9 +311,9 @@ def fly(
     reach = _outlet_of(motion.team, **options)
     tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
-    course = Course(motion, tables)
-    with ThreadPoolExecutor(1) as workers, terminal_keys() as keys, _listening(operator) as remote:
-        steering, outlet = OperatorLink(keys, remote), reach()
+    course, steering = Course(motion, tables), Operator()
+    with ThreadPoolExecutor(1) as workers, steering.attached():
+        outlet = reach()
         parts = course, outlet, steering.commands, watched, workers.submit, say
         flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
@@ -333,19 +330,6 @@ def fly(
         unmet()
 
 
-@contextmanager
-def _listening(operator: str | None) -> Iterator[Any]:
-    """Give the socket for an operator on another machine, if there is one."""
-    from hitchopt.live.links import Datagrams, address
-
-    datagrams = None if operator is None else Datagrams(address("--operator", operator))
-    try:
-        yield datagrams
-    finally:
-        if datagrams is not None:
-            datagrams.close()
-
-
 def _outlet_of(
     team: Team | Swarm,
     over: str,
@@ -357,26 +341,19 @@ def _outlet_of(
 ) -> Callable[[], Outlet]:
     """Return what reaches the fleet that the options name; wrong options are found at once."""
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-    from hitchopt.live.links import (
-        Datagrams,
-        JsonOutlet,
-        MavlinkOutlet,
-        address,
-        crazyflie_outlet,
-        messages,
-    )
+    from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address, messages
 
     names = team.drone_names
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
-        return partial(crazyflie_outlet, names, robots, frame)
+        return partial(CrazyflieOutlet, names, robots, frame)
     places, here = _targets(targets, len(names), PORT[over]), address("--listen", listen)
     if over == "json":
-        return lambda: JsonOutlet(names, places, frame, Datagrams(here))
+        return partial(JsonOutlet, names, places, frame, here)
     messages()
-    return lambda: MavlinkOutlet(names, places, frame, Datagrams(here))
+    return partial(MavlinkOutlet, names, places, frame, here)
 
 
 def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
