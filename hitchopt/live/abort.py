@@ -21,30 +21,20 @@ import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.checks.stops import StopTable, stop_phases
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.live.player import Player, stop_at
+from hitchopt.live.player import Player
 from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.retiming import (
-    SHORTEST,
-    before,
-    beside_objects,
-    followed,
-    resting,
-    rests,
-    retimed,
-)
+from hitchopt.motion.retiming import before, beside_objects, followed, resting, rests, retimed
 from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.turns import straight
 from hitchopt.steps import Land, Release
 from hitchopt.steps.certified_motions import infeasible, lifted
 from hitchopt.steps.step import Situation, StepTask
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.trajectory.piecewise import SAME_BREAK
 from hitchopt.values import Array, choice, not_negative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
@@ -55,13 +45,9 @@ LANDINGS = ("release_and_land", "land")
 HOLD = 1.0
 """[s] Time at rest at the end of a hold."""
 
-APART, FARTHER = 0.1, 1.5
-"""[s] The clock's stops that are tried first are at least so far apart, and how many times farther
-each time one is refused."""
-
-TRIES = 8
-"""Number of the clock's stops from which a continuation is tried; later ones begin where the plan
-is at rest by itself: legs that lean against friction stand straight there."""
+APART, FARTHER, TRIES = 0.1, 1.5, 8
+"""[s] Distance of the clock's first two stops that are tried, how many times farther each later
+one is, and their number. Besides, the plan's own rests are: legs that lean stand straight there."""
 
 PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
 """States between hanging and hitched cables, that nothing but the clock leads out of."""
@@ -72,65 +58,32 @@ RESTS = ("tension", "interlacing")
 EVERY = 2.0
 """[s] Usual distance of the entries of a table."""
 
-FORMAT = "hitchopt-aborts/1"
-
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
-    """A plan that comes to rest.
-
-    Attributes
-    ----------
-    start: plan time at which the clock begins to slow down [s].
-    seconds: time from there to the rest [s].
-    rest: plan time at the rest [s].
-    motion: the plan up to the rest.
-    """
+    """A plan up to a rest."""
 
     start: float
+    """Plan time from which on the clock is not the plan's [s]."""
     seconds: float
+    """Time from there to the rest [s]."""
     rest: float
+    """Plan time at the rest [s]."""
     motion: Motion
 
 
 @dataclass(frozen=True, eq=False)
 class Abort(Stopped):
-    """A plan that comes to rest, and whose motion goes on from there.
-
-    Attributes
-    ----------
-    certificate: of the whole motion.
-    """
+    """A plan that comes to rest, and whose motion goes on from there, with its certificate."""
 
     certificate: Certificate
 
 
 class Aborts:
-    """The aborts of one plan: what they have in common is computed once.
-
-    Parameters
-    ----------
-    motion: the plan.
-    """
+    """The aborts of one plan: what they have in common is computed once."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
-        self._player = Player(motion)
-
-    @cached_property
-    def stops(self) -> StopTable:
-        """The stops of the common clock that polynomials follow.
-
-        Those whose clock's jerk jumps a little before or after a break of the plan are left out:
-        pieces so short suffer from rounding, and longer ones do not follow a jump of the jerk.
-        """
-        table, breaks = self._player.stops, self.motion.drones.breaks
-        found = np.isfinite(table.durations)
-        starts, durations = table.starts[found], table.durations[found]
-        jumps = stop_phases(starts, durations).jets[:, 0].reshape(-1, 2)
-        away = np.min(np.abs(jumps[..., None] - breaks), axis=-1)
-        clear = np.all((away <= SAME_BREAK) | (away > SHORTEST), axis=-1)
-        return StopTable(table.end, starts[clear], durations[clear])
 
     def found(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains.
@@ -158,28 +111,21 @@ class Aborts:
         raise refusal
 
     def stopped(self, time: float) -> Iterator[Stopped]:
-        """Yield the plan stopped after a time [s], at the first rest and at later ones.
+        """Yield the plan stopped from a time [s] on, at first and later, and at its own rests.
 
-        After TRIES stops of the clock only those follow at which the plan is at rest by itself.
         Where tensions change, or chords of a swap have not met, there is no rest.
         """
-        motion, table = self.motion, self.stops
-        ahead = table.starts >= time
-        starts, durations = table.starts[ahead].tolist(), table.durations[ahead].tolist()
-        options = [(s + d, s, d) for s, d in zip(starts, durations, strict=True)]
-        still = motion.drones.breaks[rests(motion)]
-        options += [(each, each, 0.0) for each in still[still >= time - JOINT].tolist()]
-        latest, tries = -np.inf, 0
-        for rest, start, duration in sorted(options):
-            if duration > 0.0 and (rest < latest + APART * FARTHER**tries or tries == TRIES):
-                continue
-            latest = rest
-            stopped = until_stop(motion, start, duration, HOLD)
-            held = followed(stopped.motion, resting(stopped.motion, HOLD))
-            looked = [RULE_OF[name].check(held) for name in RESTS]
-            if all(check is None or check.holds for check in looked):
-                tries += duration > 0.0
-                yield stopped
+        later = np.cumsum([0.0, *APART * FARTHER ** np.arange(TRIES - 1)])
+        still = self.motion.drones.breaks[rests(self.motion)]
+        options = [(begin, False) for begin in (time + later).tolist()]
+        options += [(each, True) for each in still.tolist() if each >= time - JOINT]
+        for begin, resting_there in sorted(options):
+            if begin < self.motion.duration or resting_there:
+                found = until_stop(self.motion, begin, stop=not resting_there)
+                held = followed(found.motion, resting(found.motion, HOLD))
+                looked = [RULE_OF[name].check(held) for name in RESTS]
+                if all(check is None or check.holds for check in looked):
+                    yield found
 
     def _tries(self, time: float, how: str) -> Iterator[tuple[Stopped, float]]:
         """Yield stops after a time [s], and the plan times to which the clock goes from there.
@@ -233,10 +179,6 @@ class Aborts:
         """Return the last phase, up to a plan time [s], in which cables hang free.
 
         Without cables, that is the place where the plan begins.
-
-        Raises
-        ------
-        InfeasibleError: they have not.
         """
         first = self.motion.phases[0]
         if not self.motion.team.has_cables:
@@ -266,19 +208,13 @@ class Aborts:
             top = body.upper if body.rim is None else max(body.upper, body.rim.height)
             middle = in_world(poses[index], np.append(body.section.centroid, top))
             away = (vertices - middle)[:, :2] @ [1.0, 1.0j]
-            turned = np.sum(np.angle(np.roll(away, -1) * away.conj()))
-            below = np.min(vertices[:, 2]) < middle[2]
-            if not body.fixed and below and abs(turned) > np.pi:
+            inside = np.all((np.roll(away, -1) * away.conj()).imag < 0.0)  # convex and clockwise
+            if not body.fixed and inside and np.min(vertices[:, 2]) < middle[2]:
                 return index
         return None
 
     def _continued(self, stopped: Stopped, how: str, origin: float) -> Motion:
-        """Return the continuation of a plan at rest from a plan time [s], not certified yet.
-
-        Raises
-        ------
-        InfeasibleError: there is none.
-        """
+        """Return the continuation of a plan at rest from a plan time [s], not certified yet."""
         whole, time = stopped.motion, stopped.rest
         if abs(origin - time) > JOINT:
             player = Player(self.motion, time, 0.0)
@@ -290,25 +226,22 @@ class Aborts:
         return followed(whole, resting(whole, HOLD, phase))
 
 
-def until_stop(motion: Motion, start: float, duration: float, hold: float) -> Stopped:
-    """Return the plan until its clock has stopped, without a limit on its duration.
+def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
+    """Return the plan until its clock has stopped as soon as it can from a time [s] on.
 
-    Parameters
-    ----------
-    start, duration: of the stop [s]; no duration where the motion is at rest.
-    hold: how long it stays where it would not move at all [s].
+    With no stop it ends at that time, a rest of its own. It has no limit on its duration.
     """
-    whole, parts, rest = motion.untimed, list[Motion](), start
-    if start > JOINT:
-        parts.append(before(whole, start))
-    if duration > 0.0:
-        clock = stop_at(start, duration)
-        parts.append(retimed(whole, clock))
-        rest = float(clock.ends[-1, 0])
+    whole, player, parts = motion.untimed, Player(motion, time), list[Motion]()
+    seconds = player.pause() if stop else 0.0
+    if time > JOINT:
+        parts.append(before(whole, time))
+    if seconds > 0.0:
+        parts.append(retimed(whole, player.ahead))
     if not parts:
-        parts.append(resting(whole, hold, first=True))
+        parts.append(resting(whole, HOLD, first=True))
     found = parts[0] if len(parts) == 1 else followed(*parts)
-    return Stopped(start, duration, rest, found)
+    player.step(seconds)
+    return Stopped(time, seconds, player.time, found)
 
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
@@ -316,12 +249,7 @@ def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleErr
 
 
 def _landed(whole: Motion, *, untied: bool) -> Motion:
-    """Return a plan at rest followed by steps that bring it to the ground, untied first or not.
-
-    Raises
-    ------
-    InfeasibleError: there is no plan for it, or the hitch is not one that a step can start from.
-    """
+    """Return a plan at rest followed by steps that bring it to the ground, untied first or not."""
     team, need, index = whole.team, whole.requirements, whole.phases[-1].step + 1
     if not team.has_cables:
         return followed(whole, straight_down(whole))
@@ -384,19 +312,13 @@ def _senses(whole: Motion) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class AbortTable:
-    """Certified aborts over all of a plan.
-
-    Attributes
-    ----------
-    how: what they do.
-    entries: by the time at which the clock begins to slow down: a command between two entries lets
-        the plan run on to the later one.
-    missing: spans of time [s], each from one entry to the next, from which no abort was found.
-    """
+    """Certified aborts over all of a plan."""
 
     how: str
     entries: tuple[Abort, ...]
+    """By their starts: a command between two entries lets the plan run on to the later one."""
     missing: tuple[tuple[float, float], ...]
+    """Spans of time [s] from which no abort was found."""
 
     @property
     def longest(self) -> float:
@@ -409,12 +331,7 @@ class AbortTable:
 def abort_table(
     motion: Motion, how: str, every: float = EVERY, progress: Progress | None = None
 ) -> AbortTable:
-    """Return aborts from all of a plan, about ``every`` [s] of plan time apart.
-
-    Raises
-    ------
-    InputError: an unknown kind of abort, or a distance that is not positive.
-    """
+    """Return aborts from all of a plan, about ``every`` [s] of plan time apart."""
     every, aborts = positive("every", every), Aborts(motion)
     entries: list[Abort] = []
     time = 0.0
@@ -431,25 +348,15 @@ def abort_table(
 
 
 def save_aborts(directory: Path | str, table: AbortTable) -> Path:
-    """Write ``aborts.json`` and ``aborts.zip``, a plan file per entry, next to a plan.
-
-    Raises
-    ------
-    FileError: the directory cannot be written to.
-    """
+    """Write ``aborts.json`` and ``aborts.zip``, a plan file per entry, next to a plan."""
     names = [f"{table.how}_{i:03d}.npz" for i in range(len(table.entries))]
     rows = [
-        {
-            "start": entry.start,
-            "seconds": entry.seconds,
-            "rest": entry.rest,
-            "ends": entry.motion.duration,
-            "plan": name,
-        }
+        {key: getattr(entry, key) for key in ("start", "seconds", "rest")}
+        | {"ends": entry.motion.duration, "plan": name}
         for entry, name in zip(table.entries, names, strict=True)
     ]
     content = {
-        "format": FORMAT,
+        "format": "hitchopt-aborts/1",
         "how": table.how,
         "longest": table.longest if rows else None,
         "missing": [list(span) for span in table.missing],

@@ -267,10 +267,7 @@ def vertex_responses(
 ) -> list[tuple[Array, Array]]:
     """Return how vertices move with setpoints, (3 clasps, 6n), and the damped inverse of that.
 
-    Parameters
-    ----------
-    times: (k,) [s], at which there is a hitch.
-    stiffness: (2n,) of the drones' position loops [N/m].
+    At times (k,) [s] of a hitch, for drones' position loops of a stiffness (2n,) [N/m].
     """
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
@@ -291,19 +288,17 @@ def vertex_responses(
 class Cell:
     """A span of the plan in which directions stay what they are.
 
-    Attributes
-    ----------
-    rows, bounds: (m, 6n), (m,), half-spaces ``rows · offsets ≤ bounds`` that keep all distances in
-        it and in the next one; rows of length 1, orthogonal to common shifts, bounds not negative.
-    lower, upper: (3,) [m], the common shift's range that the arena leaves.
-    forward, inverse: see ``vertex_responses``.
+    Half-spaces ``rows · offsets ≤ bounds`` keep all distances in it and in the next one. Rows have
+    length 1 and are orthogonal to common shifts, bounds are not negative.
     """
 
     rows: Array
     bounds: Array
     lower: Array
+    """(3,) [m], as ``upper`` the common shift's range that the arena leaves."""
     upper: Array
     forward: Array
+    """As ``inverse`` of ``vertex_responses``."""
     inverse: Array
 
     def within(self, offsets: Array) -> Array:
@@ -363,21 +358,17 @@ def _cells(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, lis
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Pairs of bodies that the certificate keeps apart while the hitch holds, as ``Parts``.
-
-    Attributes
-    ----------
-    first, second: (pairs, 2), the nodes at their ends.
-    limit: (pairs,), distance to keep [m], or 1 for drones' ellipsoids.
-    scale: (pairs, 3), of the metric.
-    pair, a, b: (k,), pairs with a node of the first and one of the second body.
-    """
+    """Pairs of bodies that the certificate keeps apart while the hitch holds, as ``Parts``."""
 
     first: Indices
+    """(pairs, 2), the nodes at the ends of the first body."""
     second: Indices
     limit: Array
+    """(pairs,), distance to keep [m], or 1 for drones' ellipsoids."""
     scale: Array
+    """(pairs, 3), of the metric."""
     pair: Indices
+    """(k,), each with a node ``a`` of the first and ``b`` of the second body."""
     a: Indices
     b: Indices
 

@@ -45,29 +45,19 @@ AGAIN = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What drones are sent at one time, in the plan's axes.
-
-    Attributes
-    ----------
-    setpoints: positions and derivatives.
-    thrusts, thrust_rates: (drones, 3) [N], [N/s], with the cables' pull at that plan time.
-    feed_forward: (drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable.
-    """
+    """What drones are sent at one time, in the plan's axes."""
 
     setpoints: Setpoints
     thrusts: Array
+    """(drones, 3) [N], with the cables' pull at that plan time."""
     thrust_rates: Array
+    """(drones, 3) [N/s]"""
     feed_forward: Array
+    """(drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable."""
 
 
 class Course:
-    """A plan at rest at its start, to be flown by commands.
-
-    Parameters
-    ----------
-    motion: the plan.
-    tables: aborts of the plan for the commands ``abort`` and ``land``.
-    """
+    """A plan at rest at its start, to be flown by commands: ``abort`` and ``land`` by tables."""
 
     def __init__(self, motion: Motion, tables: Mapping[str, AbortTable]) -> None:
         self.motion = motion
@@ -119,10 +109,7 @@ class Course:
     def obey(self, command: str) -> str:
         """Carry out one of COMMANDS; return what is done, in words.
 
-        Raises
-        ------
-        InputError: another word.
-        InfeasibleError: it cannot be done now; what was done before goes on.
+        InfeasibleError is raised where it cannot be done now; what was done before goes on.
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
@@ -166,10 +153,7 @@ class Outlet(Protocol):
         """Send every drone its setpoint at a time [s]; a network that fails is no error."""
 
     def measured(self) -> dict[str, Array]:
-        """Return what has arrived since the last call: positions (3,) [m] in the plan's axes.
-
-        Keys are the drones' names in the plan.
-        """
+        """Return positions (3,) [m] that have arrived, in the plan's axes, by drones' names."""
 
     def close(self, *, landed: bool) -> None:
         """End the stream."""
@@ -180,8 +164,6 @@ class Flight:
 
     Parameters
     ----------
-    course: what is flown.
-    outlet: the fleet.
     commands: returns the operator's commands since the last call, and whether it was heard of.
     watched: names of the drones that must be measured.
     later: starts a command's computation, as ``Executor.submit`` does, while setpoints that are
@@ -189,10 +171,6 @@ class Flight:
     say: called with what happens, in words.
     rate: setpoints a second [Hz].
     patience: time from a lost link to the landing [s].
-
-    Raises
-    ------
-    InputError: a rate or patience that is not positive.
     """
 
     def __init__(

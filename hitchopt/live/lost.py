@@ -21,7 +21,7 @@ from hitchopt.checks.drones import largest_static_thrust
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
-from hitchopt.live.abort import Aborts, straight_down, until_stop
+from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import followed
 from hitchopt.motion.states import States, sample_times, states_at
@@ -42,9 +42,6 @@ was let go at once, or in twice the time."""
 SHARE = 0.8
 """Share of the limits with which a team sinks."""
 
-REST = 0.2
-"""[s] Rest of a plan that is noticed to lose a drone before it has begun."""
-
 LEAST = 1e-3
 """[m] Drones that are so low are on the ground."""
 
@@ -52,15 +49,13 @@ DRAWN, NEAREST_LEG = 0.36, 0.05
 """[m] How far a lost drone draws a partner of its mass toward its clasp: in simulated flights legs
 of 0.29 m were drawn to their clasps, those of 0.37 m were not; and the leg that remains."""
 
-GAIN, DAMPING = 36.0, 10.0
-"""[1/s²], [1/s] Stiffness and damping over mass of usual position loops."""
+TAKEN = np.radians(25.0)
+"""[rad] How much sooner than at the height where it began a swing turns back: cables that run take
+its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
+coefficients of friction up to 0.2, turned back 27° to 52° sooner."""
 
-FRICTION = 0.2
-"""Largest coefficient at the clasps, where the team's own is not larger. A cable turns by half a
-turn about both of them while one end of it hangs."""
-
-STEP, LASTS, EACH = 2e-3, 1.2, 5
-"""[s] Step and time of a swing, which has turned back by then, and steps between its places."""
+SWINGS, RUNS = 40, 5
+"""Numbers of angles of a swing, and of lengths to which its cable may run, that are looked at."""
 
 FALL, RATE, PLACES = 0.02, 100.0, 400
 """[s], [Hz] Time between samples of a free fall, rate of a reaction's setpoints, and number of
@@ -81,39 +76,26 @@ SUNK = (*LANDED, "cable_clearance", "crossing", "legs", "continuity")
 
 @dataclass(frozen=True, eq=False)
 class Reaction(OneLine):
-    """A certified reaction to the loss of a drone.
-
-    Attributes
-    ----------
-    drone: that is lost.
-    begins: when survivors react [s].
-    motion: the plan until then, and what all fly from there until they are on the ground, whichever
-        drone it is.
-    thrust: largest thrust of a survivor that hovers while its cable, level, pulls with the lost
-        drone's weight, over its largest one.
-    nearest: smallest separation of two survivors, or distance of one to the lost drone over two
-        radii.
-    """
+    """A certified reaction to the loss of a drone."""
 
     drone: str
     begins: float
+    """When survivors react [s]."""
     motion: Motion
+    """The plan until then, and what all fly from there to the ground, whichever drone it is."""
     thrust: float
+    """Largest thrust, over what there is, of a survivor that hovers while its cable, level, pulls
+    with the lost drone's weight."""
     nearest: float
+    """Smallest separation of survivors, or distance of one to the lost drone over two radii."""
 
 
 class Reactions:
-    """The reactions of one plan: what they have in common is computed once.
-
-    Parameters
-    ----------
-    motion: the plan.
-    """
+    """The reactions of one plan: what they have in common is computed once."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
         self._flown = lru_cache(maxsize=256)(self._certified)
-        self._aborts = Aborts(motion)
 
     def found(self, drone: str, time: float) -> Reaction:
         """Return the reaction to the loss of a drone at a time [s].
@@ -130,12 +112,11 @@ class Reactions:
             raise InputError("t", time, f"within {motion.duration:g} s", "ask within the plan")
         whole, states = self._flown(float(time)), states_at(motion, time)
         lost, begins = names.index(drone), min(time + DELAY, motion.duration)
-        thrust = largest_static_thrust(motion)
         if bool(states.formed):
             pulled, nearest = self._hitched(lost, states)
-            thrust = max(thrust, pulled)
         else:
-            nearest = self._falling(whole, time, begins, lost, states)
+            pulled, nearest = 0.0, self._falling(whole, time, begins, lost, states)
+        thrust = max(largest_static_thrust(motion), pulled)
         if thrust > 1.0:
             raise _none(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:
@@ -149,7 +130,7 @@ class Reactions:
             raise _none(time, "the team carries objects, or stands among them")
         begins = min(time + DELAY, motion.duration)
         if begins < motion.duration - JOINT:
-            motion = until_stop(motion, *self._aborts.stops.after(begins), REST).motion
+            motion = until_stop(motion, begins).motion
         if motion.phases[-1].formed or not team.has_cables:  # no cable is dragged on the ground
             motion = _sunk(motion)
         checks = [RULE_OF[name].check(motion) for name in SUNK]
@@ -184,41 +165,22 @@ class Reactions:
         return float(np.max(pulled[beside])), nearest
 
     def _swung(self, lost: int, states: States, gives: float) -> Array:
-        """Return places (k, 3) [m] of a swing below its clasp, up to where it turns back.
+        """Return places (k, 3) [m] of all swings below a clasp, as far as its cable may run.
 
-        The clasp stays where it is, the partner is a mass on the spring of its position loop, drawn
-        along its leg by ``gives`` [m] at most. What it pulls with, and what friction takes of that,
-        is not known: cases have the tension or none, and frictions from none to the largest; and
-        there is one whose cable does not run at all.
+        How far it runs depends on tension, friction and the partner, which is drawn along its leg
+        by ``gives`` [m] at most.
         """
         team, floor = self.motion.team, self.motion.requirements.floor
         clasp = states.vertices[team.layout.pulled_to[lost]]
         leg = states.positions[lost] - clasp
-        size, level = float(np.linalg.norm(leg)), float(np.hypot(*leg[:2]))
-        mass, other = team.mass[[lost, lost ^ 1]].tolist()
-        turns = np.pi * max(team.cable_friction, FRICTION) * np.linspace(0.0, 1.0, 3)
-        ratio, pull = np.meshgrid([*np.exp(turns), np.inf], [0.0, states.tensions[lost // 2]])
-        run, speed, turning = np.zeros((3, *pull.shape))
-        angle = np.full(pull.shape, np.arctan2(-leg[2], level))
-        on = np.ones(pull.shape, dtype=np.bool_)
-        reaches, angles = [size + run], [angle]
-        for _ in range(round(LASTS / STEP)):
-            outward = mass * ((size + run) * turning**2 + GRAVITY * np.sin(angle))
-            held = pull + other * (GAIN * run + DAMPING * speed)
-            rate = (outward / ratio - held) / (mass / ratio + other)
-            swing = (GRAVITY * np.cos(angle) - 2.0 * speed * turning) / (size + run)
-            speed = on * (run < gives) * (ratio < np.inf) * np.maximum(speed + STEP * rate, 0.0)
-            turning = on * (turning + STEP * swing)
-            on &= turning >= 0.0
-            run = np.minimum(run + STEP * speed, gives)
-            angle = angle + STEP * on * turning
-            reaches.append(size + run)
-            angles.append(angle)
-        reach, angle = np.ravel(reaches[::EACH])[:, None], np.ravel(angles[::EACH])[:, None]
+        level = float(np.hypot(*leg[:2]))
+        begins = np.arctan2(-leg[2], level)
+        angles = np.linspace(begins, np.pi - begins - TAKEN, SWINGS)[:, None]
         out = leg * [1.0, 1.0, 0.0] / max(level, 1e-9)
-        arcs = np.cos(angle) * out - np.sin(angle) * [0.0, 0.0, 1.0]
+        arcs = np.cos(angles) * out - np.sin(angles) * [0.0, 0.0, 1.0]
+        reach = np.linalg.norm(leg) + np.linspace(0.0, gives, RUNS)[:, None, None]
         places: Array = np.maximum(clasp + reach * arcs, [-np.inf, -np.inf, floor])
-        return places
+        return places.reshape(-1, 3)
 
     def _falling(
         self, whole: Motion, time: float, begins: float, lost: int, states: States
@@ -251,10 +213,9 @@ def _none(time: float, words: str) -> InfeasibleError:
 
 
 def _to_lost(motion: Motion, survivors: Array, places: Array) -> float:
-    """Return the smallest distance of survivors (k, 3) and places of the lost drone (m, 3) [m].
+    """Return the smallest distance of survivors (k, 3) to places of the lost drone (m, 3) [m].
 
-    It is over two radii in every direction: ellipsoids are higher for the downwash, which a drone
-    without motors has not, and does not mind.
+    It is over two radii in every direction: a drone without motors has no downwash.
     """
     distances = np.linalg.norm(survivors[:, None] - places, axis=-1)
     return float(np.min(distances, initial=np.inf)) / (2.0 * motion.requirements.separation.radius)
@@ -318,30 +279,19 @@ def reacting(task: Task, reaction: Reaction) -> Task:
 
 @dataclass(frozen=True)
 class Lost(OneLine):
-    """A span of a plan in which the loss of a drone has no certified reaction.
-
-    Attributes
-    ----------
-    drone: its name.
-    start, end: [s], half-way to the neighbouring times that were looked at.
-    reason: why there is none, at its first time.
-    """
+    """A span of a plan in which the loss of a drone has no certified reaction."""
 
     drone: str
     start: float
+    """[s], as ``end`` half-way to the neighbouring times that were looked at."""
     end: float
     reason: str
+    """Why there is none, at its first time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Survivable(OneLine):
-    """Reactions over all of a plan, at sampled times.
-
-    Attributes
-    ----------
-    share: of (drone, time) with a reaction.
-    without: spans without one, by drone and time.
-    """
+    """The share of (drone, time) with a reaction, and the spans without one."""
 
     share: float
     without: tuple[Lost, ...]

@@ -246,7 +246,7 @@ class Player(OneLine):
         if rate == 0.0:
             carried = inertia is not None and inertia.during(time, time)[0]
             rest = np.array([*time, 0.0, 0.0])
-            return to_rates(rest, [1.0], 2.0 * made.duration[-1]) if carried else NOTHING
+            return _to_rates(rest, [1.0], 2.0 * made.duration[-1]) if carried else NOTHING
         return self._run(float(time[0]), rate)
 
     def _run(self, time: float, rate: float) -> ClockPhases:
@@ -264,7 +264,8 @@ class Player(OneLine):
             return left.followed_by(self._run(time, rate))
         start, duration = self.stops.after(time)
         run = left.followed_by(_steady(time, 1.0, start - time) if start > time else NOTHING)
-        return run.followed_by(stop_at(start, duration)) if duration > 0.0 else run
+        full = np.array([start, 1.0, 0.0])
+        return run.followed_by(_to_rates(full, [0.0], duration)) if duration > 0.0 else run
 
     def _adopt(self, found: ClockPhases | None, goal: str) -> float:
         """Fly a change from now on; return how long it takes [s]."""
@@ -356,7 +357,7 @@ def _eased(jet: Array, duration: float) -> ClockPhases | None:
     return _in_a_row(jet, [abs(slope) / jerk], [-math.copysign(jerk, slope)])
 
 
-def to_rates(jet: Array, rates: Sequence[float], duration: float) -> ClockPhases:
+def _to_rates(jet: Array, rates: Sequence[float], duration: float) -> ClockPhases:
     """Return changes from a constant rate, a jet's (3,), to one after the other [s each].
 
     Each takes two phases of constant jerk, the shortest that a bound of that allows.
@@ -369,18 +370,15 @@ def to_rates(jet: Array, rates: Sequence[float], duration: float) -> ClockPhases
     return _in_a_row(jet, [0.5 * duration] * len(jerks), jerks)
 
 
-def stop_at(start: float, duration: float) -> ClockPhases:
-    """Return the stop from full rate at a plan time [s]."""
-    return to_rates(np.array([start, 1.0, 0.0]), [0.0], duration)
-
-
 def _to_rate(rate: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
     """Yield the change to a constant rate from a jet (3,), with a rest where it turns [s]."""
     eased = _eased(jet, duration)
     if eased is not None:
         jet = _end(eased, jet)
-        rates = (0.0, rate) if rate * jet[1] < 0.0 else (rate,)
-        yield eased.followed_by(to_rates(jet, rates, duration))
+        rates = [rate] if abs(rate - jet[1]) > STEADY else []
+        if rate * jet[1] < 0.0:
+            rates.insert(0, 0.0)
+        yield eased.followed_by(_to_rates(jet, rates, duration))
 
 
 def _to_time(goal: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
@@ -396,16 +394,16 @@ def _to_time(goal: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
         wait = (goal - time) / now - 0.5 * duration
         if wait >= 0.0:
             run = _steady(time, now, wait)
-            stop = to_rates(_end(run, jet), [0.0], duration)
+            stop = _to_rates(_end(run, jet), [0.0], duration)
             yield eased.followed_by(run).followed_by(stop)
-        eased = eased.followed_by(to_rates(jet, [0.0], duration))
+        eased = eased.followed_by(_to_rates(jet, [0.0], duration))
         jet = _end(eased, jet)
     way = goal - float(jet[0])
     for fastest in RATES if abs(way) > STEADY else ():
         rate = math.copysign(min(fastest, abs(way) / duration), way)
-        start = to_rates(jet, [rate], duration)
+        start = _to_rates(jet, [rate], duration)
         run = _steady(start.ends[-1, 0], rate, max(way / rate - duration, 0.0))
-        stop = to_rates(_end(run, jet), [0.0], duration)
+        stop = _to_rates(_end(run, jet), [0.0], duration)
         yield eased.followed_by(start).followed_by(run).followed_by(stop)
 
 

@@ -57,20 +57,16 @@ SIDE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class MovingState:
-    """A hitch in motion.
-
-    Attributes
-    ----------
-    vertices: (points, 3, 3), positions and their first two derivatives by time.
-    fractions: (n, 3), ``d_k / (d_k + e_k)``.
-    drones: (2n, 3, 3)
-    legs: (n, 2, 3)
-    """
+    """A hitch in motion: values with their first two derivatives by time."""
 
     vertices: Array
+    """(points, 3, 3) [m]"""
     fractions: Array
+    """(n, 3), ``d_k / (d_k + e_k)``."""
     drones: Array
+    """(2n, 3, 3) [m]"""
     legs: Array
+    """(n, 2, 3) [m]"""
 
     @classmethod
     def at_end(cls, motion: Motion) -> MovingState:
@@ -90,33 +86,23 @@ class MovingState:
 
 @dataclass(frozen=True, eq=False)
 class RetargetPath:
-    """Flat outputs from a moving state to a hitch at rest.
-
-    Attributes
-    ----------
-    team: whose cables.
-    state: at time 0.
-    end: vertices (points, 3) [m] and fractions (n,) at rest.
-    fractions: see ``end``.
-    yaw: by how much the frame turns [rad].
-    """
+    """Flat outputs from a moving state to a hitch at rest."""
 
     team: Team
     state: MovingState
     end: Array
+    """Vertices (points, 3) [m] at rest."""
     fractions: Array
+    """(n,), of the slack, at rest."""
     yaw: float = 0.0
+    """By how much the frame turns [rad]."""
 
     @classmethod
     def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
-        """Return the path to a hitch.
+        """Return the path to a hitch, full turns chosen to come closest to a yaw [rad].
 
         Its frame turns by what is left from the state to the hitch, also where the state has not
         finished an earlier turn: on straight lines to the goal a half-turned polygon would shrink.
-
-        Parameters
-        ----------
-        yaw: that is asked for [rad]; full turns are chosen to come closest to it.
         """
         vertices = end.vertices
         left = _turn(state.vertices[:, :2, 0], vertices[:, :2])
@@ -136,9 +122,7 @@ class RetargetPath:
     def jets(self, t: Array, brake: float, shift: float | None) -> tuple[Array, DroneJets]:
         """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
 
-        Parameters
-        ----------
-        brake, shift: durations [s]; no shift leads to where the brake does.
+        ``brake`` and ``shift`` are durations [s]; no shift leads to where the brake does.
         """
         team, layout = self.team, self.team.layout
         start, goal = self._ends
@@ -180,16 +164,11 @@ class RetargetPath:
         return Flight(drones, points, leg_curves, both.alike(pulls))
 
     def excess(self, limits: Limits, t: Array, brake: float, shift: float | None) -> float:
-        """Return how many times slower a motion would have to be at its samples, at most.
+        """Return how many times slower a motion would have to be at times (J,) [s], at most.
 
         Exact for speed, acceleration and jerk; thrust and tilt, which do not scale, count by the
-        square root of their share of the limit. At t = 0 the state is given: there only the jerk
-        counts.
-
-        Parameters
-        ----------
-        t: (J,) times [s], the first one 0.
-        brake, shift: durations [s].
+        square root of their share of the limit. At the first one, 0, only the jerk counts: the
+        state is given.
         """
         points, found = self.jets(t, brake, shift)
         squared = np.einsum("jdxk,jdxk->kjd", found.positions, found.positions)
