@@ -64,7 +64,7 @@ class Stopped:
     """A plan up to a rest."""
 
     start: float
-    """Plan time from which on the clock is not the plan's [s]."""
+    """Plan time at which the clock begins to slow down [s]."""
     seconds: float
     """Time from there to the rest [s]."""
     rest: float
@@ -232,16 +232,20 @@ def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
     With no stop it ends at that time, a rest of its own. It has no limit on its duration.
     """
     whole, player, parts = motion.untimed, Player(motion, time), list[Motion]()
-    seconds = player.pause() if stop else 0.0
+    until = player.pause() if stop else 0.0
+    clock = player.ahead
+    player.step(until)
+    if len(clock) and not np.any(clock.jets[0, 2:]):  # the plan runs on, at its own rate
+        time += float(clock.duration[0])
+        clock = clock.taken(slice(1, None))
     if time > JOINT:
         parts.append(before(whole, time))
-    if seconds > 0.0:
-        parts.append(retimed(whole, player.ahead))
+    if len(clock):
+        parts.append(retimed(whole, clock))
     if not parts:
         parts.append(resting(whole, HOLD, first=True))
     found = parts[0] if len(parts) == 1 else followed(*parts)
-    player.step(seconds)
-    return Stopped(time, seconds, player.time, found)
+    return Stopped(time, float(np.sum(clock.duration)), player.time, found)
 
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:

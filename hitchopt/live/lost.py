@@ -22,7 +22,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import straight_down, until_stop
-from hitchopt.motion.motion import JOINT, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed
 from hitchopt.motion.states import States, sample_times, states_at
 from hitchopt.planners.forming.turns import smallest_separation
@@ -41,6 +41,9 @@ was let go at once, or in twice the time."""
 
 SHARE = 0.8
 """Share of the limits with which a team sinks."""
+
+WAITS = (0.0, 0.1, 0.25)
+"""[s] Later begins of the stop, where polynomials do not follow the first one."""
 
 LEAST = 1e-3
 """[m] Drones that are so low are on the ground."""
@@ -125,24 +128,17 @@ class Reactions:
 
     def _certified(self, time: float) -> Motion:
         """Return what is flown after a loss at a time [s], all checks kept."""
-        motion, team = self.motion.untimed, self.motion.team
-        if team.has_cables and motion.requirements.objects:
+        if self.motion.team.has_cables and self.motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
-        begins = min(time + DELAY, motion.duration)
-        if begins < motion.duration - JOINT:
-            motion = until_stop(motion, begins).motion
-        if motion.phases[-1].formed or not team.has_cables:  # no cable is dragged on the ground
-            motion = _sunk(motion)
-        checks = [RULE_OF[name].check(motion) for name in SUNK]
-        if np.max(motion.drones.coefficients[-1, :, 2, -1]) - motion.requirements.floor > LEAST:
-            landing = straight_down(motion)
-            checks += [RULE_OF[name].check(landing) for name in LANDED]
-            motion = followed(motion, landing)
-        for check in checks:
-            if check is not None and not check.holds:
-                values = f"{check.worst:.4g} {check.unit} ({check.number:.4g})"
-                raise _none(time, f"sinking breaks {check.name}: {values}")
-        return motion
+        refusal: Check | None = None
+        for wait in WAITS:
+            motion, broken = _sunk_from(self.motion, time + DELAY + wait)
+            if broken is None:
+                return motion
+            refusal = refusal or broken
+        assert refusal is not None
+        values = f"{refusal.worst:.4g} {refusal.unit} ({refusal.number:.4g})"
+        raise _none(time, f"sinking breaks {refusal.name}: {values}")
 
     def _hitched(self, lost: int, states: States) -> tuple[float, float]:
         """Return the thrust and the nearest distance of a hitch that has lost a drone."""
@@ -235,6 +231,19 @@ def _depth(motion: Motion) -> float:
     """Return how far the lowest drone is above the ground where a motion ends [m]."""
     heights = motion.drones.coefficients[-1, :, 2, -1]
     return float(np.min(heights)) - motion.requirements.floor
+
+
+def _sunk_from(motion: Motion, time: float) -> tuple[Motion, Check | None]:
+    """Return a plan that stops from a time [s] on and lands, and the first check it breaks."""
+    cables, motion = motion.team.has_cables, until_stop(motion, min(time, motion.duration)).motion
+    if motion.phases[-1].formed or not cables:  # no hanging cable is dragged on the ground
+        motion = _sunk(motion)
+    checks = [RULE_OF[name].check(motion) for name in SUNK]
+    if np.max(motion.drones.coefficients[-1, :, 2, -1]) - motion.requirements.floor > LEAST:
+        landing = straight_down(motion)
+        checks += [RULE_OF[name].check(landing) for name in LANDED]
+        motion = followed(motion, landing)
+    return motion, next((each for each in checks if each is not None and not each.holds), None)
 
 
 def _sunk(motion: Motion) -> Motion:
