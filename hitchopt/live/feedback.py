@@ -32,7 +32,7 @@ from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.statics.settle import Conditions, energy_of, samples_of
 from hitchopt.statics.tolerance import Gradients
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, Indices, as_array, finite, not_negative, per_robot, positive
+from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
 
 PROPORTIONAL, INTEGRAL = 1.2, 2.5
 """Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
@@ -334,13 +334,13 @@ def _cells(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, lis
     travel = np.sum(np.linalg.norm(np.diff(c, axis=-1), axis=2), axis=-1).max(axis=1)
     counts = np.clip(np.ceil(travel / TRAVEL), 1, MOST_CELLS).astype(int).tolist()
     nodes = np.concatenate(positions(motion)[::-1], axis=1)
-    pairs, times, spaces = _Pairs.of(motion), [], list[tuple[Array, ...] | None]()
+    distances, times, spaces = _Distances(motion, reserve), [], list[tuple[Array, ...] | None]()
     for piece, count in enumerate(counts):
         times.append(np.linspace(breaks[piece], breaks[piece + 1], count + 1)[:-1])
         for k in range(count):
             part = bernstein.restrict(nodes[piece], k / count, (k + 1) / count)
             there = motion.formed[piece]
-            spaces.append(_half_spaces(motion, part, pairs, reserve) if there else None)
+            spaces.append(distances.kept(part) if there else None)
     edges = np.append(np.concatenate(times), breaks[-1])
     middles = 0.5 * (edges[1:] + edges[:-1])[[each is not None for each in spaces]]
     responses = iter(vertex_responses(motion, middles, stiffness))
@@ -356,67 +356,49 @@ def _cells(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, lis
     return edges, cells
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Pairs of bodies that the certificate keeps apart while the hitch holds, as ``Parts``."""
+class _Distances:
+    """The distances that the certificate keeps while the hitch holds, of pairs as in ``Parts``."""
 
-    first: Indices
-    """(pairs, 2), the nodes at the ends of the first body."""
-    second: Indices
-    limit: Array
-    """(pairs,), distance to keep [m], or 1 for drones' ellipsoids."""
-    scale: Array
-    """(pairs, 3), of the metric."""
-    pair: Indices
-    """(k,), each with a node ``a`` of the first and ``b`` of the second body."""
-    a: Indices
-    b: Indices
-
-    @classmethod
-    def of(cls, motion: Motion) -> _Pairs:
-        """Return those of a motion; legs are pairs of a drone and a point as well."""
+    def __init__(self, motion: Motion, reserve: float) -> None:
         layout, need = motion.team.layout, motion.requirements
         parts = Parts.of(motion.team.robots, motion.team.topology)
         i, j, kind = parts.all_pairs
-        legs = layout.drones_with_legs
+        legs = layout.drones_with_legs  # pairs of a drone and a point as well
         ends = [np.stack([x, x], axis=1) for x in (legs + layout.points, layout.anchors[legs])]
         first = np.concatenate([parts.nodes[i], ends[0]])
         second = np.concatenate([parts.nodes[j], ends[1]])
         limits = np.array([1.0, need.separation.cable, need.separation.crossing])
-        limit = np.append(limits[kind], np.full(len(legs), need.limits.leg))
-        scale = np.ones((len(first), 3))
-        scale[: len(kind)][kind == SEPARATION] = need.separation.scale
+        self._scale = np.ones((len(first), 3))
+        self._scale[: len(kind)][kind == SEPARATION] = need.separation.scale
         kinds = np.append(kind, np.full(len(legs), SEPARATION))
-        return cls(first, second, limit, scale, *end_combinations(kinds, first, second))
+        self._limit = np.append(limits[kind], np.full(len(legs), need.limits.leg))
+        self._first, self._second, self._reserve = first, second, reserve
+        self._nodes = end_combinations(kinds, first, second)
+        self._points, self._arena = layout.points, need.arena
 
-
-def _half_spaces(
-    motion: Motion, nodes: Array, pairs: _Pairs, reserve: float
-) -> tuple[Array, Array, Array, Array]:
-    """Return rows, bounds, lower and upper of a cell, from its nodes (…, 3, N + 1)."""
-    drones = nodes[motion.team.layout.points :]
-    middle = bernstein.evaluate(nodes, 0.5)
-    first, second = (middle[each] * pairs.scale[:, None] for each in (pairs.first, pairs.second))
-    offset = shortest_offset(differences(first, second))
-    size = np.linalg.norm(offset, axis=-1)
-    near = (size < pairs.limit + 4.0 * LARGEST * pairs.scale.max(axis=1)) & (size > 0.0)
-    chosen = np.flatnonzero(near[pairs.pair])
-    pair, a, b = (each[chosen] for each in (pairs.pair, pairs.a, pairs.b))
-    n = offset[pair] / size[pair, None] * pairs.scale[pair]
-    along = np.einsum("pd,pdk->pk", n, nodes[a] - nodes[b]).min(axis=-1)
-    bound = along - pairs.limit[pair] - 2.0 * reserve * np.linalg.norm(n, axis=-1)
-    row, each = np.zeros((len(pair), len(nodes), 3)), np.arange(len(pair))
-    row[each, b] += n
-    row[each, a] -= n
-    row = row[:, -len(drones) :]
-    own = (row - row.mean(axis=1, keepdims=True)).reshape(len(pair), 3 * len(drones))
-    length, bound = np.linalg.norm(own, axis=1), np.maximum(bound, 0.0)
-    kept = (length > 0.0) & (bound < np.sqrt(2.0) * LARGEST * length)
-    rows, bounds = own[kept] / length[kept, None], bound[kept] / length[kept]
-    lower, upper = np.full(3, -FARTHEST), np.full(3, FARTHEST)
-    arena = motion.requirements.arena
-    if arena is not None:
-        inner = reserve + LARGEST
-        lower = np.clip(arena.lower - drones.min(axis=(0, 2)) + inner, lower, 0.0)
-        upper = np.clip(arena.upper - drones.max(axis=(0, 2)) - inner, 0.0, upper)
-    return rows, bounds, lower, upper
+    def kept(self, nodes: Array) -> tuple[Array, Array, Array, Array]:
+        """Return rows, bounds, lower and upper of a cell, from its nodes (…, 3, N + 1)."""
+        drones, scale = nodes[self._points :], self._scale
+        middle = bernstein.evaluate(nodes, 0.5)
+        ends = (middle[each] * scale[:, None] for each in (self._first, self._second))
+        offset = shortest_offset(differences(*ends))
+        size = np.linalg.norm(offset, axis=-1)
+        near = (size < self._limit + 4.0 * LARGEST * scale.max(axis=1)) & (size > 0.0)
+        pair, a, b = (each[near[self._nodes[0]]] for each in self._nodes)
+        n = offset[pair] / size[pair, None] * scale[pair]
+        along = np.einsum("pd,pdk->pk", n, nodes[a] - nodes[b]).min(axis=-1)
+        bound = along - self._limit[pair] - 2.0 * self._reserve * np.linalg.norm(n, axis=-1)
+        row, each = np.zeros((len(pair), len(nodes), 3)), np.arange(len(pair))
+        row[each, b] += n
+        row[each, a] -= n
+        row = row[:, self._points :]
+        own = (row - row.mean(axis=1, keepdims=True)).reshape(len(pair), -1)
+        length, bound = np.linalg.norm(own, axis=1), np.maximum(bound, 0.0)
+        some = (length > 0.0) & (bound < np.sqrt(2.0) * LARGEST * length)
+        rows, bounds = own[some] / length[some, None], bound[some] / length[some]
+        lower, upper = np.full(3, -FARTHEST), np.full(3, FARTHEST)
+        if self._arena is not None:
+            inner = self._reserve + LARGEST
+            lower = np.clip(self._arena.lower - drones.min(axis=(0, 2)) + inner, lower, 0.0)
+            upper = np.clip(self._arena.upper - drones.max(axis=(0, 2)) - inner, 0.0, upper)
+        return rows, bounds, lower, upper

@@ -261,18 +261,16 @@ class Replanner(OneLine):
         brake = still.brake(self._limits)
         if brake is None:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
-        try:
-            end = self._end(outline, altitude, chosen=False)
-            return self._certified(
-                past, RetargetPath.to(past.team, still.state, end, yaw), brake
-            ), end
-        except InfeasibleError as first:
+        refusal: InfeasibleError | None = None
+        for chosen in (False, True):
             try:
-                end = self._end(outline, altitude, chosen=True)
+                end = self._end(outline, altitude, chosen=chosen)
                 path = RetargetPath.to(past.team, still.state, end, yaw)
                 return self._certified(past, path, brake), end
-            except InfeasibleError:
-                raise first from None
+            except InfeasibleError as error:
+                refusal = refusal or error
+        assert refusal is not None
+        raise refusal
 
     def _end(self, outline: Outline, altitude: float, *, chosen: bool) -> Hitch:
         """Return the hitch of a goal: with the present split of the slack, or one within limits."""
