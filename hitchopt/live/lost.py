@@ -298,29 +298,12 @@ class Lost(OneLine):
     """Why there is none, at its first time."""
 
 
-@dataclass(frozen=True, eq=False)
-class Survivable(OneLine):
-    """The share of (drone, time) with a reaction, and the spans without one."""
-
-    share: float
-    without: tuple[Lost, ...]
-
-    @property
-    def check(self) -> Check:
-        """The share as a certificate lists it; it is sampled, not a bound for all of the time."""
-        time = self.without[0].start if self.without else 0.0
-        where = tuple(dict.fromkeys(lost.drone for lost in self.without))
-        return Check("survivable", True, self.share, None, "min", "1", time, where, "sampled")
-
-
 def survivable(
     motion: Motion, every: float = EVERY, progress: Progress | None = None
-) -> Survivable:
-    """Return which losses of a drone have a certified reaction, about ``every`` [s].
+) -> tuple[Check, list[Lost]]:
+    """Return the share of (drone, time), about ``every`` [s], with a certified reaction to a loss.
 
-    Raises
-    ------
-    InputError: a distance that is not positive.
+    It is sampled, not a bound for all of the time. The spans without one are told as well.
     """
     reactions, names = Reactions(motion), motion.team.drone_names
     count = max(FEWEST, round(motion.duration / positive("every", every)))
@@ -336,9 +319,15 @@ def survivable(
                 reasons[drone, i] = str(error)
     without = []
     for drone, name in enumerate(names):
-        lost = [(drone, i) in reasons for i in range(count)]
-        bounds = np.flatnonzero(np.diff(np.concatenate([[False], lost, [False]])))
+        refused = [(drone, i) in reasons for i in range(count)]
+        bounds = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]])))
         for first, last in bounds.reshape(-1, 2).tolist():
             span = float(edges[first]), float(edges[last])
             without.append(Lost(name, *span, reasons[drone, first]))
-    return Survivable(1.0 - len(reasons) / (count * len(names)), tuple(without))
+    share, where = (
+        1.0 - len(reasons) / (count * len(names)),
+        dict.fromkeys(x.drone for x in without),
+    )
+    time = without[0].start if without else 0.0
+    check = Check("survivable", True, share, None, "min", "1", time, tuple(where), "sampled")
+    return check, without

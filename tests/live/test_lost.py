@@ -123,18 +123,17 @@ def hovering(altitude: float) -> Motion:
 
 def test_no_drone_carries_two() -> None:
     """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
-    low = survivable(hovering(1.6))
-    assert (low.share, low.without) == (1.0, ())
-    high = survivable(hovering(2.2))
-    assert high.share == 0.0
-    assert high.check.where == ("q0", "r0", "q1", "r1")
-    assert (high.without[0].start, high.without[0].end) == (0.0, 2.0)
-    assert "q0 hangs on its partner 0.19" in high.without[0].reason
+    low, without = survivable(hovering(1.6))
+    assert (low.bound, without) == (1.0, [])
+    high, without = survivable(hovering(2.2))
+    assert (high.bound, high.where) == (0.0, ("q0", "r0", "q1", "r1"))
+    assert (without[0].start, without[0].end) == (0.0, 2.0)
+    assert "q0 hangs on its partner 0.19" in without[0].reason
 
 
 def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
     motion = planned("swarms/head_on").motion
-    found = survivable(motion, every=0.5 * motion.duration)
-    assert (found.share, found.check.method) == (1.0, "sampled")
+    found, _ = survivable(motion, every=0.5 * motion.duration)
+    assert (found.bound, found.method) == (1.0, "sampled")
     last = Reactions(motion).found("d0", 1.0).motion.drones
     assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3
