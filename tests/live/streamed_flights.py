@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import cache
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,40 +14,35 @@ from hitchopt.live.abort import AbortTable, abort_table
 from hitchopt.live.fly import Course, Flight, Flown
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 PATIENCE = 2.0
 
 
 @cache
-def plan_of() -> ho.Plan:
-    """A triangle off the origin, one vertex of which is moved."""
+def plan_of(*, swarm: bool = False) -> ho.Plan:
+    """A triangle off the origin, one vertex of which is moved.
+
+    Or two drones without cables that change places and end on the ground.
+    """
+    if swarm:
+        start = np.array([[1.0, 0.0, 1.0], [2.0, 0.5, 1.2]])
+        goal = np.array([[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]])
+        return ho.separate(ho.SwarmProblem(ho.Swarm(2), start, goal))
     polygon = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
     return ho.move_vertex(ho.Hitch.spread(ho.Team(3, 2.4), polygon), 0, by=[0.0, 0.4])
 
 
 @cache
-def landing_plan() -> ho.Plan:
-    """Two drones without cables that change places and end on the ground."""
-    start = np.array([[1.0, 0.0, 1.0], [2.0, 0.5, 1.2]])
-    goal = np.array([[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]])
-    return ho.separate(ho.SwarmProblem(ho.Swarm(2), start, goal))
-
-
-@cache
-def tables() -> dict[str, AbortTable]:
-    motion = plan_of().motion
+def tables(*, swarm: bool) -> dict[str, AbortTable]:
+    motion = plan_of(swarm=swarm).motion
+    if swarm:
+        return dict.fromkeys(("land", "abort"), abort_table(motion, "land", 0.5))
     return {"land": abort_table(motion, "land"), "abort": abort_table(motion, "release_and_land")}
 
 
-@cache
-def swarm_tables() -> dict[str, AbortTable]:
-    return dict.fromkeys(("land", "abort"), abort_table(landing_plan().motion, "land", 0.5))
-
-
-def at_once(compute: Callable[[], T]) -> Future[T]:
+def at_once(compute: Callable[[], str]) -> Future[str]:
     """Compute now."""
-    done: Future[T] = Future()
+    done: Future[str] = Future()
     try:
         done.set_result(compute())
     except ho.HitchoptError as error:
@@ -66,13 +60,11 @@ class Rig:
         *,
         swarm: bool = False,
     ) -> None:
-        self.plan = plan = landing_plan() if swarm else plan_of()
-        self.names = plan.motion.team.drone_names
-        self.course = Course(plan.motion, swarm_tables() if swarm else tables())
+        self.plan = plan_of(swarm=swarm)
+        self.names = self.plan.motion.team.drone_names
+        self.course = Course(self.plan.motion, tables(swarm=swarm))
         self.pressed: list[str] = []
-        self.operator = True
-        self.silent: set[str] = set()
-        self.off = np.zeros(3)
+        self.operator, self.silent, self.off = True, set[str](), np.zeros(3)
         self.sent: list[Flown] = []
         self.said: list[str] = []
         self.now, self.going, self.rate = 100.0, True, rate
@@ -84,10 +76,9 @@ class Rig:
         self.sent.append(flown)
 
     def measured(self) -> dict[str, Array]:
-        if not self.sent:
-            return {}
-        places = zip(self.names, self.sent[-1].setpoints.positions, strict=True)
-        return {name: place + self.off for name, place in places if name not in self.silent}
+        places = self.sent[-1].setpoints.positions + self.off if self.sent else []
+        found = zip(self.names, places, strict=False)
+        return {name: place for name, place in found if name not in self.silent}
 
     def close(self, *, landed: bool) -> None:
         raise AssertionError(landed)
@@ -112,11 +103,7 @@ class Rig:
     def speed(self) -> float:
         return float(np.max(np.abs(self.sent[-1].setpoints.velocities)))
 
-    @property
-    def lowest(self) -> float:
-        return float(np.min(self.sent[-1].setpoints.positions[:, 2]))
-
-    def check(self) -> None:
+    def check(self, *, landed: bool) -> None:
         """All that was sent keeps the limits, and follows from the setpoint before."""
         limits, step = self.plan.motion.requirements.limits, 1.0 / self.rate
         series = [flown.setpoints for flown in self.sent]
@@ -128,3 +115,5 @@ class Rig:
             assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
         led = positions[:-1] + 0.5 * step * (velocities[1:] + velocities[:-1])
         assert np.max(np.abs(positions[1:] - led)) <= limits.jerk * step**3
+        assert self.flight.landed == landed
+        assert not landed or abs(np.min(positions[-1, :, 2])) <= 1e-9

@@ -8,7 +8,7 @@ import pty
 import socket
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock, call
@@ -38,17 +38,12 @@ ORIGIN, YAW = (3.0, -2.0, 0.5), 0.7
 
 @contextmanager
 def receivers(count: int) -> Iterator[list[socket.socket]]:
-    found = []
-    for _ in range(count):
-        each = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        each.bind((HOME, 0))
-        each.settimeout(5.0)
-        found.append(each)
-    try:
-        yield found
-    finally:
+    with ExitStack() as stack:
+        found = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
         for each in found:
-            each.close()
+            stack.enter_context(each).bind((HOME, 0))
+            each.settimeout(5.0)
+        yield found
 
 
 def addresses(found: list[socket.socket]) -> list[Address]:
@@ -143,11 +138,9 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
         heard(SimpleNamespace(pose=SimpleNamespace(position=place)))
 
     client = SimpleNamespace(Crazyswarm=lambda: SimpleNamespace(allcfs=node))
-    for name, module in (
-        ("rclpy", SimpleNamespace(spin_once=spin_once)),
-        ("crazyflie_py", client),
-        ("geometry_msgs.msg", SimpleNamespace(PoseStamped=SimpleNamespace)),
-    ):
+    poses = SimpleNamespace(PoseStamped=SimpleNamespace)
+    ros = {"rclpy": SimpleNamespace(spin_once=spin_once), "geometry_msgs.msg": poses}
+    for name, module in (ros | {"crazyflie_py": client}).items():
         monkeypatch.setitem(sys.modules, name, module)
     outlet = CrazyflieOutlet(names(), robots, frame)
     outlet.send(flown, 1.0)
@@ -188,13 +181,10 @@ def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) 
     assert Operator().commands() == ([], False)
 
 
-@pytest.mark.parametrize("text", ["here", "127.0.0.1:x", ":5", "127.0.0.1:70000"])
-def test_addresses_are_checked(text: str) -> None:
-    with pytest.raises(ho.InputError, match="--to"):
-        address("--to", text)
-
-
-def test_what_is_not_here_is_refused() -> None:
+def test_what_is_wrong_or_not_here_is_refused() -> None:
+    for text in ("here", "127.0.0.1:x", ":5", "127.0.0.1:70000"):
+        with pytest.raises(ho.InputError, match="--to"):
+            address("--to", text)
     with pytest.raises(ho.UnsupportedError, match="ROS 2 workspace"):
         CrazyflieOutlet(names(), names(), ReferenceFrame())
     with pytest.raises(ho.UnsupportedError, match="cannot be listened on"):
