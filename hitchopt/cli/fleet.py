@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -308,12 +307,11 @@ def fly(
         plan = load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
     motion = plan.motion
-    reach = _outlet_of(motion.team, **options)
+    outlet = _outlet_of(motion.team, **options)
     tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
     course, steering = Course(motion, tables), Operator()
     with ThreadPoolExecutor(1) as workers, steering.attached():
-        outlet = reach()
         parts = course, outlet, steering.commands, watched, workers.submit, say
         flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
@@ -338,22 +336,19 @@ def _outlet_of(
     fleet: Path | None,
     origin: tuple[float, float, float],
     yaw_deg: float,
-) -> Callable[[], Outlet]:
-    """Return what reaches the fleet that the options name; wrong options are found at once."""
+) -> Outlet:
+    """Return the fleet that the options name."""
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-    from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address, messages
+    from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address
 
     names = team.drone_names
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
-        return partial(CrazyflieOutlet, names, robots, frame)
+        return CrazyflieOutlet(names, robots, frame)
     places, here = _targets(targets, len(names), PORT[over]), address("--listen", listen)
-    if over == "json":
-        return partial(JsonOutlet, names, places, frame, here)
-    messages()
-    return partial(MavlinkOutlet, names, places, frame, here)
+    return (JsonOutlet if over == "json" else MavlinkOutlet)(names, places, frame, here)
 
 
 def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import tempfile
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -321,8 +322,14 @@ class AbortTable:
     how: str
     entries: tuple[Abort, ...]
     """By their starts: a command between two entries lets the plan run on to the later one."""
-    missing: tuple[tuple[float, float], ...]
-    """Spans of time [s] from which no abort was found."""
+    end: float
+    """Of the plan [s]."""
+
+    @property
+    def missing(self) -> list[tuple[float, float]]:
+        """Spans of time [s] from which no abort was found."""
+        last = self.entries[-1].start if self.entries else 0.0
+        return [(last, self.end)] if not self.entries or last < self.end - JOINT else []
 
     @property
     def longest(self) -> float:
@@ -336,19 +343,15 @@ def abort_table(
     motion: Motion, how: str, every: float = EVERY, progress: Progress | None = None
 ) -> AbortTable:
     """Return aborts from all of a plan, about ``every`` [s] of plan time apart."""
-    every, aborts = positive("every", every), Aborts(motion)
-    entries: list[Abort] = []
-    time = 0.0
-    while not entries or entries[-1].start < motion.duration - JOINT:
-        if progress is not None:
-            progress(f"{how} from t = {time:.4g} s")
-        try:
+    every, aborts, end = positive("every", every), Aborts(motion), motion.duration
+    entries, time = list[Abort](), 0.0
+    with suppress(InfeasibleError):
+        while not entries or entries[-1].start < end - JOINT:
+            if progress is not None:
+                progress(f"{how} from t = {time:.4g} s")
             entries.append(aborts.found(time, how))
-        except InfeasibleError:
-            begin = entries[-1].start if entries else 0.0
-            return AbortTable(how, tuple(entries), ((begin, motion.duration),))
-        time = min(entries[-1].start + every, motion.duration)
-    return AbortTable(how, tuple(entries), ())
+            time = min(entries[-1].start + every, end)
+    return AbortTable(how, tuple(entries), end)
 
 
 def save_aborts(directory: Path | str, table: AbortTable) -> Path:

@@ -80,8 +80,6 @@ PASSES = 2
 ONES = np.ones(3)
 """Sums the squares of vectors: faster than ``einsum`` where they are few."""
 
-MISSING = "give a row of nan where one is missing"
-
 
 class Feedback(OneLine):
     """Corrections of a plan by measured vertices, for one flight.
@@ -258,7 +256,8 @@ def _shaped(key: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape; nan is allowed."""
     found = as_array(values)
     if found.shape != shape:
-        raise InputError(key, values, f"numbers of shape {shape}", MISSING)
+        remedy = "give a row of nan where one is missing"
+        raise InputError(key, values, f"numbers of shape {shape}", remedy)
     return found
 
 

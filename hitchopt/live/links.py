@@ -46,15 +46,8 @@ VALID, DOWN = 500, 1.0
 """[ms] How long a Crazyflie's last setpoint remains valid when the stream ends; [s] time in which
 the firmware puts down landed ones."""
 
-KEYS = {
-    " ": "toggle",
-    "p": "pause",
-    "r": "resume",
-    "b": "back",
-    "a": "abort",
-    "l": "land",
-    "q": "quit",
-}
+KEYS = {word[0]: word for word in ("pause", "resume", "back", "abort", "land", "quit")}
+KEYS[" "] = "toggle"
 """What keys ask for; ``toggle`` is pause or resume, ``quit`` ends what has not left its start. Of
 signals there is ``end`` as well: land, or quit."""
 
@@ -237,30 +230,21 @@ class JsonOutlet(DatagramOutlet):
                 yield answer.get("drone"), np.array(place, dtype=np.float64)
 
 
-def messages() -> Any:
-    """Return pymavlink's definitions of messages.
-
-    Raises
-    ------
-    UnsupportedError: pymavlink is not installed.
-    """
-    try:
-        return import_module("pymavlink.dialects.v20.common")
-    except ImportError as error:
-        words = f"MAVLink needs the package pymavlink ({error}); pip install 'hitchopt[fly]'"
-        raise UnsupportedError(words) from None
-
-
 class MavlinkOutlet(DatagramOutlet):
     """A fleet of autopilots in offboard mode, whose north-east-down axes share one origin.
 
     Drone ``i`` of the plan is system ``i + 1``. SET_POSITION_TARGET_LOCAL_NED sets position,
-    velocity, acceleration and yaw; they answer with LOCAL_POSITION_NED.
+    velocity, acceleration and yaw; they answer with LOCAL_POSITION_NED. Without pymavlink
+    UnsupportedError is raised.
     """
 
     def __init__(self, *fleet: Any) -> None:
+        try:
+            self._mavlink: Any = import_module("pymavlink.dialects.v20.common")
+        except ImportError as error:
+            words = f"MAVLink needs the package pymavlink ({error}); pip install 'hitchopt[fly]'"
+            raise UnsupportedError(words) from None
         super().__init__(*fleet)
-        self._mavlink = messages()
         self._sender = self._mavlink.MAVLink(None, srcSystem=OWN_SYSTEM)
         self._begun: float | None = None
         self._beaten = -math.inf

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from hitchopt.motion.retiming import followed
 from hitchopt.motion.states import States, sample_times, states_at
 from hitchopt.planners.forming.turns import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.simulation.task import SAME_TIME, Setpoints, Task
+from hitchopt.simulation.task import Task
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, not_negative, positive
 
@@ -63,9 +62,6 @@ SWINGS, RUNS = 40, 5
 FALL, RATE, PLACES = 0.02, 100.0, 400
 """[s], [Hz] Time between samples of a free fall, rate of a reaction's setpoints, and number of
 times at which survivors are compared with what lies on the ground."""
-
-ROWS = ("t", "formed", "vertices", "tensions")
-"""Parts of a task besides the setpoints, by its times."""
 
 EVERY, FEWEST = 1.0, 8
 """[s] Usual distance of the times at which losses are looked at, and their smallest number."""
@@ -268,22 +264,13 @@ def _sunk(motion: Motion) -> Motion:
 
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return a plan's task until the survivors react, then what they fly, to the ground."""
-    motion, begins = reaction.motion, reaction.begins
-    own = sample_times(motion.duration, RATE)
-    own = np.append(begins, own[own > begins + SAME_TIME])
-    after = Task.of(motion, own)
-    gone = np.clip((own - begins) / LETTING_GO, 0.0, 1.0)
-    forces = after.setpoints.cable_forces * (1.0 - gone**2 * (3.0 - 2.0 * gone))[:, None, None]
-    first = task.t < task.t[0] + begins - SAME_TIME
-
-    def both(name: str, there: Task | Setpoints, here: Task | Setpoints) -> Any:
-        return np.concatenate([getattr(there, name)[first], getattr(here, name)])
-
-    here = replace(after.setpoints, cable_forces=forces)
-    setpoints = Setpoints(*(both(name, task.setpoints, here) for name in vars(here)))
-    after = replace(after, t=task.t[0] + own)
-    t, formed, vertices, tensions = (both(name, task, after) for name in ROWS)
-    return Task(task.team, t, setpoints, formed, vertices, tensions, task.digest)
+    t = sample_times(reaction.motion.duration, RATE)
+    found = Task.of(reaction.motion, t)
+    gone = np.clip((t - reaction.begins) / LETTING_GO, 0.0, 1.0)[:, None, None]
+    forces = found.setpoints.cable_forces * (1.0 - gone**2 * (3.0 - 2.0 * gone))
+    setpoints = replace(found.setpoints, cable_forces=forces)
+    parts = task.team, task.t[0] + t, setpoints, found.formed, found.vertices, found.tensions
+    return Task(*parts, task.digest)
 
 
 @dataclass(frozen=True)

@@ -31,15 +31,15 @@ JET, STATE = 4, 3
 BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)
 """[s] Durations of the brake that are tried."""
 
-BRAKE_SHARE, SHARE = 0.9, 0.99
-"""Shares of the limits that are used at samples, by the brake alone and by the whole; the rest is
-for what is between samples."""
+SIDE = 1e-9
+"""Share of a duration by which one-sided derivatives are taken inside of it."""
 
-AFTER = 1e-6
-"""Share of a duration before its end at which one-sided derivatives are taken."""
+BRAKE_SHARE, SHARE, AIM = 0.9, 0.99, 0.989
+"""Shares of the limits that are used at samples, by the brake alone and by the whole, and to which
+that is prolonged; the rest is for what is between samples."""
 
 PLACES = np.linspace(0.0, 1.0, 16, endpoint=False)
-BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - AFTER)
+BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - SIDE)
 """Samples over the duration, of the whole and of a brake."""
 
 SHORTEST = 0.3
@@ -47,12 +47,6 @@ SHORTEST = 0.3
 
 ROUNDS, GROWTH = 10, 1.04
 """Maximum number of times that a shift is prolonged, and the least factor by which it is."""
-
-ROUNDING = 1e-6
-"""Relative difference of durations that rounding may make of equal states."""
-
-SIDE = 1e-9
-"""Share of a piece by which one-sided derivatives are taken inside of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,14 +193,14 @@ class RetargetPath:
         """Return the duration [s] of a shift that keeps all limits at samples, or None."""
         shift = SHORTEST
         for _ in range(ROUNDS):
-            last = (brake * (1.0 - AFTER), shift * (1.0 - AFTER))
+            last = np.array([brake, shift]) * (1.0 - SIDE)
             times = np.concatenate([max(shift, brake) * PLACES, last])
             found = self.excess(limits, times, brake, shift)
-            if found <= SHARE * (1.0 + ROUNDING):  # a prolonged shift often just keeps it
+            if found <= SHARE:
                 return shift
             if not math.isfinite(found):
                 return None
-            shift *= max(found / SHARE, GROWTH)
+            shift *= max(found / AIM, GROWTH)
         return None
 
 
