@@ -105,13 +105,14 @@ class RetargetPath:
 
     @cached_property
     def _ends(self) -> tuple[Array, Array]:
-        """Mean point, shape about it and fractions: (m, 3) at the start, (m,) in the end."""
+        """Mean point, shape about it, fractions, turn: (m, 3) at the start, (m,) in the end."""
         centre, goal = _mean(self.state.vertices), _mean(self.end)
         shape = (self.state.vertices - centre).reshape(-1, STATE)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        last = np.concatenate([goal, ((self.end - goal) @ back).ravel(), self.fractions])
-        return np.concatenate([centre, shape, self.state.fractions]), last
+        first = (centre, shape, self.state.fractions, np.zeros((1, STATE)))
+        last = (goal, ((self.end - goal) @ back).ravel(), self.fractions, [self.yaw])
+        return np.concatenate(first), np.concatenate(last)
 
     def jets(self, t: Array, brake: float, shift: float | None) -> tuple[Array, DroneJets]:
         """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
@@ -124,12 +125,9 @@ class RetargetPath:
         each = _to_rest(start, rest, brake, t)
         if shift is not None:
             each += _to_rest(np.zeros(start.shape), goal - rest, shift, t)
-        centre, split = each[:, :3], each[:, 3 + 3 * layout.points :]
+        centre, split = each[:, :3], each[:, 3 + 3 * layout.points : -1]
         shape = each[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
-        if shift is not None and self.yaw != 0.0:
-            turn = _to_rest(np.zeros((1, STATE)), np.array([self.yaw]), shift, t)
-            shape = _turned(shape, turn[:, 0])
-        vertices = centre[:, None] + shape
+        vertices = centre[:, None] + (_turned(shape, each[:, -1]) if self.yaw != 0.0 else shape)
         edges = layout.edges(vertices, axis=1)
         slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
         slack[..., 0] += team.cable_length
