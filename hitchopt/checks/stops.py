@@ -81,12 +81,6 @@ STEP = 0.02
 SHARES = np.arange(4) / 3.0
 """Shares of the phases of a stop at which samples are taken."""
 
-SWITCH = 5.0 / 12.0
-"""Plan time over duration at which a stop's jerk changes its sign."""
-
-TINY = 1e-12
-"""[N], [m/s²] Slack counts as at least this where values are divided by it."""
-
 ROWS = 5
 """Number of coordinates of a carried path; those that it does not have are zero."""
 
@@ -359,19 +353,6 @@ class CarriedInertia(_Kept):
         begins, ends = self._spans.T
         found: Flags = np.any((ends > begin[:, None]) & (begins < end[:, None]), axis=1)
         return found
-
-    def least_rate(self, begin: float, end: float) -> float:
-        """Return the least constant rate that keeps the balance within a span of plan time [s].
-
-        It is found at samples, to tell what to ask for, and verifies nothing.
-        """
-        breaks = self.breaks
-        times = np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])])
-        times = times[(times >= begin) & (times <= end)]
-        added = np.linalg.norm(self.paths.at(times, 2), axis=-1)  # at rest
-        slack = np.maximum(self.slack[np.searchsorted(breaks[1:-1], times, side="right")], TINY)
-        over = max(1.0, float(np.max(added / slack, initial=0.0)))
-        return float(np.sqrt(1.0 - 1.0 / over))
 
     def _quick(self, s: Array, slope: Array, _: Array, piece: Indices) -> Flags:
         v, a = self._curves.sizes[:, piece]

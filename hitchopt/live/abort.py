@@ -321,9 +321,9 @@ class AbortTable:
 
     how: str
     entries: tuple[Abort, ...]
-    """By their starts: a command between two entries lets the plan run on to the later one."""
+    """Sorted by start: a command between two entries lets the plan run on to the later one."""
     end: float
-    """Of the plan [s]."""
+    """The plan's end [s]."""
 
     @property
     def missing(self) -> list[tuple[float, float]]:

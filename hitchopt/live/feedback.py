@@ -294,10 +294,10 @@ class Cell:
     rows: Array
     bounds: Array
     lower: Array
-    """(3,) [m], as ``upper`` the common shift's range that the arena leaves."""
+    """(3,) [m], the range, up to ``upper``, that the arena leaves a common shift."""
     upper: Array
     forward: Array
-    """As ``inverse`` of ``vertex_responses``."""
+    """Response and damped ``inverse``, see ``vertex_responses``."""
     inverse: Array
 
     def within(self, offsets: Array) -> Array:

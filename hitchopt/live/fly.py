@@ -49,7 +49,7 @@ class Flown:
 
     setpoints: Setpoints
     thrusts: Array
-    """(drones, 3) [N], with the cables' pull at that plan time."""
+    """(drones, 3) [N]; the cables' pull is that at the plan time."""
     thrust_rates: Array
     """(drones, 3) [N/s]"""
     feed_forward: Array

@@ -279,7 +279,7 @@ class Lost(OneLine):
 
     drone: str
     start: float
-    """[s], as ``end`` half-way to the neighbouring times that were looked at."""
+    """[s]; start and end are half-way to the neighbouring times that were looked at."""
     end: float
     reason: str
     """Why there is none, at its first time."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.spans import shared_values
-from hitchopt.checks.stops import QUICK as STOPPABLE
+from hitchopt.checks.stops import QUICK
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -153,7 +153,7 @@ class Replanner(OneLine):
         turning = math.inf if limits.body_rate is None else GRAVITY * limits.body_rate
         self._limits = replace(limits, jerk=min(limits.jerk, turning))
         """Those of planning, with a jerk that turns a hovering drone at ``body_rate`` at most."""
-        self._certificate = certify(self.motion, reports=(STOPPABLE,))
+        self._certificate = certify(self.motion, reports=(QUICK,))
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
             self._end(self._goal.polygon, self._goal.altitude, chosen=True)
         if not self._certificate.certified:
@@ -350,7 +350,7 @@ def _certificate(ahead: Motion) -> Certificate:
     checked = ahead.untimed
     with shared_values(), rough_bounds():
         known = {QUICK_EQUILIBRIUM.name: QUICK_EQUILIBRIUM.findings(checked)}
-        return certify(checked, reports=(STOPPABLE,), known=known)
+        return certify(checked, reports=(QUICK,), known=known)
 
 
 def _breaks(brake: float, shift: float, finer: float) -> Array:

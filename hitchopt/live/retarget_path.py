@@ -87,9 +87,9 @@ class RetargetPath:
     end: Array
     """Vertices (points, 3) [m] at rest."""
     fractions: Array
-    """(n,), of the slack, at rest."""
+    """(n,), shares of the slack at rest."""
     yaw: float = 0.0
-    """By how much the frame turns [rad]."""
+    """Angle by which the frame turns [rad]."""
 
     @classmethod
     def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:

@@ -76,7 +76,7 @@ class Rig:
         self.sent.append(flown)
 
     def measured(self) -> dict[str, Array]:
-        places = self.sent[-1].setpoints.positions + self.off if self.sent else []
+        places = [p + self.off for p in self.sent[-1].setpoints.positions] if self.sent else []
         found = zip(self.names, places, strict=False)
         return {name: place for name, place in found if name not in self.silent}
 
