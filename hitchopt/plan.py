@@ -151,7 +151,7 @@ class Plan(OneLine):
         """
         from hitchopt.live.abort import Aborts
 
-        found = Aborts(self.motion).found(t, how).certified
+        found = Aborts(self.motion).found(t, how)
         return Plan(found.motion, found.certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
     def save(

@@ -72,9 +72,6 @@ SPACING, QUICK_SPACING, STARTS = 0.1, 0.2, 10_000
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
 
-SWITCH = 5.0 / 12.0
-"""Plan time over duration at which a stop's jerk changes its sign."""
-
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
     """Return the phases that lead from a rate, 1 or 0, at plan times (m,) to the other one."""

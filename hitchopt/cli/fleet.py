@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -237,7 +236,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     rows = []
     for entry in found.entries:
         phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
-        times = (entry.start, entry.start + entry.seconds, entry.certified.motion.duration)
+        times = (entry.start, entry.start + entry.seconds, entry.motion.duration)
         rows.append((phase.name, *(f"{t:.3f} s" for t in times)))
     heads = ["commands until", "at rest after", "ends"]
     say(table(f"Aborts: {chosen}", ["phase"], heads, rows))
@@ -269,15 +268,12 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         14600 (json) or 14580 (mavlink) on, one port for each drone.
     --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
         this machine's address on the drones' network.
-    --operator HOST:PORT (text): Listen there for the commands and heartbeats of another machine,
-        and require them.
     --fleet FILE (path): Names of the Crazyflies.
     --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies for the drones: east, north, up
         [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned.
     --rate HZ (50.0): Setpoints per second and drone.
-    --how release_and_land|land: What key a does: by default what aborts.json in DIR does, else
-        release_and_land, land without cables.
+    --how release_and_land|land: What key a does: by default release_and_land, land without cables.
     --patience SECONDS (5.0): From a lost link to landing.
     --measurements/--no-measurements (True): Whether drones must be measured: a silence of 0.5 s is
         a lost link.
@@ -290,7 +286,6 @@ def fly(
     how: str | None,
     patience: float,
     rate: float,
-    operator: str | None,
     *,
     measurements: bool,
     **options: Any,
@@ -299,28 +294,26 @@ def fly(
 
     The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
     a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
-    changes, and the aborts: those that hitchopt abort has written to DIR, certified anew, and
-    others are planned first. A lost operator or lost measurements end in a
+    changes, and the aborts, which are planned first. A lost operator or lost measurements end in a
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
-    from hitchopt.live.fly import Course, Flight, Timing
-    from hitchopt.live.links import KEYS_HELP, OperatorLink, terminal_keys
+    from hitchopt.live.fly import Course, Flight
+    from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.plan import load
+    from hitchopt.values import positive
 
-    timing = Timing(rate=rate, patience=patience)
-    place = plan_path(directory).parent
+    rate, patience = positive("--rate", rate), positive("--patience", patience)
     with LateProgress("certifying"):
-        plan = load(place)
+        plan = load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
     motion = plan.motion
-    reach = _outlet_of(motion.team, **options)
-    tables = flown_aborts(place, motion, how)
+    outlet = _outlet_of(motion.team, **options)
+    tables = _flown_aborts(motion, how)
     watched = motion.team.drone_names if measurements else ()
-    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, _listening(operator) as remote:
-        steering = OperatorLink(keys, remote)
-        course = Course(motion, tables, workers.submit)
-        outlet = reach()
-        flight = Flight(course, outlet, steering, timing, watched, workers.submit, say)
+    course, steering = Course(motion, tables), Operator()
+    with ThreadPoolExecutor(1) as workers, steering.attached():
+        parts = course, outlet, steering.commands, watched, workers.submit, say
+        flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _signals(steering.add):
             try:
@@ -335,19 +328,6 @@ def fly(
         unmet()
 
 
-@contextmanager
-def _listening(operator: str | None) -> Iterator[Any]:
-    """Give the socket for an operator on another machine, if there is one."""
-    from hitchopt.live.links import Datagrams, address
-
-    datagrams = None if operator is None else Datagrams(address("--operator", operator))
-    try:
-        yield datagrams
-    finally:
-        if datagrams is not None:
-            datagrams.close()
-
-
 def _outlet_of(
     team: Team | Swarm,
     over: str,
@@ -356,29 +336,19 @@ def _outlet_of(
     fleet: Path | None,
     origin: tuple[float, float, float],
     yaw_deg: float,
-) -> Callable[[], Outlet]:
-    """Return what reaches the fleet that the options name; wrong options are found at once."""
+) -> Outlet:
+    """Return the fleet that the options name."""
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-    from hitchopt.live.links import (
-        Datagrams,
-        JsonOutlet,
-        MavlinkOutlet,
-        address,
-        crazyflie_outlet,
-        messages,
-    )
+    from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address
 
     names = team.drone_names
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
-        return partial(crazyflie_outlet, names, robots, frame)
+        return CrazyflieOutlet(names, robots, frame)
     places, here = _targets(targets, len(names), PORT[over]), address("--listen", listen)
-    if over == "json":
-        return lambda: JsonOutlet(names, places, frame, Datagrams(here))
-    messages()
-    return lambda: MavlinkOutlet(names, places, frame, Datagrams(here))
+    return (JsonOutlet if over == "json" else MavlinkOutlet)(names, places, frame, here)
 
 
 def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
@@ -393,24 +363,15 @@ def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
     return found * count if len(found) == 1 else found
 
 
-def flown_aborts(directory: Path, motion: Motion, how: str | None) -> dict[str, AbortTable]:
-    """Return the aborts for the commands ``abort`` and ``land``: those of the directory, or new."""
-    from hitchopt.live.abort import abort_table, read_aborts
+def _flown_aborts(motion: Motion, how: str | None) -> dict[str, AbortTable]:
+    """Return the aborts for the commands ``abort`` and ``land``."""
+    from hitchopt.live.abort import abort_table
 
-    with LateProgress("reading aborts") as progress:
-        saved = read_aborts(directory, motion, progress)
-    usual = "release_and_land" if motion.team.has_cables else "land"
-    if saved is not None and saved.how in ("release_and_land", "land"):
-        usual = saved.how
-    chosen = how or usual
+    chosen = how or ("release_and_land" if motion.team.has_cables else "land")
     found = {}
     with LateProgress("planning aborts") as progress:
         for each in dict.fromkeys(("land", chosen)):
-            if saved is not None and saved.how == each:
-                say(f"{each}: {len(saved.entries)} entries of aborts.zip, certified anew")
-                found[each] = saved
-            else:
-                found[each] = abort_table(motion, each, progress=progress)
+            found[each] = abort_table(motion, each, progress=progress)
             if not found[each].entries:
                 remedy = "a lost link could not end on the ground; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")

@@ -246,9 +246,8 @@ def check(
         from hitchopt.live.lost import survivable as survived
 
         with LateProgress("planning reactions") as progress:
-            losses = survived(motion, progress=progress)
-        certificate = replace(certificate, checks=(*certificate.checks, losses.check))
-        without = losses.without
+            share, without = survived(motion, progress=progress)
+        certificate = replace(certificate, checks=(*certificate.checks, share))
         record(without_reaction=[asdict(lost) for lost in without])
     show_plan("", motion, certificate)
     record(certificate=certificate_content(motion, certificate, path))

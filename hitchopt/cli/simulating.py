@@ -150,11 +150,10 @@ def _lost(
         return settings, task
     with LateProgress("planning the reaction"):
         found = Reactions(read_plan(plan_path(directory))).found(loss.drone, loss.time)
-    course = found.course
     say(
-        f"reaction: tension is let go from t = {course.begins:.3f} s on, all are on the ground at "
-        f"{course.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} of a "
-        "thrust"
+        f"reaction: tension is let go from t = {found.begins:.3f} s on, all are on the ground at "
+        f"{found.motion.duration:.3f} s; hovering with its weight takes up to {found.thrust:.0%} "
+        "of a thrust"
     )
     return settings, reacting(task, found)
 

@@ -1,147 +1,90 @@
 """Aborts: a certified continuation of a plan from the moving state at any time.
 
-A command stops the plan's clock; what follows is the plan backward, or a landing that the steps
-plan. A hitch that is around an object cannot be lowered or untied: it lands from one of the plan's
-own rests at which it is around none. That is ahead where the object has been moved, as it is set
-down there, and behind where it has not been lifted yet.
+A command stops the plan's clock; what follows is a rest, the plan backward, or a landing that the
+steps plan. Where the certificate refuses that, a later stop is tried. A hitch that is around an
+object cannot be lowered or untied: it lands from one of the plan's own rests at which it is around
+none. That is ahead where the object has been moved, as it is set down there, and behind where it
+has not been lifted yet.
 """
 
 from __future__ import annotations
 
 import tempfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.checks.stops import SWITCH, StopTable, stop_phases
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
 from hitchopt.motion.final_hitch import final_hitch
-from hitchopt.motion.loads import stated_tensions
-from hitchopt.motion.motion import JOINT, CableState, HoldBy, Motion, Phase
-from hitchopt.motion.plan_file import read_plan, write_plan
-from hitchopt.motion.retiming import (
-    SHORTEST,
-    before,
-    beside_objects,
-    followed,
-    resting,
-    rests,
-    retimed,
-)
-from hitchopt.objects import SolidObject
+from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.retiming import before, beside_objects, followed, resting, rests, retimed
 from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.turns import straight
 from hitchopt.steps import Land, Release
-from hitchopt.steps.certified_motions import Certified, infeasible, lifted
+from hitchopt.steps.certified_motions import infeasible, lifted
 from hitchopt.steps.step import Situation, StepTask
-from hitchopt.storage.archive import opened_zip, read_members
-from hitchopt.storage.files import parsed_json, replace_files, write_strict_json
-from hitchopt.trajectory.piecewise import SAME_BREAK
+from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.values import Array, choice, not_negative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
 
-WAYS: tuple[How, ...] = get_args(How)
-
 LANDINGS = ("release_and_land", "land")
-"""Those of them that end on the ground."""
+"""Aborts that end on the ground."""
 
 HOLD = 1.0
 """[s] Time at rest at the end of a hold."""
 
-APART, FARTHER = 0.1, 1.5
-"""[s] The clock's stops that are tried first are at least so far apart, and how many times farther
-each time one is refused."""
-
-TRIES = 8
-"""Number of the clock's stops from which a continuation is tried; later ones begin where the plan
-is at rest by itself: legs that lean against friction stand straight there."""
+APART, FARTHER, TRIES = 0.1, 1.5, 8
+"""[s] Distance of the clock's first two stops that are tried, how many times farther each later
+one is, and their number. Besides, the plan's own rests are: legs that lean stand straight there."""
 
 PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
 """States between hanging and hitched cables, that nothing but the clock leads out of."""
 
-OBSTACLES = ("keep_out", "object_clearance")
-"""Checks that are looked at before the others: most landings that are refused break them."""
+RESTS = ("tension", "interlacing")
+"""Checks that refuse rests while tensions rise or fall, or before the chords of a swap have met."""
 
 EVERY = 2.0
 """[s] Usual distance of the entries of a table."""
 
-FORMAT = "hitchopt-aborts/1"
-
-SAME, SAMES = 1e-7, 33
-"""[m] Drones of an entry that is read fly the plan within this until it begins, at so many times.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
-    """A plan that has come to rest.
+    """A plan up to a rest."""
 
-    Attributes
-    ----------
-    motion: the plan up to the rest.
-    start: plan time at which the clock begins to slow down [s].
-    seconds: time from there to the rest [s].
-    time: plan time at the rest [s].
-    """
-
-    motion: Motion
     start: float
+    """Plan time at which the clock begins to slow down [s]."""
     seconds: float
-    time: float
+    """Time from there to the rest [s]."""
+    rest: float
+    """Plan time at the rest [s]."""
+    motion: Motion
 
 
 @dataclass(frozen=True, eq=False)
-class Abort:
-    """A plan with a certified continuation.
+class Abort(Stopped):
+    """A plan that comes to rest, and whose motion goes on from there, with its certificate."""
 
-    Attributes
-    ----------
-    start, seconds, rest: as of Stopped, its ``time`` being the rest.
-    certified: the whole motion with its certificate.
-    """
-
-    start: float
-    seconds: float
-    rest: float
-    certified: Certified
+    certificate: Certificate
 
 
 class Aborts:
-    """The aborts of one plan: what they have in common is computed once.
-
-    Parameters
-    ----------
-    motion: the plan.
-    """
+    """The aborts of one plan: what they have in common is computed once."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
-        self.player = Player(motion)
-
-    @cached_property
-    def stops(self) -> StopTable:
-        """The stops of the common clock that polynomials follow.
-
-        Those whose clock's jerk jumps a little before or after a break of the plan are left out:
-        pieces so short suffer from rounding, and longer ones do not follow a jump of the jerk.
-        """
-        table, breaks = self.player.stops, self.motion.drones.breaks
-        jumps = np.stack([table.starts, table.starts + SWITCH * table.durations])
-        later = np.clip(np.searchsorted(breaks, jumps), 1, len(breaks) - 1)
-        away = np.minimum(np.abs(jumps - breaks[later - 1]), np.abs(jumps - breaks[later]))
-        clear = np.all((away <= SAME_BREAK) | (away > SHORTEST), axis=0)
-        return StopTable(table.end, table.starts[clear], table.durations[clear])
 
     def found(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains.
@@ -151,255 +94,177 @@ class Aborts:
         InputError: a time outside the plan, or another word.
         InfeasibleError: no such continuation was found; says what binds.
         """
-        choice("how", how, WAYS)
+        choice("how", how, get_args(How))
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
-        refusal: InfeasibleError | None = None
-        for stopped, origin in self._tries(time, how):
+        refusal = _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
+        for i, (stopped, origin) in enumerate(self._tries(time, how)):
             try:
-                certified = self.continued(stopped, how, origin)
+                motion = self._continued(stopped, how, origin)
+                certificate = certify(motion)
+                if not certificate.certified:
+                    raise infeasible(certificate, motion)
             except InfeasibleError as error:
-                refusal = refusal or error
+                refusal = error if i == 0 else refusal
             else:
-                return Abort(stopped.start, stopped.seconds, stopped.time, certified)
-        raise refusal or _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
+                known = stopped.start, stopped.seconds, stopped.rest
+                return Abort(*known, motion, certificate)
+        raise refusal
 
-    def stopped(self, time: float, *, landing: bool = False) -> Iterator[Stopped]:
-        """Yield the plan stopped after a time [s], at the first rest and at later ones.
+    def stopped(self, time: float) -> Iterator[Stopped]:
+        """Yield the plan stopped from a time [s] on, at first and later, and at its own rests.
 
-        After TRIES stops of the clock only those follow at which the plan is at rest by itself.
-        Left out are rests that the states of the cables do not allow, and those for a landing from
-        which the plan has to go on until it has left an object.
+        Where tensions change, or chords of a swap have not met, there is no rest.
         """
-        starts, durations = self.stops.starts, self.stops.durations
-        ahead = (starts >= time) & np.isfinite(durations)
-        options = [
-            (start + duration, start, duration)
-            for start, duration in zip(starts[ahead], durations[ahead], strict=True)
-        ]
+        later = np.cumsum([0.0, *APART * FARTHER ** np.arange(TRIES - 1)])
         still = self.motion.drones.breaks[rests(self.motion)]
-        options += [(each, each, 0.0) for each in still[still >= time - JOINT].tolist()]
-        latest, tries = -np.inf, 0
-        for rest, start, duration in sorted(options):
-            if duration > 0.0 and (rest < latest + APART * FARTHER**tries or tries == TRIES):
-                continue
-            # A stop takes half of its duration of plan time.
-            if landing and self._around(start + 0.5 * duration) == (True, np.inf):
-                continue
-            latest = rest
-            found = self._stop(float(start), float(duration))
-            if found is not None:
-                tries += duration > 0.0
-                yield found
+        options = [(begin, False) for begin in (time + later).tolist()]
+        options += [(each, True) for each in still.tolist() if each >= time - JOINT]
+        for begin, resting_there in sorted(options):
+            if begin < self.motion.duration or resting_there:
+                found = until_stop(self.motion, begin, stop=not resting_there)
+                held = followed(found.motion, resting(found.motion, HOLD))
+                looked = [RULE_OF[name].check(held) for name in RESTS]
+                if all(check is None or check.holds for check in looked):
+                    yield found
 
-    def _stop(self, start: float, duration: float) -> Stopped | None:
-        """Return the plan stopped by the clock, unless its cables do not allow that.
-
-        The chords of a swap must have met, and tensions must be those that are stated.
-        """
-        motion = self.motion
-        whole, time = until_stop(motion, start, duration, HOLD)
-        whole = replace(whole.untimed, assignment=motion.assignment)
-        last = whole.phases[-1]
-        if last.formed:
-            tension, least = whole.tensions.coefficients[-1, :, -1], motion.team.tension
-            most = least
-            if last.hold is not None:  # which may ask for another tension
-                least, most = stated_tensions(whole)[-1].T
-            off = tension - np.clip(tension, least, most)
-            if np.max(np.abs(off)) > RULE_OF["tension"].limit_of(motion):
-                return None
-        if last.state in PASSING:
-            check = RULE_OF["interlacing"].check(followed(whole, resting(whole, HOLD)))
-            if check is not None and not check.holds:
-                return None
-        return Stopped(whole, start, duration, time)
-
-    def _tries(self, time: float, how: str) -> Iterator[tuple[Stopped, float | None]]:
-        """Yield stops after a time [s], and the plan times from which to go on; None for there.
+    def _tries(self, time: float, how: str) -> Iterator[tuple[Stopped, float]]:
+        """Yield stops after a time [s], and the plan times to which the clock goes from there.
 
         Single drones that can land from no rest ahead go back: plans may end above each other.
         """
-        landing, first = how in LANDINGS, None
-        most = None if how != "back" else TRIES  # what hangs free later is not behind
-        for stopped in islice(self.stopped(time, landing=landing), most):
+        first = None
+        for i, stopped in enumerate(self.stopped(time)):
+            if how == "back" and i == TRIES:  # what hangs free later is not behind
+                return
             first = first or stopped
-            around = self._around(stopped.time) if landing else None
-            if around is None or not around[0]:
-                yield stopped, None
-            if around is not None and np.isfinite(around[1]):
-                yield stopped, around[1]
-        if landing and first is not None and not self.motion.team.has_cables:
+            origin = self._origin(stopped, how)
+            if origin is not None:
+                yield stopped, origin
+        if how in LANDINGS and first is not None and not self.motion.team.has_cables:
             for back in APART * np.cumsum(FARTHER ** np.arange(TRIES)):
-                if first.time > back:
-                    yield first, first.time - float(back)
+                if first.rest > back:
+                    yield first, first.rest - float(back)
 
-    def continued(self, stopped: Stopped, how: str, origin: float | None = None) -> Certified:
-        """Return the certified continuation of a plan at rest, as ``continuation``."""
-        whole = self.continuation(stopped, how, origin)
-        if how in LANDINGS:
-            breaks = whole.drones.breaks
-            first = int(np.searchsorted(breaks, stopped.motion.duration - JOINT))
-            ahead = whole.taken(slice(first, None), whole.overlapping(breaks[first], breaks[-1]))
-            for check in (RULE_OF[name].check(ahead) for name in OBSTACLES):
-                if check is not None and not check.holds:
-                    raise infeasible(Certificate(whole.duration, (check,)), whole)
-        certificate = certify(whole)
-        if not certificate.certified:
-            raise infeasible(certificate, whole)
-        return Certified(whole, certificate)
-
-    def continuation(self, stopped: Stopped, how: str, origin: float | None = None) -> Motion:
-        """Return the continuation of a plan at rest, not certified yet.
-
-        Parameters
-        ----------
-        origin: plan time to which the clock goes before it lands; None to land where it rests.
-
-        Raises
-        ------
-        InfeasibleError: there is none.
-        """
-        whole, time = stopped.motion, stopped.time
+    def _origin(self, stopped: Stopped, how: str) -> float | None:
+        """Return the plan time [s] from which to go on; None where a later stop has to be taken."""
+        time = stopped.rest
         if how == "hold":
-            return followed(whole, resting(whole, HOLD))
+            return time
         if how == "back":
-            origin, phase = self._last_free(time)
-        elif whole.phases[-1].state in PASSING:
-            origin = self._way_out(time)
-        if origin is not None and abs(origin - time) > JOINT:
-            whole = followed(whole, retimed(self.motion, self.player.path(time, origin)))
-        if how == "back":
-            return followed(whole, resting(whole, HOLD, phase))
-        return _landed(whole, untied=how == "release_and_land")
+            return min(time, self._free_before(time).end)
+        passing = stopped.motion.phases[-1].state in PASSING
+        return self._passed(time) if passing else self._clear_of_objects(time)
 
-    def _last_free(self, time: float) -> tuple[float, Phase]:
-        """Return the plan time at which cables have hung free last, up to ``time``, and its phase.
+    def _passed(self, time: float) -> float:
+        """Return the plan time [s], ahead or before, at which cables that are passing hang free."""
+        after = [phase for phase in self.motion.phases if phase.end > time + JOINT]
+        following = next((phase for phase in after if phase.state not in PASSING), None)
+        if following is None:
+            return self.motion.duration
+        return self._free_before(time).end if following.formed else following.start
 
-        Without cables, that is where the plan begins.
+    def _clear_of_objects(self, time: float) -> float | None:
+        """Return the same of a hitch: where it is around no object, ahead if one has been moved."""
+        around = self._around(time)
+        if around is None:
+            return time
+        behind, ahead = self._outside[self._outside < time], self._outside[self._outside > time]
+        if len(behind):
+            poses = self.motion.object_poses.at(np.array([behind[-1], time]))[:, around]
+            if np.max(np.abs(poses[1] - poses[0])) <= STILL or not len(ahead):
+                return float(behind[-1])
+        return None if len(ahead) else time
+
+    def _free_before(self, time: float) -> Phase:
+        """Return the last phase, up to a plan time [s], in which cables hang free.
+
+        Without cables, that is the place where the plan begins.
         """
         first = self.motion.phases[0]
         if not self.motion.team.has_cables:
-            return first.start, first
-        begun = [phase for phase in self.motion.phases if phase.start < time + JOINT]
-        for phase in reversed(begun):
-            if phase.state in (CableState.FREE, CableState.GROUND):
-                return min(time, phase.end), phase
+            return first.lasting(first.start, first.start)
+        for phase in reversed(self.motion.phases):
+            if phase.start < time + JOINT and phase.state in (CableState.FREE, CableState.GROUND):
+                return phase
         raise _refused(
             f"back from t = {time:.4g} s: cables have not hung free before",
             "choose hold, land or release_and_land",
         )
 
-    def _way_out(self, time: float) -> float:
-        """Return the plan time at which cables that are being tied or untied hang free again.
-
-        Ahead where they are being untied, behind where they are being tied.
-        """
-        after = [phase for phase in self.motion.phases if phase.end > time + JOINT]
-        following = next((phase for phase in after if phase.state not in PASSING), None)
-        if following is None:
-            return self.motion.duration
-        return self._last_free(time)[0] if following.formed else following.start
-
     @cached_property
     def _outside(self) -> Array:
         """Plan times of the rests at which the hitch is around no object [s]."""
-        objects = self.motion.requirements.objects
-        still = self.motion.drones.breaks[rests(self.motion)].tolist() if objects else []
-        return np.array([time for time in still if self._enclosed(time) is None])
+        still = self.motion.drones.breaks[rests(self.motion)].tolist()
+        return np.array([time for time in still if self._around(time) is None])
 
-    def _around(self, time: float) -> tuple[bool, float] | None:
-        """Return whether a hitch holds what it is around at a plan time, and from when it lands.
-
-        None where it is around nothing; infinity where the plan goes on until it has left it: what
-        has been moved is set down ahead, and grips open otherwise than they close.
-        """
-        index = self._enclosed(time)
-        if index is None:
-            return None
-        before, after = self._outside[self._outside < time], self._outside[self._outside > time]
-        holds = [
-            phase.hold.by
-            for phase in self.motion.phases
-            if phase.hold is not None and phase.start < time + JOINT < phase.end
-        ]
-        onward = HoldBy.GRIP in holds or not len(before)
-        if not onward:
-            poses = self.motion.object_poses.at(np.array([before[-1], time]))[:, index]
-            onward = bool(np.max(np.abs(poses[1] - poses[0])) > STILL)
-        behind = len(before) > 0 and not (onward and len(after))
-        return bool(holds), float(before[-1]) if behind else np.inf
-
-    def _enclosed(self, time: float) -> int | None:
-        """Return the index of an object that the hitch is around."""
+    def _around(self, time: float) -> int | None:
+        """Return the index of an object that the hitch goes around, below its top."""
         motion = self.motion
         phase = next(p for p in reversed(motion.phases) if p.start < time + JOINT)
         if not (motion.requirements.objects and phase.formed and motion.team.layout.closed):
             return None
         vertices, poses = motion.vertices.at(time), motion.object_poses.at(time)
         for index, body in enumerate(motion.requirements.objects.values()):
-            if not body.fixed and _encloses(vertices, poses[index], body):
+            top = body.upper if body.rim is None else max(body.upper, body.rim.height)
+            middle = in_world(poses[index], np.append(body.section.centroid, top))
+            away = (vertices - middle)[:, :2] @ [1.0, 1.0j]
+            inside = np.all((np.roll(away, -1) * away.conj()).imag < 0.0)  # convex and clockwise
+            if not body.fixed and inside and np.min(vertices[:, 2]) < middle[2]:
                 return index
         return None
 
+    def _continued(self, stopped: Stopped, how: str, origin: float) -> Motion:
+        """Return the continuation of a plan at rest from a plan time [s], not certified yet."""
+        whole, time = stopped.motion, stopped.rest
+        if abs(origin - time) > JOINT:
+            player = Player(self.motion, time, 0.0)
+            player.seek(origin)
+            whole = followed(whole, retimed(self.motion, player.ahead))
+        if how in LANDINGS:
+            return _landed(whole, untied=how == "release_and_land")
+        phase = self._free_before(time) if how == "back" else None
+        return followed(whole, resting(whole, HOLD, phase))
 
-def until_stop(motion: Motion, start: float, duration: float, hold: float) -> tuple[Motion, float]:
-    """Return the motion until its clock has stopped, and the plan time of its rest [s].
 
-    Parameters
-    ----------
-    start, duration: of the stop [s]; no duration where the motion is at rest.
-    hold: how long it stays where it would not move at all [s].
+def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
+    """Return the plan until its clock has stopped as soon as it can from a time [s] on.
+
+    With no stop it ends at that time, a rest of its own. It has no limit on its duration.
     """
-    parts, rest = [before(motion, start)] if start > JOINT else [], start
-    if duration > 0.0:
-        clock = stop_phases(np.array([start]), np.array([duration]))
-        parts.append(retimed(motion, clock))
-        rest = float(clock.ends[-1, 0])
+    whole, player, parts = motion.untimed, Player(motion, time), list[Motion]()
+    until = player.pause() if stop else 0.0
+    clock = player.ahead
+    player.step(until)
+    if len(clock) and not np.any(clock.jets[0, 2:]):  # the plan runs on, at its own rate
+        time += float(clock.duration[0])
+        clock = clock.taken(slice(1, None))
+    if time > JOINT:
+        parts.append(before(whole, time))
+    if len(clock):
+        parts.append(retimed(whole, clock))
     if not parts:
-        parts = [resting(motion, hold, first=True)]
-    return parts[0] if len(parts) == 1 else followed(*parts), rest
+        parts.append(resting(whole, HOLD, first=True))
+    found = parts[0] if len(parts) == 1 else followed(*parts)
+    return Stopped(time, float(np.sum(clock.duration)), player.time, found)
 
 
 def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
     return InfeasibleError([], f"no abort {when}; {remedy}")
 
 
-def _encloses(vertices: Array, pose: Array, body: SolidObject) -> bool:
-    """Return whether a polygon of vertices (n, 3) [m] goes around an object, below its top."""
-    top = body.upper if body.rim is None else max(body.upper, body.rim.height)
-    middle = in_world(pose, np.append(body.section.centroid, top))
-    away = (vertices - middle)[:, :2] @ [1.0, 1.0j]
-    turned = np.sum(np.angle(np.roll(away, -1) * away.conj()))
-    return bool(abs(turned) > np.pi and np.min(vertices[:, 2]) < middle[2])
-
-
 def _landed(whole: Motion, *, untied: bool) -> Motion:
-    """Return a plan at rest followed by steps that bring it to the ground, untied first or not.
-
-    Raises
-    ------
-    InfeasibleError: there is no plan for it, or the hitch is not one that a step can start from.
-    """
-    drones, floor = whole.drones.coefficients[-1, ..., -1], whole.requirements.floor
-    index, need = whole.phases[-1].step + 1, whole.requirements
+    """Return a plan at rest followed by steps that bring it to the ground, untied first or not."""
+    team, need, index = whole.team, whole.requirements, whole.phases[-1].step + 1
+    if not team.has_cables:
+        return followed(whole, straight_down(whole))
 
     def on(first: Motion, motion: Motion) -> Motion:
         return followed(first, beside_objects(first, replace(motion, requirements=need)))
 
-    if not whole.team.has_cables:
-        down = drones.copy()
-        down[:, 2] = floor
-        flight = straight(whole.team, need.limits.planned, drones, down)
-        phase = Phase("land", index, 0.0, flight.duration)
-        return on(whole, Motion.single(whole.team, need, flight, [phase]))
-    objects = dict(need.objects)
-    poses = whole.object_poses.coefficients[-1, ..., -1]
-    for pose, (name, body) in zip(poses, objects.items(), strict=True):
-        objects[name] = replace(body, at=pose[:3], yaw=float(np.arctan2(pose[4], pose[3])))
-    planned = replace(need, objects=objects).planned
+    drones, planned = whole.drones.coefficients[-1, ..., -1], _where_left(whole).planned
     if not whole.phases[-1].formed:
-        task = StepTask(Situation(whole.team, drones), index, planned)
+        task = StepTask(Situation(team, drones), index, planned)
         return on(whole, Land().plan(task).motion)
     try:
         hitch = final_hitch(whole)
@@ -408,14 +273,35 @@ def _landed(whole: Motion, *, untied: bool) -> Motion:
         remedy = "abort earlier or later, or choose hold or back"
         when = f"at rest at t = {whole.duration:.4g} s"
         raise InfeasibleError([], f"{when}: {words}; {remedy}") from None
-    task = StepTask(Situation(whole.team, hitch.drones, hitch, _senses(whole)), index, planned)
+    task = StepTask(Situation(team, hitch.drones, hitch, _senses(whole)), index, planned)
     if untied:
         release = Release().plan(task)
         landing = Land().plan(replace(task, before=release.after, index=index + 1))
         return on(on(whole, release.motion), landing.motion)
-    lower = hitch.altitude - (float(np.min(drones[:, 2])) - floor)
+    lower = hitch.altitude - (float(np.min(drones[:, 2])) - need.floor)
     motion = lifted(hitch, lower, "land", task)
     return on(whole, motion.altered(phases=tuple(replace(p, remark="") for p in motion.phases)))
+
+
+def straight_down(whole: Motion) -> Motion:
+    """Return the flight of single drones to the ground, below where a motion ends."""
+    team, need = whole.team, whole.requirements
+    drones = whole.drones.coefficients[-1, ..., -1]
+    flight = straight(team, need.limits.planned, drones, drones * [1, 1, 0] + [0, 0, need.floor])
+    step = whole.phases[-1].step + 1
+    phase = Phase("land", step, 0.0, flight.duration, state=CableState.GROUND)
+    return Motion.single(team, need, flight, [phase])
+
+
+def _where_left(whole: Motion) -> Requirements:
+    """Return a plan's requirements with objects standing where it has left them."""
+    need = whole.requirements
+    poses = whole.object_poses.coefficients[-1, ..., -1]
+    objects = {
+        name: replace(body, at=pose[:3], yaw=float(np.arctan2(pose[4], pose[3])))
+        for pose, (name, body) in zip(poses, need.objects.items(), strict=True)
+    }
+    return replace(need, objects=objects)
 
 
 def _senses(whole: Motion) -> Array | None:
@@ -431,75 +317,53 @@ def _senses(whole: Motion) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class AbortTable:
-    """Certified aborts over all of a plan.
-
-    Attributes
-    ----------
-    how: what they do.
-    entries: by the time at which the clock begins to slow down: a command between two entries lets
-        the plan run on to the later one.
-    missing: spans of time [s], each from one entry to the next, from which no abort was found.
-    """
+    """Certified aborts over all of a plan."""
 
     how: str
     entries: tuple[Abort, ...]
-    missing: tuple[tuple[float, float], ...]
+    """Sorted by start: a command between two entries lets the plan run on to the later one."""
+    end: float
+    """The plan's end [s]."""
+
+    @property
+    def missing(self) -> list[tuple[float, float]]:
+        """Spans of time [s] from which no abort was found."""
+        last = self.entries[-1].start if self.entries else 0.0
+        return [(last, self.end)] if not self.entries or last < self.end - JOINT else []
 
     @property
     def longest(self) -> float:
         """Longest time from the command to rest [s]."""
         begins = [0.0, *(entry.start for entry in self.entries)]
-        waits = [
-            entry.start - begin + entry.seconds
-            for begin, entry in zip(begins, self.entries, strict=False)
-        ]
-        return max(waits, default=float("inf"))
+        rests = [entry.start + entry.seconds for entry in self.entries]
+        return max((b - a for a, b in zip(begins, rests, strict=False)), default=float("inf"))
 
 
 def abort_table(
     motion: Motion, how: str, every: float = EVERY, progress: Progress | None = None
 ) -> AbortTable:
-    """Return aborts from all of a plan, about ``every`` [s] of plan time apart.
-
-    Raises
-    ------
-    InputError: an unknown kind of abort, or a distance that is not positive.
-    """
-    every, aborts = positive("every", every), Aborts(motion)
-    entries: list[Abort] = []
-    time = 0.0
-    while not entries or entries[-1].start < motion.duration - JOINT:
-        if progress is not None:
-            progress(f"{how} from t = {time:.4g} s")
-        try:
+    """Return aborts from all of a plan, about ``every`` [s] of plan time apart."""
+    every, aborts, end = positive("every", every), Aborts(motion), motion.duration
+    entries, time = list[Abort](), 0.0
+    with suppress(InfeasibleError):
+        while not entries or entries[-1].start < end - JOINT:
+            if progress is not None:
+                progress(f"{how} from t = {time:.4g} s")
             entries.append(aborts.found(time, how))
-        except InfeasibleError:
-            begin = entries[-1].start if entries else 0.0
-            return AbortTable(how, tuple(entries), ((begin, motion.duration),))
-        time = min(entries[-1].start + every, motion.duration)
-    return AbortTable(how, tuple(entries), ())
+            time = min(entries[-1].start + every, end)
+    return AbortTable(how, tuple(entries), end)
 
 
 def save_aborts(directory: Path | str, table: AbortTable) -> Path:
-    """Write ``aborts.json`` and ``aborts.zip``, a plan file per entry, next to a plan.
-
-    Raises
-    ------
-    FileError: the directory cannot be written to.
-    """
+    """Write ``aborts.json`` and ``aborts.zip``, a plan file per entry, next to a plan."""
     names = [f"{table.how}_{i:03d}.npz" for i in range(len(table.entries))]
     rows = [
-        {
-            "start": entry.start,
-            "seconds": entry.seconds,
-            "rest": entry.rest,
-            "ends": entry.certified.motion.duration,
-            "plan": name,
-        }
+        {key: getattr(entry, key) for key in ("start", "seconds", "rest")}
+        | {"ends": entry.motion.duration, "plan": name}
         for entry, name in zip(table.entries, names, strict=True)
     ]
     content = {
-        "format": FORMAT,
+        "format": "hitchopt-aborts/1",
         "how": table.how,
         "longest": table.longest if rows else None,
         "missing": [list(span) for span in table.missing],
@@ -510,66 +374,8 @@ def save_aborts(directory: Path | str, table: AbortTable) -> Path:
         with zipfile.ZipFile(path, "w") as archive, tempfile.TemporaryDirectory() as place:
             for entry, name in zip(table.entries, names, strict=True):
                 file = Path(place) / name
-                write_plan(file, entry.certified.motion, f"{table.how} at {entry.start:g} s")
+                write_plan(file, entry.motion, f"{table.how} at {entry.start:g} s")
                 archive.write(file, name)
 
     writers = {ABORTS: lambda path: write_strict_json(path, content), ABORT_PLANS: write_plans}
     return replace_files(directory, writers, tuple(writers), seal=ABORTS)
-
-
-def read_aborts(
-    directory: Path, motion: Motion, progress: Progress | None = None
-) -> AbortTable | None:
-    """Return the table that stands next to a plan, certified anew; None where there is none.
-
-    Raises
-    ------
-    FileError: it is damaged, not of this plan, or one of its entries is not certified.
-    """
-    source = directory / ABORTS
-    if not source.exists():
-        return None
-    try:
-        content = parsed_json(source.read_bytes())
-        if content["format"] != FORMAT:
-            raise ValueError(f"its format is not {FORMAT}")
-        entries = []
-        with (
-            tempfile.TemporaryDirectory() as place,
-            opened_zip(directory / ABORT_PLANS, "table of aborts") as archive,
-        ):
-            members = [archive.getinfo(str(each["plan"])) for each in content["entries"]]
-            found = list(read_members(directory / ABORT_PLANS, archive, members))
-            for given, data in zip(content["entries"], found, strict=True):
-                if progress is not None:
-                    progress(f"certifying {content['how']} at {float(given['start']):.4g} s")
-                file = Path(place) / "plan.npz"
-                file.write_bytes(data)
-                entries.append(_entry(given, read_plan(file), motion))
-        missing = tuple((float(a), float(b)) for a, b in content["missing"])
-        return AbortTable(str(content["how"]), tuple(entries), missing)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise FileError(f"{source}: {error}; run hitchopt abort again") from error
-
-
-def _entry(given: Mapping[str, Any], whole: Motion, motion: Motion) -> Abort:
-    """Return an entry whose plan is the given one until its clock slows down, and is certified.
-
-    Raises
-    ------
-    ValueError: it is another plan's, or not certified.
-    """
-    start, seconds, rest = (float(given[name]) for name in ("start", "seconds", "rest"))
-    if not 0.0 <= start <= motion.duration + JOINT or whole.team.drones != motion.team.drones:
-        raise ValueError(f"the entry at {start:g} s is of another plan")
-    times = np.linspace(0.0, min(start, motion.duration), SAMES)
-    places = [each.drones.at(times) for each in (whole, motion)]
-    ends = whole.drones.at(min(start + seconds, whole.duration)), motion.drones.at(rest)
-    if not all(np.allclose(a, b, rtol=0.0, atol=SAME) for a, b in (places, ends)):
-        raise ValueError(f"the entry at {start:g} s does not fly this plan until then")
-    whole = replace(whole, team=motion.team, requirements=motion.requirements.untimed)
-    certificate = certify(whole)
-    if not certificate.certified:
-        broken = ", ".join(check.name for check in certificate.violated)
-        raise ValueError(f"the entry at {start:g} s is not certified: {broken}")
-    return Abort(start, seconds, rest, Certified(whole, certificate))

@@ -23,15 +23,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.checks.spans import part_points, positions
+from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.segments import differences, shortest_offset
+from hitchopt.hitch.parts import SEPARATION, Parts, end_combinations
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.statics.settle import Conditions, energy_of, samples_of
 from hitchopt.statics.tolerance import Gradients
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.values import Array, Indices, as_array, finite, not_negative, per_robot, positive
+from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
 
 PROPORTIONAL, INTEGRAL = 1.2, 2.5
 """Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
@@ -62,9 +63,6 @@ FAR = 0.15
 GAIN = 36.0
 """[1/s²] Stiffness over mass of drones of which none is stated."""
 
-STEADY = (1.0, 0.0, 0.0)
-"""Rate of the plan's own clock, and its derivatives."""
-
 DAMPING = 0.3
 """Singular value of the response below which a mode is corrected by less than half: to move the
 vertices there takes setpoints more than three times as far."""
@@ -81,8 +79,6 @@ PASSES = 2
 
 ONES = np.ones(3)
 """Sums the squares of vectors: faster than ``einsum`` where they are few."""
-
-MISSING = "give a row of nan where one is missing"
 
 
 class Feedback(OneLine):
@@ -128,21 +124,9 @@ class Feedback(OneLine):
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
         given = own if stiffness is None else stiffness
         stiff = per_robot("stiffness", given, team.drones, owner="drone")
-        breaks, kept = covered_set(motion, not_negative("reserve", reserve))
+        breaks, self._cells = _cells(motion, not_negative("reserve", reserve), stiff)
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
-        middles = 0.5 * (breaks[1:] + breaks[:-1])
-        formed = [i for i, each in enumerate(kept) if each is not None]
-        responses = dict(zip(formed, vertex_responses(motion, middles[formed], stiff), strict=True))
-        self._cells: list[Cell | None] = []
-        for i, (here, following) in enumerate(zip(kept, (*kept[1:], None), strict=True)):
-            aimed = here if here is None or following is None else here.and_(following)
-            cell = None
-            if here is not None and aimed is not None:
-                cell = Cell(here, aimed, *responses[i])
-            self._cells.append(cell)
-        self._spans = [
-            (s.drones.breaks[0], s.drones.breaks[-1]) for s in motion.spans(HITCHED_STATE)
-        ]
+        self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
         self._drones = Sampler(motion.drones)
         self._vertices = Sampler(PiecewisePolynomial(motion.vertices.breaks, clasps))
@@ -178,7 +162,6 @@ class Feedback(OneLine):
         drones: ArrayLike | None = None,
         *,
         measured: float | None = None,
-        clock: tuple[float, float, float] = STEADY,
     ) -> Setpoints:
         """Return the corrected setpoints at a plan time.
 
@@ -190,7 +173,6 @@ class Feedback(OneLine):
             measurement has come.
         drones: measured drones (2n, 3) [m], nan where one is missing; or None.
         measured: plan time of the measurement [s]; None for the delay before ``time``.
-        clock: rate of the plan's clock, and its first and second derivatives.
 
         Raises
         ------
@@ -198,64 +180,35 @@ class Feedback(OneLine):
         """
         seconds = not_negative("seconds", seconds)
         time = min(max(finite("time", time), 0.0), self._end)
-        jet = clock
-        if clock is not STEADY:
-            jet = _shaped("clock", clock, (3,), "give a rate and its two derivatives").tolist()
-        planned = self._drones.values(time, *jet)
+        planned, cell = self._drones.values(time), self._cell(time)
         if seconds > 0.0:
             if vertices is not None:
-                then = time - jet[0] * self._delay
-                then = then if measured is None else finite("measured", measured)
-                self._measure(_shaped("vertices", vertices, self._error.shape), then, jet[0])
+                then = time - self._delay if measured is None else finite("measured", measured)
+                self._measure(_shaped("vertices", vertices, self._error.shape), then)
             self._age += seconds
             growing = True
             if drones is not None:
                 away = _shaped("drones", drones, self._offsets.shape) - planned[0] - self._offsets
                 growing = bool(np.fmax.reduce((away * away) @ ONES) <= FAR * FAR)
-            self._correct(time, seconds, growing=growing)
+            wanted = self._wanted(seconds, growing=growing)
+            self._correct(cell, self._authority(time) * wanted, seconds)
         planned[0] += self._offsets
         planned[1] += self._velocities
-        return Setpoints(time, jet[0], *planned)
+        return Setpoints(time, 1.0, *planned)
 
-    def _cell(self, time: float) -> int:
-        return min(max(bisect_right(self._breaks, time) - 1, 0), len(self._cells) - 1)
+    def _cell(self, time: float) -> Cell | None:
+        return self._cells[min(max(bisect_right(self._breaks, time) - 1, 0), len(self._cells) - 1)]
 
-    def _measure(self, vertices: Array, time: float, rate: float) -> None:
+    def _measure(self, vertices: Array, time: float) -> None:
         """Filter the errors of the vertices that a measurement of a plan time holds."""
-        if self._cells[self._cell(time)] is None:
+        if self._cell(time) is None:
             return
-        there = self._vertices.values(min(max(time, 0.0), self._end))
-        self._speed = there[1] * rate
-        error = there[0] - vertices
+        place, self._speed, *_ = self._vertices.values(min(max(time, 0.0), self._end))
+        error = place - vertices
         good = (error * error) @ ONES <= LARGEST_ERROR * LARGEST_ERROR  # false for nan
-        weight = -np.expm1(self._age / -SMOOTHING)
-        weight[self._age > HELD] = 1.0
-        if not good.all():
-            weight[~good] = 0.0
-            error[~good] = 0.0
-        self._error += weight[:, None] * (error - self._error)
+        weight = np.where(self._age > HELD, 1.0, -np.expm1(self._age / -SMOOTHING))
+        self._error[good] += (weight[:, None] * (error - self._error))[good]
         self._age[good] = 0.0
-
-    def _correct(self, time: float, seconds: float, *, growing: bool) -> None:
-        """Advance the integral and the offsets by some time."""
-        cell, share = self._cells[self._cell(time)], self._authority(time)
-        wanted = self._wanted(seconds, growing=growing)
-        asked = goal = np.zeros_like(self._offsets)
-        if cell is not None and share > 0.0:
-            asked = (cell.inverse @ (share * wanted).ravel()).reshape(-1, 3)
-            goal = cell.aimed.within(asked)
-        change = goal - self._offsets
-        largest, reach = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
-        if largest > reach:
-            change *= reach / largest
-        found = self._offsets + change
-        if cell is not None and cell is not self._here:  # else between two offsets that it holds
-            found = cell.kept.within(found)
-        if cell is not None and share > 0.0:  # the integral forgets what is not commanded
-            missed = (cell.forward @ (found - asked).ravel()).reshape(-1, 3)
-            self._integral += min(seconds / UNWINDING, 1.0) * missed
-        self._velocities = (found - self._offsets) / seconds
-        self._offsets, self._here = found, cell
 
     def _wanted(self, seconds: float, *, growing: bool) -> Array:
         """Return by how much vertices are to be moved (clasps, 3) [m], and advance the integral."""
@@ -270,6 +223,25 @@ class Feedback(OneLine):
         wanted: Array = PROPORTIONAL * error + self._integral + LEAD * speed
         return wanted
 
+    def _correct(self, cell: Cell | None, wanted: Array, seconds: float) -> None:
+        """Lead the offsets to those that are wanted, and the integral to what they allow."""
+        asked = goal = np.zeros_like(self._offsets)
+        if cell is not None:
+            asked = (cell.inverse @ wanted.ravel()).reshape(-1, 3)
+            goal = cell.within(asked)
+        change = goal - self._offsets
+        largest, reach = math.sqrt(((change * change) @ ONES).max()), self._rate * seconds
+        if largest > reach:
+            change *= reach / largest
+        found = self._offsets + change
+        if cell is not None:
+            if cell is not self._here:  # else between two offsets that it holds
+                found = cell.within(found)
+            missed = (cell.forward @ (found - asked).ravel()).reshape(-1, 3)
+            self._integral += min(seconds / UNWINDING, 1.0) * missed
+        self._velocities = (found - self._offsets) / seconds
+        self._offsets, self._here = found, cell
+
     def _authority(self, time: float) -> float:
         """Return the share of the correction that applies: it fades where the hitch is untied."""
         for first, last in self._spans:
@@ -280,10 +252,11 @@ class Feedback(OneLine):
         return 0.0
 
 
-def _shaped(key: str, values: object, shape: tuple[int, ...], remedy: str = MISSING) -> Array:
+def _shaped(key: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape; nan is allowed."""
     found = as_array(values)
     if found.shape != shape:
+        remedy = "give a row of nan where one is missing"
         raise InputError(key, values, f"numbers of shape {shape}", remedy)
     return found
 
@@ -293,17 +266,14 @@ def vertex_responses(
 ) -> list[tuple[Array, Array]]:
     """Return how vertices move with setpoints, (3 clasps, 6n), and the damped inverse of that.
 
-    Parameters
-    ----------
-    times: (k,) [s], at which there is a hitch.
-    stiffness: (2n,) of the drones' position loops [N/m].
+    At times (k,) [s] of a hitch, for drones' position loops of a stiffness (2n,) [N/m].
     """
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
     conditions = Conditions(stiffness=stiffness, integral=False)
     found = []
     for time in np.atleast_1d(as_array(times)).tolist():
-        energy, x = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
+        energy, x = energy_of(motion, conditions, samples_of(motion, [time], conditions)[1])
         arcs = energy.law.forces(x[:, energy.nodes], energy.law.reference)[1]
         energy = replace(energy, law=replace(energy.law, lengths=arcs))  # of planned tension
         rows = Gradients.of(energy, x).position[clasps.ravel()]
@@ -314,29 +284,21 @@ def vertex_responses(
 
 
 @dataclass(frozen=True, eq=False)
-class HalfSpaces:
-    """Half-spaces ``rows · offsets ≤ bounds`` of one cell, bounds not negative.
+class Cell:
+    """A span of the plan in which directions stay what they are.
 
-    Attributes
-    ----------
-    rows: (m, 6n), of length 1, orthogonal to common shifts.
-    bounds: (m,)
-    lower, upper: (3,) [m], the common shift's range that the arena leaves, besides LARGEST.
+    Half-spaces ``rows · offsets ≤ bounds`` keep all distances in it and in the next one. Rows have
+    length 1 and are orthogonal to common shifts, bounds are not negative.
     """
 
     rows: Array
     bounds: Array
     lower: Array
+    """(3,) [m], the range, up to ``upper``, that the arena leaves a common shift."""
     upper: Array
-
-    def and_(self, other: HalfSpaces) -> HalfSpaces:
-        """Return the offsets that are in both sets."""
-        return HalfSpaces(
-            np.concatenate([self.rows, other.rows]),
-            np.concatenate([self.bounds, other.bounds]),
-            np.maximum(self.lower, other.lower),
-            np.minimum(self.upper, other.upper),
-        )
+    forward: Array
+    """Response and damped ``inverse``, see ``vertex_responses``."""
+    inverse: Array
 
     def within(self, offsets: Array) -> Array:
         """Return offsets (2n, 3) [m] of the set near the given ones."""
@@ -359,121 +321,83 @@ class HalfSpaces:
         return found
 
 
-@dataclass(frozen=True, eq=False)
-class Cell:
-    """A span of the plan in which directions stay what they are.
-
-    Attributes
-    ----------
-    kept: offsets that keep all distances in it.
-    aimed: those that keep them in the next cell as well.
-    forward, inverse: see ``vertex_responses``.
-    """
-
-    kept: HalfSpaces
-    aimed: HalfSpaces
-    forward: Array
-    inverse: Array
-
-
-def covered_set(motion: Motion, reserve: float) -> tuple[Array, tuple[HalfSpaces | None, ...]]:
-    """Return breaks (cells + 1,) [s] and the half-spaces of all cells, None without a hitch.
+def _cells(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
+    """Return breaks (cells + 1,) [s] and all cells, None without a hitch.
 
     Parameters
     ----------
-    motion: the plan.
     reserve: how far every drone may be off its corrected setpoint, and every vertex off its plan,
         besides, wherever the plan itself leaves so much [m].
     """
     c, breaks = motion.drones.coefficients, motion.drones.breaks
     travel = np.sum(np.linalg.norm(np.diff(c, axis=-1), axis=2), axis=-1).max(axis=1)
     counts = np.clip(np.ceil(travel / TRAVEL), 1, MOST_CELLS).astype(int).tolist()
-    points = np.concatenate(positions(motion), axis=1)
-    pairs, times, cells = _pairs(motion), [], list[HalfSpaces | None]()
+    nodes = np.concatenate(positions(motion)[::-1], axis=1)
+    distances, times, spaces = _Distances(motion, reserve), [], list[tuple[Array, ...] | None]()
     for piece, count in enumerate(counts):
         times.append(np.linspace(breaks[piece], breaks[piece + 1], count + 1)[:-1])
         for k in range(count):
-            part = bernstein.restrict(points[piece], k / count, (k + 1) / count)
+            part = bernstein.restrict(nodes[piece], k / count, (k + 1) / count)
             there = motion.formed[piece]
-            cells.append(_half_spaces(motion, part, pairs, reserve) if there else None)
-    return np.append(np.concatenate(times), breaks[-1]), tuple(cells)
+            spaces.append(distances.kept(part) if there else None)
+    edges = np.append(np.concatenate(times), breaks[-1])
+    middles = 0.5 * (edges[1:] + edges[:-1])[[each is not None for each in spaces]]
+    responses = iter(vertex_responses(motion, middles, stiffness))
+    cells: list[Cell | None] = []
+    for here, following in zip(spaces, [*spaces[1:], None], strict=True):
+        if here is None:
+            cells.append(None)
+            continue
+        (rows, bounds, lower, upper), after = here, here if following is None else following
+        both = np.concatenate([rows, after[0]]), np.concatenate([bounds, after[1]])
+        arena = np.maximum(lower, after[2]), np.minimum(upper, after[3])
+        cells.append(Cell(*both, *arena, *next(responses)))
+    return edges, cells
 
 
-@dataclass(frozen=True, eq=False)
-class _Pairs:
-    """Pairs of bodies of one kind.
+class _Distances:
+    """The distances that the certificate keeps while the hitch holds, of pairs as in ``Parts``."""
 
-    Attributes
-    ----------
-    first, second: (pairs, ends) nodes, drones first, then points.
-    limit: distance to keep [m], or 1 for drones' ellipsoids.
-    scale: (3,), of the metric.
-    """
+    def __init__(self, motion: Motion, reserve: float) -> None:
+        layout, need = motion.team.layout, motion.requirements
+        parts = Parts.of(motion.team.robots, motion.team.topology)
+        i, j, kind = parts.all_pairs
+        legs = layout.drones_with_legs  # pairs of a drone and a point as well
+        ends = [np.stack([x, x], axis=1) for x in (legs + layout.points, layout.anchors[legs])]
+        first = np.concatenate([parts.nodes[i], ends[0]])
+        second = np.concatenate([parts.nodes[j], ends[1]])
+        limits = np.array([1.0, need.separation.cable, need.separation.crossing])
+        self._scale = np.ones((len(first), 3))
+        self._scale[: len(kind)][kind == SEPARATION] = need.separation.scale
+        kinds = np.append(kind, np.full(len(legs), SEPARATION))
+        self._limit = np.append(limits[kind], np.full(len(legs), need.limits.leg))
+        self._first, self._second, self._reserve = first, second, reserve
+        self._nodes = end_combinations(kinds, first, second)
+        self._points, self._arena = layout.points, need.arena
 
-    first: Indices
-    second: Indices
-    limit: float
-    scale: Array
-
-
-def _pairs(motion: Motion) -> tuple[_Pairs, ...]:
-    """Return all pairs that the certificate keeps apart while the hitch holds."""
-    team, layout, need = motion.team, motion.team.layout, motion.requirements
-    count, part = team.drones, layout.parts
-    before, after = part_points(part, layout)
-    kind, cable = part % 3, part // 3
-    outer = np.where(kind == 0, 2 * cable, 2 * cable + 1)
-    begins = np.where(kind == 2, layout.ends[cable], layout.starts[cable]) + count
-    ends = np.column_stack([begins, np.where(kind == 1, layout.ends[cable] + count, outer)])
-    plain = np.ones(3)
-    i, j = np.triu_indices(count, 1)
-    drones = _Pairs(i[:, None], j[:, None], 1.0, need.separation.scale)
-    drone, body = (x.ravel() for x in np.meshgrid(np.arange(count), np.arange(len(part))))
-    on_leg = layout.has_leg.ravel()
-    counted = (drone // 2 != cable[body]) | ((kind[body] == 1) & on_leg[drone])
-    near = _Pairs(drone[counted, None], ends[body[counted]], need.separation.cable, plain)
-    i, j = np.triu_indices(len(part), 1)
-    shared = (before[i] == before[j]) | (before[i] == after[j])
-    shared |= (after[i] == before[j]) | (after[i] == after[j])
-    i, j = i[~shared], j[~shared]
-    crossing = _Pairs(ends[i], ends[j], need.separation.crossing, plain)
-    legs = layout.drones_with_legs
-    anchors = layout.anchors[legs] + count
-    return drones, near, crossing, _Pairs(legs[:, None], anchors[:, None], need.limits.leg, plain)
-
-
-def _half_spaces(
-    motion: Motion, points: Array, pairs: tuple[_Pairs, ...], reserve: float
-) -> HalfSpaces:
-    """Return the half-spaces of a cell, from the coefficients (nodes, 3, N + 1) of its points."""
-    count = motion.team.drones
-    middle = bernstein.evaluate(points, 0.5)
-    rows, bounds = [], []
-    for pair in pairs:
-        shift = middle * pair.scale
-        offset = shortest_offset(differences(shift[pair.first], shift[pair.second]))
+    def kept(self, nodes: Array) -> tuple[Array, Array, Array, Array]:
+        """Return rows, bounds, lower and upper of a cell, from its nodes (…, 3, N + 1)."""
+        drones, scale = nodes[self._points :], self._scale
+        middle = bernstein.evaluate(nodes, 0.5)
+        ends = (middle[each] * scale[:, None] for each in (self._first, self._second))
+        offset = shortest_offset(differences(*ends))
         size = np.linalg.norm(offset, axis=-1)
-        widest = float(np.max(pair.scale))
-        near = np.flatnonzero((size < pair.limit + 4.0 * LARGEST * widest) & (size > 0.0))
-        n = offset[near] / size[near, None] * pair.scale
-        spare = 2.0 * reserve * np.linalg.norm(n, axis=-1)
-        for a in pair.first[near].T:
-            for b in pair.second[near].T:
-                along = np.einsum("pd,pdk->pk", n, points[a] - points[b]).min(axis=-1)
-                row, each = np.zeros((len(near), len(points), 3)), np.arange(len(near))
-                row[each, b] += n
-                row[each, a] -= n
-                bound = np.maximum(along - pair.limit - spare, 0.0)
-                row = row[:, :count] - np.mean(row[:, :count], axis=1, keepdims=True)
-                own = row.reshape(len(near), 3 * count)
-                length = np.linalg.norm(own, axis=1)
-                kept = (length > 0.0) & (bound < np.sqrt(2.0) * LARGEST * length)
-                rows.append(own[kept] / length[kept, None])
-                bounds.append(bound[kept] / length[kept])
-    lower, upper = np.full(3, -FARTHEST), np.full(3, FARTHEST)
-    arena = motion.requirements.arena
-    if arena is not None:
-        hull, inner = points[:count], reserve + LARGEST
-        lower = np.clip(arena.lower - hull.min(axis=(0, 2)) + inner, lower, 0.0)
-        upper = np.clip(arena.upper - hull.max(axis=(0, 2)) - inner, 0.0, upper)
-    return HalfSpaces(np.concatenate(rows), np.concatenate(bounds), lower, upper)
+        near = (size < self._limit + 4.0 * LARGEST * scale.max(axis=1)) & (size > 0.0)
+        pair, a, b = (each[near[self._nodes[0]]] for each in self._nodes)
+        n = offset[pair] / size[pair, None] * scale[pair]
+        along = np.einsum("pd,pdk->pk", n, nodes[a] - nodes[b]).min(axis=-1)
+        bound = along - self._limit[pair] - 2.0 * self._reserve * np.linalg.norm(n, axis=-1)
+        row, each = np.zeros((len(pair), len(nodes), 3)), np.arange(len(pair))
+        row[each, b] += n
+        row[each, a] -= n
+        row = row[:, self._points :]
+        own = (row - row.mean(axis=1, keepdims=True)).reshape(len(pair), -1)
+        length, bound = np.linalg.norm(own, axis=1), np.maximum(bound, 0.0)
+        some = (length > 0.0) & (bound < np.sqrt(2.0) * LARGEST * length)
+        rows, bounds = own[some] / length[some, None], bound[some] / length[some]
+        lower, upper = np.full(3, -FARTHEST), np.full(3, FARTHEST)
+        if self._arena is not None:
+            inner = self._reserve + LARGEST
+            lower = np.clip(self._arena.lower - drones.min(axis=(0, 2)) + inner, lower, 0.0)
+            upper = np.clip(self._arena.upper - drones.max(axis=(0, 2)) - inner, 0.0, upper)
+        return rows, bounds, lower, upper

@@ -10,21 +10,17 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
-from hitchopt.live.abort import Abort, AbortTable
+from hitchopt.live.abort import AbortTable
 from hitchopt.live.player import Player, Setpoints
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.states import states_at
 from hitchopt.values import Array, positive
-
-Later = Callable[[Callable[[], Player]], Future[Player]]
-"""Start a computation, as ``Executor.submit`` does."""
 
 COMMANDS = ("pause", "resume", "back", "abort", "land")
 
@@ -34,43 +30,47 @@ TRIES = 6
 OPERATOR = "operator"
 """Name of the operator's link."""
 
+LEAD = 0.2
+"""[s] Time by which setpoints are computed ahead, and after which a command takes effect."""
+
+SILENCE, UNATTENDED = 0.5, 1.0
+"""[s] Times after which a drone that is not measured is lost, and a silent operator."""
+
+NEAR = 0.3
+"""[m] Distance of drones to their setpoints within which a plan goes on from rest."""
+
 AGAIN = 0.25
 """[s] Delay before a hold that was refused is tried again."""
 
 
 @dataclass(frozen=True, eq=False)
 class Flown:
-    """What drones are sent at one time, in the plan's axes.
-
-    Attributes
-    ----------
-    setpoints: positions and derivatives.
-    thrusts, thrust_rates: (drones, 3) [N], [N/s], with the cables' pull at that plan time.
-    feed_forward: (drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable.
-    """
+    """What drones are sent at one time, in the plan's axes."""
 
     setpoints: Setpoints
     thrusts: Array
+    """(drones, 3) [N]; the cables' pull is that at the plan time."""
     thrust_rates: Array
+    """(drones, 3) [N/s]"""
     feed_forward: Array
+    """(drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable."""
 
 
 class Course:
-    """A plan at rest at its start, to be flown by commands.
+    """A plan at rest at its start, to be flown by commands: ``abort`` and ``land`` by tables."""
 
-    Parameters
-    ----------
-    motion: the plan.
-    tables: aborts of the plan for the commands ``abort`` and ``land``.
-    later: starts the preparation of a landing while drones are on the way to it.
-    """
-
-    def __init__(self, motion: Motion, tables: Mapping[str, AbortTable], later: Later) -> None:
+    def __init__(self, motion: Motion, tables: Mapping[str, AbortTable]) -> None:
         self.motion = motion
-        self._tables = tables
-        self._later = later
         self._player = _ready(motion, 0.0, 0.0)
-        self._landing: Future[Player] | None = None
+        ready = {
+            entry: _ready(entry.motion, entry.start + entry.seconds, 1.0)
+            for entry in {entry for table in tables.values() for entry in table.entries}
+        }
+        self._landings = {
+            command: [(entry.rest, ready[entry]) for entry in table.entries]
+            for command, table in tables.items()
+        }
+        self._landing: Player | None = None
         self.descending = False
         """Whether the landing itself has begun."""
         self.begun = False
@@ -92,8 +92,8 @@ class Course:
 
     def step(self, seconds: float) -> Flown:
         """Let time [s] pass and return what drones are sent then."""
-        if self._landing is not None and self._player.resting and self._landing.done():
-            self._player, self._landing = self._landing.result(), None
+        if self._landing is not None and self._player.resting:
+            self._player, self._landing = self._landing, None
             self.descending = True
         motion, setpoints = self._player.motion, self._player.step(seconds)
         states = states_at(motion, [setpoints.time])
@@ -109,15 +109,12 @@ class Course:
     def obey(self, command: str) -> str:
         """Carry out one of COMMANDS; return what is done, in words.
 
-        Raises
-        ------
-        InputError: another word.
-        InfeasibleError: it cannot be done now; what was done before goes on.
+        InfeasibleError is raised where it cannot be done now; what was done before goes on.
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
-        if command in self._tables:
-            return self._land(self._tables[command])
+        if command in self._landings:
+            return self._land(command)
         if self.descending and command == "back":
             raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
         seconds = getattr(self._player, command)()
@@ -125,20 +122,20 @@ class Course:
         self._landing = None
         return f"{command}: takes {seconds:.2f} s"
 
-    def _land(self, table: AbortTable) -> str:
+    def _land(self, command: str) -> str:
+        """Lead the clock to the nearest rest from which it can land, ahead if there is one."""
         if self.descending:
             return f"landing goes on, in {self._player.resume():.2f} s"
-        time = self._player.time
-        entries = sorted(table.entries, key=lambda each: (each.rest < time, abs(each.rest - time)))
-        refusal = InfeasibleError([], f"{table.how}: the plan has no abort of this kind")
-        for entry in entries[:TRIES]:
+        time, refusal = self._player.time, InfeasibleError([], f"{command}: the plan has none")
+        nearest = sorted(self._landings[command], key=lambda x: (x[0] < time, abs(x[0] - time)))
+        for rest, landing in nearest[:TRIES]:
             try:
-                seconds = self._player.seek(entry.rest)
+                seconds = self._player.seek(rest)
             except InfeasibleError as error:
                 refusal = error
-                continue
-            self._landing = self._later(partial(_landing, entry))
-            return f"{table.how}: begins in {seconds:.2f} s"
+            else:
+                self._landing = landing
+                return f"{command}: begins in {seconds:.2f} s"
         raise refusal
 
 
@@ -149,18 +146,6 @@ def _ready(motion: Motion, time: float, rate: float) -> Player:
     return player
 
 
-def _landing(entry: Abort) -> Player:
-    """Return the player of what follows the rest of an entry."""
-    return _ready(entry.certified.motion, entry.start + entry.seconds, 1.0)
-
-
-class Steering(Protocol):
-    """Where commands come from."""
-
-    def commands(self) -> tuple[list[str], bool]:
-        """Return the commands since the last call, and whether the operator was heard of."""
-
-
 class Outlet(Protocol):
     """A fleet that is sent setpoints."""
 
@@ -168,39 +153,10 @@ class Outlet(Protocol):
         """Send every drone its setpoint at a time [s]; a network that fails is no error."""
 
     def measured(self) -> dict[str, Array]:
-        """Return what has arrived since the last call: positions (3,) [m] in the plan's axes.
-
-        Keys are the drones' names in the plan.
-        """
+        """Return positions (3,) [m] that have arrived, in the plan's axes, by drones' names."""
 
     def close(self, *, landed: bool) -> None:
         """End the stream."""
-
-
-@dataclass(frozen=True)
-class Timing:
-    """Times of a flight.
-
-    Attributes
-    ----------
-    rate: setpoints a second [Hz].
-    lead: time [s] by which setpoints are computed ahead, and after which a command takes effect.
-    silence: time [s] after which a drone that is not measured is lost.
-    operator: time [s] after which a silent operator is lost.
-    patience: time [s] from a lost link to the landing.
-    near: distance [m] within which drones must be measured before the plan goes on.
-    """
-
-    rate: float = 50.0
-    lead: float = 0.2
-    silence: float = 0.5
-    operator: float = 1.0
-    patience: float = 5.0
-    near: float = 0.3
-
-    def __post_init__(self) -> None:
-        for key, value in vars(self).items():
-            positive(key, value)
 
 
 class Flight:
@@ -208,28 +164,31 @@ class Flight:
 
     Parameters
     ----------
-    course: what is flown.
-    outlet: the fleet.
-    steering: the operator.
-    timing: rates and times.
+    commands: returns the operator's commands since the last call, and whether it was heard of.
     watched: names of the drones that must be measured.
-    later: starts a command's computation while setpoints that are ready are sent.
+    later: starts a command's computation, as ``Executor.submit`` does, while setpoints that are
+        ready are sent.
     say: called with what happens, in words.
+    rate: setpoints a second [Hz].
+    patience: time from a lost link to the landing [s].
     """
 
     def __init__(
         self,
         course: Course,
         outlet: Outlet,
-        steering: Steering,
-        timing: Timing,
+        commands: Callable[[], tuple[list[str], bool]],
         watched: tuple[str, ...],
         later: Callable[[Callable[[], str]], Future[str]],
         say: Callable[[str], None],
+        *,
+        rate: float = 50.0,
+        patience: float = 5.0,
     ) -> None:
-        self._course, self._outlet, self._steering = course, outlet, steering
-        self._timing, self._later, self._say = timing, later, say
-        self._timeouts = dict.fromkeys(watched, timing.silence) | {OPERATOR: timing.operator}
+        self._course, self._outlet, self._commands = course, outlet, commands
+        self._later, self._say = later, say
+        self._rate, self._patience = positive("rate", rate), positive("patience", patience)
+        self._timeouts = dict.fromkeys(watched, SILENCE) | {OPERATOR: UNATTENDED}
         self._heard = dict.fromkeys(self._timeouts, -math.inf)
         self._measured: dict[str, Array] = {}
         self._ready: deque[Flown] = deque()
@@ -248,9 +207,8 @@ class Flight:
         """Do what is due at a time [s]; return whether the flight goes on."""
         found = self._outlet.measured()
         self._measured |= found
-        commands, heard = self._steering.commands()
-        for name in (*found, *((OPERATOR,) if heard else ())):
-            self._heard[name] = now
+        commands, heard = self._commands()
+        self._heard |= dict.fromkeys([*found, *([OPERATOR] if heard else [])], now)
         for command in commands:
             self._ask(command, now)
         self._guard(now)
@@ -268,34 +226,32 @@ class Flight:
         course = self._course
         if command == "end":
             command = "land" if course.begun else "quit"
-        if command == "quit":
-            self._quit = not course.begun and self._job is None and not self._asked
-            if not self._quit:
-                self._say("quit: drones have left their start; land first")
-            return
         if command == "toggle":
             command = "resume" if course.resting else "pause"
-        hindrance = self._hindrance(now) if command in ("resume", "back") else ""
-        if command not in ("pause", "resume") and not course.begun:
+        hindrance = ""
+        if command == "quit":
+            self._quit = not course.begun and self._job is None and not self._asked
+            hindrance = "" if self._quit else "drones have left their start; land first"
+        elif command in ("resume", "back"):
+            hindrance = self._hindrance(now)
+        if command not in ("pause", "resume", "quit") and not course.begun:
             hindrance = "the plan has not begun"
         if hindrance:
             self._say(f"{command}: {hindrance}")
-            return
-        self._asked.append(command)
+        elif command != "quit":
+            self._asked.append(command)
 
     def _hindrance(self, now: float) -> str:
         """Return why the plan may not go on from rest."""
         lost = self._lost(now)
         if lost:
             return f"nothing is heard of {', '.join(lost)}"
-        if self._last is None or not self._course.resting:
-            return ""
-        names = self._course.motion.team.drone_names
-        for name, place in zip(names, self._last.setpoints.positions, strict=True):
-            if name in self._measured:
-                off = float(np.linalg.norm(self._measured[name] - place))
-                if off > self._timing.near:
-                    return f"{name} is {off:.2f} m from its setpoint, not {self._timing.near:g} m"
+        if self._last is not None and self._course.resting:
+            names = self._course.motion.team.drone_names
+            for name, place in zip(names, self._last.setpoints.positions, strict=True):
+                off = float(np.linalg.norm(self._measured.get(name, place) - place))
+                if off > NEAR:
+                    return f"{name} is {off:.2f} m from its setpoint, not {NEAR:g} m"
         return ""
 
     def _guard(self, now: float) -> None:
@@ -310,21 +266,16 @@ class Flight:
             self._lost_since, self._reacted = now, -math.inf
             if course.begun:
                 self._say(f"lost: {', '.join(lost)}")
-        patient = now - self._lost_since < self._timing.patience
+        patient = now - self._lost_since < self._patience
         if not course.begun:
             if not patient and OPERATOR in lost:
                 self._say("no operator is heard of, and the plan has not begun: the stream ends")
                 self._quit = True
-            return
-        wait = AGAIN if patient else self._timing.patience
-        if self._job is not None or now - self._reacted < wait:
-            return
-        if patient and not (course.descending or course.resting):
-            self._reacted = now
-            self._asked.append("pause")
-        elif not patient and course.resting and not course.landed:
-            self._reacted = now
-            self._asked.append("land")
+        elif self._job is None and now - self._reacted >= (AGAIN if patient else self._patience):
+            moving = not (course.descending or course.resting)
+            if moving if patient else course.resting and not course.landed:
+                self._reacted = now
+                self._asked.append("pause" if patient else "land")
 
     def _command(self) -> None:
         """Begin the next command, or say what has become of the present one."""
@@ -340,15 +291,14 @@ class Flight:
 
     def _prepare(self) -> None:
         """Compute setpoints ahead, unless a command is about to change them."""
-        timing = self._timing
-        while len(self._ready) < max(1, round(timing.lead * timing.rate)):
+        while len(self._ready) < max(1, round(LEAD * self._rate)):
             if self._job is not None or self._course.landed:
                 return
-            self._ready.append(self._course.step(1.0 / timing.rate))
+            self._ready.append(self._course.step(1.0 / self._rate))
 
     def _send(self, now: float) -> None:
         """Send the setpoint that is due, the last one again where none is ready."""
-        period = 1.0 / self._timing.rate
+        period = 1.0 / self._rate
         if now < self._next:
             return
         due = 1 if self._last is None else max(1, int((now - self._next) / period) + 1)

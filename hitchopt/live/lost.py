@@ -1,37 +1,33 @@
 """Reactions to the loss of a drone: survivors let go, and sink clear of where it swings and falls.
 
 Survivors notice the loss after DELAY. From then on the plan's clock stops as soon as its
-certificate allows, and the team sinks as a whole until it is on the ground: at once with the
-largest of a few shares of the limits that the stop leaves, else after the stop. Drones that are
-higher go straight down then. A team that sinks as a whole keeps all its distances. All survivors of
-a hitch let tension go in a moment; the lost drone swings below its clasp then, while its cable
-runs. Where cables hang free it has to reach the ground before its cable is taut, since no drone
-carries two.
+certificate allows, and the team sinks as a whole until its lowest drone is on the ground; drones
+that are higher go straight down then. A team that sinks as a whole keeps all its distances. All
+survivors of a hitch let tension go in a moment; the lost drone swings below its clasp then, while
+its cable runs. Where cables hang free it has to reach the ground before its cable is taut, since no
+drone carries two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.drones import largest_static_thrust
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
-from hitchopt.live.abort import Aborts, until_stop
-from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
-from hitchopt.motion.retiming import followed, resting
+from hitchopt.live.abort import straight_down, until_stop
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import followed
 from hitchopt.motion.states import States, sample_times, states_at
-from hitchopt.planners.forming.turns import straight
+from hitchopt.planners.forming.turns import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.simulation.task import SAME_TIME, Cargo, Setpoints, Task
-from hitchopt.trajectory import PiecewisePolynomial, joined
-from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.simulation.task import Task
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, not_negative, positive
 
 DELAY = 0.05
@@ -42,11 +38,11 @@ LETTING_GO = 0.3
 falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
 was let go at once, or in twice the time."""
 
-SHARES = (0.8, 0.5, 0.3)
-"""Shares of the limits that sinking is tried with from the reaction on, while the clock stops."""
+SHARE = 0.8
+"""Share of the limits with which a team sinks."""
 
-HOLD, REST = 0.1, 0.2
-"""[s] Rest of drones whose cables hang free before they land, and of a team that has sunk."""
+WAITS = (0.0, 0.1, 0.25)
+"""[s] Later begins of the stop, where polynomials do not follow the first one."""
 
 LEAST = 1e-3
 """[m] Drones that are so low are on the ground."""
@@ -55,89 +51,50 @@ DRAWN, NEAREST_LEG = 0.36, 0.05
 """[m] How far a lost drone draws a partner of its mass toward its clasp: in simulated flights legs
 of 0.29 m were drawn to their clasps, those of 0.37 m were not; and the leg that remains."""
 
-GAIN, DAMPING = 36.0, 10.0
-"""[1/s²], [1/s] Stiffness and damping over mass of usual position loops."""
+TAKEN = np.radians(25.0)
+"""[rad] How much sooner than at the height where it began a swing turns back: cables that run take
+its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
+coefficients of friction up to 0.2, turned back 27° to 52° sooner."""
 
-FRICTION = 0.2
-"""Largest coefficient at the clasps, where the team's own is not larger. A cable turns by half a
-turn about both of them while one end of it hangs."""
+SWINGS, RUNS = 40, 5
+"""Numbers of angles of a swing, and of lengths to which its cable may run, that are looked at."""
 
-STEP, LASTS, EACH = 2e-3, 1.2, 5
-"""[s] Step and time of a swing, which has turned back by then, and steps between its places."""
-
-FALL, RATE = 0.02, 100.0
-"""[s], [Hz] Time between samples of a free fall, and rate of a reaction's setpoints."""
+FALL, RATE, PLACES = 0.02, 100.0, 400
+"""[s], [Hz] Time between samples of a free fall, rate of a reaction's setpoints, and number of
+times at which survivors are compared with what lies on the ground."""
 
 EVERY, FEWEST = 1.0, 8
 """[s] Usual distance of the times at which losses are looked at, and their smallest number."""
 
-SUNK = (
-    *("speed", "acceleration", "jerk", "thrust", "tilt", "separation", "cable_clearance"),
-    *("crossing", "legs", "arena", "keep_out", "continuity"),
-)
-"""Checks of the team while it sinks, the lost drone's place included; for all of the time."""
-
 LANDED = ("separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out")
-"""Checks of drones that land by themselves."""
+"""Checks of drones that land by themselves; how their cables come to lie is not looked at."""
 
-
-@dataclass(frozen=True, eq=False)
-class Course(OneLine):
-    """What the survivors fly after a loss at a time, whichever drone it is.
-
-    Attributes
-    ----------
-    time: of the loss [s].
-    begins: when they react [s].
-    sinking: the plan until ``begins``, and what follows until the lowest drone is on the ground.
-    landing: the flights after that, of drones by themselves.
-    checks: of all of it.
-    """
-
-    time: float
-    begins: float
-    sinking: Motion
-    landing: tuple[Motion, ...]
-    checks: tuple[Check, ...]
-
-    @property
-    def duration(self) -> float:
-        """Time at which all are on the ground [s]."""
-        return self.sinking.duration + sum(each.duration for each in self.landing)
+SUNK = (*LANDED, "cable_clearance", "crossing", "legs", "continuity")
+"""Checks of the team before, the lost drone's place included; both for all of the time."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reaction(OneLine):
-    """A certified reaction to the loss of a drone.
-
-    Attributes
-    ----------
-    drone: that is lost.
-    course: what survivors fly.
-    thrust: largest thrust of a survivor that hovers while its cable, level, pulls with the lost
-        drone's weight, over its largest one.
-    nearest: smallest separation of two survivors, or distance of one to the lost drone over two
-        radii.
-    """
+    """A certified reaction to the loss of a drone."""
 
     drone: str
-    course: Course
+    begins: float
+    """When survivors react [s]."""
+    motion: Motion
+    """The plan until then, and what all fly from there to the ground, whichever drone it is."""
     thrust: float
+    """Largest thrust, over what there is, of a survivor that hovers while its cable, level, pulls
+    with the lost drone's weight."""
     nearest: float
+    """Smallest separation of survivors, or distance of one to the lost drone over two radii."""
 
 
 class Reactions:
-    """The reactions of one plan: what they have in common is computed once.
-
-    Parameters
-    ----------
-    motion: the plan.
-    """
+    """The reactions of one plan: what they have in common is computed once."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
-        self.course = lru_cache(maxsize=256)(self._course)
-        self._aborts = Aborts(motion)
+        self._flown = lru_cache(maxsize=256)(self._certified)
 
     def found(self, drone: str, time: float) -> Reaction:
         """Return the reaction to the loss of a drone at a time [s].
@@ -147,52 +104,39 @@ class Reactions:
         InputError: no such drone, or a time outside the plan.
         InfeasibleError: none was found; says what binds.
         """
-        names = self.motion.team.drone_names
+        motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
             raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
-        if not_negative("t", time) > self.motion.duration:
-            raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
-        course, states = self.course(float(time)), states_at(self.motion, time)
-        found = self._hitched if bool(states.formed) else self._falling
-        thrust, nearest = found(course, names.index(drone), states)
+        if not_negative("t", time) > motion.duration:
+            raise InputError("t", time, f"within {motion.duration:g} s", "ask within the plan")
+        whole, states = self._flown(float(time)), states_at(motion, time)
+        lost, begins = names.index(drone), min(time + DELAY, motion.duration)
+        if bool(states.formed):
+            pulled, nearest = self._hitched(lost, states)
+        else:
+            pulled, nearest = 0.0, self._falling(whole, time, begins, lost, states)
+        thrust = max(largest_static_thrust(motion), pulled)
         if thrust > 1.0:
             raise _none(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:
             raise _none(time, f"a survivor comes to {nearest:.3g} of its distance")
-        return Reaction(drone, course, thrust, nearest)
+        return Reaction(drone, begins, whole, thrust, nearest)
 
-    def _course(self, time: float) -> Course:
-        motion = self.motion
-        if motion.team.has_cables and motion.requirements.objects:
+    def _certified(self, time: float) -> Motion:
+        """Return what is flown after a loss at a time [s], all checks kept."""
+        if self.motion.team.has_cables and self.motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
-        begins = min(time + DELAY, motion.duration)
-        stopped = self._stopped(begins)
-        if motion.team.has_cables and not stopped.phases[-1].formed:
-            tries = [followed(stopped, resting(stopped, HOLD))]  # no cable is dragged on the ground
-        else:
-            tries = [_sunk(stopped, begins, share) for share in SHARES]
-            tries.append(_sunk(stopped, stopped.duration, 1.0))
         refusal: Check | None = None
-        for sinking in tries:
-            landing = tuple(_landed(sinking))
-            checks = list(_checks(sinking, SUNK))
-            checks += [check for part in landing for check in _checks(part, LANDED)]
-            broken = next((check for check in checks if not check.holds), None)
+        for wait in WAITS:
+            motion, broken = _sunk_from(self.motion, time + DELAY + wait)
             if broken is None:
-                return Course(time, begins, sinking, landing, tuple(checks))
+                return motion
             refusal = refusal or broken
         assert refusal is not None
         values = f"{refusal.worst:.4g} {refusal.unit} ({refusal.number:.4g})"
         raise _none(time, f"sinking breaks {refusal.name}: {values}")
 
-    def _stopped(self, time: float) -> Motion:
-        """Return the plan that rests as soon after a time [s] as its clock can."""
-        motion = self.motion.untimed
-        if time >= motion.duration - JOINT:
-            return motion
-        return until_stop(motion, *self._aborts.stops.after(time), REST)[0]
-
-    def _hitched(self, _course: Course, lost: int, states: States) -> tuple[float, float]:
+    def _hitched(self, lost: int, states: States) -> tuple[float, float]:
         """Return the thrust and the nearest distance of a hitch that has lost a drone."""
         motion, team = self.motion, self.motion.team
         points, partner = team.layout.pulled_to, lost ^ 1
@@ -208,86 +152,52 @@ class Reactions:
         nearest = min(
             _to_lost(motion, states.positions[others], swung),
             _to_lost(motion, moved[others], swung[np.argmin(swung[:, 2])][None]),
-            _apart(motion, moved[others]),
+            smallest_separation(moved[others], moved[others], motion.requirements.separation),
         )
-        return max(float(np.max(pulled[beside])), largest_static_thrust(motion)), nearest
+        return float(np.max(pulled[beside])), nearest
 
     def _swung(self, lost: int, states: States, gives: float) -> Array:
-        """Return places (k, 3) [m] of a swing below its clasp, up to where it turns back.
+        """Return places (k, 3) [m] of all swings below a clasp, as far as its cable may run.
 
-        The clasp stays where it is, the partner is a mass on the spring of its position loop, drawn
-        along its leg by ``gives`` [m] at most. What it pulls with, and what friction takes of that,
-        is not known: cases have the tension or none, and frictions from none to the largest.
+        How far it runs depends on tension, friction and the partner, which is drawn along its leg
+        by ``gives`` [m] at most.
         """
         team, floor = self.motion.team, self.motion.requirements.floor
         clasp = states.vertices[team.layout.pulled_to[lost]]
         leg = states.positions[lost] - clasp
-        size, level = float(np.linalg.norm(leg)), float(np.hypot(*leg[:2]))
-        mass, other = team.mass[[lost, lost ^ 1]].tolist()
-        friction = max(team.cable_friction, FRICTION)
-        ratio, pull = np.meshgrid(
-            np.exp(friction * np.pi * np.linspace(0.0, 1.0, 3)), [0.0, states.tensions[lost // 2]]
-        )
-        run, speed, turning = np.zeros((3, *pull.shape))
-        angle = np.full(pull.shape, np.arctan2(-leg[2], level))
-        back = np.zeros(pull.shape, dtype=np.bool_)
-        found = [(size + run, angle)]
-        for _ in range(round(LASTS / STEP)):
-            outward = mass * ((size + run) * turning**2 + GRAVITY * np.sin(angle))
-            held = pull + other * (GAIN * run + DAMPING * speed)
-            runs = (outward - ratio * held) / (mass + ratio * other)
-            returns = (outward - held / ratio) / (mass + other / ratio)
-            starts = np.where(runs > 0.0, runs, np.minimum(returns, 0.0))
-            rate = np.where(speed > 0.0, runs, np.where(speed < 0.0, returns, starts))
-            faster = speed + STEP * rate
-            faster = np.where(faster * speed < 0.0, 0.0, faster)  # friction holds before it returns
-            ended = (run >= gives) & (faster > 0.0) | (run <= 0.0) & (faster < 0.0)
-            speed = np.where(ended | back, 0.0, faster)
-            swing = (GRAVITY * np.cos(angle) - 2.0 * speed * turning) / (size + run)
-            turning = np.where(back, 0.0, turning + STEP * swing)
-            back |= turning < 0.0
-            run = np.clip(run + STEP * np.where(back, 0.0, speed), 0.0, gives)
-            angle = angle + STEP * np.where(back, 0.0, turning)
-            found.append((size + run, angle))
-        reach, angle = (np.ravel(part) for part in zip(*found[::EACH], strict=True))
+        level = float(np.hypot(*leg[:2]))
+        begins = np.arctan2(-leg[2], level)
+        angles = np.linspace(begins, np.pi - begins - TAKEN, SWINGS)[:, None]
         out = leg * [1.0, 1.0, 0.0] / max(level, 1e-9)
-        arcs = np.cos(angle)[:, None] * out - np.sin(angle)[:, None] * [0.0, 0.0, 1.0]
-        places: Array = np.maximum(clasp + reach[:, None] * arcs, [-np.inf, -np.inf, floor])
-        return places
+        arcs = np.cos(angles) * out - np.sin(angles) * [0.0, 0.0, 1.0]
+        reach = np.linalg.norm(leg) + np.linspace(0.0, gives, RUNS)[:, None, None]
+        places: Array = np.maximum(clasp + reach * arcs, [-np.inf, -np.inf, floor])
+        return places.reshape(-1, 3)
 
-    def _falling(self, course: Course, lost: int, states: States) -> tuple[float, float]:
-        """Return the same of drones whose cables hang free, or that have none."""
-        motion, team, whole = self.motion, self.motion.team, course.sinking.drones
+    def _falling(
+        self, whole: Motion, time: float, begins: float, lost: int, states: States
+    ) -> float:
+        """Return the nearest distance where cables hang free, or there are none."""
+        motion, team, drones = self.motion, self.motion.team, whole.drones
         floor = motion.requirements.floor
         times, places = free_fall(states.positions[lost], states.velocities[lost], floor)
-        there = whole.at(np.minimum(course.time + times, whole.breaks[-1]))
-        others = np.arange(len(team.drone_names)) != lost
-        nearest = min(
-            _to_lost(motion, each[others], place[None])
-            for each, place in zip(there, places, strict=True)
-        )
-        for part in (course.sinking, *course.landing):  # nobody lands on it
-            t = np.linspace(course.begins if part is course.sinking else 0.0, part.duration, 200)
-            near = part.drones.at(t)[:, others].reshape(-1, 3)
-            nearest = min(nearest, _to_lost(motion, near, places[-1:]))
+        there = drones.at(np.minimum(time + times, drones.breaks[-1]))
+        others = np.arange(team.drones) != lost
         if team.has_cables:
             chords = np.linalg.norm(there[:, lost ^ 1] - places, axis=-1)
             taut = chords > team.cable_length[lost // 2]
             if np.any(taut):
                 height = places[np.argmax(taut), 2] - floor
                 words = f"hangs on its partner {height:.2g} m above the ground"
-                raise _none(course.time, f"{team.drone_names[lost]} {words}")
-        return largest_static_thrust(motion), nearest
-
-
-def _checks(motion: Motion, names: tuple[str, ...]) -> Iterator[Check]:
-    """Yield the checks of a motion, up to the first that does not hold."""
-    for name in names:
-        found = RULE_OF[name].check(motion)
-        if found is not None:
-            yield found
-            if not found.holds:
-                return
+                raise _none(time, f"{team.drone_names[lost]} {words}")
+        later = drones.at(np.linspace(begins, drones.breaks[-1], PLACES))  # nobody lands on it
+        return min(
+            _to_lost(motion, later[:, others].reshape(-1, 3), places[-1:]),
+            *(
+                _to_lost(motion, each[others], place[None])
+                for each, place in zip(there, places, strict=True)
+            ),
+        )
 
 
 def _none(time: float, words: str) -> InfeasibleError:
@@ -295,21 +205,12 @@ def _none(time: float, words: str) -> InfeasibleError:
 
 
 def _to_lost(motion: Motion, survivors: Array, places: Array) -> float:
-    """Return the smallest distance of survivors (k, 3) and places of the lost drone (m, 3) [m].
+    """Return the smallest distance of survivors (k, 3) to places of the lost drone (m, 3) [m].
 
-    It is over two radii in every direction: ellipsoids are higher for the downwash, which a drone
-    without motors has not, and does not mind.
+    It is over two radii in every direction: a drone without motors has no downwash.
     """
     distances = np.linalg.norm(survivors[:, None] - places, axis=-1)
     return float(np.min(distances, initial=np.inf)) / (2.0 * motion.requirements.separation.radius)
-
-
-def _apart(motion: Motion, survivors: Array) -> float:
-    """Return the smallest separation of two survivors (k, 3) [m]."""
-    scale = motion.requirements.separation.scale
-    i, j = np.triu_indices(len(survivors), 1)
-    distances = np.linalg.norm((survivors[i] - survivors[j]) * scale, axis=-1)
-    return float(np.min(distances, initial=np.inf))
 
 
 def free_fall(position: Array, velocity: Array, floor: float) -> tuple[Array, Array]:
@@ -328,170 +229,92 @@ def _depth(motion: Motion) -> float:
     return float(np.min(heights)) - motion.requirements.floor
 
 
-def _shift(motion: Motion, share: float) -> PiecewisePolynomial:
-    """Return the offset (3,) [m] of a team that sinks to the ground with a share of the limits."""
-    limits = motion.requirements.limits
-    bounds = limits.speed, limits.acceleration, limits.jerk
-    down = fastest_clock(_depth(motion), *(share * bound for bound in bounds))
-    below = np.array([0.0, 0.0, -1.0])[:, None]
-    return PiecewisePolynomial(down.breaks, below * down.coefficients[:, None])
+def _sunk_from(motion: Motion, time: float) -> tuple[Motion, Check | None]:
+    """Return a plan that stops from a time [s] on and lands, and the first check it breaks."""
+    cables, motion = motion.team.has_cables, until_stop(motion, min(time, motion.duration)).motion
+    if motion.phases[-1].formed or not cables:  # no hanging cable is dragged on the ground
+        motion = _sunk(motion)
+    checks = [RULE_OF[name].check(motion) for name in SUNK]
+    if np.max(motion.drones.coefficients[-1, :, 2, -1]) - motion.requirements.floor > LEAST:
+        landing = straight_down(motion)
+        checks += [RULE_OF[name].check(landing) for name in LANDED]
+        motion = followed(motion, landing)
+    return motion, next((each for each in checks if each is not None and not each.holds), None)
 
 
-def _sunk(motion: Motion, begin: float, share: float) -> Motion:
-    """Return a plan that stops and sinks from a time on until its lowest drone is on the ground."""
-    if _depth(motion) <= LEAST:
-        return followed(motion, resting(motion, REST))
-    shift = _shift(motion, share)
-    end = begin + shift.duration + REST
-    if end > motion.duration + JOINT:
-        motion = followed(motion, resting(motion, end - motion.duration))
-    parts = [PiecewisePolynomial.constant([0.0, begin], np.zeros(3))] if begin > JOINT else []
-    rest = [0.0, motion.duration - begin - shift.duration]
-    parts += [shift, PiecewisePolynomial.constant(rest, shift.coefficients[-1, ..., -1])]
-    whole = joined(parts)
-    whole = PiecewisePolynomial(np.append(whole.breaks[:-1], motion.duration), whole.coefficients)
-    breaks = merged_breaks([motion.drones.breaks, whole.breaks])
-    moved = on_breaks(whole, breaks)
-    finer = motion.changed(lambda part: on_breaks(part, breaks), motion.phases)
+def _sunk(motion: Motion) -> Motion:
+    """Return a plan at rest whose team sinks as a whole then, its lowest drone to the ground."""
+    depth, limits = _depth(motion), motion.requirements.limits
+    if depth <= LEAST:
+        return motion
+    bounds = (SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
+    down = fastest_clock(depth, *bounds)
 
-    def shifted(part: PiecewisePolynomial) -> PiecewisePolynomial:
-        degree = max(part.degree, moved.degree)
-        by = moved.elevated(degree).coefficients[:, None]
-        return PiecewisePolynomial(breaks, part.elevated(degree).coefficients + by)
+    def staying(part: PiecewisePolynomial) -> PiecewisePolynomial:
+        place = part.coefficients[-1, ..., -1]
+        return PiecewisePolynomial.constant(down.breaks, place, down.degree)
 
-    return finer.altered(drones=shifted(finer.drones), vertices=shifted(finer.vertices))
-
-
-def _landed(motion: Motion) -> Iterator[Motion]:
-    """Yield the flights of drones by themselves, straight down from where a motion ends."""
-    team, need = motion.team, motion.requirements
-    start = motion.drones.coefficients[-1, ..., -1]
-    down = start.copy()
-    down[:, 2] = need.floor
-    if np.max(start[:, 2]) - need.floor > LEAST:
-        flight = straight(team, need.limits.planned, start, down)
-        step = motion.phases[-1].step
-        phase = Phase("land", step, 0.0, flight.duration, state=CableState.GROUND)
-        yield Motion.single(team, need, flight, [phase])
+    still = motion.changed(staying, [motion.phases[-1].lasting(0.0, down.duration)])
+    lower = down.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
+    drones, vertices = (
+        part.alike(part.coefficients + lower) for part in (still.drones, still.vertices)
+    )
+    return followed(motion, still.altered(drones=drones, vertices=vertices))
 
 
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return a plan's task until the survivors react, then what they fly, to the ground."""
-    course = reaction.course
-    first = task.t < task.t[0] + course.begins - SAME_TIME
-    own = sample_times(course.sinking.duration, RATE)
-    own = np.append(course.begins, own[own > course.begins + SAME_TIME])
-    rows, offset = [(own, states_at(course.sinking, own))], course.sinking.duration
-    for part in course.landing:
-        own = sample_times(part.duration, RATE)[1:]
-        rows.append((offset + own, states_at(part, own)))
-        offset += part.duration
-    times = np.concatenate([t for t, _ in rows])
-
-    def after(name: str) -> Array:
-        found: Array = np.concatenate([getattr(states, name) for _, states in rows])
-        return found
-
-    gone = np.clip((times - course.begins) / LETTING_GO, 0.0, 1.0)
-    keeps = 1.0 - gone**2 * (3.0 - 2.0 * gone)
-    names = [field.name for field in fields(Setpoints)]
-    values = {name: after(name) for name in names if name != "yaw"}
-    values["cable_forces"] *= keeps[:, None, None]
-    values["yaw"] = np.zeros(values["positions"].shape[:-1])
-    whole = [np.concatenate([getattr(task.setpoints, name)[first], values[name]]) for name in names]
-    formed = after("formed").astype(np.bool_)
-    return Task(
-        task.team,
-        np.concatenate([task.t[first], task.t[0] + times]),
-        Setpoints(*whole),
-        np.concatenate([task.formed[first], formed]),
-        np.concatenate(
-            [task.vertices[first], np.where(formed[:, None, None], after("vertices"), 0.0)]
-        ),
-        np.concatenate([task.tensions[first], np.where(formed[:, None], after("tensions"), 0.0)]),
-        task.digest,
-        None,
-        Cargo(),
-    )
+    t = sample_times(reaction.motion.duration, RATE)
+    found = Task.of(reaction.motion, t)
+    gone = np.clip((t - reaction.begins) / LETTING_GO, 0.0, 1.0)[:, None, None]
+    forces = found.setpoints.cable_forces * (1.0 - gone**2 * (3.0 - 2.0 * gone))
+    setpoints = replace(found.setpoints, cable_forces=forces)
+    parts = task.team, task.t[0] + t, setpoints, found.formed, found.vertices, found.tensions
+    return Task(*parts, task.digest)
 
 
 @dataclass(frozen=True)
 class Lost(OneLine):
-    """A span of a plan in which the loss of a drone has no certified reaction.
-
-    Attributes
-    ----------
-    drone: its name.
-    start, end: [s], half-way to the neighbouring times that were looked at.
-    reason: why there is none, at its first time.
-    """
+    """A span of a plan in which the loss of a drone has no certified reaction."""
 
     drone: str
     start: float
+    """[s]; start and end are half-way to the neighbouring times that were looked at."""
     end: float
     reason: str
-
-
-@dataclass(frozen=True, eq=False)
-class Survivable(OneLine):
-    """Reactions over all of a plan, at sampled times.
-
-    Attributes
-    ----------
-    t: (k,) [s]
-    covered: (k, D), whether there is a reaction.
-    without: spans without one, by drone and time.
-    """
-
-    t: Array
-    covered: NDArray[np.bool_]
-    without: tuple[Lost, ...]
-
-    @property
-    def share(self) -> float:
-        """Share of (drone, time) with a reaction."""
-        return float(np.mean(self.covered))
-
-    @property
-    def check(self) -> Check:
-        """The share as a certificate lists it; it is sampled, not a bound for all of the time."""
-        time = self.without[0].start if self.without else 0.0
-        where = tuple(dict.fromkeys(lost.drone for lost in self.without))
-        return Check("survivable", True, self.share, None, "min", "1", time, where, "sampled")
+    """Why there is none, at its first time."""
 
 
 def survivable(
     motion: Motion, every: float = EVERY, progress: Progress | None = None
-) -> Survivable:
-    """Return which losses of a drone have a certified reaction, about ``every`` [s].
+) -> tuple[Check, list[Lost]]:
+    """Return the share of (drone, time), about ``every`` [s], with a certified reaction to a loss.
 
-    Raises
-    ------
-    InputError: a distance that is not positive.
+    It is sampled, not a bound for all of the time. The spans without one are told as well.
     """
     reactions, names = Reactions(motion), motion.team.drone_names
     count = max(FEWEST, round(motion.duration / positive("every", every)))
     edges = np.linspace(0.0, motion.duration, count + 1)
-    t = 0.5 * (edges[1:] + edges[:-1])
-    reasons: list[list[str]] = []
-    for time in t.tolist():
+    reasons: dict[tuple[int, int], str] = {}
+    for i, time in enumerate((0.5 * (edges[1:] + edges[:-1])).tolist()):
         if progress is not None:
             progress(f"losses at t = {time:.4g} s")
-        reasons.append([_reason(reactions, name, time) for name in names])
-    covered = np.array([[not reason for reason in row] for row in reasons])
+        for drone, name in enumerate(names):
+            try:
+                reactions.found(name, time)
+            except InfeasibleError as error:
+                reasons[drone, i] = str(error)
     without = []
     for drone, name in enumerate(names):
-        bounds = np.flatnonzero(np.diff(np.concatenate([[True], covered[:, drone], [True]])))
+        refused = [(drone, i) in reasons for i in range(count)]
+        bounds = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]])))
         for first, last in bounds.reshape(-1, 2).tolist():
             span = float(edges[first]), float(edges[last])
-            without.append(Lost(name, *span, reasons[first][drone]))
-    return Survivable(t, covered, tuple(without))
-
-
-def _reason(reactions: Reactions, name: str, time: float) -> str:
-    """Return why there is no reaction; nothing where there is one."""
-    try:
-        reactions.found(name, time)
-    except InfeasibleError as error:
-        return str(error)
-    return ""
+            without.append(Lost(name, *span, reasons[drone, first]))
+    share, where = (
+        1.0 - len(reasons) / (count * len(names)),
+        dict.fromkeys(x.drone for x in without),
+    )
+    time = without[0].start if without else 0.0
+    check = Check("survivable", True, share, None, "min", "1", time, tuple(where), "sampled")
+    return check, without

@@ -1,8 +1,7 @@
 """A plan on a common clock that can be slowed, paused, resumed, turned back and sought in.
 
-Changes of the clock's rate are the fastest profiles under bounds of its acceleration and jerk, by
-ruckig. Several are tried, now and later, and the first that is verified for all of its time is
-flown.
+The clock's rate changes by phases of constant jerk. Changes of many durations are made, to begin
+now or later; the soonest that is verified for all of its time is flown.
 """
 
 from __future__ import annotations
@@ -12,54 +11,34 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from itertools import pairwise
-from math import comb, perm
+from math import comb
 
 import numpy as np
 
-from hitchopt.checks.stops import (
-    LONGEST,
-    SHORTEST,
-    SLOWEST,
-    ClockLimits,
-    StopTable,
-    start_phases,
-    stop_phases,
-    stop_table,
-)
+from hitchopt.checks.stops import SHORTEST, SLOWEST, ClockLimits, StopTable, stop_table
 from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import rests
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.clock_phases import ClockPhases, together
+from hitchopt.trajectory.clock_phases import ClockPhases, advanced, together
 from hitchopt.values import Array, finite, not_negative
 
-RATES = (1.0, 0.9, 0.7, 0.5)
-"""Largest rates that are tried on the way to a plan time."""
+RATES = (1.0, 0.7, 0.4)
+"""Rates that are tried on the way to a plan time."""
 
-LADDER = tuple(np.geomspace(SHORTEST, LONGEST, 18).tolist())
-"""[s] Durations of a change of the rate by 1 that are tried first."""
-
-SLOW = (5.0, 10.0, SLOWEST)
-"""[s] Durations that are tried where none of these is possible."""
-
-CARRYING = (3.0, 3.6, 4.3, 5.0, 7.0, 10.0, 14.0, SLOWEST)
-"""[s] The same for plans that carry objects: slow changes leave less unbalanced, but have to fit
-into steady motion."""
+LADDER = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())
+"""[s] Durations of a change of the rate by 1 that are tried."""
 
 WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """[s] Delays before a change that cannot begin at once."""
 
-RESTS, CLOSE = 2, 0.03
-"""While something is carried, changes are tried at so many of the plan's own rests, and begin so
-much earlier [s]: the shortest stop is almost symmetric to it then."""
+BATCH = 24
+"""Number of changes that are verified together."""
 
 STEADY = 1e-9
-"""Rates closer than this are the same."""
+"""Rates closer than this are the same, and plan times [s] closer than this to an end are there."""
 
-BRIEF, NEAR = 1e-9, 1e-6
-"""[s] Shorter phases of a profile are dropped. A rate that changes sign so close to the end of a
-phase does so by rounding: polynomials cannot follow so short a phase."""
+BRIEF = 1e-9
+"""[s] Shorter phases are dropped."""
 
 ALIKE = 1e-9
 """[N] Legs that pull with tensions of a smaller difference do not lean."""
@@ -67,10 +46,8 @@ ALIKE = 1e-9
 STILL = 1e-6
 """[m] Legs whose lengths differ by less on a piece do not slide."""
 
-USUAL = "ask later, for a smaller rate, or plan with limits.reserve below 1"
-
-Change = Callable[[Array, float], ClockPhases | None]
-"""Function of a jet (3,) and a duration; gives the phases of a change that begins there."""
+Change = Callable[[Array, float], Iterator[ClockPhases]]
+"""Function of a jet (3,) and a duration; yields changes that begin there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,11 +94,12 @@ class Player(OneLine):
         if not isinstance(motion, Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
         self.motion: Motion = motion
-        self._search = _searched(motion)
-        self.limits: ClockLimits = self._search.limits
+        self._known = _known(motion)
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         self._check_within("time", time)
         self._now = 0.0
+        self._jets: Array = np.zeros((1, 4))
+        self._begins = [0.0]
         self._stand(time, _checked_rate(rate))
 
     def _parts(self) -> Iterator[str]:
@@ -131,7 +109,7 @@ class Player(OneLine):
     @property
     def stops(self) -> StopTable:
         """The stops from full rate; ``stoppable`` is the longest time until one of them rests."""
-        return self._search.stops
+        return self._known.stops
 
     @property
     def time(self) -> float:
@@ -151,12 +129,11 @@ class Player(OneLine):
     @property
     def ahead(self) -> ClockPhases:
         """What is left of the present change of the clock's rate."""
-        if self._now >= self._begins[-1] or self.time in (self._begin, self._end):
+        following = bisect_right(self._begins, self._now)
+        if following == len(self._begins):
             return NOTHING
-        here = _last(self._begins, self._now)
-        edges = [self._now, *self._begins[here + 1 :]]
-        jerks = [row[3] for row in self._rows[here:-1]]
-        return phases_of(np.array(self._jet()[:3]), np.diff(edges), np.array(jerks))
+        jets = np.vstack([self._jet(), self._jets[following:-1]])
+        return _phases(jets, np.diff([self._now, *self._begins[following:]]))
 
     def step(self, seconds: float) -> Setpoints:
         """Let time pass [s] and return the setpoints then.
@@ -166,8 +143,10 @@ class Player(OneLine):
         InputError: a time that is negative or not finite.
         """
         self._now += not_negative("seconds", seconds)
+        if not self._begin <= self.time <= self._end:
+            self._stand(min(max(self.time, self._begin), self._end), 0.0)
         time, rate, slope, jerk = self._jet()
-        return Setpoints(time, rate, *self._search.sampler.values(time, rate, slope, jerk))
+        return Setpoints(time, rate, *self._known.sampler.values(time, rate, slope, jerk))
 
     def pause(self) -> float:
         """Stop as soon as the limits allow; return the time until rest [s]."""
@@ -189,14 +168,11 @@ class Player(OneLine):
             where legs lean against friction; the clock goes on as before.
         """
         rate = _checked_rate(rate)
-        if rate < 0.0 and self._search.earliest_return(self.time) > self._begin:
-            words = "legs have leaned against friction on the way; back() rests after that"
-            raise InfeasibleError([], f"a rate of {rate:g} from t = {self.time:.4g} s: {words}")
-
         found = self._first(partial(_to_rate, rate), rate)
         if rate == 0.0:
-            found = self._sooner_stop(found)
-        return self._adopt(found, f"a rate of {rate:g}", self._other_rate)
+            options = [self._certain_stop(), *([] if found is None else [found])]
+            found = min(options, key=_seconds)
+        return self._adopt(found, f"a rate of {rate:g}")
 
     def back(self) -> float:
         """Fly the plan backward at full rate; return the time until that is reached [s].
@@ -208,8 +184,9 @@ class Player(OneLine):
         ------
         InfeasibleError: as rate.
         """
-        until = self._search.earliest_return(self.time)
-        return self.rate(-1.0) if until <= self._begin else self.seek(until)
+        leaning, time = self._known.leaning, self.time
+        until = float(np.max(leaning[leaning[:, 0] < time, 1], initial=self._begin))
+        return self.seek(until) if self._begin < until < time else self.rate(-1.0)
 
     def seek(self, time: float) -> float:
         """Go to a plan time on the clock and rest there; return the time it takes [s].
@@ -220,112 +197,106 @@ class Player(OneLine):
         InfeasibleError: as rate.
         """
         self._check_within("time", time)
-        return self._sought(time)[0]
-
-    def path(self, time: float, goal: float) -> ClockPhases:
-        """Return the certified clock from rest at one plan time to rest at another one [s].
-
-        The player rests at ``goal`` then.
-
-        Raises
-        ------
-        InputError, InfeasibleError: as seek.
-        """
-        self._check_within("time", time)
-        self._check_within("goal", goal)
-        self._stand(time, 0.0)
-        found = self._sought(goal)[1]
-        self._stand(goal, 0.0)
-        return found
+        return self._adopt(self._first(partial(_to_time, time), 0.0), f"plan time {time:g} s")
 
     def _check_within(self, key: str, time: float) -> None:
         if not self._begin <= finite(key, time) <= self._end:
             raise InputError(key, time, f"within [0, {self._end:g}] s", "stay within the plan")
 
-    def _sought(self, goal: float) -> tuple[float, ClockPhases]:
-        """Take the first change that ends at rest at a plan time [s]; return how long it lasts."""
-        changes = (partial(_to_time, goal, fastest) for fastest in RATES)
-        options = (self._first(change, 0.0) for change in changes)
-        found = next((made for made in options if made is not None), None)
-        seconds = self._adopt(found, f"plan time {goal:g} s", partial(self._other_rests, goal))
-        return seconds, NOTHING if found is None else found
-
     def _first(self, change: Change, rate: float) -> ClockPhases | None:
-        """Return the first change to a rate that keeps all limits; None if there is none."""
-        stopped = (2.0 * np.diff(self._begins[-2:])).tolist()  # as long, the clock can start again
-        return self._search.first(np.array(self._jet()[:3]), self.ahead, change, rate, stopped)
+        """Return the soonest change to a rate that is verified; None if there is none."""
+        known, here = self._known, np.array(self._jet()[:3])
+        again = [float(2.0 * each) for each in np.diff(self._begins[-2:])]  # as long as the stop
+        options = []
+        for before in self._delays(rate):
+            begin = before.ends[-1, :3] if len(before) else here
+            for duration in (*LADDER, *again):
+                for made in change(begin, duration):
+                    whole = before.followed_by(made)
+                    tailed = whole.followed_by(self._tail(whole, rate))
+                    if not known.slides_back(tailed):
+                        options.append((whole, whole if abs(rate) == 1.0 else tailed))
+        options.sort(key=lambda option: _seconds(option[0]))
+        for first in range(0, len(options), BATCH):
+            batch = options[first : first + BATCH]
+            kept = known.limits.keep(together([tailed for _, tailed in batch]), len(batch))
+            if np.any(kept):
+                return batch[int(np.argmax(kept))][0]
+        return None
 
-    def _sooner_stop(self, found: ClockPhases | None) -> ClockPhases | None:
-        """Return the stop of the table, or the run to the end, if it comes to rest sooner."""
-        time, rate, slope, _ = self._jet()
+    def _delays(self, rate: float) -> Iterator[ClockPhases]:
+        """Yield what precedes a change: nothing, the rest of the present one, a wait, a stop."""
+        time, now, left = self.time, self.clock_rate, self.ahead
+        yield NOTHING
+        if len(left):
+            yield left
+        elif abs(now) > STEADY:
+            yield from (_steady(time, now, wait) for wait in WAITS)
+        if rate != 1.0 and not self.resting:
+            yield self._certain_stop()
+
+    def _tail(self, made: ClockPhases, rate: float) -> ClockPhases:
+        """Return what follows: a run at a constant rate, or from a rest the start from there.
+
+        Where nothing is carried any rest will do. The plan's own rate needs no look.
+        """
+        if not len(made):
+            return NOTHING
+        time, inertia = made.ends[-1, :1], self._known.limits.inertia
+        if rate == 0.0:
+            carried = inertia is not None and inertia.during(time, time)[0]
+            rest = np.array([*time, 0.0, 0.0])
+            return _to_rates(rest, [1.0], 2.0 * made.duration[-1]) if carried else NOTHING
+        return self._run(float(time[0]), rate)
+
+    def _run(self, time: float, rate: float) -> ClockPhases:
+        """Return the run at a constant rate from a plan time to the end, or back to the start."""
+        left = (self._end if rate > 0.0 else self._begin) - time
+        return _steady(time, rate, left / rate) if left / rate > 0.0 else NOTHING
+
+    def _certain_stop(self) -> ClockPhases:
+        """Return a stop that needs no look: what is under way, then one of the table or a run."""
         left = self.ahead
-        if abs(rate - 1.0) <= STEADY and abs(slope) <= STEADY:
-            left = NOTHING  # a change that has only begun is given up
-        elif len(left):
-            time, rate, slope, _ = left.ends[-1].tolist()
-        options = [] if found is None else [found]
-        if abs(rate - 1.0) <= STEADY and abs(slope) <= STEADY:
-            start, duration = self.stops.after(time)
-            run = _steady(np.array([time, 1.0]), start - time) if start > time else NOTHING
-            stop = stop_phases(np.array([start]), np.array([duration])) if duration else NOTHING
-            options.append(left.followed_by(run).followed_by(stop))
-        elif not options and rate != 0.0:
-            ahead = self._end - time if rate > 0.0 else time - self._begin
-            options.append(left.followed_by(_steady(np.array([time, rate]), ahead / abs(rate))))
-        return min(options, key=lambda made: float(np.sum(made.duration)), default=found)
+        time, rate = (left.ends[-1].tolist() if len(left) else self._jet())[:2]
+        if abs(rate) <= STEADY:
+            return left
+        if rate < 1.0 - STEADY:
+            return left.followed_by(self._run(time, rate))
+        start, duration = self.stops.after(time)
+        run = left.followed_by(_steady(time, 1.0, start - time) if start > time else NOTHING)
+        full = np.array([start, 1.0, 0.0])
+        return run.followed_by(_to_rates(full, [0.0], duration)) if duration > 0.0 else run
 
-    def _adopt(self, found: ClockPhases | None, goal: str, remedy: Callable[[], str]) -> float:
+    def _adopt(self, found: ClockPhases | None, goal: str) -> float:
+        """Fly a change from now on; return how long it takes [s]."""
         if found is None:
             words = "no change of the clock was found that keeps all limits"
-            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy()}")
+            if self._known.limits.inertia is not None:
+                words += "; what is carried has inertia, rest where the plan does"
+            if len(self._known.leaning):
+                words += "; legs lean against friction, and are not flown backward"
+            remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
+            raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
         if not len(found):
             self._stand(*self._jet()[:2])
             return 0.0
-        last = found.ends[-1]
-        last[2:] = 0.0
-        last[1] = 0.0 if abs(last[1]) <= STEADY else last[1]
-        begins = self._now + np.concatenate([[0.0], np.cumsum(found.duration)])
-        self._rows, self._begins = np.vstack([found.jets, last]).tolist(), begins.tolist()
-        return float(begins[-1] - self._now)
-
-    def _other_rate(self) -> str:
-        """Return what to ask for in place of a rate from now on."""
-        carried = self.limits.inertia is not None
-        return "ask for a faster rate: what is carried has inertia" if carried else USUAL
-
-    def _other_rests(self, time: float) -> str:
-        """Return the rests to seek in place of a plan time [s]: the nearest on both sides."""
-        inertia, stops = self.limits.inertia, self.stops
-        if inertia is None or not inertia.during(np.array([time]), np.array([time]))[0]:
-            return USUAL
-        known = np.isfinite(stops.durations)
-        made = stops.starts[known] + 0.5 * stops.durations[known]
-        every = np.append(made, self.motion.drones.breaks[rests(self.motion)])
-        nearest = np.max(every[every <= time]), np.min(every[every >= time])
-        words = " or ".join(f"{each:.3f} s" for each in nearest)
-        return f"seek {words}: what is carried has inertia"
+        self._stand(*_end(found, found.jets[-1])[:2].tolist())
+        self._jets = np.vstack([found.jets, self._jets])
+        self._begins = (self._now + np.cumsum([0.0, *found.duration])).tolist()
+        return _seconds(found)
 
     def _stand(self, time: float, rate: float) -> None:
-        """Let the clock go on from a plan time at a constant rate."""
-        self._rows, self._begins = [[time, rate, 0.0, 0.0]], [self._now]
+        """Let the clock go on at a constant rate, which ends with the plan."""
+        over = time - self._end if rate > 0.0 else self._begin - time
+        place = min(max(time, self._begin), self._end)
+        self._jets = np.array([[place, 0.0 if over > -STEADY else rate, 0.0, 0.0]])
+        self._begins = [self._now]
 
     def _jet(self) -> tuple[float, float, float, float]:
-        """Return plan time, rate and its derivatives now; all rest beyond the plan's ends."""
-        i = _last(self._begins, self._now)
-        p, v, a, j = self._rows[i]
-        dt = self._now - self._begins[i]
-        time = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
-        rate = v + dt * (a + dt * j / 2.0)
-        if time >= self._end and rate >= 0.0:
-            return self._end, 0.0, 0.0, 0.0
-        if time <= self._begin and rate <= 0.0:
-            return self._begin, 0.0, 0.0, 0.0
-        return time, rate, a + dt * j, j
-
-
-def _last(times: list[float], now: float) -> int:
-    """Return the index of the last time that is not after ``now``."""
-    return max(bisect_right(times, now) - 1, 0)
+        """Return plan time, rate and its two derivatives now."""
+        i = max(bisect_right(self._begins, self._now) - 1, 0)
+        time, rate, slope, jerk = advanced(self._jets[i], self._now - self._begins[i]).tolist()
+        return time, rate, slope, jerk
 
 
 def _checked_rate(rate: float) -> float:
@@ -334,8 +305,8 @@ def _checked_rate(rate: float) -> float:
     return float(rate)
 
 
-class _Search:
-    """The changes of a plan's clock that keep all limits, and what they are looked for with."""
+class _Known:
+    """What all players of a motion need."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -366,76 +337,7 @@ class _Search:
         found: Array = np.stack([breaks[:-1], breaks[1:]], axis=-1)[leans]
         return found
 
-    def earliest_return(self, time: float) -> float:
-        """Return the earliest plan time [s] to which the plan may be flown backward.
-
-        Raises
-        ------
-        InfeasibleError: legs lean at ``time`` itself.
-        """
-        before = self.leaning[self.leaning[:, 0] < time]
-        if not len(before):
-            return float(self.motion.drones.breaks[0])
-        if before[-1, 1] > time:
-            words = "legs lean against friction as cables slide, which they would the other way"
-            remedy = "let the plan run on until they do not, or plan without team.cable_friction"
-            raise InfeasibleError([], f"going back at t = {time:.4g} s: {words}; {remedy}")
-        return float(before[-1, 1])
-
-    def first(
-        self, here: Array, left: ClockPhases, change: Change, rate: float, also: Sequence[float]
-    ) -> ClockPhases | None:
-        """Return the first change that keeps all limits; None if there is none.
-
-        Short ones are preferred, even where they begin later: from ``here`` (3,), from the end of
-        what is ``left`` of the present change, or after a delay. ``rate`` is that at their end,
-        ``also`` are durations that are tried as well [s].
-        """
-        usual = (*LADDER, *(each for each in also if SHORTEST < each < SLOWEST))
-        for durations in (usual, SLOW if self.limits.inertia is None else CARRYING):
-            for before in self._delays(here, left):
-                begin = before.ends[-1, :3] if len(before) else here
-                made = [change(begin, duration) for duration in durations]
-                options = [before.followed_by(each) for each in made if each is not None]
-                options = [each for each in options if not self._slides_back(each)]
-                if not options:
-                    continue
-                tailed = [each.followed_by(self._tail(each, rate)) for each in options]
-                kept = self.limits.keep(together(tailed), len(tailed))
-                seconds = np.array([np.sum(each.duration) for each in options])
-                if np.any(kept):
-                    return options[int(np.argmin(np.where(kept, seconds, np.inf)))]
-        return None
-
-    def _delays(self, here: Array, left: ClockPhases) -> Iterator[ClockPhases]:
-        """Yield what the clock does before a change: nothing, the present one's end, or waiting."""
-        yield NOTHING
-        if len(left):
-            yield left
-        elif abs(here[1]) > STEADY:
-            waits = list(WAITS)
-            if self.limits.inertia is not None:  # until the plan almost rests by itself
-                still = self.motion.drones.breaks[rests(self.motion)]
-                until = (still - here[0]) / here[1] - CLOSE
-                waits += sorted(until[until > WAITS[0]].tolist())[:RESTS]
-            yield from (_steady(here, wait) for wait in waits)
-
-    def _tail(self, made: ClockPhases, rate: float) -> ClockPhases:
-        """Return what follows: a run at a constant rate, or from a rest the start from there.
-
-        The plan's own rate needs no look, nor does a rest where nothing is carried.
-        """
-        if abs(rate) == 1.0 or not len(made):
-            return NOTHING
-        begin, end = self.motion.drones.breaks[[0, -1]]
-        time, inertia = made.ends[-1, :1], self.limits.inertia
-        if rate == 0.0:
-            carried = inertia is not None and inertia.during(time, time)[0]
-            return start_phases(time, 2.0 * made.duration[-1:]) if carried else NOTHING
-        left = end - time[0] if rate > 0.0 else time[0] - begin
-        return _steady(np.array([time[0], rate]), left / abs(rate)) if left > 0.0 else NOTHING
-
-    def _slides_back(self, made: ClockPhases) -> bool:
+    def slides_back(self, made: ClockPhases) -> bool:
         """Whether cables slide back where legs lean."""
         backward = np.minimum(made.jets[:, 1], made.ends[:, 1]) < -STEADY
         spans = np.sort(np.stack([made.jets[:, 0], made.ends[:, 0]], axis=-1)[backward], axis=-1)
@@ -443,110 +345,103 @@ class _Search:
         return bool(np.any((ends > spans[:, :1]) & (begins < spans[:, 1:])))
 
 
-_searched = lru_cache(maxsize=4)(_Search)
+_known = lru_cache(maxsize=4)(_Known)
 
 
-def _to_rate(rate: float, jet: Array, duration: float) -> ClockPhases | None:
-    """Return a change to a constant rate from a jet (3,), in about a duration [s]."""
-    from ruckig import ControlInterface, InputParameter
-
-    task = InputParameter(1)
-    task.control_interface = ControlInterface.Velocity
-    task.target_velocity, task.target_acceleration = [rate], [0.0]
-    difference = max(abs(rate - jet[1]), 0.25 * abs(jet[2]) * duration, 1e-3)
-    return _profile(task, jet, duration, difference)
+def _eased(jet: Array, duration: float) -> ClockPhases | None:
+    """Return the phase in which a jet's (3,) rate becomes constant; None if it changes its sign."""
+    jerk, (_, rate, slope) = 4.0 / duration**2, jet.tolist()
+    steady = rate + 0.5 * slope * abs(slope) / jerk
+    if abs(steady) > 1.0 + STEADY or rate * steady < 0.0:
+        return None
+    return _in_a_row(jet, [abs(slope) / jerk], [-math.copysign(jerk, slope)])
 
 
-def _to_time(time: float, fastest: float, jet: Array, duration: float) -> ClockPhases | None:
-    """Return a course from a jet (3,) to rest at a plan time [s], at rates of at most ``fastest``.
+def _to_rates(jet: Array, rates: Sequence[float], duration: float) -> ClockPhases:
+    """Return changes from a constant rate, a jet's (3,), to one after the other [s each].
 
-    A change of the rate by 1 takes a duration [s].
+    Each takes two phases of constant jerk, the shortest that a bound of that allows.
     """
-    from ruckig import InputParameter
-
-    task = InputParameter(1)
-    task.max_velocity, task.target_position = [fastest], [time]
-    begin = np.array(jet[:3])
-    if abs(abs(begin[1]) - fastest) <= STEADY:  # ruckig brakes for a rate that is off by rounding
-        begin[1] = math.copysign(fastest, begin[1])
-    return _profile(task, begin, duration)
+    now, jerks = float(jet[1]), []
+    for rate in rates:
+        jerk = 4.0 * (rate - now) / duration**2
+        jerks += [jerk, -jerk]
+        now = rate
+    return _in_a_row(jet, [0.5 * duration] * len(jerks), jerks)
 
 
-def _profile(
-    task: object, jet: Array, duration: float, difference: float = 1.0
-) -> ClockPhases | None:
-    """Return the fastest profile of a task of ruckig from a jet (3,); None if there is none."""
-    from ruckig import Result, Ruckig, RuckigError, Trajectory
-
-    place, rate, slope = (float(value) for value in jet[:3])
-    values = {
-        "current_position": place,
-        "current_velocity": rate,
-        "current_acceleration": slope,
-        "max_acceleration": 2.0 / duration * difference,
-        "max_jerk": 4.0 / duration**2 * difference,
-    }
-    for name, value in values.items():
-        setattr(task, name, [value])
-    trajectory = Trajectory(1)
-    try:
-        result = Ruckig(1).calculate(task, trajectory)
-    except RuckigError:  # bounds far below what the clock does now
-        return None
-    if result not in {Result.Working, Result.Finished}:
-        return None
-    profile = trajectory.profiles[0][0]
-    seconds = np.array([*profile.brake.t, *profile.t], dtype=np.float64)
-    jerks = np.array([*profile.brake.j, *profile.j], dtype=np.float64)
-    kept = seconds > BRIEF
-    return _one_sign(phases_of(np.array([place, rate, slope]), seconds[kept], jerks[kept]))
+def _to_rate(rate: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
+    """Yield the change to a constant rate from a jet (3,), with a rest where it turns [s]."""
+    eased = _eased(jet, duration)
+    if eased is not None:
+        jet = _end(eased, jet)
+        rates = [rate] if abs(rate - jet[1]) > STEADY else []
+        if rate * jet[1] < 0.0:
+            rates.insert(0, 0.0)
+        yield eased.followed_by(_to_rates(jet, rates, duration))
 
 
-def phases_of(jet: Array, seconds: Array, jerks: Array) -> ClockPhases:
-    """Return phases of constant jerk one after the other, from a jet (3,) on."""
-    jets = []
-    p, v, a = (float(value) for value in jet[:3])  # plain numbers are faster than arrays of four
-    for dt, j in zip(np.asarray(seconds).tolist(), np.asarray(jerks).tolist(), strict=True):
-        jets.append((p, v, a, j))
-        p += dt * (v + dt * (a / 2.0 + dt * j / 6.0))
-        v += dt * (a + dt * j / 2.0)
-        a += dt * j
-    owner = np.zeros(len(jets), dtype=np.intp)
-    return ClockPhases(owner, np.reshape(jets, (-1, 4)), np.array(seconds, dtype=np.float64))
+def _to_time(goal: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
+    """Yield courses from a jet (3,) to rest at a plan time: at its own rate, or first to rest [s].
+
+    Every change of the rate takes a duration.
+    """
+    eased = _eased(jet, duration)
+    if eased is None:
+        return
+    time, now, _ = jet = _end(eased, jet)
+    if abs(now) > STEADY:
+        wait = (goal - time) / now - 0.5 * duration
+        if wait >= 0.0:
+            run = _steady(time, now, wait)
+            stop = _to_rates(_end(run, jet), [0.0], duration)
+            yield eased.followed_by(run).followed_by(stop)
+        eased = eased.followed_by(_to_rates(jet, [0.0], duration))
+        jet = _end(eased, jet)
+    way = goal - float(jet[0])
+    for fastest in RATES if abs(way) > STEADY else ():
+        rate = math.copysign(min(fastest, abs(way) / duration), way)
+        start = _to_rates(jet, [rate], duration)
+        run = _steady(start.ends[-1, 0], rate, max(way / rate - duration, 0.0))
+        stop = _to_rates(_end(run, jet), [0.0], duration)
+        yield eased.followed_by(start).followed_by(run).followed_by(stop)
 
 
-NOTHING = phases_of(np.zeros(3), np.zeros(0), np.zeros(0))
+def _end(phases: ClockPhases, jet: Array) -> Array:
+    """Return the jet (3,) at a constant rate after some phases, or where there are none."""
+    time, rate = phases.ends[-1, :2] if len(phases) else jet[:2]
+    return np.array([time, 0.0 if abs(rate) <= STEADY else rate, 0.0])
+
+
+def _phases(jets: Array, seconds: Array) -> ClockPhases:
+    """Return phases (m,) of one clock."""
+    return ClockPhases(np.zeros(len(seconds), dtype=np.intp), jets, seconds)
+
+
+NOTHING = _phases(np.zeros((0, 4)), np.zeros(0))
 """No phase."""
 
 
-def _steady(jet: Array, seconds: float) -> ClockPhases:
-    """Return a run from a plan time at a constant rate, the first numbers of a jet."""
-    return phases_of(np.array([*jet[:2], 0.0]), np.array([seconds]), np.zeros(1))
+def _seconds(phases: ClockPhases) -> float:
+    """Return how long the phases of one clock take [s]."""
+    return float(np.sum(phases.duration))
 
 
-def _one_sign(phases: ClockPhases) -> ClockPhases:
-    """Return the phases, split where their rates change sign."""
-    seconds: list[float] = []
-    jerks: list[float] = []
-    for (_, rate, slope, jerk), duration in zip(
-        phases.jets.tolist(), phases.duration.tolist(), strict=True
-    ):
-        cuts = [t for t in _zeros(rate, slope, 0.5 * jerk) if NEAR < t < duration - NEAR]
-        edges = [0.0, *sorted(cuts), duration]
-        seconds += [last - first for first, last in pairwise(edges)]
-        jerks += [jerk] * (len(edges) - 1)
-    if len(seconds) == len(phases):
-        return phases
-    return phases_of(phases.jets[0], np.array(seconds), np.array(jerks))
+def _steady(time: float, rate: float, seconds: float) -> ClockPhases:
+    """Return a run from a plan time at a constant rate."""
+    return _phases(np.array([[time, rate, 0.0, 0.0]]), np.array([seconds]))
 
 
-def _zeros(c: float, b: float, a: float) -> tuple[float, ...]:
-    """Return the real zeros of ``a t² + b t + c``."""
-    inside = b * b - 4.0 * a * c
-    if inside < 0.0 or a == b == 0.0:
-        return ()
-    larger = -0.5 * (b + math.copysign(math.sqrt(inside), b))  # adds numbers of one sign
-    return tuple(top / below for top, below in ((larger, a), (c, larger)) if below != 0.0)
+def _in_a_row(jet: Array, seconds: Sequence[float], jerks: Sequence[float]) -> ClockPhases:
+    """Return phases of constant jerk one after the other, from a jet (3,) on."""
+    jets, kept = [], [each for each in zip(seconds, jerks, strict=True) if each[0] > BRIEF]
+    p, v, a = jet[:3].tolist()
+    for dt, j in kept:
+        jets.append((p, v, a, j))  # plain numbers are faster than arrays of four
+        p += dt * (v + dt * (a / 2.0 + dt * j / 6.0))
+        v += dt * (a + dt * j / 2.0)
+        a += dt * j
+    return _phases(np.reshape(jets, (-1, 4)), np.array([dt for dt, _ in kept]))
 
 
 class Sampler:
@@ -558,21 +453,12 @@ class Sampler:
     """
 
     def __init__(self, part: PiecewisePolynomial) -> None:
-        c = part.coefficients
-        pieces, self._points, _, count = c.shape
-        self._order = order = count - 1
-        to_powers = np.zeros((count, count))
-        for k in range(count):
-            for i in range(k + 1):
-                to_powers[k, i] = comb(order, k) * comb(k, i) * (-1.0) ** (k - i)
-        powers = np.einsum("ki,pdci->pkdc", to_powers, c).reshape(pieces, count, -1)
-        rows = np.zeros((pieces, count, 4, powers.shape[-1]))
-        h = part.durations[:, None]
-        for derivative in range(4):
-            for k in range(derivative, count):
-                factor = perm(k, derivative)
-                rows[:, k - derivative, derivative] = factor * powers[:, k] / h**derivative
-        self._rows = rows.reshape(pieces, count, -1)
+        order = part.degree
+        orders = [part.differentiated(k).elevated(order).coefficients for k in range(4)]
+        rows = np.moveaxis(np.stack(orders, axis=1), -1, 1)
+        self._rows = np.ascontiguousarray(rows.reshape(part.pieces, order + 1, -1))
+        self._binomials = [float(comb(order, k)) for k in range(order + 1)]
+        self._shape = 4, *part.shape
         self._breaks = part.breaks.tolist()
 
     def values(
@@ -585,12 +471,11 @@ class Sampler:
         rate, slope, jerk: the clock's derivatives.
         """
         piece = min(max(bisect_right(self._breaks, time) - 1, 0), len(self._breaks) - 2)
-        start = self._breaks[piece]
-        x = min(max((time - start) / (self._breaks[piece + 1] - start), 0.0), 1.0)
-        powers = [1.0]
-        for _ in range(self._order):  # plain numbers are faster than an array of eight
-            powers.append(powers[-1] * x)
-        values: Array = np.dot(powers, self._rows[piece]).reshape(4, -1)
+        start, end = self._breaks[piece : piece + 2]
+        x = min(max((time - start) / (end - start), 0.0), 1.0)
+        order = len(self._binomials) - 1
+        weights = [c * x**k * (1.0 - x) ** (order - k) for k, c in enumerate(self._binomials)]
+        values: Array = np.dot(weights, self._rows[piece]).reshape(4, -1)
         if (rate, slope, jerk) != (1.0, 0.0, 0.0):  # else the clock is the plan's
             chain = [
                 [1.0, 0.0, 0.0, 0.0],
@@ -599,4 +484,4 @@ class Sampler:
                 [0.0, jerk, 3.0 * rate * slope, rate * rate * rate],
             ]
             values = np.dot(np.array(chain), values)
-        return values.reshape(4, self._points, 3)
+        return values.reshape(self._shape)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,21 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.certificate import Check
-from hitchopt.checks.clasps import QUICK_EQUILIBRIUM as QUICK
-from hitchopt.checks.registry import RULE_OF
-from hitchopt.checks.rule import Findings, Found
+from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.spans import shared_values
-from hitchopt.checks.stops import QUICK as STOPPABLE
-from hitchopt.checks.tracking import GAMMA
+from hitchopt.checks.stops import QUICK
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, fitting_polygon
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import quick_split
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.live.retarget_path import MovingState, RetargetPath, turning_slowly
+from hitchopt.live.retarget_path import MovingState, RetargetPath
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import before, beside_objects, cut, followed, resting
 from hitchopt.plan import Plan
@@ -49,25 +45,21 @@ SAME_STATE = 1e-6
 WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
 """[s] How long the old plan is flown on where a retarget cannot begin at once."""
 
-ROUNDS = 3
-"""Certificates for one path, each after a change for what the last one said."""
-
 PIECE, PIECES, FEWEST = 0.3, 10, 4
 """[s] Length of the pieces of the brake, which is as quick as limits allow; number of pieces that a
 shift is divided into where they are no shorter, so that a cable's length is right within 1e-6 of
 it; and least number of pieces."""
 
-SLOWER = ("speed", "vertex_speed", "acceleration", "jerk", "thrust", "tilt", "body_rate")
-"""Checks that a longer shift eases."""
+EASED = frozenset(
+    {
+        *("speed", "vertex_speed", "acceleration", "jerk", "thrust", "tilt", "body_rate"),
+        *("cable_length", "equilibrium", "tension"),
+    }
+)
+"""Checks that a slower shift on shorter pieces eases."""
 
-DISTANCES = ("separation", "cable_clearance", "crossing")
-"""Checks that are looked at before all others: nothing but another path eases them."""
-
-STRETCH = 1.03
-"""Factor by which a shift is prolonged, beyond the ratio of what is broken to its limit."""
-
-FINER = frozenset({"cable_length", "equilibrium", "tension"})
-"""Checks that shorter pieces ease."""
+SLOWER, FINER = 1.1, 0.5
+"""Factors of a shift's duration and of its pieces' for that second try."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +127,9 @@ class Replanner(OneLine):
     ) -> None:
         instance("team", team, Team)
         instance("start", start, Hitch, Plan)
-        for key, value, kind in (
-            ("limits", limits, Limits),
-            ("separation", separation, Separation),
-            ("arena", arena, Arena),
-        ):
-            if value is not None:
-                instance(key, value, kind)
+        instance("limits", limits, Limits, type(None))
+        instance("separation", separation, Separation, type(None))
+        instance("arena", arena, Arena, type(None))
         own = start.motion.team if isinstance(start, Plan) else start.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")
@@ -161,7 +149,11 @@ class Replanner(OneLine):
             phase = Phase("hold", 0, 0.0, HOLD)
             self.motion = rest_of(start, self.requirements, HOLD, phase)
             self._goal = start
-        self._certificate = certify(self.motion, reports=(STOPPABLE,))
+        limits = self.requirements.planned.limits
+        turning = math.inf if limits.body_rate is None else GRAVITY * limits.body_rate
+        self._limits = replace(limits, jerk=min(limits.jerk, turning))
+        """Those of planning, with a jerk that turns a hovering drone at ``body_rate`` at most."""
+        self._certificate = certify(self.motion, reports=(QUICK,))
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
             self._end(self._goal.polygon, self._goal.altitude, chosen=True)
         if not self._certificate.certified:
@@ -266,17 +258,13 @@ class Replanner(OneLine):
         """
         past = self._past(at)
         still = self._still(past)
-        brake = still.brake(turning_slowly(self.requirements.planned.limits))
+        brake = still.brake(self._limits)
         if brake is None:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         refusal: InfeasibleError | None = None
-        given: Hitch | None = None
         for chosen in (False, True):
             try:
                 end = self._end(outline, altitude, chosen=chosen)
-                if given is not None and np.allclose(end.q_legs, given.q_legs, 0.0, SAME_STATE):
-                    break  # the goal keeps all limits at rest: the path to it does not
-                given = end
                 path = RetargetPath.to(past.team, still.state, end, yaw)
                 return self._certified(past, path, brake), end
             except InfeasibleError as error:
@@ -323,80 +311,62 @@ class Replanner(OneLine):
         state = MovingState.at_end(past)
         away = np.abs(past.tensions.coefficients[-1, :, -1] - past.team.tension)
         still = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
-        model = still.jets(np.zeros(1), 1.0, math.inf)[1].positions[0, ..., 0]
+        model = still.jets(np.zeros(1), 1.0, None)[1].positions[0, ..., 0]
         if away.max() > SAME_STATE or np.abs(model - state.drones[..., 0]).max() > SAME_STATE:
             raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return still
 
     def _certified(self, past: Motion, path: RetargetPath, brake: float) -> Retarget:
-        """Return the answer for a path and a brake [s], prolonged and divided where that helps.
+        """Return the answer for a path and a brake [s].
 
         Raises
         ------
         InfeasibleError: what was found first.
         """
-        need, moving = self.requirements, path.state.moves
-        shift = path.shortest_shift(turning_slowly(need.planned.limits), brake)
+        shift = path.shortest_shift(self._limits, brake)
         if shift is None:
             raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
-        finer, refusal = 1.0, None
         recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
-        for _ in range(ROUNDS):
-            phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
-            flight = path.flight(_breaks(brake, shift, finer, moving=moving), brake, shift)
-            fresh = beside_objects(past, flying(flight, path.team, need, [phase]))
+        slowed = ((shift, 1.0), (SLOWER * shift, FINER))
+        refusal: InfeasibleError | None = None
+        for lasting, finer in slowed:
+            phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, lasting))
+            breaks = _breaks(brake if path.state.moves else 0.0, lasting, finer)
+            flight = path.flight(breaks, brake, lasting)
+            fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
             ahead = followed(recent, fresh)
             certificate = _certificate(ahead)
             if certificate.certified:
-                motion = followed(past, fresh)
-                return Retarget(True, past.duration, motion, ahead, certificate)
+                return Retarget(True, past.duration, followed(past, fresh), ahead, certificate)
             refusal = refusal or infeasible(certificate, ahead)
-            broken = {check.name: check for check in certificate.violated}
-            if not broken.keys() <= {*SLOWER, *FINER} or any(
-                check.time <= recent.duration + brake for check in broken.values()
-            ):  # a longer shift does not change the brake
+            if not {check.name for check in certificate.violated} <= EASED:
                 break
-            ratios = [broken[name].bound / broken[name].number for name in SLOWER if name in broken]
-            shift *= STRETCH * max(ratios) if ratios else 1.0
-            finer *= 0.5 if broken.keys() & FINER else 1.0
         assert refusal is not None
         raise refusal
 
 
 def _certificate(ahead: Motion) -> Certificate:
-    """Return the certificate of what is ahead, or the first checks that do not hold."""
-    checked, known = ahead.untimed, dict[str, Sequence[Found]]()
+    """Return the certificate of what is ahead, with bounds that are found quickly."""
+    checked = ahead.untimed
     with shared_values(), rough_bounds():
-        for names in (DISTANCES, SLOWER):
-            short: list[Check] = []
-            for name in names:
-                known[name] = RULE_OF[name].findings(checked)
-                short += [each.check for each in known[name] if not each.check.holds]
-            if short:
-                return Certificate(ahead.duration, tuple(short))
-        findings: Findings = {**known, QUICK.name: QUICK.findings(checked)}
-        certificate = certify(checked, reports=(), known=findings)
-        if not certificate.certified:
-            return certificate
-        stops = STOPPABLE.check(checked, {}, GAMMA)
-        return replace(certificate, checks=(*certificate.checks, stops))
+        known = {QUICK_EQUILIBRIUM.name: QUICK_EQUILIBRIUM.findings(checked)}
+        return certify(checked, reports=(QUICK,), known=known)
 
 
-def _breaks(brake: float, shift: float, finer: float, *, moving: bool) -> Array:
+def _breaks(brake: float, shift: float, finer: float) -> Array:
     """Return the breaks of a retarget: its end, the brake's and the shift's, and more.
 
     Parameters
     ----------
     brake, shift: durations [s].
     finer: factor of the pieces' lengths.
-    moving: whether there is a brake.
     """
-    edges = sorted({0.0, brake, shift}) if moving else [0.0, shift]
-    least = min(PIECE, edges[-1] / FEWEST)
+    least = min(PIECE, max(brake, shift) / FEWEST)
+    later = max(least, shift / PIECES)
+    edges = [0.0, brake, shift] if brake < shift else [0.0, shift, brake]
     parts = [np.zeros(1)]
     for start, end in pairwise(edges):
-        braking = moving and end <= brake
-        piece = finer * (least if braking else max(least, shift / PIECES))
+        piece = finer * (least if end <= brake else later)
         count = math.ceil((end - start) / piece * (1.0 - 1e-9))
         parts.append(np.linspace(start, end, count + 1)[1:])
     return np.concatenate(parts)

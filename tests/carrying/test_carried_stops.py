@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -157,37 +156,11 @@ def test_no_stop_rests_much_sooner_than_the_longest(kind: str) -> None:
     assert np.all(limits.keep(clocks, len(found)))
 
 
-def test_a_rate_at_which_nothing_can_be_carried_is_refused_and_another_one_named() -> None:
+def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
     player = Player(plan("drum"), 0.5)
-    with pytest.raises(ho.InfeasibleError, match="no change of the clock") as found:
+    with pytest.raises(ho.InfeasibleError, match=r"no change of .* carried has inertia"):
         player.rate(0.5)
     assert player.clock_rate == 1.0
-    named = re.search(r"ask for ([\d.]+) or faster", str(found.value))
-    assert named is not None
-    assert 0.5 < float(named[1]) < 1.0
-    player.step(player.rate(float(named[1])))
-    assert player.clock_rate == pytest.approx(float(named[1]))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_where_it_cannot_rest_other_times_are_named(kind: str) -> None:
-    motion = plan(kind).motion
-    begin, end = carried(motion)
-    refused = 0
-    for time, target in np.random.default_rng(7).uniform(begin, end, (3, 2)).tolist():
-        try:
-            Player(motion, time).seek(target)
-        except ho.InfeasibleError as error:
-            named = re.search(r"seek ([\d.]+) s or ([\d.]+) s", str(error))
-            assert named is not None
-            assert float(named[1]) <= target <= float(named[2])
-            for each in named.groups():
-                player = Player(motion, time)
-                player.step(player.seek(float(each)))
-                assert player.resting
-            refused += 1
-    assert refused
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -196,7 +169,7 @@ def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
     motion = plan(kind).motion
     lift = next(p for p in motion.phases if p.name == "lift")
     found = Aborts(motion).found(lift.end - 1.0, "hold")
-    assert found.certified.certificate.certified
+    assert found.certificate.certified
     assert found.rest < lift.end + 0.2
 
 

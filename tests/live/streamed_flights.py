@@ -5,50 +5,44 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import cache
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
-from hitchopt.live.fly import Course, Flight, Flown, Timing
+from hitchopt.live.fly import Course, Flight, Flown
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
-TIMING = Timing(rate=50.0, patience=2.0)
+PATIENCE = 2.0
 
 
 @cache
-def plan_of() -> ho.Plan:
-    """A triangle off the origin, one vertex of which is moved."""
+def plan_of(*, swarm: bool = False) -> ho.Plan:
+    """A triangle off the origin, one vertex of which is moved.
+
+    Or two drones without cables that change places and end on the ground.
+    """
+    if swarm:
+        start = np.array([[1.0, 0.0, 1.0], [2.0, 0.5, 1.2]])
+        goal = np.array([[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]])
+        return ho.separate(ho.SwarmProblem(ho.Swarm(2), start, goal))
     polygon = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
     return ho.move_vertex(ho.Hitch.spread(ho.Team(3, 2.4), polygon), 0, by=[0.0, 0.4])
 
 
 @cache
-def landing_plan() -> ho.Plan:
-    """Two drones without cables that change places and end on the ground."""
-    start = np.array([[1.0, 0.0, 1.0], [2.0, 0.5, 1.2]])
-    goal = np.array([[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]])
-    return ho.separate(ho.SwarmProblem(ho.Swarm(2), start, goal))
-
-
-@cache
-def tables() -> dict[str, AbortTable]:
-    motion = plan_of().motion
+def tables(*, swarm: bool) -> dict[str, AbortTable]:
+    motion = plan_of(swarm=swarm).motion
+    if swarm:
+        return dict.fromkeys(("land", "abort"), abort_table(motion, "land", 0.5))
     return {"land": abort_table(motion, "land"), "abort": abort_table(motion, "release_and_land")}
 
 
-@cache
-def swarm_tables() -> dict[str, AbortTable]:
-    return dict.fromkeys(("land", "abort"), abort_table(landing_plan().motion, "land", 0.5))
-
-
-def at_once(compute: Callable[[], T]) -> Future[T]:
+def at_once(compute: Callable[[], str]) -> Future[str]:
     """Compute now."""
-    done: Future[T] = Future()
+    done: Future[str] = Future()
     try:
         done.set_result(compute())
     except ho.HitchoptError as error:
@@ -62,31 +56,29 @@ class Rig:
     def __init__(
         self,
         later: Callable[[Callable[[], str]], Future[str]] = at_once,
-        timing: Timing = TIMING,
+        rate: float = 50.0,
         *,
         swarm: bool = False,
     ) -> None:
-        self.plan = plan = landing_plan() if swarm else plan_of()
-        self.names = plan.motion.team.drone_names
-        self.course = Course(plan.motion, swarm_tables() if swarm else tables(), at_once)
+        self.plan = plan_of(swarm=swarm)
+        self.names = self.plan.motion.team.drone_names
+        self.course = Course(self.plan.motion, tables(swarm=swarm))
         self.pressed: list[str] = []
-        self.operator = True
-        self.silent: set[str] = set()
-        self.off = np.zeros(3)
+        self.operator, self.silent, self.off = True, set[str](), np.zeros(3)
         self.sent: list[Flown] = []
         self.said: list[str] = []
-        self.now, self.going, self.timing = 100.0, True, timing
-        self.flight = Flight(self.course, self, self, timing, self.names, later, self.said.append)
+        self.now, self.going, self.rate = 100.0, True, rate
+        parts = self.course, self, self.commands, self.names, later, self.said.append
+        self.flight = Flight(*parts, rate=rate, patience=PATIENCE)
 
     def send(self, flown: Flown, now: float) -> None:
         assert now == self.now
         self.sent.append(flown)
 
     def measured(self) -> dict[str, Array]:
-        if not self.sent:
-            return {}
-        places = zip(self.names, self.sent[-1].setpoints.positions, strict=True)
-        return {name: place + self.off for name, place in places if name not in self.silent}
+        places = [p + self.off for p in self.sent[-1].setpoints.positions] if self.sent else []
+        found = zip(self.names, places, strict=False)
+        return {name: place for name, place in found if name not in self.silent}
 
     def close(self, *, landed: bool) -> None:
         raise AssertionError(landed)
@@ -99,7 +91,7 @@ class Rig:
         self.pressed += commands
         end = self.now + seconds
         while self.going and self.now < end - 1e-9:
-            self.now += 1.0 / self.timing.rate
+            self.now += 1.0 / self.rate
             self.going = self.flight.tick(self.now)
 
     def begin(self, seconds: float) -> None:
@@ -111,13 +103,9 @@ class Rig:
     def speed(self) -> float:
         return float(np.max(np.abs(self.sent[-1].setpoints.velocities)))
 
-    @property
-    def lowest(self) -> float:
-        return float(np.min(self.sent[-1].setpoints.positions[:, 2]))
-
-    def check(self) -> None:
+    def check(self, *, landed: bool) -> None:
         """All that was sent keeps the limits, and follows from the setpoint before."""
-        limits, step = self.plan.motion.requirements.limits, 1.0 / self.timing.rate
+        limits, step = self.plan.motion.requirements.limits, 1.0 / self.rate
         series = [flown.setpoints for flown in self.sent]
         positions, velocities, accelerations = (
             np.array([getattr(each, name) for each in series])
@@ -127,3 +115,5 @@ class Rig:
             assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
         led = positions[:-1] + 0.5 * step * (velocities[1:] + velocities[:-1])
         assert np.max(np.abs(positions[1:] - led)) <= limits.jerk * step**3
+        assert self.flight.landed == landed
+        assert not landed or abs(np.min(positions[-1, :, 2])) <= 1e-9

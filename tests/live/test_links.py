@@ -8,7 +8,7 @@ import pty
 import socket
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock, call
@@ -26,13 +26,10 @@ from hitchopt.live.fly import Flown
 from hitchopt.live.links import (
     Address,
     CrazyflieOutlet,
-    Datagrams,
     JsonOutlet,
     MavlinkOutlet,
-    OperatorLink,
+    Operator,
     address,
-    crazyflie_outlet,
-    terminal_keys,
 )
 
 HOME = "127.0.0.1"
@@ -41,17 +38,12 @@ ORIGIN, YAW = (3.0, -2.0, 0.5), 0.7
 
 @contextmanager
 def receivers(count: int) -> Iterator[list[socket.socket]]:
-    found = []
-    for _ in range(count):
-        each = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        each.bind((HOME, 0))
-        each.settimeout(5.0)
-        found.append(each)
-    try:
-        yield found
-    finally:
+    with ExitStack() as stack:
+        found = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
         for each in found:
-            each.close()
+            stack.enter_context(each).bind((HOME, 0))
+            each.settimeout(5.0)
+        yield found
 
 
 def addresses(found: list[socket.socket]) -> list[Address]:
@@ -72,7 +64,7 @@ def names() -> tuple[str, ...]:
 def test_json_arrives_and_answers_are_read() -> None:
     flown, frame = moving(), ReferenceFrame("enu", ORIGIN, YAW)
     with receivers(6) as found:
-        outlet = JsonOutlet(names(), addresses(found), frame, Datagrams((HOME, 0)))
+        outlet = JsonOutlet(names(), addresses(found), frame, (HOME, 0))
         outlet.send(flown, 12.5)
         for i, (name, each) in enumerate(zip(names(), found, strict=True)):
             data, sender = each.recvfrom(65536)
@@ -98,7 +90,7 @@ def test_mavlink_is_understood_by_its_own_parser() -> None:
     flown, frame = moving(), ReferenceFrame("ned", ORIGIN, YAW)
     with receivers(1) as found:
         router = addresses(found) * 6
-        outlet = MavlinkOutlet(names(), router, frame, Datagrams((HOME, 0)))
+        outlet = MavlinkOutlet(names(), router, frame, (HOME, 0))
         outlet.send(flown, 50.0)
         outlet.send(flown, 50.25)
         parser, got = mavlink.MAVLink(None), []
@@ -132,20 +124,25 @@ def test_mavlink_is_understood_by_its_own_parser() -> None:
         outlet.close(landed=False)
 
 
-def test_crazyflies_get_full_states_and_are_given_back() -> None:
+def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a stand-in for crazyflie_py's ``Crazyswarm``."""
     flown, frame = moving(), ReferenceFrame("enu", ORIGIN, YAW)
     robots = [f"cf{i}" for i in range(6)]
     node = Mock(crazyfliesByName={name: Mock() for name in robots})
 
-    def spin() -> None:
+    def spin_once(spun: Mock, timeout_sec: float) -> None:
+        assert (spun, timeout_sec) == (node, 0.0)
         x, y, z = frame.points(flown.setpoints.positions)[1].tolist()
         place = SimpleNamespace(x=x, y=y, z=z)
         heard = node.create_subscription.call_args_list[1].args[2]
         heard(SimpleNamespace(pose=SimpleNamespace(position=place)))
 
-    swarm = SimpleNamespace(allcfs=node)
-    outlet = CrazyflieOutlet(names(), robots, frame, swarm, spin, SimpleNamespace)
+    client = SimpleNamespace(Crazyswarm=lambda: SimpleNamespace(allcfs=node))
+    poses = SimpleNamespace(PoseStamped=SimpleNamespace)
+    ros = {"rclpy": SimpleNamespace(spin_once=spin_once), "geometry_msgs.msg": poses}
+    for name, module in (ros | {"crazyflie_py": client}).items():
+        monkeypatch.setitem(sys.modules, name, module)
+    outlet = CrazyflieOutlet(names(), robots, frame)
     outlet.send(flown, 1.0)
     for i, robot in enumerate(node.crazyfliesByName.values()):
         pos, vel, acc, yaw, omega = robot.cmdFullState.call_args.args
@@ -164,50 +161,34 @@ def test_crazyflies_get_full_states_and_are_given_back() -> None:
         call.land(0.04, 1.0),
     ]
     with pytest.raises(ho.InputError, match="fleet = 'cf9'"):
-        CrazyflieOutlet(names(), ["cf9"] * 6, frame, swarm, spin, SimpleNamespace)
-
-
-def test_an_operator_far_away_is_heard_by_datagrams() -> None:
-    pressed: list[str | None] = ["", " L?", None]
-    link = OperatorLink(lambda: pressed.pop(0), Datagrams((HOME, 0)))
-    near = OperatorLink(lambda: None)
-    assert near.commands() == ([], False)
-    datagrams = link._datagrams
-    assert datagrams is not None
-    assert link.commands() == ([], False)
-    with receivers(1) as found:
-        for data in (b"{}", b'{"command": "pause"}', b'{"command": "end"}', b"x"):
-            found[0].sendto(data, (HOME, datagrams.port))
-        assert link.commands() == (["toggle", "land", "pause"], True)
-    link.add("end")
-    assert link.commands() == (["end"], False)
-    datagrams.close()
+        CrazyflieOutlet(names(), ["cf9"] * 6, frame)
 
 
 def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     far, near = pty.openpty()
     with os.fdopen(near) as terminal, monkeypatch.context() as patched:
         patched.setattr(sys, "stdin", terminal)
-        with terminal_keys() as pressed:
-            assert pressed() == ""
-            os.write(far, b"b ")
-            assert pressed() == "b "
+        operator = Operator()
+        with operator.attached():
+            assert operator.commands() == ([], True)
+            os.write(far, b"B ?")
+            operator.add("end")
+            assert operator.commands() == (["end", "back", "toggle"], True)
             os.close(far)
-            assert pressed() is None
-            assert pressed() is None
+            assert operator.commands() == ([], False)
+            assert operator.commands() == ([], False)
+    monkeypatch.setattr(sys, "stdin", None)
+    assert Operator().commands() == ([], False)
 
 
-@pytest.mark.parametrize("text", ["here", "127.0.0.1:x", ":5", "127.0.0.1:70000"])
-def test_addresses_are_checked(text: str) -> None:
-    with pytest.raises(ho.InputError, match="--to"):
-        address("--to", text)
-
-
-def test_what_is_not_here_is_refused() -> None:
+def test_what_is_wrong_or_not_here_is_refused() -> None:
+    for text in ("here", "127.0.0.1:x", ":5", "127.0.0.1:70000"):
+        with pytest.raises(ho.InputError, match="--to"):
+            address("--to", text)
     with pytest.raises(ho.UnsupportedError, match="ROS 2 workspace"):
-        crazyflie_outlet(names(), names(), ReferenceFrame())
+        CrazyflieOutlet(names(), names(), ReferenceFrame())
     with pytest.raises(ho.UnsupportedError, match="cannot be listened on"):
-        Datagrams(("192.0.2.1", 0))
+        JsonOutlet(names(), [], ReferenceFrame(), ("192.0.2.1", 0))
 
 
 def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Path) -> None:

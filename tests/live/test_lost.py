@@ -36,23 +36,29 @@ def reactions_of(altitude: float) -> Reactions:
 
 
 @pytest.mark.parametrize("altitude", [1.0, 2.4])
-def test_survivors_sink_as_a_whole_and_keep_all_limits(altitude: float) -> None:
-    plan = plan_of(altitude)
-    found = reactions_of(altitude).found("q1", TIME)
-    course, limits = found.course, plan.motion.requirements.limits
-    flown = course.sinking.drones
-    t = np.linspace(0.0, course.sinking.duration, 2001)
-    places = flown.at(t)
-    before = t <= course.begins
+def test_survivors_sink_as_a_whole_clear_of_the_swing(altitude: float) -> None:
+    """All limits are kept, and no survivor is near where the lost drone may hang or swing."""
+    plan, found = plan_of(altitude), reactions_of(altitude).found("q1", TIME)
+    motion, limits = found.motion, plan.motion.requirements.limits
+    t = np.linspace(0.0, motion.duration, 2001)
+    places, before = motion.drones.at(t), t <= TIME + DELAY
+    assert found.begins == pytest.approx(TIME + DELAY)
     np.testing.assert_allclose(places[before], plan.at(t[before]).positions, atol=1e-9)
     shape = places - places[:, :1]
     np.testing.assert_allclose(shape, np.broadcast_to(shape[0], shape.shape), atol=1e-6)
     for order, limit in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
-        assert np.max(np.linalg.norm(flown.at(t, order), axis=-1)) <= limit + 1e-6
+        assert np.max(np.linalg.norm(motion.drones.at(t, order), axis=-1)) <= limit + 1e-6
     assert np.min(places[-1, :, 2]) == pytest.approx(0.0, abs=1e-9)
-    assert np.max(np.abs(flown.at(t[-1], 1))) <= 1e-9
-    assert course.begins == pytest.approx(TIME + DELAY)
-    assert all(check.holds for check in course.checks)
+    assert np.max(np.abs(motion.drones.at(t[-1], 1))) <= 1e-9
+    states, lost = plan.at(TIME), plan.motion.team.drone_names.index("q1")
+    clasp = states.vertices[plan.motion.team.layout.pulled_to[lost]]
+    leg = states.positions[lost] - clasp
+    angles = np.linspace(0.0, 0.8 * np.pi, 50)[:, None]
+    down = np.linalg.norm(leg) * np.array([0.0, 0.0, -1.0])
+    swing = np.maximum(clasp + np.cos(angles) * leg + np.sin(angles) * down, [-9.0, -9.0, 0.0])
+    others = np.delete(states.positions, lost, axis=0)
+    nearest = np.min(np.linalg.norm(others[:, None] - swing, axis=-1))
+    assert 1.0 <= found.nearest <= nearest / 0.24 + 1e-2
 
 
 def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
@@ -72,34 +78,17 @@ def test_a_flown_reaction_is_the_plan_and_then_lets_go(tmp_path: Path) -> None:
     flown = reacting(task, found)
     assert np.all(np.diff(flown.t) > 0.0)
     assert np.max(np.diff(flown.t)) <= 0.011
-    assert flown.duration == pytest.approx(found.course.duration)
-    early = flown.t < found.course.begins
-    np.testing.assert_array_equal(
-        flown.setpoints.positions[early], task.setpoints.positions[: np.sum(early)]
-    )
-    steps = np.linalg.norm(np.diff(flown.setpoints.positions, axis=0), axis=-1)
+    assert flown.duration == pytest.approx(found.motion.duration)
+    early, places = flown.t < found.begins, flown.setpoints.positions
+    there = task.setpoints.positions[: np.sum(early)]
+    np.testing.assert_allclose(places[early], there, atol=1e-8)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
     assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
     forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
-    letting_go = (flown.t > found.course.begins) & (flown.t < found.course.begins + LETTING_GO)
+    letting_go = (flown.t > found.begins) & (flown.t < found.begins + LETTING_GO)
     assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
-    assert np.max(forces[flown.t >= found.course.begins + LETTING_GO]) == 0.0
-
-
-def test_survivors_stay_clear_of_the_swing() -> None:
-    """Of points below the clasp, as far from it as the leg, none is near a survivor."""
-    motion, found = plan_of(2.4).motion, reactions_of(2.4).found("q1", TIME)
-    states, lost = plan_of(2.4).at(TIME), motion.team.drone_names.index("q1")
-    clasp = states.vertices[motion.team.layout.pulled_to[lost]]
-    leg = states.positions[lost] - clasp
-    angles = np.linspace(0.0, np.pi, 50)[:, None]
-    down = np.linalg.norm(leg) * np.array([0.0, 0.0, -1.0])
-    swing = clasp + np.cos(angles) * leg + np.sin(angles) * down
-    others = np.delete(states.positions, lost, axis=0)
-    nearest = np.min(np.linalg.norm(others[:, None] - swing, axis=-1))
-    radius = motion.requirements.separation.radius
-    assert found.nearest >= 1.0
-    assert nearest >= 2.0 * radius * found.nearest - 1e-2
+    assert np.max(forces[flown.t >= found.begins + LETTING_GO]) == 0.0
 
 
 def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
@@ -107,6 +96,9 @@ def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
     start = ho.Hitch.spread(team, regular_polygon(4, 1.0).vertices, altitude=2.4)
     with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a thrust"):
         Reactions(ho.hold(start, 2.0).motion).found("q1", 1.0)
+    for drone, time, words in (("d7", 0.5, "one of q0, r0"), ("q0", 1e3, "ask within the plan")):
+        with pytest.raises(ho.InputError, match=words):
+            reactions_of(1.0).found(drone, time)
 
 
 @pytest.mark.slow
@@ -116,11 +108,9 @@ def test_the_command_line_tells_losses(tmp_path: Path) -> None:
     assert shown.exit_code == 0
     (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
     assert row.split()[1] == "1"
-    for given in ("q9@0.5", "q0@99", "q0"):
-        refused = CliRunner().invoke(main, ["simulate", str(tmp_path), "--lose", given])
+    for given in (["q9@0.5"], ["q0@99"], ["q0"], ["q0@0.5", "--runs", "2"]):
+        refused = CliRunner().invoke(main, ["simulate", str(tmp_path), "--lose", *given])
         assert refused.exit_code == 2
-    together = ["simulate", str(tmp_path), "--lose", "q0@0.5", "--runs", "2"]
-    assert CliRunner().invoke(main, together).exit_code == 2
 
 
 def hovering(altitude: float) -> Motion:
@@ -132,33 +122,19 @@ def hovering(altitude: float) -> Motion:
     return Motion.single(team, Requirements(), drones, [phase])
 
 
-@pytest.mark.slow
 def test_no_drone_carries_two() -> None:
     """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
-    low = survivable(hovering(1.6))
-    assert low.share == 1.0
-    assert low.without == ()
-    high = survivable(hovering(2.2))
-    assert high.share == 0.0
-    assert high.check.where == ("q0", "r0", "q1", "r1")
-    assert (high.without[0].start, high.without[0].end) == (0.0, 2.0)
-    with pytest.raises(ho.InfeasibleError, match=r"q0 hangs on its partner 0\.4"):
-        Reactions(hovering(2.2)).found("q0", 1.0)
+    low, without = survivable(hovering(1.6))
+    assert (low.bound, without) == (1.0, [])
+    high, without = survivable(hovering(2.2))
+    assert (high.bound, high.where) == (0.0, ("q0", "r0", "q1", "r1"))
+    assert (without[0].start, without[0].end) == (0.0, 2.0)
+    assert "q0 hangs on its partner 0.19" in without[0].reason
 
 
-@pytest.mark.slow
 def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
     motion = planned("swarms/head_on").motion
-    found = survivable(motion)
-    assert found.share == 1.0
-    assert found.check.method == "sampled"
-    course = Reactions(motion).found("d0", 1.0).course
-    last = (course.landing or (course.sinking,))[-1].drones
+    found, _ = survivable(motion, every=0.5 * motion.duration)
+    assert (found.bound, found.method) == (1.0, "sampled")
+    last = Reactions(motion).found("d0", 1.0).motion.drones
     assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3
-
-
-def test_a_wrong_drone_and_a_wrong_time_are_named() -> None:
-    with pytest.raises(ho.InputError, match="one of q0, r0"):
-        reactions_of(1.0).found("d7", 0.5)
-    with pytest.raises(ho.InputError, match="ask within the plan"):
-        reactions_of(1.0).found("q0", 1e3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 import pytest
@@ -48,23 +48,30 @@ def ran(player: Player, seconds: float) -> list[ho.Setpoints]:
 
 
 def test_at_full_rate_it_is_the_plan() -> None:
-    plan = plan_of()
-    player = Player(plan)
+    plan, player = plan_of(), Player(plan_of())
     for _ in range(30):
         here = player.step(0.07)
         states = plan.at(here.time)
         np.testing.assert_allclose(here.positions, states.positions, atol=1e-12)
         np.testing.assert_allclose(here.velocities, states.velocities, atol=1e-10)
         np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-8)
+        np.testing.assert_allclose(here.jerks, states.jerks, atol=1e-5)
+
+
+COMMANDS: dict[str, Callable[[Player, float], float]] = {
+    "pause": lambda player, _: player.pause(),
+    "resume": lambda player, _: player.resume(),
+    "back": lambda player, _: player.back(),
+    "half": lambda player, _: player.rate(0.5),
+    "seek": lambda player, time: player.seek(time),
+}
 
 
 @settings(max_examples=6, deadline=None)
 @given(
     begin=st.floats(0.0, 1.0),
     commands=st.lists(
-        st.tuples(st.sampled_from(["pause", "resume", "back", "half", "seek"]), st.floats(0, 1)),
-        min_size=1,
-        max_size=2,
+        st.tuples(st.sampled_from(list(COMMANDS)), st.floats(0, 1)), min_size=1, max_size=2
     ),
 )
 def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
@@ -73,17 +80,9 @@ def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
     plan = plan_of()
     player = Player(plan, begin * plan.duration)
     for name, share in commands:
-        target = share * plan.duration
-        call: dict[str, Callable[[], float]] = {
-            "pause": player.pause,
-            "resume": player.resume,
-            "back": player.back,
-            "half": partial(player.rate, 0.5),
-            "seek": partial(player.seek, target),
-        }
-        ran(player, share * call[name]())
+        ran(player, share * COMMANDS[name](player, share * plan.duration))
     seconds = player.pause()
-    assert seconds <= max(np.max(Player(plan).stops.longest[0]) * 3.0, 3.0)
+    assert seconds <= max(np.max(player.stops.longest[0]) * 3.0, 3.0)
     last = ran(player, seconds)[-1]
     assert player.resting
     assert np.max(np.abs(last.velocities)) <= 1e-9
@@ -95,21 +94,21 @@ def test_a_pause_takes_no_longer_than_the_certificate_reports() -> None:
     most = plan.certificate["stoppable"].bound
     for time in np.random.default_rng(3).uniform(0.0, plan.duration, 12):
         player = Player(plan, float(time))
-        assert player.pause() <= most + 1e-9
+        seconds = player.pause()
+        assert seconds <= most + 1e-9
+        player.step(0.3 * seconds)
+        assert player.pause() <= 0.7 * seconds + 1e-9  # asked again
+        player.step(seconds)
+        assert player.resting
 
 
-def test_seeking_ends_at_the_plan_time() -> None:
+def test_seeking_and_going_back_end_at_the_plan_time() -> None:
     plan = plan_of()
     player = Player(plan, 0.3 * plan.duration)
-    for target in (0.8 * plan.duration, 0.1 * plan.duration, 0.0, plan.duration):
-        ran(player, player.seek(target))
+    for share in (0.8, 0.1, 0.0, 1.0, 0.6):
+        ran(player, player.seek(share * plan.duration))
         assert player.resting
-        assert player.time == pytest.approx(target, abs=1e-9)
-
-
-def test_going_back_ends_at_the_start() -> None:
-    plan = plan_of()
-    player = Player(plan, 0.6 * plan.duration)
+        assert player.time == pytest.approx(share * plan.duration, abs=1e-9)
     player.back()
     last = ran(player, plan.duration + 2.0)[-1]
     assert (last.time, last.rate) == (0.0, 0.0)
@@ -118,17 +117,18 @@ def test_going_back_ends_at_the_start() -> None:
 
 def test_where_legs_lean_there_is_no_way_back() -> None:
     motion = plan_of().motion
-    pulls = np.repeat(motion.tensions.coefficients[:, :, None], 2, axis=2)
-    first = int(np.searchsorted(motion.drones.breaks, 0.4))
-    last = int(np.searchsorted(motion.drones.breaks, 0.7))
+    breaks, pulls = motion.drones.breaks, np.repeat(motion.tensions.coefficients[:, :, None], 2, 2)
+    first, last = np.searchsorted(breaks, [0.4, 0.7]).tolist()
     pulls[first:last, :, 0] *= 1.05
-    leaning = replace(motion, leg_tensions=PiecewisePolynomial(motion.drones.breaks, pulls))
-    begin, end = (float(motion.drones.breaks[i]) for i in (first, last))
+    leaning = replace(motion, leg_tensions=PiecewisePolynomial(breaks, pulls))
+    begin, end = (float(breaks[i]) for i in (first, last))
     player = Player(leaning, 0.5 * (begin + end))
     with pytest.raises(ho.InfeasibleError, match="lean against friction"):
         player.back()
     assert player.clock_rate == 1.0
     player = Player(leaning, 1.5)
+    with pytest.raises(ho.InfeasibleError, match="lean against friction"):
+        player.rate(-0.5)
     ran(player, player.back())
     assert player.time == pytest.approx(end)
     with pytest.raises(ho.InfeasibleError, match="no change of the clock"):
