@@ -85,15 +85,9 @@ class Plan(OneLine):
         return plan_card(self.motion, self.certificate, self.title)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the plan from above, start, paths and end; return the matplotlib axes.
+        """Draw start, paths and end from above on matplotlib axes, and return these.
 
-        Parameters
-        ----------
-        axes: what to draw on; None for a new figure of pyplot's, which notebooks show.
-
-        Raises
-        ------
-        InputError: no axes.
+        None is for a new figure of pyplot's, which notebooks show.
         """
         from matplotlib.axes import Axes as AnyAxes
 
@@ -106,14 +100,8 @@ class Plan(OneLine):
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
         """Return the setpoints as a pandas data frame: the rows of ``setpoints.csv``, and phases.
 
-        Parameters
-        ----------
-        rate: samples a second [Hz]; the end is a sample as well.
-
-        Raises
-        ------
-        InputError: a rate that is not positive.
-        UnsupportedError: pandas is not installed (``pip install 'hitchopt[pandas]'``).
+        ``rate`` is that of samples [Hz]; the end is a sample as well. UnsupportedError says where
+        pandas is not installed.
         """
         from hitchopt.exports.directory import data_frame
 
@@ -164,10 +152,8 @@ class Plan(OneLine):
     ) -> Path:
         """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
 
-        With ``report`` there is ``report.html`` as well.
-
-        Either all files are written or none, even if the process is killed; only files of these
-        names are replaced.
+        With ``report`` there is ``report.html`` as well. Either all files are written or none, even
+        if the process is killed; only files of these names are replaced.
 
         Raises
         ------
@@ -190,16 +176,8 @@ class Plan(OneLine):
         folder, pictures = path("directory", directory), {SUMMARY: draw}
         if report:
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
-        return save_plan(
-            folder,
-            motion,
-            self.certificate,
-            self.title,
-            rate,
-            pictures,
-            share,
-            self.problem,
-        )
+        told = self.certificate, self.title, rate, pictures, share, self.problem
+        return save_plan(folder, motion, *told)
 
     def _write_report(self, path: Path, directory: Path) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
@@ -212,10 +190,6 @@ class Plan(OneLine):
 
         It is one file that needs no network: playback, plots, certificate, phases, the problem
         file, versions and digests.
-
-        Raises
-        ------
-        FileError: the directory cannot be written to.
         """
         place = path("directory", directory)
         writers = {REPORT: lambda path: self._write_report(path, place)}
@@ -258,8 +232,8 @@ class Plan(OneLine):
                 raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
             from hitchopt.view.report import save_view
 
-            shown = (self.motion, self.certificate, self.title, self.problem)
-            save_view(path("save", save), *shown, progress)
+            told = (self.motion, self.certificate, self.title, self.problem)
+            save_view(path("save", save), *told, progress)
             return None
         import webbrowser
 
@@ -267,9 +241,8 @@ class Plan(OneLine):
         from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
-        live = LiveView(
-            self.motion, self.certificate, self.title, ghost=other, host=host, port=port
-        )
+        shown = self.motion, self.certificate, self.title
+        live = LiveView(*shown, ghost=other, host=host, port=port)
         if browser:
             webbrowser.open(live.url)
         return live
@@ -287,21 +260,8 @@ class Plan(OneLine):
             parquet, npz, json or gltf.
         folder: made if it is missing; only files of an earlier export there are replaced.
         progress: called with what is being done now.
-        options: the keywords of ``ExportOptions``, all optional.
-
-            - frame: enu, nwu or ned; None for the format's usual one.
-            - origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
-            - yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
-            - fleet: path of a fleet file; None calls the drones as the plan does.
-            - rate: samples a second [Hz], where the format samples; None for its usual rate.
-            - stretch: factor of all durations, from 1 on.
-            - storage: storage format of a bag, mcap or sqlite3.
-            - ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones
-              read bags for earlier ones.
-            - hold_tension: move set points outward, for controllers that do not feed the cable
-              force forward.
-            - stiffness, damping: of these controllers [N/m], [N s/m]; None for the team's
-              stiffness and a damping ratio of 5/6.
+        options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
+            rate, stretch, storage, ros_distro, hold_tension, stiffness and damping.
 
         Raises
         ------
@@ -320,15 +280,8 @@ class Plan(OneLine):
 
         There is one entry per part of the plan, usually one; each is certified like an export.
         Drones must ``goTo`` the point where they hover before the next part is uploaded: an upload
-        overwrites the memory from which a finished trajectory is still evaluated.
-
-        Parameters
-        ----------
-        options: the arguments ``frame``, ``origin``, ``yaw``, ``fleet``, ``stretch`` of ``export``.
-
-        Raises
-        ------
-        InputError, FileError, CertificateError, InfeasibleError: see ``export``.
+        overwrites the memory from which a finished trajectory is still evaluated. Options are
+        ``frame``, ``origin``, ``yaw``, ``fleet``, ``stretch``, and errors those of ``export``.
         """
         with tempfile.TemporaryDirectory() as place:
             return tuple(

@@ -9,14 +9,17 @@ from __future__ import annotations
 from dataclasses import MISSING
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, create_model, model_validator
+from pydantic import ConfigDict, Field, Tag, create_model, model_validator
 
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.step_keys import (
+    EACH,
+    FORM,
     LEGS_TEXT,
+    MAPPING,
     MIN_QUANTITY,
     OUTLINE_TEXT,
     TRIANGLE,
@@ -25,13 +28,13 @@ from hitchopt.steps.step_keys import (
     NotNegative,
     Number,
     ObjectName,
-    OneOrEach,
     OutlinePoints,
     PerClasp,
     PerRobot,
     Point2,
     Point3,
     Positive,
+    RobotsList,
     fault,
     key,
     keys_of,
@@ -95,6 +98,9 @@ class QuadrotorKeys(Keys):
     )
 
 
+OneKind = Annotated[QuadrotorKeys, Tag(MAPPING)]
+
+
 class TeamKeys(Keys):
     """Who flies, on which cables, pulling how hard."""
 
@@ -122,7 +128,7 @@ class TeamKeys(Keys):
     tension: PerRobot[Positive] = key(
         "Tension of the cables [N], one for all or one per robot", 0.4
     )
-    quadrotor: PerRobot[QuadrotorKeys] = key(
+    quadrotor: Annotated[OneKind | Annotated[RobotsList[QuadrotorKeys], Tag(EACH)], FORM] = key(
         "Kind of quadrotor, one for all or a list of one per robot", default_factory=QuadrotorKeys
     )
 
@@ -279,8 +285,12 @@ def step_model(kind: type[Step]) -> type[Keys]:
             said.kind | None if default is None else said.kind,
             key(said.text, ... if default is MISSING else default, **options),
         )
-    text = str(kind.__doc__).partition("\n")[0]
-    return create_model(f"{kind.__name__}Keys", __base__=Keys, __doc__=text, **entries)
+    return create_model(f"{kind.__name__}Keys", __base__=Keys, __doc__=summary(kind), **entries)
+
+
+def summary(kind: type[Step]) -> str:
+    """Return what a kind of step does: the first line of its words."""
+    return str(kind.__doc__).partition("\n")[0]
 
 
 STEP_KINDS = {kind.name: kind for kind in STEPS}
@@ -297,7 +307,7 @@ StepKeys = create_model(
     "StepKeys",
     __base__=_Step,
     __doc__=_Step.__doc__,
-    **{kind.name: (step_model(kind) | None, key(kind.summary, None)) for kind in STEPS},
+    **{kind.name: (step_model(kind) | None, key(summary(kind), None)) for kind in STEPS},
 )  # type: ignore[call-overload]
 
 
@@ -330,8 +340,10 @@ class SwarmTeamKeys(Keys):
     """Who flies: single drones, without cables."""
 
     drones: int = key("Number of drones", ge=1, le=MAX_DRONES, examples=[2])
-    quadrotor: OneOrEach[
-        QuadrotorKeys, Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES)]
+    quadrotor: Annotated[
+        OneKind
+        | Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES), Tag(EACH)],
+        FORM,
     ] = key(
         "Kind of quadrotor, one for all or a list of one per drone", default_factory=QuadrotorKeys
     )

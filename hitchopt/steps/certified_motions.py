@@ -37,13 +37,7 @@ class Certified:
 
 
 def checked(planned: StepPlan, when: str = "") -> StepPlan:
-    """Return the plan of a step or a part of it; raise InfeasibleError for what it breaks.
-
-    Parameters
-    ----------
-    planned: what is checked.
-    when: said in place of the time, for a motion at rest.
-    """
+    """Return a plan; raise InfeasibleError for what it breaks, ``when`` being said for the time."""
     if not planned.certificate.certified:
         raise infeasible(planned.certificate, planned.motion, when)
     return planned
@@ -90,40 +84,38 @@ def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> Infe
     Parameters
     ----------
     certificate: one that does not hold.
-    motion: whose it is: its distances tell in metres by how much level drones are too close, its
-        phases in which step it happens.
-    when: said instead, for a certificate of something at rest.
+    motion: whose it is.
+    when: said in place of time and step, for a certificate of something at rest.
     """
-    return InfeasibleError(
-        [
-            check.violation(
-                _metres(check, motion) + (when or _moment(check, motion.phases)),
-                _remedy(check, motion),
-            )
-            for check in certificate.violated
-        ]
-    )
+    found = []
+    for check in certificate.violated:
+        phases = [p for p in motion.phases if p.start <= check.time <= p.end]
+        words = when
+        if not when and check.name != "duration":
+            step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
+            words = f"at t = {check.time:.4g} s{step}"
+        found.append(
+            check.violation(_metres(check, motion) + words, _remedy(check, motion, phases))
+        )
+    return InfeasibleError(found)
 
 
-def _remedy(check: Check, motion: Motion) -> str:
-    during = (phase for phase in motion.phases if phase.start <= check.time <= phase.end)
-    formed = [phase.formed for phase in during]
+def _remedy(check: Check, motion: Motion, phases: Sequence[Phase]) -> str:
+    """Return what to change, of the remedies that a check has for different bodies."""
     rule = RULE_OF[check.name]
-    if formed and not any(formed):
+    if phases and not any(phase.formed for phase in phases):
         return rule.free_remedy or rule.remedy
-    far = rule.far_remedy and not _share_clasp(check.where, motion.team)
-    return rule.far_remedy if far else rule.remedy
+    if rule.far_remedy and not _share_clasp(check.where, motion.team):
+        return rule.far_remedy
+    return rule.remedy
 
 
 def _share_clasp(where: tuple[str, ...], team: Team) -> bool:
     """Return whether a drone stands at a clasp of another drone, or of a cable."""
-    layout, points = team.layout, []
-    for name in where:
-        if name in team.drone_names:
-            points.append({layout.anchors[team.drone_names.index(name)]})
-        elif name.startswith("cable "):
-            k = int(name.removeprefix("cable "))
-            points.append({layout.starts[k], layout.ends[k]})
+    layout, names = team.layout, team.drone_names
+    cables = {f"cable {k}": {layout.starts[k], layout.ends[k]} for k in range(team.robots)}
+    drones = {name: {layout.anchors[i]} for i, name in enumerate(names)}
+    points = [(drones | cables)[name] for name in where if name in drones or name in cables]
     return len(points) == 2 and bool(set.intersection(*points))
 
 
@@ -139,15 +131,6 @@ def _metres(check: Check, motion: Motion) -> str:
     return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
 
 
-def _moment(check: Check, phases: tuple[Phase, ...]) -> str:
-    if check.name == "duration":
-        return ""
-    for phase in phases:
-        if phase.start <= check.time <= phase.end:
-            return f"at t = {check.time:.4g} s, in step {phase.step} ({phase.name})"
-    return f"at t = {check.time:.4g} s"
-
-
 # Motions on free cables, and of hitches that are tied or untied.
 
 SAME_ALTITUDE = 1e-9
@@ -159,10 +142,8 @@ TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 def hovering(task: StepTask, seconds: float) -> Motion:
     """Return the motion in which drones on free cables stay: parked, or hovering."""
-    rest = PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
-    motion = stage(
-        "parked", rest, task.before.team, task.requirements, task.index, CableState.GROUND
-    )
+    team, rest = task.before.team, PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
+    motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)
     (phase,) = motion.phases
     hanging = phase.state is CableState.FREE
     return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
@@ -170,9 +151,8 @@ def hovering(task: StepTask, seconds: float) -> Motion:
 
 def check_start(task: StepTask) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
-    still = hovering(task, 1.0)
     try:
-        checked(StepPlan(still, task.before), "at the start (t = 0)")
+        checked(StepPlan(hovering(task, 1.0), task.before), "at the start (t = 0)")
     except InfeasibleError as error:
         found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
@@ -212,12 +192,7 @@ def tying_site(
 ) -> tuple[Hitch, PreHitch]:
     """Return the hitch where it is tied or untied, as much higher as that takes, and its pre-hitch.
 
-    Parameters
-    ----------
-    hitch: to be tied or untied.
-    swap: how the drones turn about each other.
-    senses: (clasps,) how it was formed, to be reversed; None to choose them.
-    requirements: what the plan must satisfy.
+    ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
     """
     pre = find_prehitch(hitch, requirements.separation, swap)
     if senses is not None:

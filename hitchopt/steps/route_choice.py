@@ -15,26 +15,12 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Phase
 from hitchopt.planners.morph.actions import Action
-from hitchopt.planners.morph.legs import SLIDES, legs_clear
+from hitchopt.planners.morph.legs import SLIDES
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
 from hitchopt.steps.certified_motions import at_rest, checked, flying, infeasible, resting
 from hitchopt.steps.step import IDLE, StepPlan, StepTask
 from hitchopt.steps.step_keys import RolledLegs, SlackSplit
-
-
-@dataclass(frozen=True, eq=False)
-class End:
-    """The hitch after a step.
-
-    Attributes
-    ----------
-    hitch: at rest.
-    reason: what the action's own legs would break, in words; nothing if they break nothing.
-    """
-
-    hitch: Hitch
-    reason: str = ""
 
 
 def split_hitch(
@@ -45,19 +31,14 @@ def split_hitch(
     requirements: Requirements,
 ) -> Hitch:
     """Return the hitch whose slack is split as ``legs`` says."""
-    roll, auto = None, False
     if isinstance(legs, RolledLegs):
         sharing, roll, auto = legs.sharing, legs.roll, legs.roll is None
     else:
-        sharing = legs
+        sharing, roll, auto = legs, None, False
     if isinstance(sharing, str) and sharing == "spread":
+        limits, separation = requirements.limits, requirements.separation
         return Hitch.spread(
-            team,
-            polygon,
-            altitude,
-            limits=requirements.limits,
-            separation=requirements.separation,
-            roll=roll,
+            team, polygon, altitude, limits=limits, separation=separation, roll=roll
         )
     given = 0.0 if roll is None else roll
     if isinstance(sharing, str):
@@ -65,6 +46,14 @@ def split_hitch(
     else:
         hitch = Hitch(team, polygon, altitude, sharing, given)
     return hitch.least_rolled(requirements) if auto else hitch
+
+
+@dataclass(frozen=True, eq=False)
+class End:
+    """The hitch after a step, at rest, and what the action's own legs would break, in words."""
+
+    hitch: Hitch
+    reason: str = ""
 
 
 def end_of_morph(
@@ -77,34 +66,25 @@ def end_of_morph(
 
 
 def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
-    """Return the hitch after an action; without ``legs`` with those nearest to its law's.
-
-    Those themselves where they keep every limit.
-    """
+    """Return the hitch after an action; without ``legs`` with those nearest to its law's."""
     start, polygon = action.start, action.polygon
     if legs is not None:
-        return End(split_hitch(start.team, polygon, start.altitude, legs, requirements))
+        return end_of_morph(start, polygon, legs, requirements)
     wanted = action.kept_legs
     try:
         hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
     except InfeasibleError as error:
         reason = _words(replace(error.violations[0], limit=requirements.limits.leg))
     else:
-        reason = broken_at_rest(hitch, requirements)
-        if not reason:
+        broken = at_rest(hitch, requirements).certificate.violated
+        if not broken:
             return End(hitch)
+        reason = _words(broken[0].violation("", ""))
     nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), requirements)
     # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
-    same = np.abs(nearest.q_legs - wanted) < SLIDES
-    q_legs = np.where(same, wanted, nearest.q_legs)
+    q_legs = np.where(np.abs(nearest.q_legs - wanted) < SLIDES, wanted, nearest.q_legs)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
     return End(end, f"{reason} at the end")
-
-
-def broken_at_rest(hitch: Hitch, requirements: Requirements) -> str:
-    """Return the first limit that the hitch breaks, in words; nothing if it keeps them all."""
-    broken = at_rest(hitch, requirements).certificate.violated
-    return _words(broken[0].violation("", "")) if broken else ""
 
 
 def _words(broken: Violation) -> str:
@@ -112,13 +92,14 @@ def _words(broken: Violation) -> str:
     unit = "" if broken.unit in {"1", "ratio"} else f" {broken.unit}"
     relation = "below" if broken.sense == "min" else "above"
     place = f" at {', '.join(broken.where)}" if broken.where else ""
-    what = f"{broken.constraint} {broken.value:.3g}{unit}{place}"
-    return f"{what} would be {relation} {broken.limit:.3g}{unit}"
+    value = f"{broken.constraint} {broken.value:.3g}{unit}{place}"
+    return f"{value} would be {relation} {broken.limit:.3g}{unit}"
 
 
 def _nearest(
     start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
 ) -> Hitch:
+    """Return the hitch within all limits whose fractions are nearest to those given."""
     return Hitch.nearest(
         start.team,
         polygon,
@@ -136,9 +117,7 @@ SHUT = "the step's own route is infeasible"
 SLOWER = "the step's own route takes longer"
 
 
-def optimised(
-    task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
-) -> StepPlan:
+def optimised(task: StepTask, end: Hitch, phase: Phase, duration: float | None = None) -> StepPlan:
     """Return the fastest plan that the optimiser finds from the task's hitch to another.
 
     Parameters
@@ -147,17 +126,15 @@ def optimised(
     end: at the same altitude; both hitches are within all limits at rest.
     phase: the step's name and index, and within what tensions may change meanwhile.
     duration: exactly that long [s], or None.
-    lead: also try legs that lead and lag.
 
     Raises
     ------
     InfeasibleError: it takes longer than ``duration``, or breaks a limit then.
     HitchoptError: no route was found.
     """
-    from hitchopt.planners.morph.legs import leading
     from hitchopt.planners.optimise.search import OptimisedMorph
 
-    start, requirements, limits = task.hitch, task.requirements, task.requirements.limits
+    start, requirements = task.hitch, task.requirements
     accepted: dict[Flight, StepPlan] = {}
 
     def planned(flight: Flight) -> StepPlan:
@@ -165,20 +142,13 @@ def optimised(
         return task.ended(flying(flight, start.team, requirements, [flown]), end)
 
     def judged(path: ShapePath) -> Flight | None:
-        """Return the flight along a path, or one on which legs lead and lag, if it is certified."""
-        led = (p for p in leading(path, limits) if legs_clear(p, requirements))
-        for tried in (*(led if lead else ()), path):
-            try:
-                flight = fly(tried, limits)
-            except HitchoptError:
-                if tried is path:
-                    raise
-                continue
-            found = planned(flight)
-            if found.certificate.certified:
-                accepted[flight] = found
-                return flight
-        return None
+        """Return the flight along a path, if it is certified."""
+        flight = fly(path, requirements.limits)
+        found = planned(flight)
+        if not found.certificate.certified:
+            return None
+        accepted[flight] = found
+        return flight
 
     found = OptimisedMorph(start, end, requirements, judged, phase.tension).solve()
     if not found:
@@ -213,9 +183,6 @@ def _shortest(refusal: InfeasibleError) -> float:
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 """Shares of the friction to lean against, tried in turn until every limit is satisfied."""
 
-REFUSED = 0.5
-"""Factor of a share that breaks a limit to the next one tried: certificates take time."""
-
 WHOLE = 0.99
 """Share of the friction from which on all of it counts as used."""
 
@@ -230,12 +197,7 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
 
     It is the given one where the team's cables have no friction or none of them slides, and where
     limits leave no room for leaning, which its remarks then say. The motion may take up to LONGER
-    times as long for it, unless its time is given or the whole plan's is limited.
-
-    Parameters
-    ----------
-    planned: from rest to rest, of a hitch.
-    timed: whether the step's own time is given.
+    times as long, unless its time is given (``timed``) or the whole plan's is limited.
     """
     motion, limits = planned.motion, planned.motion.requirements.limits
     if motion.team.cable_friction == 0.0:
@@ -245,10 +207,7 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
     if not worth_leaning(motion):
         return planned
     slower = not timed and limits.duration is None
-    most = 1.0
     for share in SHARES:
-        if share > most:
-            continue
         found = leaning(motion, limits, share, slower=slower)
         if found is None or found.motion.duration > LONGER * motion.duration:
             continue
@@ -258,14 +217,13 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         leant = replace(planned, motion=found.motion).remarked(words)
         if leant.certificate.certified:
             return leant
-        most = REFUSED * share
     return planned.remarked(NO_ROOM)
 
 
 def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
     """Return the plan in which drones swing until the clasps' friction has lost its memory.
 
-    They swing as far as limits allow, ``remark`` says how far.
+    They swing as far as limits allow; the remark says how far.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
-"""What every kind of step is: a record with its keys, its planning and its edits."""
+"""What every kind of step is: a record with its keys, its planning and what repair may change."""
 
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine
+from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     from hitchopt.planners.carrying.grip import GrippedHitch
     from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 
-
 DECIMALS = 9
 """Decimals of numbers in edits: far below any tolerance, and short enough to read."""
 
@@ -37,6 +37,9 @@ IDLE = 0.01
 
 PLAN_DURATION = "plan duration"
 """The plan's duration as a constraint, told apart from a step's, which is too short."""
+
+LEAST_LEFT = 0.1
+"""Share of a quantity that is left where it is lowered the most."""
 
 
 @cache
@@ -54,8 +57,7 @@ class Edit(OneLine):
 
     Attributes
     ----------
-    key: path of the key, such as ``team.cable_length`` or ``mission[0].morph.polygon``; of a step's
-        own edits, within the step.
+    key: path such as ``mission[0].morph.polygon``; of a step's own edits, within the step.
     value: number, word, list or mapping, in the file's units.
     """
 
@@ -81,7 +83,6 @@ class Knob:
     words: what it is, where the key does not tell.
     extent: what sizes are relative to [unit]; the old value unless given.
     least, most: sizes below are known not to do; sizes above make no sense.
-    relaxes: it takes nothing away, so that no size can do where the largest does not.
     """
 
     key: str
@@ -94,7 +95,6 @@ class Knob:
     extent: float | None = None
     least: float = 0.0
     most: float = math.inf
-    relaxes: bool = False
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:
@@ -103,18 +103,6 @@ class Knob:
     def edits(self, value: float) -> Edits:
         """Return what to write for another value."""
         return (Edit(self.key, value),) if self.written is None else self.written(value)
-
-
-LEAST_LEFT = 0.1
-"""Share of a quantity that is left where it is lowered the most."""
-
-
-def lasting_knobs(step: Step, key: str, *, longer: bool = False) -> Iterator[Knob]:
-    """Yield the knobs of a duration [s] of a step: shorter, and longer where that may help."""
-    seconds = float(getattr(step, key))
-    if longer:  # which takes nothing away
-        yield Knob(key, seconds, "s", covers=frozenset({"duration"}), relaxes=True)
-    yield Knob(key, seconds, "s", sign=-1, covers=frozenset({PLAN_DURATION}))
 
 
 def points_scaled(points: Array, factor: float, centre: Array) -> Array:
@@ -183,13 +171,7 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """The motion of a step, and where it ends.
-
-    Attributes
-    ----------
-    motion: from rest to rest.
-    after: where it ends.
-    """
+    """The motion of a step from rest to rest, and the situation after it."""
 
     motion: Motion
     after: Situation
@@ -202,9 +184,7 @@ class StepPlan:
         return certify(self.motion.untimed, part=True)
 
     def remarked(self, words: str) -> StepPlan:
-        """Return the same plan, the remarks of its phases with these words at their end, if any."""
-        if not words:
-            return self
+        """Return the same plan, the remarks of its phases with these words at their end."""
         phases = [
             replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
             for phase in self.motion.phases
@@ -243,9 +223,8 @@ class StepTask:
     def holding(self) -> Holding:
         """What the hitch is around or holds; raises InputError where that is nothing."""
         if self.before.holding is None:
-            raise InputError(
-                f"mission[{self.index}]", None, "around an object", "enclose it before"
-            )
+            words = "around an object", "enclose it before"
+            raise InputError(f"mission[{self.index}]", None, *words)
         return self.before.holding
 
     def within(self, requirements: Requirements, situation: Situation) -> StepTask:
@@ -271,10 +250,7 @@ class Step(OneLine, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
     name: ClassVar[str]
-    """What the problem file calls it."""
-
-    summary: ClassVar[str]
-    """What it does, in a few words."""
+    """What the problem file calls it: the name of the class, in words of lower case."""
 
     needs_hitch: ClassVar[bool | None] = True
     """Whether a hitch must be there before it (True), must not (False), or may (None)."""
@@ -284,6 +260,13 @@ class Step(OneLine, ABC):
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
     """Where it begins and ends with respect to an object that is carried; None for anywhere."""
+
+    time_key: ClassVar[str] = "duration"
+    """Name of the field that says how long it takes, if it has one."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.name = re.sub(r"(?<=.)([A-Z])", r"_\1", cls.__name__).lower()
 
     def __post_init__(self) -> None:
         for name, (key, default) in keys_of(type(self)).items():
@@ -309,8 +292,8 @@ class Step(OneLine, ABC):
     @property
     def given_duration(self) -> float | None:
         """How long it takes [s], where it was given that, or None."""
-        found: float | None = getattr(self, "duration", None)
-        return found
+        found = getattr(self, self.time_key, None)
+        return found if isinstance(found, float) else None
 
     @property
     def blends(self) -> bool:
@@ -378,23 +361,13 @@ class Step(OneLine, ABC):
         check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
         return motion.slowed(duration / motion.duration)
 
-    def part(self, step: Step, task: StepTask) -> StepPlan:
-        """Return the plan of another step as a part of this one, which refusals name."""
-        try:
-            return step.plan(task)
-        except InfeasibleError as error:
-            inner, own = (f"step {task.index} ({kind.name})" for kind in (step, self))
-            told = [replace(v, when=v.when.replace(inner, own)) for v in error.violations]
-            raise InfeasibleError(told, error.note) from None
-
-    def advice(self, check: str) -> str:  # noqa: ARG002
-        """Return what to change in the step where it breaks a check; nothing if that is unknown."""
-        return ""
-
     def knobs(self) -> Iterator[Knob]:
-        """Yield the numbers that repair may change."""
-        if self.given_duration is not None:
-            yield from lasting_knobs(self, "duration", longer=True)
+        """Yield the numbers that repair may change: a duration that was given."""
+        seconds = self.given_duration
+        if seconds is not None:
+            yield Knob(self.time_key, seconds, "s", covers=frozenset({"duration"}))
+            covers = frozenset({PLAN_DURATION})
+            yield Knob(self.time_key, seconds, "s", sign=-1, covers=covers)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return the edits that scale its outline, and the centre of the outline after it.
@@ -405,21 +378,3 @@ class Step(OneLine, ABC):
         centre: (2,) [m], about which the outline before the step is scaled.
         """
         return (), centre
-
-
-def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> Outline:
-    """Return the points as an outline; an error names the step's ``key`` and its ``value``."""
-    try:
-        return fitting_polygon(team, points)
-    except InputError as error:
-        bound = (
-            f"such that the outline stays convex and clockwise ({error.key} = {error.value} would "
-            f"have to be {error.bound})"
-        )
-        raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
-
-
-def check_within(key: str, index: int, count: int) -> None:
-    """Raise InputError where ``index`` is none of ``count``."""
-    if index >= count:
-        raise InputError(key, index, f"from 0 to {count - 1}", "indices start at 0")

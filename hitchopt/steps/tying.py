@@ -9,29 +9,23 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field, Tag
 
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.step import (
-    Edits,
-    Knob,
-    Step,
-    StepPlan,
-    StepTask,
-    eased,
-    outline_edit,
-)
+from hitchopt.steps.step import Edits, Knob, Step, StepPlan, StepTask, eased, outline_edit
 from hitchopt.steps.step_keys import (
+    AUTO,
     FLAG,
+    FORM,
     LEGS_TEXT,
     ONE,
     OUTLINE_TEXT,
     TRIANGLE,
-    WORD,
+    Auto,
     Key,
     Keys,
     Legs,
@@ -45,7 +39,6 @@ from hitchopt.steps.step_keys import (
     auto_seconds,
     key,
     one_of,
-    word_flag_or_one,
 )
 from hitchopt.values import Array, instance
 
@@ -82,10 +75,7 @@ def _settings(key: str, value: object) -> object:
 
 
 SettleKey = Annotated[
-    Annotated[Literal["auto"], Tag(WORD)]
-    | Annotated[Literal[False], Tag(FLAG)]
-    | Annotated[Positive, Tag(ONE)],
-    Discriminator(word_flag_or_one),
+    Auto | Annotated[Literal[False], Tag(FLAG)] | Annotated[Positive, Tag(ONE)], FORM
 ]
 
 
@@ -93,52 +83,35 @@ def _settle(key: str, value: object) -> float | str | bool:
     return False if value is False else auto_seconds(key, value)
 
 
+ASSIGN_TEXT = (
+    "auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order"
+)
+SETTLE_TEXT = (
+    "Where cables have friction, how long clasps are worked at the end [s], as by settle; "
+    "auto: as far as limits allow; or false"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Form(Step):
-    """Drones with hanging cables form a hitch.
+    """Drones with hanging cables form a hitch; all cables are pulled by the team's tension then.
 
-    All cables are pulled by the team's tension then.
-
-    Parameters
-    ----------
-    polygon: the hitch's outline, or its points (n, 2) [m] until a Problem knows the topology.
-    altitude: of its plane [m].
-    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread, with a margin to the cables
-        where drones stand close to them.
-    assign: ``auto``: which robot takes which edge, and which end is its q, is chosen.
-    swap: how the drones turn about each other.
-    settle: how long clasps are worked at the end where cables have friction [s], as by Settle;
-        ``auto`` for as far as limits allow, False for not at all.
-    duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.
+    Without ``legs`` they are spread, with a margin to the cables where drones stand close to them.
     """
 
-    name: ClassVar[str] = "form"
-    summary: ClassVar[str] = "Form the hitch"
     needs_hitch: ClassVar[bool | None] = False
     polygon: Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]
     altitude: Annotated[float, Key(Number, "Height of the hitch's plane [m]", check=altitude)] = 1.0
     legs: Annotated[
         SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end; spread without it")
     ] = None
-    assign: Annotated[
-        Assign,
-        Key(
-            Assign,
-            "auto: which robot takes which edge is chosen; fixed: in order",
-            check=one_of(Assign),
-        ),
-    ] = "auto"
+    assign: Annotated[Assign, Key(Assign, ASSIGN_TEXT, check=one_of(Assign))] = AUTO
     swap: Annotated[SwapSettings, Key(SwapKeys, str(SwapKeys.__doc__), check=_settings)] = field(
         default_factory=SwapSettings
     )
     settle: Annotated[
-        float | Literal["auto", False],
-        Key(
-            SettleKey,
-            "Where cables have friction, how long clasps are worked at the end [s]; auto, or false",
-            check=_settle,
-        ),
-    ] = "auto"
+        float | Literal["auto", False], Key(SettleKey, SETTLE_TEXT, check=_settle)
+    ] = AUTO
     duration: Seconds = None
 
     @classmethod
@@ -190,10 +163,8 @@ class Form(Step):
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
         """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
 
-        Where spreading leaves drones less than the first of CABLE_MARGINS times
-        ``separation.cable`` from a cable, they get the largest of these that satisfies every limit,
-        and are spread beyond that. Drones that stand close lose little of a distance that has
-        downwash in it; the one to cables has nothing to spare for a gust as a hitch is drawn tight.
+        They are the largest of CABLE_MARGINS that satisfies every limit; drones are spread beyond.
+        A distance to cables has nothing to spare for a gust as a hitch is drawn tight.
         """
         from hitchopt.steps.certified_motions import at_rest
         from hitchopt.steps.route_choice import split_hitch
@@ -258,15 +229,8 @@ def _approach(task: StepTask, goal: Array) -> Motion:
 
 @dataclass(frozen=True)
 class Release(Step):
-    """The hitch is taken apart as it was formed, backwards, until its cables hang free.
+    """The hitch is taken apart as it was formed, backwards, until its cables hang free."""
 
-    Parameters
-    ----------
-    duration: as of Form.
-    """
-
-    name: ClassVar[str] = "release"
-    summary: ClassVar[str] = "The reverse of form"
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
@@ -292,15 +256,8 @@ class Release(Step):
 
 @dataclass(frozen=True)
 class Land(Step):
-    """All drones go straight down to the ground.
+    """All drones go straight down to the ground."""
 
-    Parameters
-    ----------
-    duration: as of Form.
-    """
-
-    name: ClassVar[str] = "land"
-    summary: ClassVar[str] = "Land all drones"
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
 
