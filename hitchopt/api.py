@@ -11,27 +11,19 @@ from __future__ import annotations
 import inspect
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict
 
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress, time_limit
+from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Arena, Limits, Separation
-from hitchopt.mission.problem import (
-    DronesStart,
-    Problem,
-    Start,
-    SwarmProblem,
-    checked_parts,
-    fitting_steps,
-)
+from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.motion.asked import check_asked
-from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage
@@ -103,10 +95,6 @@ def suggestions(
     problem: or the path of a problem file.
     budget: how long to search [s]; the last plan that was begun is waited for.
     progress: called with what is being done now.
-
-    Raises
-    ------
-    InputError, FileError: a problem that is wrong in itself.
     """
     task = _loaded(problem, Problem)
     try:
@@ -145,12 +133,12 @@ def _loaded(problem: Any, *kinds: type) -> Any:
         read = {Problem: loading.load_problem, SwarmProblem: loading.load_swarm}
         return (read[kinds[0]] if len(kinds) == 1 else loading.read_problem)(problem)
     instance("problem", problem, *kinds)
-    return problem
+    return problem.problem if isinstance(problem, Mission) else problem
 
 
 @dataclass(frozen=True, eq=False)
-class Mission(OneLine):
-    """A mission that is built step by step; every method returns a longer one.
+class Mission(Problem):
+    """A problem that is built step by step; every method returns a longer one.
 
     There is a method for every kind of step, with the arguments of its record: ``form``, ``morph``,
     ``move_vertex``, …. What is wrong in itself is refused by the step that has it.
@@ -160,42 +148,25 @@ class Mission(OneLine):
     team: who flies.
     start: a Hitch, a HitchStart, or a DronesStart: drones on free cables.
     limits, separation, arena, title, objects: as of a Problem.
-
-    Raises
-    ------
-    InputError: a start that does not fit the team, or a wrong type.
     """
 
-    team: Team
-    start: Start
-    limits: Limits = field(default_factory=Limits)
-    separation: Separation = field(default_factory=Separation)
-    arena: Arena | None = None
-    title: str = ""
-    steps: tuple[Step, ...] = ()
-    objects: Mapping[str, SolidObject] = field(default_factory=dict)
+    complete: ClassVar[bool] = False
+    mission: tuple[Step, ...] = ()
 
-    def __post_init__(self) -> None:
-        steps = checked_parts(self, "steps")
-        outline = None if isinstance(self.start, DronesStart) else self.start.polygon
-        fitted = fitting_steps(self.team, outline, steps, self.objects, complete=False)
-        object.__setattr__(self, "steps", fitted)
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps so far."""
+        return self.mission
 
     @property
     def problem(self) -> Problem:
         """The problem that ``solve`` plans; raises InputError where there is no step."""
-        rest = self.limits, self.separation, self.arena, self.title, self.objects
-        return Problem(self.team, self.start, self.steps, *rest)
+        return Problem(**vars(self))
 
     def then(self, step: Step) -> Self:
-        """Return the mission with one more step, given as its record.
-
-        Raises
-        ------
-        InputError: it is none, or does not fit what is there before it.
-        """
+        """Return the mission with one more step, given as its record, if it fits."""
         instance("step", step, Step)
-        return replace(self, steps=(*self.steps, step))
+        return replace(self, mission=(*self.mission, step))
 
     def solve(self, progress: Progress | None = None, *, limit: float | None = None) -> Plan:
         """Return the certified plan; arguments and errors are those of ``hitchopt.solve``."""

@@ -1,8 +1,7 @@
 """Errors as types, the limit of time, and short texts of errors and records.
 
-There is one root of errors, and one class for every reaction of a caller. ``InputError`` is a
-mistake in what was given; ``InfeasibleError`` is a well-formed request that cannot be met and says
-what binds; the command line turns them into exit codes 2 and 3.
+``InputError`` is a mistake in what was given; ``InfeasibleError`` is a well-formed request that
+cannot be met and says what binds; the command line turns them into exit codes 2 and 3.
 """
 
 from __future__ import annotations
@@ -127,12 +126,7 @@ MAX_LISTED = 20
 
 
 class JointInputError(InputError):
-    """Several faults at once; ``key``, ``value``, ``bound`` and ``remedy`` are the first one's.
-
-    Attributes
-    ----------
-    errors: all of them, in the file's order.
-    """
+    """Several faults, ``errors``, at once; ``key``, ``value``, … are the first one's."""
 
     def __init__(self, errors: Sequence[InputError]) -> None:
         first = errors[0]
@@ -158,13 +152,7 @@ def one_or_all(errors: Sequence[InputError]) -> InputError:
 
 
 class UnitWarning(UserWarning):
-    """A value so unusual that it may have been given in another unit.
-
-    Attributes
-    ----------
-    key: path of the value, as of an InputError.
-    words: the value, what is usual, and what it would be in another unit.
-    """
+    """A value, by its key, so unusual that it may have been given in another unit."""
 
     def __init__(self, key: str, words: str) -> None:
         self.key = key
@@ -221,10 +209,7 @@ class Violation(OneLine):
 class InfeasibleError(HitchoptError):
     """A well-formed request that cannot be met.
 
-    Attributes
-    ----------
-    violations: the broken constraints, the worst first.
-    note: what else was tried, or an empty text.
+    It has the ``violations``, the worst first, and a ``note`` of what else was tried.
     """
 
     def __init__(self, violations: Iterable[Violation], note: str = "") -> None:

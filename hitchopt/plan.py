@@ -71,10 +71,7 @@ class Plan(OneLine):
     def end(self) -> Hitch:
         """The hitch that the plan ends in, from which another one can go on.
 
-        Raises
-        ------
-        InputError: the plan ends with free cables, or has none.
-        UnsupportedError: its end is no hitch with the team's tensions.
+        Raises InputError where it ends with free cables, UnsupportedError with other tensions.
         """
         return final_hitch(self.motion)
 
@@ -110,19 +107,15 @@ class Plan(OneLine):
     def at(self, t: ArrayLike) -> States:
         """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
 
-        A plan stays at rest after its end.
-
-        Raises
-        ------
-        InputError: a time before the start, or one that is not finite.
+        A plan stays at rest after its end. Raises InputError for a time before the start.
         """
         return states_at(self.motion, t)
 
     def abort(self, t: float, how: str = "hold") -> Plan:
-        """Return the plan until a time t [s] with a certified continuation that ends it there.
+        """Return the plan until a time t [s], and a certified continuation that ends it.
 
-        The clock of all drones is slowed to rest, at once or as soon as the limits allow, and what
-        follows is planned from there. Until t the returned plan is this one.
+        The clock of all drones is slowed to rest as soon as the limits allow, and what follows is
+        planned from there.
 
         Parameters
         ----------
@@ -164,7 +157,7 @@ class Plan(OneLine):
         from hitchopt.view.pictures import draw_summary
         from hitchopt.view.style import save_figure
 
-        motion, report = self.motion, flag("report", report)
+        motion, folder = self.motion, path("directory", directory)
 
         def draw(file: Path) -> None:
             save_figure(draw_summary(motion, self.certificate, self.title), file)
@@ -173,8 +166,8 @@ class Plan(OneLine):
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        folder, pictures = path("directory", directory), {SUMMARY: draw}
-        if report:
+        pictures = {SUMMARY: draw}
+        if flag("report", report):
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
         told = self.certificate, self.title, rate, pictures, share, self.problem
         return save_plan(folder, motion, *told)
@@ -207,6 +200,8 @@ class Plan(OneLine):
     ) -> LiveView | None:
         """Show the plan live in the browser, or write it to a file.
 
+        The view that is returned is served until it is closed or Python ends.
+
         Parameters
         ----------
         save: file to write in place of serving: .html is the report; .png, .svg and .pdf are the
@@ -216,14 +211,9 @@ class Plan(OneLine):
         browser: whether to open the browser.
         progress: called with what is done of a film.
 
-        Returns
-        -------
-        The view, which is served until it is closed or Python ends; None with ``save``.
-
         Raises
         ------
-        InputError, FileError: another ending of the file's name, or a file that cannot be read or
-            written.
+        InputError, FileError: another ending of the file's name, or a file that is not accessible.
         UnsupportedError: viser, or what writes films, is not installed.
         """
         if save is not None:
@@ -301,11 +291,6 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     plan: a plan of at least two drones.
     spans: number of equal parts of its time; each has the pair that comes closest in it.
     picture: file to draw the result to (PNG), or None.
-
-    Raises
-    ------
-    InputError: there is a single drone, or no span.
-    FileError: the picture cannot be written.
     """
     instance("plan", plan, Plan)
     found = closeness(plan.motion, whole("spans", spans, 1))
@@ -324,9 +309,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from its polynomials.
 
-    Raises
-    ------
-    FileError: there is no plan, its file is damaged, or the plan is not the one that was asked for.
+    Raises FileError where there is none, it is damaged, or is not the one that was asked for.
     """
     file = path("directory", directory) / PLAN
     motion, problem = read_asked_plan(file)
@@ -334,12 +317,7 @@ def load(directory: Path | str) -> Plan:
 
 
 def read_asked_plan(file: Path) -> tuple[Motion, str]:
-    """Return the motion in a plan file, and its problem's text, which asks for such a motion.
-
-    Raises
-    ------
-    FileError: as ``load``.
-    """
+    """Return the motion in a plan file, and its problem's text, which asks for such a motion."""
     motion, problem = read_plan(file), read_problem_text(file)
     if problem:
         from hitchopt.mission.loading import asked_in  # heavy, as of all files

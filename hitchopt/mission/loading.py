@@ -64,9 +64,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 
     ``name`` is what messages call it, ``directory`` where outlines of objects are.
 
-    Raises
-    ------
-    FileError, InputError: as ``read_problem``.
+    Raises FileError, InputError: as ``read_problem``.
     """
     try:
         data = parse_yaml(text, name)
@@ -87,9 +85,7 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
 
     The ``objects`` of its plan stand in for drawings, which a text alone does not have.
 
-    Raises
-    ------
-    FileError, InputError: as ``read_problem``.
+    Raises FileError, InputError: as ``read_problem``.
     """
     data: Any = parse_yaml(text, "problem")
     given = data.get("objects") if isinstance(data, dict) else None
@@ -139,9 +135,7 @@ def _of_a_hitch(problem: AnyProblem) -> Problem:
 def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None) -> AnyProblem:
     """Return the problem that ``data`` describes with the keys of a problem file in ``folder``.
 
-    Raises
-    ------
-    InputError: as ``read_problem``.
+    Raises InputError: as ``read_problem``.
     """
     values = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
@@ -158,9 +152,8 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
 def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
     """Return the problem that ``keys`` describe; drawings are looked for in ``folder``.
 
-    Raises
-    ------
-    InputError: what single values do not tell, such as counts and shapes; a joint error if several.
+    Raises InputError: what single values do not tell, such as counts and shapes; a joint error if
+    several.
     """
     faults = _Faults()
     parts: dict[str, Any] = {

@@ -26,13 +26,10 @@ from hitchopt.errors import (
     Violation,
     time_left,
 )
-from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.requirements import Arena
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.solving import solve_problem
-from hitchopt.steps.route_choice import split_hitch
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,
@@ -43,7 +40,7 @@ from hitchopt.steps.step import (
     points_scaled,
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
-from hitchopt.steps.step_keys import RolledLegs, SlackSplit
+from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
 BUDGET = 15.0
@@ -75,7 +72,7 @@ class Change(OneLine):
     words: what it is, where the key does not tell.
     old, new: its values [unit].
     unit: such as ``m``; ``times`` for a factor, nothing for words.
-    relative: size of the change over that of the quantity, with its sign.
+    relative: size of the change over that of the quantity, with its sign; 0 for words.
     problem: with the change.
     edits: what to write into the problem's file for it.
     """
@@ -92,10 +89,12 @@ class Change(OneLine):
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         values = [v if isinstance(v, str) else f"{v:.6g}" for v in (self.old, self.new)]
-        words = f"{self.words}, " if self.words else ""
-        percent = 100.0 * self.relative
+        change = f"{self.key} {values[0]} -> {values[1]}{unit}"
+        if not self.relative:
+            return change
+        words, percent = f"{self.words}, " if self.words else "", 100.0 * self.relative
         share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
-        return f"{self.key} {values[0]} -> {values[1]}{unit} ({words}{share} %)"
+        return f"{change} ({words}{share} %)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +157,8 @@ def find_suggestions(
 
     broken = broken_constraints(error)
     knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
-    spread = map(judged, spread_changes(problem, error))
+    crowded = broken <= SPACE | {"crossing", "arena"}
+    spread = map(judged, _spread(problem) if crowded else ())
     found = [verdict for verdict in spread if isinstance(verdict, Suggestion)]
     found += _smallest(problem, knobs, judged)
     if not found and error.note:  # the optimiser was needed and may be needed still
@@ -243,9 +243,7 @@ def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
 def with_edits(problem: Problem, edits: Edits) -> Problem:
     """Return the problem that its file describes with these edits.
 
-    Raises
-    ------
-    InputError: a value that a record refuses, or parts that do not fit one another.
+    Raises InputError: a value that a record refuses, or parts that do not fit one another.
     """
     names = ("team", "start", "mission", "arena", "limits", "objects")
     parts = {name: getattr(problem, name) for name in names}
@@ -491,30 +489,15 @@ def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
             yield Knob(key, old, "m", written, sign, covers, "one wall", extent, least)
 
 
-def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]:
-    """Yield the changes from given or balanced legs to spread ones, at the start and after steps.
-
-    Their relative size is the farthest that a drone goes, over its cable's length.
-    """
-    if not broken_constraints(error) <= SPACE | {"crossing", "arena"}:
-        return
-    outline, start, team = problem.start_outline, problem.start, problem.team
-    places: list[tuple[SlackSplit | None, Outline | None, Edits]] = []
-    if isinstance(start, HitchStart):
-        places.append((start.legs, outline, (Edit("start.hitch.legs", "spread"),)))
-    for i, step in enumerate(problem.mission):
-        outline, legs = step.polygon_left(team, outline), getattr(step, "legs", None)
-        places.append((legs, outline, _in_step(problem, i, (Edit("legs", "spread"),))))
-    for legs, shape, edits in places:
+def _spread(problem: Problem) -> Iterator[Change]:
+    """Yield the changes from given or balanced legs to spread ones, at the start or after steps."""
+    records: list[tuple[str, object]] = [("start.hitch", problem.start)]
+    records += [(f"mission[{i}].{step.name}", step) for i, step in enumerate(problem.mission)]
+    for place, record in records:
+        legs: Any = getattr(record, "legs", None)
         sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
-        if shape is None or sharing is None or (isinstance(sharing, str) and sharing == "spread"):
+        if sharing is None or (isinstance(sharing, str) and sharing == "spread"):
             continue
-        try:
-            given = balanced_legs(team, shape) if isinstance(sharing, str) else sharing
-            best = split_hitch(team, shape, 0.0, "spread", problem.requirements).q_legs
-        except InfeasibleError:  # no cable is left for any legs
-            continue
-        relative = float(np.max(np.abs(best - given) / team.cable_length))
-        words = legs if isinstance(legs, str) else "as given"
-        changed = with_edits(problem, edits)
-        yield Change(edits[0].key, "", words, "spread", "", relative, changed, edits)
+        edits = (Edit(f"{place}.legs", "spread"),)
+        words, changed = legs if isinstance(legs, str) else "as given", with_edits(problem, edits)
+        yield Change(edits[0].key, "", words, "spread", "", 0.0, changed, edits)

@@ -34,9 +34,9 @@ from hitchopt.steps.certified_motions import (
     check_at_rest,
     check_start,
     infeasible,
+    split_hitch,
 )
 from hitchopt.steps.moving import plan_blended
-from hitchopt.steps.route_choice import split_hitch
 from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -211,9 +211,7 @@ THIN = 1e-3
 def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Certified:
     """Return the plan with its certificate; ``progress`` is called with what is being done now.
 
-    Raises
-    ------
-    InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
+    Raises InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
     from hitchopt.planners.separation import SeparationTask, separate
 
@@ -262,9 +260,7 @@ def prism_around(body: SolidObject, slab: Slab) -> Prism:
 def flyable_accelerations(problem: SwarmProblem) -> Array:
     """(N,) [m/s²]: what each drone can do in any direction, by its limit, its thrust and the tilt.
 
-    Raises
-    ------
-    InfeasibleError: a drone that cannot even hover.
+    Raises InfeasibleError: a drone that cannot even hover.
     """
     team = problem.team
     spare = team.max_thrust / team.mass - GRAVITY

@@ -104,10 +104,8 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object.
 
-        Raises
-        ------
-        InfeasibleError: no polygon, one that is close to the ground, or clasps that rub on each
-            other and do not open so far.
+        Raises InfeasibleError: no polygon, one that is close to the ground, or clasps that rub on
+        each other and do not open so far.
         """
         from hitchopt.planners.carrying.grip_polygon import check_opens, grip_polygons
         from hitchopt.planners.carrying.rest import rest_polygons
@@ -246,8 +244,8 @@ class Grasp(PullStep):
         ``asked`` (n,) [N] are the tensions with which the object is held.
         """
         from hitchopt.planners.carrying.rest import HeldHitch
+        from hitchopt.steps.certified_motions import end_of_morph
         from hitchopt.steps.holds import check_held, polygon_at
-        from hitchopt.steps.route_choice import end_of_morph
 
         team, polygons = task.before.team, task.holding.polygons
         below, free = polygon_at(body, polygons.closed), beside(task, self.object)
@@ -316,9 +314,7 @@ class SetDown(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down.
 
-        Raises
-        ------
-        InputError: it would stand too close to the edge of what is below it.
+        Raises InputError: it would stand too close to the edge of what is below it.
         """
         from hitchopt.steps import holds
 
@@ -407,9 +403,7 @@ class TransportObject(PullStep):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps.
 
-        Raises
-        ------
-        InputError: no surface to stand on at ``to``.
+        Raises InputError: no surface to stand on at ``to``.
         """
         from hitchopt.motion.motion import joined_motions
         from hitchopt.steps.holds import object_of

@@ -26,8 +26,7 @@ from hitchopt.planners.carrying.grip_polygon import check_pull, grip_left
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, move_motion
 from hitchopt.planners.carrying.rest import ROOM, HeldHitch
 from hitchopt.planners.timing.flight import check_duration, needed_stretch
-from hitchopt.steps.certified_motions import checked
-from hitchopt.steps.route_choice import NO_ROOM
+from hitchopt.steps.certified_motions import NO_ROOM, checked
 from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -76,9 +75,8 @@ def gap_below(requirements: Requirements) -> float:
 def object_of(task: StepTask, name: str) -> SolidObject:
     """Return an object that can be held, where it is by now.
 
-    Raises
-    ------
-    InputError: a fixed or frictionless one, one on which another one stands, or an open chain.
+    Raises InputError: a fixed or frictionless one, one on which another one stands, or an open
+    chain.
     """
     objects, key = task.requirements.objects, f"objects.{name}"
     body = objects[name]
@@ -168,9 +166,7 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     start, to: (4,) x, y, z [m] and yaw [rad], in a straight line.
     speed: largest one of the object and of drones about it [m/s]
 
-    Raises
-    ------
-    InfeasibleError: the weight cannot be carried.
+    Raises InfeasibleError: the weight cannot be carried.
     """
     held, limits = task.holding.held, task.requirements.limits
     assert held is not None
@@ -338,9 +334,7 @@ def grip_closed(step: Step, task: StepTask, asked: Array) -> StepPlan:
 def grip_opened(step: Step, task: StepTask) -> StepPlan:
     """Return the plan of opening a grip to a hitch around the standing object.
 
-    Raises
-    ------
-    InfeasibleError: clasps that stick would hold too much of it, or edges would push it.
+    Raises InfeasibleError: clasps that stick would hold too much of it, or edges would push it.
     """
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
@@ -364,9 +358,7 @@ def _passed(
     where the hitch opens with LOOSE at most. Legs lean against clasp friction as far as drones stay
     apart. ``tension`` (n,) [N] and ``closed``, how far the hitch is, are before and after.
 
-    Raises
-    ------
-    InfeasibleError: drones come too close, or edges would push the object along its support.
+    Raises InfeasibleError: drones come too close, or edges would push the object along its support.
     """
     holding, opening = task.holding, closed[0] > closed[1]
     held, name = holding.held, f"objects.{holding.name}"

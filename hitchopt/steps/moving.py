@@ -26,7 +26,6 @@ from hitchopt.steps.step import (
     StepPlan,
     StepTask,
     eased,
-    outline_edit,
     points_scaled,
 )
 from hitchopt.steps.step_keys import (
@@ -63,7 +62,7 @@ if TYPE_CHECKING:
     from hitchopt.motion.motion import Motion
     from hitchopt.planners.morph.actions import Action, Flying
     from hitchopt.planners.timing.flight import Flight
-    from hitchopt.steps.route_choice import End
+    from hitchopt.steps.certified_motions import End
 
 
 class HitchStep(Step):
@@ -71,7 +70,7 @@ class HitchStep(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, its legs leaning against friction."""
-        from hitchopt.steps.route_choice import against_friction
+        from hitchopt.steps.certified_motions import against_friction
 
         return against_friction(self.fly(task), timed=self.given_duration is not None)
 
@@ -114,14 +113,13 @@ class ShapeStep(HitchStep):
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
         from hitchopt.motion.motion import Phase
-        from hitchopt.steps.certified_motions import tried
-        from hitchopt.steps.route_choice import FASTER, SHUT, optimised, refused_both
+        from hitchopt.steps.certified_motions import FASTER, SHUT, optimised, refused_both, tried
 
         end, duration = self.end(task), self.given_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
-        asked = getattr(self, "optimize", False) or tension is not None
+        lead = bool(getattr(self, "optimize", False))
         own = tried(lambda: task.ended(self.own_motion(task, end), end.hitch))
-        if isinstance(own, StepPlan) and not (asked and task.optimiser):
+        if isinstance(own, StepPlan) and not (task.optimiser and (lead or tension)):
             return own
         if isinstance(own, HitchoptError):
             for hitch in (task.hitch, end.hitch):
@@ -129,7 +127,7 @@ class ShapeStep(HitchStep):
             if not task.optimiser:
                 raise own
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        other = tried(lambda: optimised(task, end.hitch, phase, duration))
+        other = tried(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
         if isinstance(own, HitchoptError):
             if isinstance(other, StepPlan):
                 return other.remarked(SHUT)
@@ -143,13 +141,22 @@ class ShapeStep(HitchStep):
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which names the drones that move."""
 
-    @abstractmethod
+    told: ClassVar[tuple[str, ...]] = ("vertex",)
+    """Fields that the action is told besides the hitch and the outline after it."""
+
     def action(self, task: StepTask) -> Action:
-        """Return the action."""
+        """Return the action, which has the step's name."""
+        from hitchopt.planners.morph import actions
+
+        start, told = task.hitch, [getattr(self, name) for name in self.told]
+        polygon = self.polygon_after(start.team, start.polygon)
+        assert polygon is not None
+        found: Action = getattr(actions, self.name)(start, polygon, *told)
+        return found
 
     def end(self, task: StepTask) -> End:
         """Return the hitch after the action."""
-        from hitchopt.steps.route_choice import end_of_action
+        from hitchopt.steps.certified_motions import end_of_action
 
         return end_of_action(self.action(task), self.legs, task.requirements)
 
@@ -239,7 +246,7 @@ class Settle(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which drones swing about their places."""
         from hitchopt.motion.motion import Phase
-        from hitchopt.steps.route_choice import worked
+        from hitchopt.steps.certified_motions import worked
 
         return worked(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
 
@@ -300,13 +307,9 @@ class Morph(ShapeStep):
             raise InputError("tension", {"min": least, "max": most}, bound, remedy)
         return fitted
 
-    def polygon_after(self, team: Team, outline: Outline) -> Outline:  # noqa: ARG002
-        """Return the step's polygon."""
-        return fitting_polygon(team, self.polygon)
-
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
-        from hitchopt.steps.route_choice import end_of_morph
+        from hitchopt.steps.certified_motions import end_of_morph
 
         return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
@@ -316,10 +319,6 @@ class Morph(ShapeStep):
 
         planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
         return self.motion(task, planner.solve(), end.hitch)
-
-    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return the edit that scales its polygon about its centroid, which is the centre then."""
-        return (outline_edit("polygon", self.polygon, factor),), self.polygon.centroid
 
 
 class MoveStep(ActionStep):
@@ -406,13 +405,6 @@ class MoveVertex(MoveStep):
         """Return the vertex."""
         return [_within("vertex", self.vertex, count)]
 
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import move_vertex
-
-        start = task.hitch
-        return move_vertex(start, self.polygon_after(start.team, start.polygon), self.vertex)
-
 
 @dataclass(frozen=True, eq=False)
 class MoveEdge(MoveStep):
@@ -421,6 +413,7 @@ class MoveEdge(MoveStep):
     Edge k runs from vertex k to vertex k + 1. Four drones move, or six where edges turn.
     """
 
+    told: ClassVar[tuple[str, ...]] = ("edge",)
     edge: WhichPoint
     to: Annotated[Array | None, Key(TwoPoints, _ENDS_TEXT, check=_TWO_PLACES)] = None
     by: By = None
@@ -431,13 +424,6 @@ class MoveEdge(MoveStep):
     def moved_points(self, team: Team, count: int) -> list[int]:
         """Return the edge's ends."""
         return [_within("edge", self.edge, team.robots), (self.edge + 1) % count]
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import move_edge
-
-        start = task.hitch
-        return move_edge(start, self.polygon_after(start.team, start.polygon), self.edge)
 
 
 def _legs_given(key: str, value: Any) -> Any:
@@ -457,7 +443,7 @@ class Adjust(ActionStep):
     def action(self, task: StepTask) -> Action:
         """Return the action."""
         from hitchopt.planners.morph.actions import adjust
-        from hitchopt.steps.route_choice import end_of_morph
+        from hitchopt.steps.certified_motions import end_of_morph
 
         start = task.hitch
         wanted = end_of_morph(start, start.polygon, self.legs, task.requirements).hitch
@@ -492,6 +478,7 @@ class FollowVertex(ActionStep):
     """One vertex follows timed points; it meets them at their times, at rest before and after."""
 
     blendable: ClassVar[bool] = False
+    told: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
     path: Annotated[Array, Key(TimedPath, _PATH_TEXT, ([[1.0, 0.0, -0.9]],), check=_timed_path)]
     legs: LegsAtEnd = None
@@ -506,14 +493,6 @@ class FollowVertex(ActionStep):
         points = outline.vertices.copy()
         points[_within("vertex", self.vertex, len(points))] = self.path[-1, 1:]
         return _convex(team, points, "path", self.path)
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import follow_vertex
-
-        start = task.hitch
-        polygon = self.polygon_after(start.team, start.polygon)
-        return follow_vertex(start, polygon, self.vertex, self.path)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; there is no other route."""
@@ -609,8 +588,7 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     """
     from hitchopt.motion.motion import Phase
     from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
-    from hitchopt.steps.certified_motions import flying
-    from hitchopt.steps.route_choice import against_friction
+    from hitchopt.steps.certified_motions import against_friction, flying
 
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):

@@ -278,9 +278,7 @@ class Step(OneLine, ABC):
     def from_file(cls, values: dict[str, Any]) -> Self:
         """Return the step with the values of a problem file, in which angles are in degrees.
 
-        Raises
-        ------
-        InputError: values that do not go together; its key is the step's own.
+        Raises InputError: values that do not go together; its key is the step's own.
         """
         return cls(
             **{
@@ -303,9 +301,7 @@ class Step(OneLine, ABC):
     def fitting(self, team: Team) -> Self:
         """Return the step with its polygon as an outline and its legs as an array, if it has any.
 
-        Raises
-        ------
-        InputError: one that does not fit the team.
+        Raises InputError: one that does not fit the team.
         """
         given = {key: vars(self).get(key) for key in ("polygon", "legs")}
         fitted: dict[str, Any] = {
@@ -319,10 +315,8 @@ class Step(OneLine, ABC):
     def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
         """Return the outline after the step; None where there is no hitch.
 
-        Raises
-        ------
-        InputError: as ``polygon_after``, or a step that needs a hitch where there is none, or none
-            where there is one.
+        Raises InputError: as ``polygon_after``, or a step that needs a hitch where there is none,
+        or none where there is one.
         """
         if self.needs_hitch is True and outline is None:
             raise InputError("", "no hitch", "given a hitch at that point", "form one before")
@@ -331,15 +325,13 @@ class Step(OneLine, ABC):
             raise InputError("", "a hitch", bound, "release it before")
         return self.polygon_after(team, outline)
 
-    def polygon_after(self, team: Team, outline: Any) -> Outline | None:  # noqa: ARG002
-        """Return the outline that the step makes of ``outline``, which is there if it needs one.
+    def polygon_after(self, team: Team, outline: Any) -> Outline | None:
+        """Return the outline that the step makes of ``outline``: its own polygon, if it has one.
 
-        Raises
-        ------
-        InputError: an index beyond the team's, or an outline that is not convex.
+        Raises InputError: an index beyond the team's, or an outline that is not convex.
         """
-        found: Outline | None = outline
-        return found
+        own = vars(self).get("polygon", outline)
+        return None if own is None else fitting_polygon(team, own)
 
     @abstractmethod
     def plan(self, task: StepTask) -> StepPlan:
@@ -369,12 +361,13 @@ class Step(OneLine, ABC):
             covers = frozenset({PLAN_DURATION})
             yield Knob(self.time_key, seconds, "s", sign=-1, covers=covers)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return the edits that scale its outline, and the centre of the outline after it.
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
+        """Return the edits that scale its outline by a factor, and the outline's centre after it.
 
-        Parameters
-        ----------
-        factor: of all outlines.
-        centre: (2,) [m], about which the outline before the step is scaled.
+        ``centre`` (2,) [m] is that of the outline before, about which points go; a polygon is
+        scaled about its own centroid.
         """
-        return (), centre
+        own: Outline | None = vars(self).get("polygon")
+        return (
+            ((), centre) if own is None else ((outline_edit("polygon", own, factor),), own.centroid)
+        )

@@ -151,10 +151,8 @@ def slack_split(
     ----------
     legs: a mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg].
 
-    Raises
-    ------
-    InputError: another word, or a list that does not have one positive length per robot, none of
-        them zero but the first of a chain.
+    Raises InputError: another word, or a list that does not have one positive length per robot,
+    none of them zero but the first of a chain.
     """
     if isinstance(legs, RolledLegs):
         roll = None if legs.roll is None else checked_roll(team, legs.roll)

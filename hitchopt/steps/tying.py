@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -14,9 +13,8 @@ from pydantic import Field, Tag
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.step import Edits, Knob, Step, StepPlan, StepTask, eased, outline_edit
+from hitchopt.steps.step import Knob, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
     AUTO,
     FLAG,
@@ -125,16 +123,12 @@ class Form(Step):
         )
         return cls(**values | {"swap": settings})
 
-    def polygon_after(self, team: Team, outline: None) -> Outline:  # noqa: ARG002
-        """Return the hitch's outline."""
-        return fitting_polygon(team, self.polygon)
-
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
         from hitchopt.motion.motion import Phase, joined_motions
         from hitchopt.planners.forming.stages import tied
         from hitchopt.steps import certified_motions as motions
-        from hitchopt.steps.route_choice import worked
+        from hitchopt.steps.certified_motions import worked
 
         i, requirements = task.index, task.requirements
         wanted = self._wanted(task.before.team, requirements)
@@ -166,8 +160,7 @@ class Form(Step):
         They are the largest of CABLE_MARGINS that satisfies every limit; drones are spread beyond.
         A distance to cables has nothing to spare for a gust as a hitch is drawn tight.
         """
-        from hitchopt.steps.certified_motions import at_rest
-        from hitchopt.steps.route_choice import split_hitch
+        from hitchopt.steps.certified_motions import at_rest, split_hitch
 
         legs: SlackSplit = "spread" if self.legs is None else self.legs
         spread = split_hitch(team, self.polygon, self.altitude, legs, requirements)
@@ -193,38 +186,29 @@ class Form(Step):
             covers = eased("length") | {"interlacing", "arena", "crossing"}
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return the edit that scales its polygon about its centroid, which is the centre then."""
-        return (outline_edit("polygon", self.polygon, factor),), self.polygon.centroid
-
 
 def _approach(task: StepTask, goal: Array) -> Motion:
     """Return the first route to the pre-hitch that the certificate holds for.
 
-    Raises
-    ------
-    InfeasibleError: none; says what binds on the first of them.
+    Raises InfeasibleError: none; says what binds on the first of them.
     """
     from hitchopt.motion.motion import joined_motions
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
     from hitchopt.steps.certified_motions import tried
 
     asked = task.before.team, task.before.drones, goal, task.requirements, task.index
-    refusals = list[HitchoptError]()
-
-    def flown(planner: type[DirectApproach | GatheredApproach]) -> StepPlan:
-        return StepPlan(joined_motions(planner(*asked).solve()), task.before)
-
-    for planner in (DirectApproach, GatheredApproach):
-        found = tried(partial(flown, planner))
+    routes = (DirectApproach(*asked), GatheredApproach(*asked))
+    refused = list[HitchoptError]()
+    for route in routes:
+        found = tried(lambda route=route: StepPlan(joined_motions(route.solve()), task.before))  # type: ignore[misc]
         if isinstance(found, StepPlan):
             return found.motion
-        refusals.append(found)
-    told = [each for each in refusals if isinstance(each, InfeasibleError)]
-    if not told:
-        raise refusals[0]
-    note = told[0].note or "no other route to the pre-hitch was found"
-    raise InfeasibleError(told[0].violations, note)
+        refused.append(found)
+    for error in refused:
+        if isinstance(error, InfeasibleError):
+            note = error.note or "no other route to the pre-hitch was found"
+            raise InfeasibleError(error.violations, note)
+    raise refused[0]
 
 
 @dataclass(frozen=True)

@@ -67,9 +67,7 @@ LEAST_LIFT, MOST_LIFT = 0.01, 100.0
 def check_unit(key: str, value: Any, quantity: Quantity) -> None:
     """Refuse or warn of a value, or the first of an array, that is probably in another unit.
 
-    Raises
-    ------
-    InputError: a value that nothing has that flies.
+    Raises InputError: a value that nothing has that flies.
     """
     values = [value] if isinstance(value, float) else value.ravel().tolist()
     (low, high), (least, most) = quantity.usual, quantity.possible
@@ -89,9 +87,7 @@ def radians_of(
 ) -> float | None:
     """Return an angle or a rate that is given in one of two units, in radians.
 
-    Raises
-    ------
-    InputError: it is given in both, or is no positive number.
+    Raises InputError: it is given in both, or is no positive number.
     """
     if degrees is None:
         return None if radians is None else positive(key, radians)
