@@ -60,11 +60,9 @@ def read_problem(path: str | Path) -> AnyProblem:
 
 
 def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> AnyProblem:
-    """Return the problem in a YAML text.
+    """Return the problem in a YAML text; errors as ``read_problem``.
 
     ``name`` is what messages call it, ``directory`` where outlines of objects are.
-
-    Raises FileError, InputError: as ``read_problem``.
     """
     try:
         data = parse_yaml(text, name)
@@ -84,8 +82,6 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
     """Return what the text of a problem file asks, as ``hitchopt.motion.asked`` has it.
 
     The ``objects`` of its plan stand in for drawings, which a text alone does not have.
-
-    Raises FileError, InputError: as ``read_problem``.
     """
     data: Any = parse_yaml(text, "problem")
     given = data.get("objects") if isinstance(data, dict) else None
@@ -97,24 +93,12 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
 
 
 def load_problem(path: str | Path) -> Problem:
-    """Return the problem of a hitch in the YAML file at ``path``.
-
-    Raises
-    ------
-    InputError: a problem of single drones; as ``read_problem``.
-    FileError: as ``read_problem``.
-    """
+    """Return the problem of a hitch in the YAML file at ``path``; errors as ``read_problem``."""
     return _of_a_hitch(read_problem(path))
 
 
 def load_swarm(path: str | Path) -> SwarmProblem:
-    """Return the problem of single drones in the YAML file at ``path``.
-
-    Raises
-    ------
-    InputError: a problem of a hitch; as ``read_problem``.
-    FileError: as ``read_problem``.
-    """
+    """Return the problem of single drones in a YAML file; errors as ``read_problem``."""
     problem = read_problem(path)
     if not isinstance(problem, SwarmProblem):
         raise InputError("team", "robots", "a team of single drones", "use load_problem")
@@ -133,10 +117,7 @@ def _of_a_hitch(problem: AnyProblem) -> Problem:
 
 
 def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None) -> AnyProblem:
-    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``.
-
-    Raises InputError: as ``read_problem``.
-    """
+    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
     values = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
     single = isinstance(team, dict) and "drones" in team and "robots" not in team
@@ -150,11 +131,7 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
 
 
 def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
-    """Return the problem that ``keys`` describe; drawings are looked for in ``folder``.
-
-    Raises InputError: what single values do not tell, such as counts and shapes; a joint error if
-    several.
-    """
+    """Return the problem that ``keys`` describe, or raise what single values do not tell."""
     faults = _Faults()
     parts: dict[str, Any] = {
         "title": faults.attempt("", _title, keys.title),

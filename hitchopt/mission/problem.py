@@ -135,9 +135,8 @@ class DronesStart(OneLine):
     r: Array
 
     def __post_init__(self) -> None:
-        for name in ("q", "r"):
-            remedy = "give one point [x, y, z] a robot"
-            given = points(name, getattr(self, name), (2, 3), "(n, 3)", remedy)
+        for name, place in vars(self).items():
+            given = points(name, place, (2, 3), "(n, 3)", "give one point [x, y, z] a robot")
             object.__setattr__(self, name, given)
 
     @property
@@ -211,8 +210,8 @@ class Problem(OneLine):
         from hitchopt.motion.asked import asked, hitch_start
 
         if isinstance(self.start, DronesStart):
-            drones = {"q": self.start.q.tolist(), "r": self.start.r.tolist()}
-            return asked(self.team, self.requirements, {"drones": drones})
+            places = {name: place.tolist() for name, place in vars(self.start).items()}
+            return asked(self.team, self.requirements, {"drones": places})
         hitch = hitch_start(self.start.polygon.vertices, self.start.altitude)
         return asked(self.team, self.requirements, {"hitch": hitch})
 
@@ -264,10 +263,6 @@ class SwarmProblem(OneLine):
     limits, separation, arena, keep_out, title: what to keep, and what to call it.
     duration: of the flight, exactly [s], or None: as fast as is found.
     objects: by name; they stand where they are, and the drones stay off them.
-
-    Raises
-    ------
-    InputError: not one point per drone, or a point that is not finite.
     """
 
     team: Swarm

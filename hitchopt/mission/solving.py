@@ -201,11 +201,8 @@ def _remedy(violation: Violation, blended: bool) -> str:
 SHARE = 1.0 - 1e-6
 """Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
 
-CORNERS = 24
-"""Number of corners of the polygon around a circle that the planner keeps drones out of."""
-
-THIN = 1e-3
-"""[m] Height of the prism around a rim."""
+CORNERS, THIN = 24, 1e-3
+"""Corners of the polygon around a circle, and height of the prism around a rim [m]."""
 
 
 def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Certified:
@@ -221,17 +218,18 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
         found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
         raise InfeasibleError([found])
     planned = problem.requirements.planned
-    bodies = [(name, slab) for name, body in problem.objects.items() for slab in body.slabs]
-    around = tuple(prism_around(problem.objects[name], slab) for name, slab in bodies)
-    prisms = [f"prism {k}" for k in range(len(planned.keep_out))]
+    prisms = [(f"prism {k}", prism) for k, prism in enumerate(planned.keep_out)]
+    for name, body in problem.objects.items():
+        prisms += [(name, _prism_around(body, slab)) for slab in body.slabs]
+    names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
     task = SeparationTask(
         problem.start,
         problem.goal,
-        replace(planned, keep_out=planned.keep_out + around, objects={}),
+        replace(planned, keep_out=keep_out, objects={}),
         duration=problem.duration,
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
-        prisms=(*prisms, *(name for name, _ in bodies)),
+        prisms=names,
     )
     separated = separate(task, progress)
     phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
@@ -242,11 +240,8 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
     return Certified(motion, certificate)
 
 
-def prism_around(body: SolidObject, slab: Slab) -> Prism:
-    """Return a prism that holds a slab of an object, where it stands.
-
-    A circle has a polygon of CORNERS corners around it.
-    """
+def _prism_around(body: SolidObject, slab: Slab) -> Prism:
+    """Return a prism that holds a slab of an object, where it stands."""
     corners = slab.section.core
     if slab.section.radius is not None:
         angles = -2.0 * np.pi / CORNERS * np.arange(CORNERS)
@@ -260,7 +255,7 @@ def prism_around(body: SolidObject, slab: Slab) -> Prism:
 def flyable_accelerations(problem: SwarmProblem) -> Array:
     """(N,) [m/s²]: what each drone can do in any direction, by its limit, its thrust and the tilt.
 
-    Raises InfeasibleError: a drone that cannot even hover.
+    Raises InfeasibleError for one that cannot even hover.
     """
     team = problem.team
     spare = team.max_thrust / team.mass - GRAVITY

@@ -138,11 +138,8 @@ class Enclose(Step):
         requirements, name = task.requirements, f"objects.{self.object}"
         least, height = requirements.separation.object, inside - requirements.floor
         if height < least - TOUCH:
-            body, remedy = requirements.objects[self.object], "stand it on something"
-            if body.rim is None or body.stem is not None:
-                higher = f"make {name} higher" if body.rim is None else f"raise {name}.rim.at"
-                remedy = f"{higher}, or {remedy}"
             where, when = ("ground",), f"with the hitch around {name}"
+            remedy = f"make {name} or its rim higher, or stand it on something"
             broken = Violation("object_clearance", height, least, "min", "m", where, when, remedy)
             raise InfeasibleError([broken])
 

@@ -86,13 +86,9 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
-    """Return the error that tells what a certificate's broken checks say.
+    """Return the error that tells what checks of a motion's certificate are broken.
 
-    Parameters
-    ----------
-    certificate: one that does not hold.
-    motion: whose it is.
-    when: said in place of time and step, for a certificate of something at rest.
+    Of something at rest ``when`` is said in place of time and step.
     """
     found = []
     for check in certificate.violated:
@@ -240,18 +236,10 @@ def optimised(
 ) -> StepPlan:
     """Return the fastest plan that the optimiser finds from the task's hitch to another.
 
-    Parameters
-    ----------
-    task: what is asked.
-    end: at the same altitude; both hitches are within all limits at rest.
-    phase: the step's name and index, and within what tensions may change meanwhile.
-    duration: exactly that long [s], or None.
-    lead: also try legs that lead and lag.
+    Both are at one altitude, and within all limits at rest. ``phase`` has the step's name and
+    index, and within what tensions may change meanwhile; ``lead``: also try legs that lead and lag.
 
-    Raises
-    ------
-    InfeasibleError: it takes longer than ``duration``, or breaks a limit then.
-    HitchoptError: no route was found.
+    Raises InfeasibleError where it takes longer than ``duration`` [s], or HitchoptError.
     """
     from hitchopt.planners.morph.legs import leading
     from hitchopt.planners.optimise.search import OptimisedMorph
@@ -352,17 +340,10 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
 def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
     """Return the plan in which drones swing until the clasps' friction has lost its memory.
 
-    They swing as far as limits allow; the remark says how far.
+    They swing as far as limits allow, as the remark says, for ``seconds`` [s], or SWINGS of SWING,
+    up to LONGER times as long where limits of motion need that. The times of ``phase`` are set.
 
-    Parameters
-    ----------
-    task: with a hitch of cables with friction, at rest before and after.
-    seconds: how long [s]; None for SWINGS of SWING, up to LONGER times as long where limits of
-        motion need that.
-    phase: its name, step and remark; the times are set.
-    needed: it may not be left out where limits leave no room for it.
-
-    Raises InfeasibleError: limits leave no room for a quarter of what would do.
+    Raises InfeasibleError where limits leave no room for it, and it is ``needed``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling
 

@@ -161,12 +161,8 @@ def rim_move(task: StepTask, before: float, after: float) -> Move:
 def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
     """Return the fastest move of a carried object within all limits.
 
-    Parameters
-    ----------
-    start, to: (4,) x, y, z [m] and yaw [rad], in a straight line.
-    speed: largest one of the object and of drones about it [m/s]
-
-    Raises InfeasibleError: the weight cannot be carried.
+    It goes straight from ``start`` to ``to`` (4,) x, y, z [m] and yaw [rad]; the object, and drones
+    about it, go with ``speed`` [m/s] at most. Raises InfeasibleError: it cannot be carried.
     """
     held, limits = task.holding.held, task.requirements.limits
     assert held is not None
@@ -303,17 +299,9 @@ def check_held(task: StepTask) -> None:
 
 
 def grip_closed(step: Step, task: StepTask, asked: Array) -> StepPlan:
-    """Return the plan from around an object to cables that grip it.
+    """Return the plan from around an object to cables that grip it with tensions (n,) [N].
 
-    Parameters
-    ----------
-    step: what is planned; it names the object.
-    asked: (n,) [N], tensions with which it is held.
-
-    Raises
-    ------
-    InputError: an object with a rim.
-    InfeasibleError: the object cannot be gripped, with what binds and what to change.
+    Raises InputError for an object with a rim, InfeasibleError for one that cannot be gripped.
     """
     around, team = task.holding, task.before.team
     body, polygons = object_of(task, around.name), around.polygons

@@ -29,17 +29,14 @@ if TYPE_CHECKING:
     from hitchopt.planners.carrying.grip import GrippedHitch
     from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 
-DECIMALS = 9
-"""Decimals of numbers in edits: far below any tolerance, and short enough to read."""
-
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""
 
+DECIMALS, LEAST_LEFT = 9, 0.1
+"""Decimals of numbers in edits, and share of a quantity that is left where it is lowered."""
+
 PLAN_DURATION = "plan duration"
 """The plan's duration as a constraint, told apart from a step's, which is too short."""
-
-LEAST_LEFT = 0.1
-"""Share of a quantity that is left where it is lowered the most."""
 
 
 @cache
@@ -53,16 +50,10 @@ def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Edit(OneLine):
-    """What to write into a problem file.
+    """What to write into a problem file."""
 
-    Attributes
-    ----------
-    key: path such as ``mission[0].morph.polygon``; of a step's own edits, within the step.
-    value: number, word, list or mapping, in the file's units.
-    """
-
-    key: str
-    value: object
+    key: str  # path such as ``mission[0].morph.polygon``; of a step's own edits, within the step
+    value: object  # number, word, list or mapping, in the file's units
 
 
 Edits = tuple[Edit, ...]
@@ -71,30 +62,20 @@ Edits = tuple[Edit, ...]
 
 @dataclass(frozen=True, eq=False)
 class Knob:
-    """A number that repair may raise or lower.
+    """A number that repair may raise or lower."""
 
-    Attributes
-    ----------
-    key: as the file has it; of a step's number, within the step.
-    old, unit: its value, and the unit of it; ``times`` for a factor.
-    written: gives what to write for another value; None for the value itself under the key.
-    sign: 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most.
-    covers: constraints that it can repair; where others are broken too it is not tried.
-    words: what it is, where the key does not tell.
-    extent: what sizes are relative to [unit]; the old value unless given.
-    least, most: sizes below are known not to do; sizes above make no sense.
-    """
-
-    key: str
-    old: float
-    unit: str
+    key: str  # as the file has it; of a step's number, within the step
+    old: float  # its value
+    unit: str  # of the value; ``times`` for a factor
+    # gives what to write for another value; None for the value itself under the key
     written: Callable[[float], Edits] | None = None
-    sign: int = 1
+    sign: int = 1  # 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most
+    # constraints that it can repair; where others are broken too it is not tried
     covers: frozenset[str] = frozenset()
-    words: str = ""
-    extent: float | None = None
-    least: float = 0.0
-    most: float = math.inf
+    words: str = ""  # what it is, where the key does not tell
+    extent: float | None = None  # what sizes are relative to [unit]; the old value unless given
+    least: float = 0.0  # sizes below are known not to do
+    most: float = math.inf  # sizes above make no sense
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:
@@ -117,46 +98,30 @@ def outline_edit(key: str, outline: Outline, factor: float) -> Edit:
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """An object that a hitch is around, or holds.
+    """An object that a hitch is around, or holds."""
 
-    Attributes
-    ----------
-    name: of the object.
-    polygons: of the hitch, in the object's frame.
-    tension: (n,) [N], what cables pull with from grasping to loosening.
-    held: the hitch that holds it; None while it is only around it.
-    borne: whether clasps carry its weight.
-    """
-
-    name: str
-    polygons: HoldPolygons
-    tension: Array
+    name: str  # of the object
+    polygons: HoldPolygons  # of the hitch, in the object's frame
+    tension: Array  # (n,) [N], what cables pull with from grasping to loosening
+    # the hitch that holds it; None while it is only around it
     held: HeldHitch | GrippedHitch | None = None
-    borne: bool = False
+    borne: bool = False  # whether clasps carry its weight
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """A moment of rest: a hitch, or drones on free cables.
+    """A moment of rest: a hitch, or drones on free cables."""
 
-    Attributes
-    ----------
-    team: who flies.
-    drones: (2n, 3) [m], in the order q0, r0, q1, r1, ….
-    hitch: what they hold, or None where cables are free.
-    senses: (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that
-        was there at first is taken to have been formed so.
-    swap: the settings of these turns.
-    holding: what the hitch is around or holds; ``hitch`` is then as if it carried nothing.
-    objects: where objects are by now; None where the problem has them.
-    """
-
-    team: Team
-    drones: Array
-    hitch: Hitch | None = None
+    team: Team  # who flies
+    drones: Array  # (2n, 3) [m], in the order q0, r0, q1, r1, …
+    hitch: Hitch | None = None  # what they hold, or None where cables are free
+    # (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that was there
+    # at first is taken to have been formed so
     senses: Array | None = None
-    swap: SwapSettings = field(default_factory=SwapSettings)
+    swap: SwapSettings = field(default_factory=SwapSettings)  # the settings of these turns
+    # what the hitch is around or holds; ``hitch`` is then as if it carried nothing
     holding: Holding | None = None
+    # where objects are by now; None where the problem has them
     objects: Mapping[str, SolidObject] | None = None
 
     @classmethod
@@ -197,20 +162,12 @@ class StepPlan:
 
 @dataclass(frozen=True, eq=False)
 class StepTask:
-    """What a step is asked to plan.
+    """What a step is asked to plan."""
 
-    Attributes
-    ----------
-    before: where the mission stands.
-    index: of the step in its mission.
-    requirements: what the plan must satisfy.
-    optimiser: whether the optimiser may be used.
-    """
-
-    before: Situation
-    index: int
-    requirements: Requirements
-    optimiser: bool = True
+    before: Situation  # where the mission stands
+    index: int  # of the step in its mission
+    requirements: Requirements  # what the plan must satisfy
+    optimiser: bool = True  # whether the optimiser may be used
 
     @property
     def hitch(self) -> Hitch:
@@ -303,14 +260,13 @@ class Step(OneLine, ABC):
 
         Raises InputError: one that does not fit the team.
         """
-        given = {key: vars(self).get(key) for key in ("polygon", "legs")}
-        fitted: dict[str, Any] = {
-            key: fitting_polygon(team, value) if key == "polygon" else slack_split(value, team)
-            for key, value in given.items()
-            if value is not None
-        }
-        changed = any(value is not given[key] for key, value in fitted.items())
-        return replace(self, **fitted) if changed else self
+        polygon, legs = (vars(self).get(key) for key in ("polygon", "legs"))
+        changed: dict[str, Any] = {}
+        if polygon is not None:
+            changed["polygon"] = fitting_polygon(team, polygon)
+        if legs is not None:
+            changed["legs"] = slack_split(legs, team)
+        return replace(self, **changed) if changed else self
 
     def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
         """Return the outline after the step; None where there is no hitch.

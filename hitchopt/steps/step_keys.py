@@ -125,16 +125,10 @@ Legs = Annotated[Split | SplitLegs | Annotated[RolledLegsKeys, Tag(MAPPING)], FO
 
 @dataclass(frozen=True, eq=False)
 class RolledLegs:
-    """Legs that are rolled out of their plane.
+    """Legs that are rolled out of their plane."""
 
-    Attributes
-    ----------
-    sharing: how cables share their slack, as without roll.
-    roll: (clasps,) [rad]; None for none unless legs break a limit without.
-    """
-
-    sharing: Literal["balanced", "spread"] | Array
-    roll: Array | None = None
+    sharing: Literal["balanced", "spread"] | Array  # how cables share their slack, as without roll
+    roll: Array | None = None  # (clasps,) [rad]; None for none unless legs break a limit without
 
 
 SlackSplit = Literal["balanced", "spread"] | Array | RolledLegs
@@ -189,21 +183,13 @@ def _sharing(legs: Any, team: Team) -> Literal["balanced", "spread"] | Array:
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A step's field as a problem file has it.
+    """A step's field as a problem file has it."""
 
-    Attributes
-    ----------
-    kind: its type there; a model of keys for a mapping.
-    text: what it is, with its unit.
-    examples: values that may be written.
-    name: in the file, where it is not that of the field.
-    check: gives the field's value for one that a Python user wrote, of a name; or refuses it.
-    """
-
-    kind: Any
-    text: str
-    examples: tuple[object, ...] = ()
-    name: str = ""
+    kind: Any  # its type there; a model of keys for a mapping
+    text: str  # what it is, with its unit
+    examples: tuple[object, ...] = ()  # values that may be written
+    name: str = ""  # in the file, where it is not that of the field
+    # gives the field's value for one that a Python user wrote, of a name; or refuses it
     check: Callable[[str, Any], Any] | None = None
 
 

@@ -18,19 +18,12 @@ OUTSIDE = frozenset({"hitchopt", "contextlib", "dataclasses"})
 
 
 class Quantity(NamedTuple):
-    """A physical quantity.
+    """A physical quantity."""
 
-    Attributes
-    ----------
-    unit: the one expected.
-    usual, possible: smallest and largest value beyond which there is a warning, or a refusal.
-    others: names of other units, and their sizes in ``unit``.
-    """
-
-    unit: str
-    usual: tuple[float, float]
-    possible: tuple[float, float]
-    others: tuple[tuple[str, float], ...] = ()
+    unit: str  # the one expected
+    usual: tuple[float, float]  # smallest and largest value beyond which there is a warning
+    possible: tuple[float, float]  # and beyond which a value is refused
+    others: tuple[tuple[str, float], ...] = ()  # other units, and their sizes in the one expected
 
 
 LENGTHS = (("millimetres", 1e-3), ("centimetres", 1e-2))

@@ -124,64 +124,58 @@ def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> No
     assert plain(problem_from_dict(data)) == expected
 
 
-TYING_STEPS: list[tuple[str, object]] = [
-    ("form", {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}),
-    ("release", {}),
-    ("land", {}),
-]
+FORM = {"form": {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}}
+PLACES: dict[str, Any] = {
+    "q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]],
+    "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]],
+}
+STAY = {"hold": {"seconds": 1}}
+ARC = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
 
 
-def test_steps_are_refused_where_there_is_a_hitch_or_none() -> None:
-    """A hitch is there at first: it is released before others are formed, or drones land."""
-    for name, keys in (TYING_STEPS[0], TYING_STEPS[2]):
-        with pytest.raises(InputError, match=rf"mission\[1\]\.{name} = 'a hitch': .* free cables"):
-            problem_from_dict(changed(["mission", 1], {name: keys}))
-    data = changed(["mission", 0], {"release": {}})
-    with pytest.raises(InputError, match=r"mission\[1\]\.\w+ = 'no hitch': .*form one before"):
-        problem_from_dict({**data, "mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]})
-    tied = [{"release": {}}, {"hold": {"seconds": 1}}, {TYING_STEPS[0][0]: TYING_STEPS[0][1]}]
-    names = [step.name for step in problem_from_dict({**data, "mission": tied}).mission]
-    assert names == ["release", "hold", "form"]
-
-
-def test_every_key_of_form_arrives() -> None:
-    places: Any = {
-        "q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]],
-        "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]],
-    }
-    keys: Any = {
-        "polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]],
-        "altitude": 1.7,
-        "assign": "fixed",
-        "legs": [0.4, 0.7, 0.45],
-        "duration": 30,
-    }
-    swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
-    steps = [{"form": {**keys, "swap": swap}}, {"release": {}}]
-    found = problem_from_dict({**triangle(), "start": {"drones": places}, "mission": steps})
-    settings = ho.SwapSettings(0.2, math.radians(30), 2.5, -1)
-    form = ho.Form(**keys, swap=settings).fitting(found.team)
-    assert plain(found.start) == plain(ho.DronesStart(**places))
-    assert plain(found.mission[0]) == plain(form)
+def drones(**places: Any) -> dict[str, Any]:
+    """Changes to a problem that begins with drones on free cables."""
+    return {"start": {"drones": PLACES | places}, "mission": [FORM]}
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "message"),
+    ("changes", "message"),
     [
-        (["q"], [[0, 0, 1], [1, 0, 1]], r"start\.drones\.q = '2 points'"),
-        (["r", 1], [1e9, 0, 1], r"start\.drones\.r\[1\] = .* finite and within"),
-        (["r", 1], [1, 0], r"start\.drones\.r\[1\] = .* list of at least 3 entries"),
+        ({"mission": [STAY, FORM]}, r"mission\[1\]\.form = 'a hitch': .* free cables"),
+        ({"mission": [STAY, {"land": {}}]}, r"mission\[1\]\.land = 'a hitch': .* free cables"),
+        (
+            {"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]},
+            r"mission\[1\]\.adjust = 'no hitch': .*form one before",
+        ),
+        (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
+        (
+            drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]),
+            r"start\.drones\.r\[0\] = .* finite and within",
+        ),
+        (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* list of at least 3 entries"),
+        (drones(r=PLACES["q"] + 2 * [[0, 0, 1]]), r"start\.drones\.r = '5 points'"),
     ],
 )
-def test_places_of_drones_are_checked(path: list[str | int], value: object, message: str) -> None:
-    places: Any = {"q": [[0, k, 1] for k in range(3)], "r": [[1, k, 1] for k in range(3)]}
-    inner = places
-    for part in path[:-1]:
-        inner = inner[part]
-    inner[path[-1]] = value
-    step = {"form": {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]}}
+def test_steps_and_starts_that_do_not_fit_are_refused(
+    changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(InputError, match=message):
-        problem_from_dict({**triangle(), "start": {"drones": places}, "mission": [step]})
+        problem_from_dict({**triangle(), **changes})
+
+
+def test_a_hitch_is_released_before_another_one_is_formed() -> None:
+    data = {**triangle(), "mission": [{"release": {}}, STAY, FORM]}
+    assert [step.name for step in problem_from_dict(data).mission] == ["release", "hold", "form"]
+
+
+def test_every_key_of_form_arrives() -> None:
+    keys: Any = {**FORM["form"], "altitude": 1.7, "legs": [0.4, 0.7, 0.45], "duration": 30}
+    swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
+    steps = [{"form": {**keys, "swap": swap}}, {"release": {}}]
+    found = problem_from_dict({**triangle(), **drones(), "mission": steps})
+    form = ho.Form(**keys, swap=ho.SwapSettings(0.2, math.radians(30), 2.5, -1))
+    assert plain(found.start) == plain(ho.DronesStart(**PLACES))
+    assert plain(found.mission[0]) == plain(form.fitting(found.team))
 
 
 def test_open_chains_have_one_point_more_than_robots() -> None:
@@ -189,10 +183,35 @@ def test_open_chains_have_one_point_more_than_robots() -> None:
     data["team"]["topology"] = "open"
     with pytest.raises(InputError, match=r"start\.hitch\.polygon = '3 points': .*4 points"):
         problem_from_dict(data)
-    data["start"]["hitch"]["polygon"] = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
+    data["start"]["hitch"]["polygon"] = ARC
     assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexArc)
     data["team"].update(topology="closed", robots=4)
     assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexPolygon)
+
+
+LISTS: Any = [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
+
+
+@pytest.mark.parametrize(
+    ("start", "step", "key"),
+    [
+        (ho.DronesStart(**PLACES), ho.Form(LISTS[::-1]), "mission[0].form.polygon"),
+        (ho.DronesStart(**PLACES), ho.Form(LISTS[:2]), "mission[0].form.polygon"),
+        (ho.DronesStart(**PLACES), ho.Form(ARC), "mission[0].form.polygon"),  # type: ignore[arg-type]
+        (ho.DronesStart(**PLACES), ho.Form("even"), "mission[0].form.polygon"),  # type: ignore[arg-type]
+        (ho.DronesStart(**PLACES), ho.Form(LISTS, legs=LISTS), "mission[0].form.legs[0]"),
+        (ho.HitchStart(LISTS, 1.2), ho.Adjust("even"), "mission[0].adjust.legs"),  # type: ignore[arg-type]
+        (ho.HitchStart(LISTS, 1.2), ho.Morph([[1], [1, 2]]), "mission[0].morph.polygon"),  # type: ignore[arg-type]
+        (ho.HitchStart([[1], [1, 2]], 1.2), ho.Hold(1.0), "start.hitch.polygon"),  # type: ignore[arg-type]
+        (ho.HitchStart(LISTS, 1.2, "even"), ho.Hold(1.0), "start.hitch.legs"),  # type: ignore[arg-type]
+    ],
+)
+def test_lists_that_are_no_outline_are_refused_with_their_key(
+    start: Any, step: ho.Morph, key: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        ho.Problem(ho.Team(3, 2.4), start, (step,))
+    assert caught.value.key == key
 
 
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
