@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,9 +17,7 @@ from hitchopt.live.abort import Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import retimed
-from hitchopt.objects import SolidObject
 from hitchopt.trajectory.clock_phases import ClockPhases
-from hitchopt.values import Array
 
 KINDS = ["tray", "drum"]
 
@@ -30,14 +27,6 @@ def carried(motion: Motion) -> tuple[float, float]:
     speeds = motion.object_poses.differentiated().coefficients[:, 0]
     on = np.flatnonzero(np.any(np.abs(speeds) > 1e-6, axis=(1, 2)))
     return float(motion.drones.breaks[on[0]]), float(motion.drones.breaks[on[-1] + 1])
-
-
-def random_stops(motion: Motion, seed: int, count: int) -> tuple[Array, Array]:
-    """Starts and durations of stops that rest before the object stands again."""
-    begin, end = carried(motion)
-    rng = np.random.default_rng(seed)
-    durations = np.geomspace(0.1, 6.0, count)[rng.permutation(count)]
-    return rng.uniform(begin, end - 0.5 * durations), durations
 
 
 def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
@@ -60,18 +49,14 @@ def test_checks_hold_of_the_plan_on_clocks_that_are_kept(kind: str) -> None:
     motion = plan(kind).motion
     inertia = CarriedInertia.of(motion)
     assert inertia is not None
-    refused = 0
-    for start, duration in zip(*random_stops(motion, 9, 20), strict=True):
+    refused, (begin, end), rng = 0, carried(motion), np.random.default_rng(9)
+    for duration in np.geomspace(0.1, 6.0, 20)[rng.permutation(20)]:
+        start = rng.uniform(begin, end - 0.5 * duration)  # it rests before the object stands again
         clock = stop_phases(np.array([start]), np.array([duration]))
         holds = balanced(motion, clock)
         assert holds or not kept(inertia, clock)
         refused += not holds
     assert refused > 7
-
-
-def replaced(body: SolidObject, **changes: Any) -> SolidObject:
-    names = ("section", "lower", "upper", "mass", "friction", "at", "yaw", "rim", "fixed")
-    return SolidObject(**{name: getattr(body, name) for name in names} | changes)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -203,7 +188,7 @@ def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
 def test_an_object_without_a_rim_that_is_to_rest_is_no_error() -> None:
     motion = plan("tray").motion
     objects = dict(motion.requirements.objects)
-    objects["tray"] = replaced(objects["tray"], rim=None)
+    objects["tray"] = replace(objects["tray"], rim=None)
     rimless = replace(motion, requirements=replace(motion.requirements, objects=objects))
     assert CarriedInertia.of(rimless) is None
     found = RULE_OF["support"].check(rimless)

@@ -66,7 +66,7 @@ def test_the_shipped_schema_is_current_and_describes_every_key() -> None:
         for name, entry in model["properties"].items():
             assert "description" in entry or "$ref" in entry, name
             shown |= {name: entry["default"]} if "default" in entry else {}
-    for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "tilt_deg": 45.0}.items():
+    for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "jerk": 20.0}.items():
         assert shown[name] == value
 
 
