@@ -61,7 +61,6 @@ from hitchopt.geometry import Outline as _Outline
 from hitchopt.steps.carrying import By as _By
 from hitchopt.steps.tying import Assign as _Assign
 
-_Points = ArrayLike
 _Polygon = _Outline | ArrayLike
 _Seconds = float | None
 _Settle = float | Literal["auto", False]

@@ -141,13 +141,8 @@ class Mission(Problem):
     """A problem that is built step by step; every method returns a longer one.
 
     There is a method for every kind of step, with the arguments of its record: ``form``, ``morph``,
-    ``move_vertex``, …. What is wrong in itself is refused by the step that has it.
-
-    Parameters
-    ----------
-    team: who flies.
-    start: a Hitch, a HitchStart, or a DronesStart: drones on free cables.
-    limits, separation, arena, title, objects: as of a Problem.
+    ``move_vertex``, …. What is wrong in itself is refused by the step that has it. All but the
+    steps is given as to a Problem.
     """
 
     complete: ClassVar[bool] = False
@@ -294,8 +289,6 @@ def simulate(
     **settings: Any,
 ) -> Simulation:
     """Fly a plan's setpoints with simulated ropes in MuJoCo; return the judged flight.
-
-    ``hitchopt simulate`` does the same for a plan's directory, and writes what came of it.
 
     Parameters
     ----------

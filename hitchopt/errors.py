@@ -91,13 +91,8 @@ class Place(NamedTuple):
 class InputError(HitchoptError, ValueError):
     """A value that is wrong in itself: type, count, range, sign, finiteness or shape.
 
-    Parameters
-    ----------
-    key: path of the value, such as ``limits.speed`` or ``mission[0].morph.polygon``.
-    value: the value that was given.
-    bound: the end of "must be …".
-    remedy: what to write instead.
-    place: where the value is in a file; None where it is in none, or that is not known.
+    ``key`` is its path, such as ``mission[0].morph.polygon``, ``bound`` the end of "must be …",
+    ``remedy`` what to write instead, and ``place`` where it is in a file, if that is known.
     """
 
     def __init__(
@@ -199,18 +194,12 @@ class Violation(OneLine):
     remedy: str
 
     def __str__(self) -> str:
-        when = f" {self.when}" if self.when else ""
-        broken = broken_limit(
-            self.constraint, self.value, self.limit, self.sense, self.unit, self.where
-        )
-        return f"{broken}{when}; {self.remedy}"
+        told = self.constraint, self.value, self.limit, self.sense, self.unit, self.where
+        return f"{broken_limit(*told)}{self.when and ' '}{self.when}; {self.remedy}"
 
 
 class InfeasibleError(HitchoptError):
-    """A well-formed request that cannot be met.
-
-    It has the ``violations``, the worst first, and a ``note`` of what else was tried.
-    """
+    """A request that cannot be met: ``violations``, the worst first, and what else was tried."""
 
     def __init__(self, violations: Iterable[Violation], note: str = "") -> None:
         self.violations = tuple(violations)
@@ -260,17 +249,11 @@ def _shown(value: object) -> str:
 Progress = Callable[[str], None]
 """Told what is being done now."""
 
-REMEDY = (
-    "allow more seconds (--limit, or limit=), or make the problem easier: more room, more time, "
-    "fewer robots"
-)
+REMEDY = "allow more seconds (--limit, or limit=), or make the problem easier or smaller"
 
 
 class TimeIsUp(BaseException):
-    """Ends all planning; ``time_limit`` turns it into a TimeLimitError.
-
-    It is no Exception, so that planners which try another guess after a refusal do not go on.
-    """
+    """Ends all planning, whatever is tried after refusals: it is no Exception."""
 
 
 _END: ContextVar[float] = ContextVar("end", default=math.inf)
@@ -281,12 +264,7 @@ _END: ContextVar[float] = ContextVar("end", default=math.inf)
 def time_limit(seconds: float | None, progress: Progress | None = None) -> Iterator[Progress]:
     """Limit the time of the context to ``seconds``, if any; an earlier end of an outer one stays.
 
-    Yields a callback for messages about the current work: it passes them to ``progress``, and the
-    error shows the last one.
-
-    Raises
-    ------
-    TimeLimitError: the time limit has been reached.
+    Yields a callback for messages about the current work, which the TimeLimitError shows.
     """
     last = ""
 

@@ -37,12 +37,8 @@ if TYPE_CHECKING:
 class Plan(OneLine):
     """A certified motion of a hitch, or of a swarm without cables.
 
-    Attributes
-    ----------
-    motion: the polynomials, with their team and requirements.
-    certificate: its checks, valid for all t.
-    title: the problem's title.
-    problem: the text of its problem file, where it came from one.
+    It has the polynomials with their team and requirements (``motion``), the checks that hold for
+    all t, the problem's title, and the text of its file, where it came from one.
     """
 
     motion: Motion
@@ -179,11 +175,7 @@ class Plan(OneLine):
         write_report(path, self.motion, self.certificate, self.title, self.problem, directory)
 
     def report(self, directory: Path | str) -> Path:
-        """Write ``report.html`` into the directory of the plan; return its path.
-
-        It is one file that needs no network: playback, plots, certificate, phases, the problem
-        file, versions and digests.
-        """
+        """Write ``report.html``, one file that needs no network, into the plan's directory."""
         place = path("directory", directory)
         writers = {REPORT: lambda path: self._write_report(path, place)}
         return replace_files(place, writers, (REPORT,), seal=REPORT) / REPORT
@@ -270,8 +262,8 @@ class Plan(OneLine):
 
         There is one entry per part of the plan, usually one; each is certified like an export.
         Drones must ``goTo`` the point where they hover before the next part is uploaded: an upload
-        overwrites the memory from which a finished trajectory is still evaluated. Options are
-        ``frame``, ``origin``, ``yaw``, ``fleet``, ``stretch``, and errors those of ``export``.
+        overwrites the memory from which a finished trajectory is still evaluated. Options and
+        errors are those of ``export``.
         """
         with tempfile.TemporaryDirectory() as place:
             return tuple(

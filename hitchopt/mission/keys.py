@@ -67,15 +67,12 @@ class OneKey(Keys):
     @model_validator(mode="before")
     @classmethod
     def _check_one_key(cls, data: object) -> object:
-        if isinstance(data, dict):
-            if len(data) != 1:
-                raise fault(
-                    f"a mapping with exactly one of the keys {', '.join(cls.model_fields)}",
-                    f"write {cls.example}",
-                )
-            ((key, value),) = data.items()
-            if value is None and key in cls.model_fields:
-                raise fault(f"a mapping, also after {key}", f"write {key}: {{…}} with its keys")
+        if isinstance(data, dict) and len(data) != 1:
+            keys = ", ".join(cls.model_fields)
+            raise fault(f"a mapping with exactly one of the keys {keys}", f"write {cls.example}")
+        for name, value in data.items() if isinstance(data, dict) else ():
+            if value is None and name in cls.model_fields:
+                raise fault(f"a mapping, also after {name}", f"write {name}: {{…}} with its keys")
         return data
 
 

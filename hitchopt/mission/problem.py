@@ -161,8 +161,7 @@ class Problem(OneLine):
 
     Raises
     ------
-    InputError: an object that floats or stands in another one, no steps, or some that do not fit
-        the team, the outline or one another.
+    InputError: objects or steps that do not fit one another, the team or the outline; no step.
     """
 
     complete: ClassVar[bool] = True
@@ -224,9 +223,7 @@ class Problem(OneLine):
 def fitting_start(team: Team, start: Start) -> Start:
     """Return the start with its polygon as an outline and its legs as an array, if it is a hitch.
 
-    Raises
-    ------
-    InputError: a start that does not fit the team; its key is that of the problem file.
+    Raises InputError where it does not fit the team, with the key of the problem file.
     """
     if isinstance(start, Hitch):
         if start.team is not team:
@@ -294,9 +291,8 @@ class SwarmProblem(OneLine):
             bound, remedy = "a list of points [x, y, z]", "give three numbers per drone"
             given = points(name, getattr(self, name), (1, 3), bound, remedy)
             if len(given) != self.team.drones:
-                bound = f"{self.team.drones} points, one per drone"
-                remedy = "add or remove points, or change team.drones"
-                raise InputError(name, f"{len(given)} points", bound, remedy)
+                words = f"{self.team.drones} points, one per drone", "change team.drones, or these"
+                raise InputError(name, f"{len(given)} points", *words)
             object.__setattr__(self, name, given)
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
         check_requirements(self)

@@ -43,14 +43,11 @@ from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
 from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
-BUDGET = 15.0
-"""Time [s] after which no further plan is begun: a user waits for it."""
+BUDGET, DIGITS = 15.0, 3
+"""Time [s] after which no further plan is begun, and digits of a suggested value."""
 
 NO_CHANGE = "no single change was found that makes it feasible"
 """Message where there is no suggestion."""
-
-DIGITS = 3
-"""Significant digits of a suggested value: what a person would type."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes tried in turn, those of all knobs before the next size."""
@@ -130,15 +127,8 @@ def find_suggestions(
     """Return up to three single changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. They are the smallest that were found: no value between
-    the last one that failed and the one suggested is known to do. None proves nothing.
-
-    Parameters
-    ----------
-    problem: one that cannot be met.
-    error: why not.
-    budget: how long to search [s]; the last plan that was begun is waited for, up to the time
-        limit within which this is called.
-    progress: called with what is being tried now.
+    the last one that failed and the one suggested is known to do. None proves nothing. ``error``
+    says why the problem cannot be met; after ``budget`` [s] no further plan is begun.
     """
     end = time.monotonic() + budget
 
@@ -241,10 +231,7 @@ def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
 
 
 def with_edits(problem: Problem, edits: Edits) -> Problem:
-    """Return the problem that its file describes with these edits.
-
-    Raises InputError: a value that a record refuses, or parts that do not fit one another.
-    """
+    """Return the problem that its file describes with these edits, or raise InputError."""
     names = ("team", "start", "mission", "arena", "limits", "objects")
     parts = {name: getattr(problem, name) for name in names}
     for edit in edits:
@@ -308,14 +295,9 @@ TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
 HEAVY, HELD = frozenset({"load"}), frozenset({"grip"})
 """What tensions are too low for, and what lighter objects, and rougher ones, repair."""
 
-BALANCE = frozenset({"equilibrium", "keep_out"})
-"""What a lighter object repairs besides."""
-
-ROUGHEST, STEEPEST = 1.0, 80.0
-"""Largest coefficient of friction, and largest tilt [deg] suggested."""
-
-EASED = 0.95
-"""Share of the largest mass at rest from which on it is tried: carrying pulls at it too."""
+ROUGHEST, STEEPEST, EASED = 1.0, 80.0, 0.95
+"""Largest coefficient of friction, and largest tilt [deg] suggested; share of the largest mass at
+rest from which on it is tried, as carrying pulls at it too."""
 
 LIMITS = {
     "speed": ("m/s", "speed"),
@@ -460,7 +442,7 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
         told = (f"objects.{name}" in v.when or name in v.where for v in violations)
         if body.fixed or not any(told):
             continue
-        covers = HELD | HEAVY | FORCES | TOO_CLOSE | BALANCE
+        covers = HELD | HEAVY | FORCES | TOO_CLOSE | {"equilibrium", "keep_out"}
         least = round(1.0 - share, 9)
         yield Knob(f"objects.{name}.mass", body.mass, "kg", None, -1, covers, least=least)
         if 0.0 < body.friction <= share * ROUGHEST:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import json
 import math
+import re
 from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -160,7 +161,7 @@ def _translated(entry: Any, schema: Schema) -> InputError:
         bound, remedy = "greater than 0", "give a positive number"
     elif value is None:
         remedy = "remove the key, or write its value after it"
-    elif ONE in bound and isinstance(value, str) and _is_number(value):
+    elif ONE in bound and isinstance(value, str) and re.fullmatch(r"[-+.\deE]+", value):
         remedy = "remove the quotes"
     elif path[-1:] == ["by"] and isinstance(value, int | float):
         remedy = f"{remedy}; a height belongs to lift: {value:g}"
@@ -171,12 +172,3 @@ def _nearest(word: str, known: Sequence[str]) -> str:
     """Return what was probably meant by a word, or what there is."""
     close = difflib.get_close_matches(word[:60], known, n=1, cutoff=0.5)
     return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
-
-
-def _is_number(text: str) -> bool:
-    """Return whether a text is a number in quotes."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True

@@ -32,22 +32,17 @@ from hitchopt.values import Array, positive
 if TYPE_CHECKING:
     from hitchopt.planners.carrying.rest import HoldPolygons
 
-AROUND_SPEED = 0.15
-"""[m/s] Speed upright around an object."""
+AROUND_SPEED, OVER = 0.15, 0.10
+"""Speed upright around an object [m/s]; room between drones' lowest places and objects below,
+besides ``separation.radius`` [m]."""
 
 SPREAD, MORE_ROLL = 1.03, 1.3
 """Distances with which legs close below a rim, over those to be kept, since the motion takes some
 of them; and factor of the least roll, since a load brings legs nearer to each other."""
 
-OVER = 0.10
-"""[m] Room between drones' lowest places and objects below, besides ``separation.radius``."""
-
 INSIDE = 0.02
 """[m] Centres of mass are set down this far within the edges of what is below: so far may an object
 be from where it was planned to be."""
-
-LIFT = 0.3
-"""[m] An object is lifted this far above the higher of the two places that it stands on."""
 
 SAME = 1e-6
 """[m] Places that differ by less are the same."""
@@ -102,11 +97,7 @@ class Enclose(Step):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from anywhere to around the object.
-
-        Raises InfeasibleError: no polygon, one that is close to the ground, or clasps that rub on
-        each other and do not open so far.
-        """
+        """Return the plan from anywhere to around the object."""
         from hitchopt.planners.carrying.grip_polygon import check_opens, grip_polygons
         from hitchopt.planners.carrying.rest import rest_polygons
         from hitchopt.steps import holds
@@ -309,10 +300,7 @@ class SetDown(Step):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan straight down.
-
-        Raises InputError: it would stand too close to the edge of what is below it.
-        """
+        """Return the plan straight down, to where the object stands well."""
         from hitchopt.steps import holds
 
         objects, floor = task.requirements.objects, task.requirements.floor
@@ -395,13 +383,10 @@ class TransportObject(PullStep):
     lift: Annotated[
         float,
         Key(Positive, "How far above the higher of the two places [m]", check=positive),
-    ] = LIFT
+    ] = 0.3
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the seven steps.
-
-        Raises InputError: no surface to stand on at ``to``.
-        """
+        """Return the plan of the seven steps; what is below ``to`` has to be as high as it says."""
         from hitchopt.motion.motion import joined_motions
         from hitchopt.steps.holds import object_of
 

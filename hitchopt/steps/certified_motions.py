@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -162,8 +163,7 @@ def split_hitch(
     return hitch.least_rolled(requirements) if auto else hitch
 
 
-@dataclass(frozen=True, eq=False)
-class End:
+class End(NamedTuple):
     """The hitch after a step, at rest, and what the action's own legs would break, in words."""
 
     hitch: Hitch
@@ -214,16 +214,8 @@ def _nearest(
     start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
 ) -> Hitch:
     """Return the hitch within all limits whose fractions are nearest to those given."""
-    return Hitch.nearest(
-        start.team,
-        polygon,
-        start.altitude,
-        fractions,
-        limits=requirements.limits,
-        separation=requirements.separation,
-        arena=requirements.arena,
-        roll=start.roll,
-    )
+    kept = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
+    return Hitch.nearest(start.team, polygon, start.altitude, fractions, roll=start.roll, **kept)
 
 
 FASTER = "faster than the step's own route"
@@ -300,13 +292,11 @@ def refused_both(own: HitchoptError, other: HitchoptError, note: str) -> Hitchop
 SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 """Shares of the friction to lean against, tried in turn until every limit is satisfied."""
 
-WHOLE = 0.99
-"""Share of the friction from which on all of it counts as used."""
+WHOLE, LONGER = 0.99, 1.5
+"""Share of the friction from which on all of it counts as used, and most times as long as without
+friction that a step may last for legs to lean so far."""
 
 NO_ROOM = "legs do not lean against friction: limits leave no room for it"
-
-LONGER = 1.5
-"""Most times as long as without friction that a step may last for legs to lean so far."""
 
 
 def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:

@@ -73,11 +73,7 @@ def gap_below(requirements: Requirements) -> float:
 
 
 def object_of(task: StepTask, name: str) -> SolidObject:
-    """Return an object that can be held, where it is by now.
-
-    Raises InputError: a fixed or frictionless one, one on which another one stands, or an open
-    chain.
-    """
+    """Return an object, where it is by now; raise InputError unless it can be held."""
     objects, key = task.requirements.objects, f"objects.{name}"
     body = objects[name]
     if not task.before.team.layout.closed:
@@ -320,10 +316,7 @@ def grip_closed(step: Step, task: StepTask, asked: Array) -> StepPlan:
 
 
 def grip_opened(step: Step, task: StepTask) -> StepPlan:
-    """Return the plan of opening a grip to a hitch around the standing object.
-
-    Raises InfeasibleError: clasps that stick would hold too much of it, or edges would push it.
-    """
+    """Return the plan of opening a grip to a hitch around the standing object."""
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
     assert isinstance(held, GrippedHitch)
@@ -345,8 +338,6 @@ def _passed(
     Cables pull as hard as while the object is held, or less so that edges do not push it along;
     where the hitch opens with LOOSE at most. Legs lean against clasp friction as far as drones stay
     apart. ``tension`` (n,) [N] and ``closed``, how far the hitch is, are before and after.
-
-    Raises InfeasibleError: drones come too close, or edges would push the object along its support.
     """
     holding, opening = task.holding, closed[0] > closed[1]
     held, name = holding.held, f"objects.{holding.name}"

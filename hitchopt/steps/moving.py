@@ -221,8 +221,7 @@ class Hold(HitchStep):
 class Settle(Step):
     """The clasps are worked until their friction has lost its memory.
 
-    With friction a hitch has no single place of rest, but a band, in which it rests as it was
-    formed. Drones swing about their places, by less and less; vertices stay within the plan.
+    Drones swing about their places, by less and less; vertices stay within the plan.
     """
 
     time_key: ClassVar[str] = "seconds"
@@ -362,10 +361,8 @@ def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline
     try:
         return fitting_polygon(team, points)
     except InputError as error:
-        bound = (
-            f"such that the outline stays convex and clockwise ({error.key} = {error.value} would "
-            f"have to be {error.bound})"
-        )
+        why = f"{error.key} = {error.value} would have to be {error.bound}"
+        bound = f"such that the outline stays convex and clockwise ({why})"
         raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
 
 
@@ -426,7 +423,7 @@ class MoveEdge(MoveStep):
         return [_within("edge", self.edge, team.robots), (self.edge + 1) % count]
 
 
-def _legs_given(key: str, value: Any) -> Any:
+def _given(key: str, value: Any) -> Any:
     if value is None:
         raise InputError(key, None, "balanced, spread or a list of d_k", "write balanced")
     return value
@@ -436,7 +433,7 @@ def _legs_given(key: str, value: Any) -> Any:
 class Adjust(ActionStep):
     """Cables slide through their clasps; the outline stays."""
 
-    legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_legs_given)] = "balanced"
+    legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_given)] = "balanced"
     duration: Seconds = None
     blend: Blend = False
 
@@ -451,7 +448,7 @@ class Adjust(ActionStep):
 
 
 MIN_GAP = 1e-3
-"""Shortest time between two points [s]: less is a typing error, as no drone could follow."""
+"""Shortest time between two points [s]: less is a typing error."""
 
 _ROWS = of_shape((None, 3), "points [t, x, y]")
 _PATH_TEXT = (
@@ -463,13 +460,10 @@ _PATH_TEXT = (
 def _timed_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or raise InputError."""
     path = _ROWS(key, value)
-    gaps = np.diff(path[:, 0], prepend=0.0)
-    if path[0, 0] == 0.0:
-        gaps = gaps[1:]
+    gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
-        increase = f"increase from 0 or later, by {MIN_GAP:g} s or more, and end after it"
-        bound, remedy = f"a path whose times {increase}", "sort its points by time"
-        raise InputError(key, path.tolist(), bound, remedy)
+        bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"
+        raise InputError(key, path.tolist(), bound, "sort its points by time")
     return path
 
 
@@ -547,8 +541,8 @@ class Transport(HitchStep):
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""
         if abs(self.to[2]) > MAX_COORDINATE:
-            bound = f"within ±{MAX_COORDINATE:g} m"
-            raise InputError("to", self.to.tolist(), bound, "check its coordinates")
+            words = f"within ±{MAX_COORDINATE:g} m", "check its coordinates"
+            raise InputError("to", self.to.tolist(), *words)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
         return _convex(team, turned + self.to[:2], "to", self.to)
@@ -579,12 +573,7 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     """Return the plan of steps without a stop in between; ``task`` is that of the first.
 
     One path through all hitches that they would have ended with, timed as a whole; each phase ends
-    when its step's hitch is passed.
-
-    Raises
-    ------
-    InputError: a step that moves nothing.
-    InfeasibleError, HitchoptError: as ``Step.plan``.
+    when its step's hitch is passed. Raises InputError for a step that moves nothing.
     """
     from hitchopt.motion.motion import Phase
     from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times

@@ -233,10 +233,7 @@ class Step(OneLine, ABC):
 
     @classmethod
     def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file, in which angles are in degrees.
-
-        Raises InputError: values that do not go together; its key is the step's own.
-        """
+        """Return the step with the values of a problem file, in which angles are in degrees."""
         return cls(
             **{
                 key.removesuffix("_deg"): math.radians(value) if key.endswith("_deg") else value
@@ -256,10 +253,7 @@ class Step(OneLine, ABC):
         return bool(getattr(self, "blend", False))
 
     def fitting(self, team: Team) -> Self:
-        """Return the step with its polygon as an outline and its legs as an array, if it has any.
-
-        Raises InputError: one that does not fit the team.
-        """
+        """Return the step with its polygon as an outline and its legs as an array, if they fit."""
         polygon, legs = (vars(self).get(key) for key in ("polygon", "legs"))
         changed: dict[str, Any] = {}
         if polygon is not None:
@@ -269,11 +263,7 @@ class Step(OneLine, ABC):
         return replace(self, **changed) if changed else self
 
     def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
-        """Return the outline after the step; None where there is no hitch.
-
-        Raises InputError: as ``polygon_after``, or a step that needs a hitch where there is none,
-        or none where there is one.
-        """
+        """Return the outline after the step, None for no hitch; raise InputError if none fits."""
         if self.needs_hitch is True and outline is None:
             raise InputError("", "no hitch", "given a hitch at that point", "form one before")
         if self.needs_hitch is False and outline is not None:
@@ -282,10 +272,7 @@ class Step(OneLine, ABC):
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:
-        """Return the outline that the step makes of ``outline``: its own polygon, if it has one.
-
-        Raises InputError: an index beyond the team's, or an outline that is not convex.
-        """
+        """Return the outline that the step makes of ``outline``: its own polygon, if it has one."""
         own = vars(self).get("polygon", outline)
         return None if own is None else fitting_polygon(team, own)
 

@@ -141,12 +141,8 @@ def slack_split(
 ) -> SlackSplit:
     """Return what a user wrote for ``legs``, checked.
 
-    Parameters
-    ----------
-    legs: a mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg].
-
-    Raises InputError: another word, or a list that does not have one positive length per robot,
-    none of them zero but the first of a chain.
+    A mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg]. A list
+    has one positive length per robot, none of them zero but the first of a chain.
     """
     if isinstance(legs, RolledLegs):
         roll = None if legs.roll is None else checked_roll(team, legs.roll)

@@ -14,7 +14,7 @@ from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.step import Knob, Step, StepPlan, StepTask, eased
+from hitchopt.steps.step import Knob, Situation, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
     AUTO,
     FLAG,
@@ -51,7 +51,7 @@ SENSES = {"up": 1, "down": -1, "auto": 0}
 """Senses of a swap, as the file has them."""
 
 CABLE_MARGINS = (1.5, 1.25)
-"""Times ``separation.cable`` that drones of a formed hitch keep from cables if they can."""
+"""Times ``separation.cable`` that drones keep from cables, if they can, as a hitch is tightened."""
 
 
 class SwapKeys(Keys):
@@ -135,19 +135,14 @@ class Form(Step):
         motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
         high, pre = motions.tying_site(wanted, self.swap, None, requirements)
         tying = joined_motions(tied(pre, high, requirements, self.swap, i))
-        if pre.shortfall > 0.0:
-            # It is no use to go there if nothing can be tied.
+        if pre.shortfall > 0.0:  # it is no use to go there if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
         parts = [_approach(task, pre.drones), tying]
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
-        after = replace(
-            task.before,
-            drones=wanted.drones,
-            hitch=wanted,
-            senses=np.sign(pre.turns.rise),
-            swap=self.swap,
-        )
+        senses = np.sign(pre.turns.rise)
+        formed = Situation(wanted.team, wanted.drones, wanted, senses, self.swap)
+        after = replace(formed, objects=task.before.objects)
         if wanted.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
@@ -158,7 +153,6 @@ class Form(Step):
         """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
 
         They are the largest of CABLE_MARGINS that satisfies every limit; drones are spread beyond.
-        A distance to cables has nothing to spare for a gust as a hitch is drawn tight.
         """
         from hitchopt.steps.certified_motions import at_rest, split_hitch
 
@@ -227,9 +221,8 @@ class Release(Step):
         from hitchopt.steps.certified_motions import lifted, tying_site
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
-        senses = before.senses
-        if senses is None:
-            senses = np.ones(len(before.team.layout.clasps))
+        up = np.ones(len(before.team.layout.clasps))
+        senses = up if before.senses is None else before.senses
         high, pre = tying_site(hitch, before.swap, senses, requirements)
         parts = undone(tied(pre, high, requirements, before.swap, task.index))
         if high is not hitch:

@@ -156,8 +156,6 @@ def per_robot(
     """Return ``value`` as a read-only array (robots,); one number holds for all robots.
 
     Or for all of what ``owner`` names, of which there are as many. ``checked`` checks every number.
-
-    Raises InputError: there is not one number, nor one per robot, or ``checked`` refuses a number.
     """
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         array = np.full(robots, checked(key, float(value)))

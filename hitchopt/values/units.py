@@ -58,10 +58,7 @@ LEAST_LIFT, MOST_LIFT = 0.01, 100.0
 
 
 def check_unit(key: str, value: Any, quantity: Quantity) -> None:
-    """Refuse or warn of a value, or the first of an array, that is probably in another unit.
-
-    Raises InputError: a value that nothing has that flies.
-    """
+    """Refuse or warn of a value, or the first of an array, that is probably in another unit."""
     values = [value] if isinstance(value, float) else value.ravel().tolist()
     (low, high), (least, most) = quantity.usual, quantity.possible
     for i, number in enumerate(values):
@@ -78,10 +75,7 @@ def check_unit(key: str, value: Any, quantity: Quantity) -> None:
 def radians_of(
     key: str, radians: float | None, degrees: float | None, quantity: Quantity
 ) -> float | None:
-    """Return an angle or a rate that is given in one of two units, in radians.
-
-    Raises InputError: it is given in both, or is no positive number.
-    """
+    """Return an angle or a rate that is given in one of two units, not in both, in radians."""
     if degrees is None:
         return None if radians is None else positive(key, radians)
     name = f"{key}_deg"
