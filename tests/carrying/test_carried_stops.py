@@ -154,27 +154,6 @@ def test_a_rate_at_which_nothing_can_be_carried_is_refused_and_another_one_named
     assert player.clock_rate == pytest.approx(float(named[1]))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_where_it_cannot_rest_other_times_are_named(kind: str) -> None:
-    motion = plan(kind).motion
-    begin, end = carried(motion)
-    refused = 0
-    for time, target in np.random.default_rng(7).uniform(begin, end, (3, 2)).tolist():
-        try:
-            Player(motion, time).seek(target)
-        except ho.InfeasibleError as error:
-            named = re.search(r"seek ([\d.]+) s or ([\d.]+) s", str(error))
-            assert named is not None
-            assert float(named[1]) <= target <= float(named[2])
-            for each in named.groups():
-                player = Player(motion, time)
-                player.step(player.seek(float(each)))
-                assert player.resting
-            refused += 1
-    assert refused
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
     """In the lift; its certificate is that of polynomials of its own."""

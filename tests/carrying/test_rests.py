@@ -23,6 +23,7 @@ from hitchopt.objects.placing import in_frame
 from hitchopt.planners.carrying.rest import GENTLE
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +64,21 @@ def test_cables_carry_weight_and_inertia(motion: Motion) -> None:
     assert np.max(np.abs(moments[:, :2])) < 0.01
 
 
+def gently(motion: Motion) -> Array:
+    """Times at which the tray is lifted and hardly accelerates [s]."""
+    t = lifted(motion)
+    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
+    assert np.sum(pushed < 0.01) > 20
+    gentle: Array = t[pushed < 0.01]
+    return gentle
+
+
 def test_legs_below_a_rim_pull_level_with_all_of_their_tension(motion: Motion) -> None:
     """A cable that slides over the rim's edge has one tension on both sides of it.
 
     What the rim takes is that of the weight, so only while the tray hardly accelerates.
     """
-    t = lifted(motion)
-    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
-    t = t[pushed < 0.01]
-    assert len(t) > 20
+    t = gently(motion)
     p, drones, tensions = motion.vertices.at(t), motion.drones.at(t), motion.tensions.at(t)
     layout = motion.team.layout
     legs, edges = (drones - p[:, layout.anchors])[..., :2], layout.edges(p)[..., :2]
@@ -85,9 +92,7 @@ def test_legs_below_a_rim_pull_level_with_all_of_their_tension(motion: Motion) -
 
 def test_the_rim_lies_on_straight_legs(motion: Motion) -> None:
     """Legs pass the rim's edge as high as it is; simulated ones do within millimetres."""
-    t = lifted(motion)
-    pushed = np.linalg.norm(motion.object_poses.differentiated(2).at(t)[:, 0, :3], axis=-1)
-    t = t[pushed < 0.01]
+    t = gently(motion)
     poses, p = motion.object_poses.at(t)[:, None, 0], motion.vertices.at(t)
     start = in_frame(poses, p[:, motion.team.layout.anchors])
     along = in_frame(poses, motion.drones.at(t)) - start
