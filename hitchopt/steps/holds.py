@@ -30,8 +30,9 @@ from hitchopt.steps.certified_motions import NO_ROOM, checked
 from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
 from hitchopt.values import Array
 
-LIFT_SPEED = 0.1
-"""[m/s] Speed upright with an object, and against its rim."""
+LIFT_SPEED, BELOW = 0.1, 0.01
+"""Speed upright with an object, and against its rim [m/s]; how much farther than
+``separation.object`` cables pass below a rim [m]."""
 
 CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
 """[m/s²] Largest acceleration of what is carried, and where it is lifted or set down."""
@@ -39,20 +40,16 @@ CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
 TURNING = SmoothLaw(0.75)
 """How tensions change, legs turn to lean, and weight passes from support to clasps or back."""
 
-BELOW = 0.01
-"""[m] How much farther than ``separation.object`` cables pass below a rim."""
-
 STRETCHES, SLOWER = 5, 1.5
 """So often a move is slowed until limits hold; by this factor where it is not known how far."""
 
-LOOSE = 0.3
-"""[N] Tension with which grips are opened: the less cables pull, the less they hold each other."""
+LOOSE, WEIGHTS = 0.3, 4.0
+"""Tension with which grips are opened [N], and times a cable's weight that it is at the least: the
+less cables pull, the less they hold each other, but the more they sag."""
 
-LEANS = (0.9, 0.6, 0.3, 0.0)
-"""Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
-
-KEPT = ("separation", "cable_length")
-"""Checks that decide how far. Where edges meet other corners they sag otherwise at once."""
+LEANS, KEPT = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
+"""Shares of clasp friction against which legs are tried to lean while a hitch closes or opens, and
+checks that decide how far. Where edges meet other corners they sag otherwise at once."""
 
 LEFT, PUSHED = 0.5, 0.9
 """Share of the weight below which has to be what a hitch that has opened still grips with; and of
@@ -336,17 +333,19 @@ def _passed(
     """Return the motion that closes or opens a hitch, its moves, and how far legs lean.
 
     Cables pull as hard as while the object is held, or less so that edges do not push it along;
-    where the hitch opens with LOOSE at most. Legs lean against clasp friction as far as drones stay
+    where the hitch opens it opens loosely. Legs lean against clasp friction as far as drones stay
     apart. ``tension`` (n,) [N] and ``closed``, how far the hitch is, are before and after.
     """
     holding, opening = task.holding, closed[0] > closed[1]
     held, name = holding.held, f"objects.{holding.name}"
     assert isinstance(held, GrippedHitch)
     most = PUSHED * held.body.friction * held.body.mass * GRAVITY
-    between = np.minimum(holding.tension, LOOSE) if opening else holding.tension
+    team = held.team
+    loose = np.maximum(LOOSE, WEIGHTS * GRAVITY * team.cable_density * team.cable_length)
+    between = np.minimum(holding.tension, loose) if opening else holding.tension
     push = held.largest_push(between)
     if push > most:
-        between = np.maximum(np.minimum(between, LOOSE), between * most / push)
+        between = np.maximum(np.minimum(between, loose), between * most / push)
         push = held.largest_push(between)
     if push > most * (1.0 + 1e-9):
         remedy = f"give it more weight, raise {name}.friction, or give it a rim"
@@ -358,7 +357,7 @@ def _passed(
         [changed_move(task, TURNING, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
         for p, q, at in ends
     )
-    rubbing, refused = bool(held.team.cable_friction), list[InfeasibleError]()
+    rubbing, refused = bool(team.cable_friction), list[InfeasibleError]()
     for lean in LEANS if rubbing else LEANS[-1:]:
         try:
             moves = [*first, *_leaning(lax, *closed, -lean if opening else lean), *last]
