@@ -4,119 +4,66 @@ from typing import Literal, Self, Unpack
 
 from numpy.typing import ArrayLike
 
-from hitchopt.api import (
-    Legs as _Legs,
-    Mission as _Mission,
-    Required as _Required,
-    export as export,
-    repair as repair,
-    separate as separate,
-    simulate as simulate,
-    solve as solve,
-    suggestions as suggestions,
-)
-from hitchopt.statics.calibrate import (
-    Calibration as Calibration,
-    calibrate as calibrate,
-)
-from hitchopt.statics.calibrate import Estimate as Estimate
-from hitchopt.statics.recordings import Recording as Recording
-from hitchopt.checks import (
-    Certificate as Certificate,
-    CertificateError as CertificateError,
-    Check as Check,
-    certify as certify,
-)
+from hitchopt.api import Legs as _Legs, Mission as _Mission, Required as _Required
+from hitchopt.api import export as export, repair as repair, separate as separate
+from hitchopt.api import simulate as simulate, solve as solve, suggestions as suggestions
+from hitchopt.checks import Certificate as Certificate, CertificateError as CertificateError
+from hitchopt.checks import Check as Check, certify as certify
 from hitchopt.checks.closeness import Closeness as Closeness
-from hitchopt.errors import (
-    FileError as FileError,
-    HitchoptError as HitchoptError,
-    InfeasibleError as InfeasibleError,
-    InputError as InputError,
-    TimeLimitError as TimeLimitError,
-    UnitWarning as UnitWarning,
-    UnsupportedError as UnsupportedError,
-    Violation as Violation,
-)
+from hitchopt.errors import FileError as FileError, HitchoptError as HitchoptError
+from hitchopt.errors import InfeasibleError as InfeasibleError, InputError as InputError
+from hitchopt.errors import TimeLimitError as TimeLimitError, UnitWarning as UnitWarning
+from hitchopt.errors import UnsupportedError as UnsupportedError, Violation as Violation
 from hitchopt.exports.lint import lint as lint
-from hitchopt.live.feedback import Feedback as Feedback
-from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit
-from hitchopt.geometry import (
-    Outline as _Outline,
-    ConvexArc as ConvexArc,
-    ConvexPolygon as ConvexPolygon,
-    regular_polygon as regular_polygon,
-)
+from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPolygon
+from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
 from hitchopt.hitch.assignment import Assignment as Assignment
 from hitchopt.hitch.catenary import hanging_cable as hanging_cable
+from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism
+from hitchopt.hitch.requirements import Separation as Separation
 from hitchopt.holding.capacity import Capacity as Capacity
 from hitchopt.holding.grip import Grip as Grip
-from hitchopt.mission.loading import (
-    load_problem as load_problem,
-    load_swarm as load_swarm,
-    problem_from_dict as problem_from_dict,
-    read_problem as read_problem,
-)
-from hitchopt.mission.solving import forget as forget
-from hitchopt.mission.problem import (
-    DronesStart as DronesStart,
-    HitchStart as HitchStart,
-    Problem as Problem,
-)
+from hitchopt.live.feedback import Feedback as Feedback
+from hitchopt.live.player import Player as Player, Setpoints as Setpoints
+from hitchopt.live.replanner import Replanner as Replanner, Retarget as Retarget
+from hitchopt.mission.loading import load_problem as load_problem, load_swarm as load_swarm
+from hitchopt.mission.loading import problem_from_dict as problem_from_dict
+from hitchopt.mission.loading import read_problem as read_problem
+from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
+from hitchopt.mission.problem import Problem as Problem, SwarmProblem as SwarmProblem
 from hitchopt.mission.repair import Change as Change, Suggestion as Suggestion
-from hitchopt.mission.problem import SwarmProblem as SwarmProblem
+from hitchopt.mission.solving import forget as forget
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
-from hitchopt.hitch.requirements import (
-    Arena as Arena,
-    Limits as Limits,
-    Prism as Prism,
-    Separation as Separation,
-)
-from hitchopt.statics.tolerance import ErrorSize as ErrorSize
-from hitchopt.statics.settle import settle as settle
-from hitchopt.statics.settle import Settled as Settled
-from hitchopt.statics.tolerance import (
-    Tolerance as Tolerance,
-    tolerance as tolerance,
-)
-from hitchopt.live.replanner import Replanner as Replanner
-from hitchopt.live.replanner import Retarget as Retarget
-from hitchopt.steps import (
-    Adjust as Adjust,
-    Carry as Carry,
-    Enclose as Enclose,
-    FollowVertex as FollowVertex,
-    Form as Form,
-    Grasp as Grasp,
-    Hold as Hold,
-    Land as Land,
-    Leave as Leave,
-    Lift as Lift,
-    Loosen as Loosen,
-    Morph as Morph,
-    MoveEdge as MoveEdge,
-    MoveVertex as MoveVertex,
-    Release as Release,
-    SetDown as SetDown,
-    Settle as Settle,
-    Transport as Transport,
-    TransportObject as TransportObject,
-)
-from hitchopt.live.player import Player as Player
-from hitchopt.live.player import Setpoints as Setpoints
-from hitchopt.sweeps.work import SweepError as SweepError
-from hitchopt.sweeps.sweep import load_sweep as load_sweep
-from hitchopt.sweeps.sweep import run_sweep as run_sweep
+from hitchopt.statics.calibrate import Calibration as Calibration, Estimate as Estimate
+from hitchopt.statics.calibrate import calibrate as calibrate
+from hitchopt.statics.fit import Fit as Fit, Holding as Holding, fit as fit
+from hitchopt.statics.recordings import Recording as Recording
+from hitchopt.statics.settle import Settled as Settled, settle as settle
+from hitchopt.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
+from hitchopt.statics.tolerance import tolerance as tolerance
+from hitchopt.steps import Adjust as Adjust, Carry as Carry, Enclose as Enclose
+from hitchopt.steps import FollowVertex as FollowVertex, Form as Form, Grasp as Grasp, Hold as Hold
+from hitchopt.steps import Land as Land, Leave as Leave, Lift as Lift, Loosen as Loosen
+from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as MoveVertex
+from hitchopt.steps import Release as Release, SetDown as SetDown, Settle as Settle
+from hitchopt.steps import Transport as Transport, TransportObject as TransportObject
 from hitchopt.sweeps.study import Study as Study
+from hitchopt.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
+from hitchopt.sweeps.work import SweepError as SweepError
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
+from hitchopt.geometry import Outline as _Outline
 from hitchopt.steps.carrying import By as _By
 from hitchopt.steps.tying import Assign as _Assign
+
+_Polygon = _Outline | ArrayLike
+_Seconds = float | None
+_Settle = float | Literal["auto", False]
 
 __all__: list[str]
 __version__: str
@@ -126,9 +73,9 @@ class Mission(_Mission):
 
     def morph(
         self,
-        polygon: _Outline | ArrayLike,
+        polygon: _Polygon,
         legs: _Legs | None = None,
-        duration: float | None = None,
+        duration: _Seconds = None,
         blend: bool = False,
         optimize: bool = False,
         tension: tuple[float, float] | None = None,
@@ -140,7 +87,7 @@ class Mission(_Mission):
         to: ArrayLike | None = None,
         by: ArrayLike | None = None,
         legs: _Legs | None = None,
-        duration: float | None = None,
+        duration: _Seconds = None,
         blend: bool = False,
     ) -> Self: ...
     def move_edge(
@@ -149,42 +96,38 @@ class Mission(_Mission):
         to: ArrayLike | None = None,
         by: ArrayLike | None = None,
         legs: _Legs | None = None,
-        duration: float | None = None,
+        duration: _Seconds = None,
         blend: bool = False,
     ) -> Self: ...
     def adjust(
-        self, legs: _Legs = "balanced", duration: float | None = None, blend: bool = False
+        self, legs: _Legs = "balanced", duration: _Seconds = None, blend: bool = False
     ) -> Self: ...
     def follow_vertex(self, vertex: int, path: ArrayLike, legs: _Legs | None = None) -> Self: ...
-    def transport(self, to: ArrayLike, yaw: float = 0.0, duration: float | None = None) -> Self: ...
+    def transport(self, to: ArrayLike, yaw: float = 0.0, duration: _Seconds = None) -> Self: ...
     def settle(self, seconds: float | Literal["auto"] = "auto") -> Self: ...
     def form(
         self,
-        polygon: _Outline | ArrayLike,
+        polygon: _Polygon,
         altitude: float = 1.0,
         legs: _Legs | None = None,
         assign: _Assign = "auto",
         swap: SwapSettings = ...,
-        settle: float | Literal["auto", False] = "auto",
-        duration: float | None = None,
+        settle: _Settle = "auto",
+        duration: _Seconds = None,
     ) -> Self: ...
-    def release(self, duration: float | None = None) -> Self: ...
-    def land(self, duration: float | None = None) -> Self: ...
-    def enclose(self, object: str, duration: float | None = None) -> Self: ...
+    def release(self, duration: _Seconds = None) -> Self: ...
+    def land(self, duration: _Seconds = None) -> Self: ...
+    def enclose(self, object: str, duration: _Seconds = None) -> Self: ...
     def grasp(
-        self,
-        object: str,
-        by: _By = "rest",
-        tension: float | None = None,
-        duration: float | None = None,
+        self, object: str, by: _By = "rest", tension: float | None = None, duration: _Seconds = None
     ) -> Self: ...
-    def lift(self, by: float, duration: float | None = None) -> Self: ...
+    def lift(self, by: float, duration: _Seconds = None) -> Self: ...
     def carry(
-        self, object: str, to: ArrayLike, yaw: float = 0.0, duration: float | None = None
+        self, object: str, to: ArrayLike, yaw: float = 0.0, duration: _Seconds = None
     ) -> Self: ...
-    def set_down(self, object: str, duration: float | None = None) -> Self: ...
-    def loosen(self, object: str, duration: float | None = None) -> Self: ...
-    def leave(self, object: str, duration: float | None = None) -> Self: ...
+    def set_down(self, object: str, duration: _Seconds = None) -> Self: ...
+    def loosen(self, object: str, duration: _Seconds = None) -> Self: ...
+    def leave(self, object: str, duration: _Seconds = None) -> Self: ...
     def transport_object(
         self,
         object: str,
@@ -197,9 +140,9 @@ class Mission(_Mission):
 
 def morph(
     start: Hitch,
-    polygon: _Outline | ArrayLike,
+    polygon: _Polygon,
     legs: _Legs | None = None,
-    duration: float | None = None,
+    duration: _Seconds = None,
     optimize: bool = False,
     tension: tuple[float, float] | None = None,
     **required: Unpack[_Required],
@@ -211,7 +154,7 @@ def move_vertex(
     to: ArrayLike | None = None,
     by: ArrayLike | None = None,
     legs: _Legs | None = None,
-    duration: float | None = None,
+    duration: _Seconds = None,
     **required: Unpack[_Required],
 ) -> Plan: ...
 def move_edge(
@@ -220,14 +163,11 @@ def move_edge(
     to: ArrayLike | None = None,
     by: ArrayLike | None = None,
     legs: _Legs | None = None,
-    duration: float | None = None,
+    duration: _Seconds = None,
     **required: Unpack[_Required],
 ) -> Plan: ...
 def adjust(
-    start: Hitch,
-    legs: _Legs = "balanced",
-    duration: float | None = None,
-    **required: Unpack[_Required],
+    start: Hitch, legs: _Legs = "balanced", duration: _Seconds = None, **required: Unpack[_Required]
 ) -> Plan: ...
 def follow_vertex(
     start: Hitch,
@@ -240,27 +180,23 @@ def transport(
     start: Hitch,
     to: ArrayLike,
     yaw: float = 0.0,
-    duration: float | None = None,
+    duration: _Seconds = None,
     **required: Unpack[_Required],
 ) -> Plan: ...
 def form(
     team: Team,
     q: ArrayLike,
     r: ArrayLike,
-    polygon: _Outline | ArrayLike,
+    polygon: _Polygon,
     altitude: float = 1.0,
     legs: _Legs | None = None,
     assign: _Assign = "auto",
     swap: SwapSettings | None = ...,
-    settle: float | Literal["auto", False] = "auto",
-    duration: float | None = None,
+    settle: _Settle = "auto",
+    duration: _Seconds = None,
     **required: Unpack[_Required],
 ) -> Plan: ...
-def release(start: Hitch, duration: float | None = None, **required: Unpack[_Required]) -> Plan: ...
+def release(start: Hitch, duration: _Seconds = None, **required: Unpack[_Required]) -> Plan: ...
 def land(
-    team: Team,
-    q: ArrayLike,
-    r: ArrayLike,
-    duration: float | None = None,
-    **required: Unpack[_Required],
+    team: Team, q: ArrayLike, r: ArrayLike, duration: _Seconds = None, **required: Unpack[_Required]
 ) -> Plan: ...

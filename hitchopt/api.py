@@ -11,31 +11,23 @@ from __future__ import annotations
 import inspect
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, replace
+from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypedDict
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict
 
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress, time_limit
+from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Arena, Limits, Separation
-from hitchopt.mission.problem import (
-    DronesStart,
-    Problem,
-    Start,
-    SwarmProblem,
-    checked_parts,
-    fitting_steps,
-)
+from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.motion.asked import check_asked
-from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage
-from hitchopt.steps.step_keys import keys_of
+from hitchopt.steps.step_keys import keys_of, parameters
 from hitchopt.values import flag, instance, path, positive, text
 
 if TYPE_CHECKING:
@@ -85,14 +77,7 @@ def separate(
 ) -> Plan:
     """Return the certified plan of single drones that keep out of each other's downwash.
 
-    Parameters
-    ----------
-    problem: who flies from where to where, or the path of such a problem's file.
-    progress, limit: as of solve.
-
-    Raises
-    ------
-    InputError, FileError, InfeasibleError, TimeLimitError: as solve.
+    Arguments and errors are those of ``solve``, for a problem of single drones or its file.
     """
     return solve(_loaded(problem, SwarmProblem), progress, limit=limit)
 
@@ -110,10 +95,6 @@ def suggestions(
     problem: or the path of a problem file.
     budget: how long to search [s]; the last plan that was begun is waited for.
     progress: called with what is being done now.
-
-    Raises
-    ------
-    InputError, FileError: a problem that is wrong in itself.
     """
     task = _loaded(problem, Problem)
     try:
@@ -128,16 +109,8 @@ def repair(
 ) -> Plan:
     """Return the certified plan of a problem, by the smallest single change that makes it feasible.
 
-    The plan's title names the change; a feasible problem gives the plan of ``solve``.
-
-    Parameters
-    ----------
-    problem, budget, progress: as of suggestions.
-
-    Raises
-    ------
-    InfeasibleError: what binds; no single change was found that makes it feasible.
-    InputError, FileError: a problem that is wrong in itself.
+    The plan's title names the change; a feasible problem gives the plan of ``solve``. Arguments are
+    those of ``suggestions``; InfeasibleError says what binds where no single change was found.
     """
     task = _loaded(problem, Problem)
     try:
@@ -160,57 +133,35 @@ def _loaded(problem: Any, *kinds: type) -> Any:
         read = {Problem: loading.load_problem, SwarmProblem: loading.load_swarm}
         return (read[kinds[0]] if len(kinds) == 1 else loading.read_problem)(problem)
     instance("problem", problem, *kinds)
-    return problem
+    return problem.problem if isinstance(problem, Mission) else problem
 
 
 @dataclass(frozen=True, eq=False)
-class Mission(OneLine):
-    """A mission that is built step by step; every method returns a longer one.
+class Mission(Problem):
+    """A problem that is built step by step; every method returns a longer one.
 
     There is a method for every kind of step, with the arguments of its record: ``form``, ``morph``,
-    ``move_vertex``, …. What is wrong in itself is refused by the step that has it.
-
-    Parameters
-    ----------
-    team: who flies.
-    start: a Hitch, a HitchStart, or a DronesStart: drones on free cables.
-    limits, separation, arena, title, objects: as of a Problem.
-
-    Raises
-    ------
-    InputError: a start that does not fit the team, or a wrong type.
+    ``move_vertex``, …. What is wrong in itself is refused by the step that has it. All but the
+    steps is given as to a Problem.
     """
 
-    team: Team
-    start: Start
-    limits: Limits = field(default_factory=Limits)
-    separation: Separation = field(default_factory=Separation)
-    arena: Arena | None = None
-    title: str = ""
-    steps: tuple[Step, ...] = ()
-    objects: Mapping[str, SolidObject] = field(default_factory=dict)
+    complete: ClassVar[bool] = False
+    mission: tuple[Step, ...] = ()
 
-    def __post_init__(self) -> None:
-        steps = checked_parts(self, "steps")
-        outline = None if isinstance(self.start, DronesStart) else self.start.polygon
-        fitted = fitting_steps(self.team, outline, steps, self.objects, complete=False)
-        object.__setattr__(self, "steps", fitted)
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """The steps so far."""
+        return self.mission
 
     @property
     def problem(self) -> Problem:
         """The problem that ``solve`` plans; raises InputError where there is no step."""
-        rest = self.limits, self.separation, self.arena, self.title, self.objects
-        return Problem(self.team, self.start, self.steps, *rest)
+        return Problem(**vars(self))
 
     def then(self, step: Step) -> Self:
-        """Return the mission with one more step, given as its record.
-
-        Raises
-        ------
-        InputError: it is none, or does not fit what is there before it.
-        """
+        """Return the mission with one more step, given as its record, if it fits."""
         instance("step", step, Step)
-        return replace(self, steps=(*self.steps, step))
+        return replace(self, mission=(*self.mission, step))
 
     def solve(self, progress: Progress | None = None, *, limit: float | None = None) -> Plan:
         """Return the certified plan; arguments and errors are those of ``hitchopt.solve``."""
@@ -225,71 +176,12 @@ class Required(TypedDict, total=False):
     arena: Arena | None
 
 
-def _parameters(names: Sequence[str], **defaults: Any) -> list[inspect.Parameter]:
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    empty = inspect.Parameter.empty
-    return [inspect.Parameter(name, kind, default=defaults.get(name, empty)) for name in names]
-
-
-def _arguments(kind: type[Step]) -> dict[str, Any]:
-    """Return the fields of a kind of step with their defaults, ``empty`` for none."""
-    defaults = {name: default for name, (_, default) in keys_of(kind).items()}
-    return {
-        name: default() if isinstance(default, type) else default
-        for name, default in defaults.items()
-    } | {name: inspect.Parameter.empty for name in defaults if defaults[name] is MISSING}
-
-
-def _method(kind: type[Step]) -> Callable[..., Mission]:
-    """Return the method of Mission that adds a step of a kind."""
-
-    def add(self: Mission, *args: Any, **kwargs: Any) -> Mission:
-        return self.then(kind(*args, **kwargs))
-
-    arguments = _arguments(kind)
-    signature = inspect.Signature(_parameters(["self", *arguments], **arguments))
-    return _named(add, f"Mission.{kind.name}", signature, kind, "Return the mission with this step")
-
-
-def _function(kind: type[Step]) -> Callable[..., Plan]:
-    """Return the function that plans a step of a kind alone."""
-    arguments = {key: value for key, value in _arguments(kind).items() if key != "blend"}
-    begun = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
-    required = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=kept)
-        for name, kept in Required.__annotations__.items()
-    ]
-    signature = inspect.Signature([*_parameters([*begun, *arguments], **arguments), *required])
-
-    def planned(*args: Any, **kwargs: Any) -> Plan:
-        given = signature.bind(*args, **kwargs).arguments
-        kept = {name: given.pop(name, None) for name in Required.__annotations__}
-        start: Start
-        if kind.needs_hitch is False:
-            team, start = given.pop("team"), DronesStart(given.pop("q"), given.pop("r"))
-            instance("team", team, Team)
-        else:
-            hitch = start = given.pop("start")
-            instance("start", hitch, Hitch)
-            team = hitch.team
-        optional = {key for key, value in arguments.items() if value is not inspect.Parameter.empty}
-        step = kind(**{k: v for k, v in given.items() if v is not None or k not in optional})
-        fitting = step.fitting(team)  # what is wrong in itself is said first
-        fitting.polygon_left(team, start.polygon if isinstance(start, Hitch) else None)
-        chosen: dict[str, Any] = {name: part for name, part in kept.items() if part is not None}
-        found = solve_problem(Problem(team, start, (fitting,), **chosen))
-        return Plan(found.motion, found.certificate)
-
-    words = "Return the certified plan of this step alone"
-    _named(planned, kind.name, signature, kind, words, BEGUN[begun[0]], PLANNED)
-    planned.__doc__ = (planned.__doc__ or "").replace(BLEND, "").replace(", blend:", ":")
-    return planned
-
+EMPTY = inspect.Parameter.empty
 
 BEGUN = {
-    "start": "start: the hitch at t = 0.\n",
+    "start": "start: the hitch at t = 0.",
     "team": "team: who flies; robot k's drones start at ``q[k]`` and ``r[k]``.\n"
-    "q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.\n",
+    "q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.",
 }
 """What functions of steps begin with."""
 
@@ -302,43 +194,81 @@ InputError: arguments that are wrong in themselves.
 InfeasibleError: it cannot be met; says what binds, where and when.
 """
 
-BLEND = "blend: go on into the next step without a stop.\n"
-"""What a step alone does not do."""
 
-PARAMETERS = "Parameters\n----------\n"
+def _arguments(kind: type[Step]) -> dict[str, Any]:
+    """Return the fields of a kind of step with their defaults, EMPTY for none."""
+    found = {name: default for name, (_, default) in keys_of(kind).items()}
+    made = {name: each() if isinstance(each, type) else each for name, each in found.items()}
+    return {name: EMPTY if each is MISSING else each for name, each in made.items()}
 
 
 def _named(
-    made: Callable[..., Any],
-    name: str,
-    signature: inspect.Signature,
-    kind: type[Step],
-    words: str,
-    before: str = "",
-    after: str = "",
+    made: Callable[..., Any], name: str, arguments: Mapping[str, Any], words: str, listed: str
 ) -> Callable[..., Any]:
-    """Return a function with a name, a signature, and the words of a step's record.
-
-    Parameters
-    ----------
-    words: what it does.
-    before, after: further words, before and after the record's parameters.
-    """
-    record = inspect.cleandoc(kind.__doc__ or "")
-    if PARAMETERS not in record:
-        record = f"{record}\n\n{PARAMETERS}" if before else record
-    listed = record.replace(PARAMETERS, f"{PARAMETERS}{before}")
+    """Return a function with a name, a signature with arguments, and a docstring."""
+    either, only = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+    kinds = [only if key in Required.__annotations__ else either for key in arguments]
+    given = [
+        inspect.Parameter(key, kind, default=value)
+        for kind, (key, value) in zip(kinds, arguments.items(), strict=True)
+    ]
     made.__name__, made.__qualname__ = name.rpartition(".")[2], name
-    made.__doc__ = f"{words}: {listed}{after}"
-    vars(made)["__signature__"] = signature
+    made.__doc__ = f"{words}\n\nParameters\n----------\n{listed}"
+    vars(made)["__signature__"] = inspect.Signature(given)
     return made
+
+
+def _method(kind: type[Step]) -> Callable[..., Mission]:
+    """Return the method of Mission that adds a step of a kind."""
+
+    def add(self: Mission, *args: Any, **kwargs: Any) -> Mission:
+        return self.then(kind(*args, **kwargs))
+
+    words = f"Return the mission with this step: {_words(kind)}"
+    arguments = {"self": EMPTY, **_arguments(kind)}
+    return _named(add, f"Mission.{kind.name}", arguments, words, parameters(kind))
+
+
+def _function(kind: type[Step]) -> Callable[..., Plan]:
+    """Return the function that plans a step of a kind alone."""
+    arguments = {key: value for key, value in _arguments(kind).items() if key != "blend"}
+    begun = ("team", "q", "r") if kind.needs_hitch is False else ("start",)
+
+    def planned(*args: Any, **kwargs: Any) -> Plan:
+        given = inspect.signature(planned).bind(*args, **kwargs).arguments
+        kept = {name: given.pop(name, None) for name in Required.__annotations__}
+        start: Start
+        if kind.needs_hitch is False:
+            team, start = given.pop("team"), DronesStart(given.pop("q"), given.pop("r"))
+            instance("team", team, Team)
+        else:
+            hitch = start = given.pop("start")
+            instance("start", hitch, Hitch)
+            team = hitch.team
+        optional = {key for key, value in arguments.items() if value is not EMPTY}
+        step = kind(**{k: v for k, v in given.items() if v is not None or k not in optional})
+        fitting = step.fitting(team)  # what is wrong in itself is said first
+        fitting.polygon_left(team, start.polygon if isinstance(start, Hitch) else None)
+        chosen: dict[str, Any] = {name: part for name, part in kept.items() if part is not None}
+        found = solve_problem(Problem(team, start, (fitting,), **chosen))
+        return Plan(found.motion, found.certificate)
+
+    words = f"Return the certified plan of this step alone: {_words(kind)}"
+    listed = f"{BEGUN[begun[0]]}\n{parameters(kind, without='blend')}{PLANNED}"
+    every = dict.fromkeys(begun, EMPTY) | arguments | dict.fromkeys(Required.__annotations__)
+    return _named(planned, kind.name, every, words, listed)
+
+
+def _words(kind: type[Step]) -> str:
+    """Return what a kind of step does, without its parameters."""
+    return inspect.cleandoc(kind.__doc__ or "").partition("\n\nParameters")[0]
 
 
 ALONE = tuple(
     kind
     for kind in STEPS
     if (kind.stages is None or kind.stages[0] is Stage.FREE)
-    and "object" not in _arguments(kind)
+    and "object" not in keys_of(kind)
     and kind is not Settle
 )
 """Kinds of steps that are functions too: those that need no object, and whose name is free
@@ -359,8 +289,6 @@ def simulate(
     **settings: Any,
 ) -> Simulation:
     """Fly a plan's setpoints with simulated ropes in MuJoCo; return the judged flight.
-
-    ``hitchopt simulate`` does the same for a plan's directory, and writes what came of it.
 
     Parameters
     ----------

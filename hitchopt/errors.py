@@ -1,8 +1,7 @@
 """Errors as types, the limit of time, and short texts of errors and records.
 
-There is one root of errors, and one class for every reaction of a caller. ``InputError`` is a
-mistake in what was given; ``InfeasibleError`` is a well-formed request that cannot be met and says
-what binds; the command line turns them into exit codes 2 and 3.
+``InputError`` is a mistake in what was given; ``InfeasibleError`` is a well-formed request that
+cannot be met and says what binds; the command line turns them into exit codes 2 and 3.
 """
 
 from __future__ import annotations
@@ -16,14 +15,8 @@ from contextvars import ContextVar
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from typing import Any, NamedTuple
 
-LONGEST = 100
-"""Most characters of a record's text."""
-
-LONGEST_TEXT = 30
-"""Most characters of a text in it."""
-
-SMALL = 8
-"""Most numbers of an array that is written out."""
+LONGEST, LONGEST_TEXT, SMALL = 100, 30, 8
+"""Most characters of a record's text and of a text in it, and most numbers that are written out."""
 
 
 class OneLine:
@@ -45,9 +38,11 @@ class OneLine:
         """Yield what stands between the parentheses."""
         assert is_dataclass(self)
         for field in fields(self):
-            value = getattr(self, field.name)
-            if field.repr and not _is_default(value, field.default, field.default_factory):
-                yield f"{field.name}={short(value)}"
+            value = short(getattr(self, field.name))
+            factory = field.default_factory
+            default = field.default if factory is MISSING else factory()
+            if field.repr and (default is MISSING or value != short(default)):
+                yield f"{field.name}={value}"
 
 
 def one_line(name: str, parts: Iterable[str]) -> str:
@@ -70,30 +65,9 @@ def short(value: object) -> str:
         text = str(value)  # of an enumeration too
         return repr(text if len(text) <= LONGEST_TEXT else f"{text[: LONGEST_TEXT - 1]}…")
     if isinstance(value, tuple | list):
-        if _count(value) <= SMALL:
-            return f"[{', '.join(map(short, value))}]"
-        return f"<{len(value)} entries>"
+        text = f"[{', '.join(map(short, value[: SMALL + 1]))}]"
+        return text if text.count(", ") < SMALL else f"<{len(value)} entries>"
     return repr(value) if isinstance(value, bool | int | None) else f"{type(value).__name__}(…)"
-
-
-def _count(values: object) -> int:
-    """Return how many values a sequence of sequences holds; more than SMALL if any is none."""
-    if isinstance(values, tuple | list):
-        return sum(map(_count, values))
-    return 1 if isinstance(values, str | bool | int | float | None) else SMALL + 1
-
-
-def _is_default(value: object, default: object, factory: Any) -> bool:
-    """Return whether a field need not be said."""
-    if factory is not MISSING:
-        default = factory()
-    if value is default:
-        return True
-    return (
-        isinstance(value, str | bool | int | float | tuple | OneLine)
-        and type(value) is type(default)
-        and bool(value == default)
-    )
 
 
 class HitchoptError(Exception):
@@ -117,13 +91,8 @@ class Place(NamedTuple):
 class InputError(HitchoptError, ValueError):
     """A value that is wrong in itself: type, count, range, sign, finiteness or shape.
 
-    Parameters
-    ----------
-    key: path of the value, such as ``limits.speed`` or ``mission[0].morph.polygon``.
-    value: the value that was given.
-    bound: the end of "must be …".
-    remedy: what to write instead.
-    place: where the value is in a file; None where it is in none, or that is not known.
+    ``key`` is its path, such as ``mission[0].morph.polygon``, ``bound`` the end of "must be …",
+    ``remedy`` what to write instead, and ``place`` where it is in a file, if that is known.
     """
 
     def __init__(
@@ -148,16 +117,11 @@ class InputError(HitchoptError, ValueError):
 
 
 MAX_LISTED = 20
-"""Most faults listed for one file; whoever has more will have fewer after repairing these."""
+"""Most faults listed for one file."""
 
 
 class JointInputError(InputError):
-    """Several faults at once; ``key``, ``value``, ``bound`` and ``remedy`` are the first one's.
-
-    Attributes
-    ----------
-    errors: all of them, in the file's order.
-    """
+    """Several faults, ``errors``, at once; ``key``, ``value``, … are the first one's."""
 
     def __init__(self, errors: Sequence[InputError]) -> None:
         first = errors[0]
@@ -183,13 +147,7 @@ def one_or_all(errors: Sequence[InputError]) -> InputError:
 
 
 class UnitWarning(UserWarning):
-    """A value so unusual that it may have been given in another unit.
-
-    Attributes
-    ----------
-    key: path of the value, as of an InputError.
-    words: the value, what is usual, and what it would be in another unit.
-    """
+    """A value, by its key, so unusual that it may have been given in another unit."""
 
     def __init__(self, key: str, words: str) -> None:
         self.key = key
@@ -236,21 +194,12 @@ class Violation(OneLine):
     remedy: str
 
     def __str__(self) -> str:
-        when = f" {self.when}" if self.when else ""
-        broken = broken_limit(
-            self.constraint, self.value, self.limit, self.sense, self.unit, self.where
-        )
-        return f"{broken}{when}; {self.remedy}"
+        told = self.constraint, self.value, self.limit, self.sense, self.unit, self.where
+        return f"{broken_limit(*told)}{self.when and ' '}{self.when}; {self.remedy}"
 
 
 class InfeasibleError(HitchoptError):
-    """A well-formed request that cannot be met.
-
-    Attributes
-    ----------
-    violations: the broken constraints, the worst first.
-    note: what else was tried, or an empty text.
-    """
+    """A request that cannot be met: ``violations``, the worst first, and what else was tried."""
 
     def __init__(self, violations: Iterable[Violation], note: str = "") -> None:
         self.violations = tuple(violations)
@@ -300,66 +249,41 @@ def _shown(value: object) -> str:
 Progress = Callable[[str], None]
 """Told what is being done now."""
 
-REMEDY = (
-    "allow more seconds (--limit, or limit=), or make the problem easier: more room, more time, "
-    "fewer robots"
-)
+REMEDY = "allow more seconds (--limit, or limit=), or make the problem easier or smaller"
 
 
 class TimeIsUp(BaseException):
-    """Ends all planning; ``time_limit`` turns it into a TimeLimitError.
-
-    It is no Exception, so that planners which try another guess after a refusal do not go on.
-    """
+    """Ends all planning, whatever is tried after refusals: it is no Exception."""
 
 
 _END: ContextVar[float] = ContextVar("end", default=math.inf)
 """End of the limit on the monotonic clock [s]."""
 
 
-@dataclass
-class _Listener:
-    """Passes messages on and remembers the last one."""
-
-    progress: Progress | None
-    last: str = ""
-
-    def __call__(self, message: str) -> None:
-        self.last = message
-        if self.progress is not None:
-            self.progress(message)
-
-
 @contextmanager
 def time_limit(seconds: float | None, progress: Progress | None = None) -> Iterator[Progress]:
-    """Limit the time of the context to ``seconds``; an earlier end of an outer limit stays.
+    """Limit the time of the context to ``seconds``, if any; an earlier end of an outer one stays.
 
-    Yields a callback for messages about the current work: it passes them to ``progress``, and the
-    error shows the last one.
-
-    Parameters
-    ----------
-    seconds: time limit [s], or None for no limit.
-    progress: callback that receives the messages, or None.
-
-    Raises
-    ------
-    TimeLimitError: the time limit has been reached.
+    Yields a callback for messages about the current work, which the TimeLimitError shows.
     """
-    listener = _Listener(progress)
-    if seconds is None:
-        yield listener
-        return
+    last = ""
+
+    def tell(message: str) -> None:
+        nonlocal last
+        last = message
+        if progress is not None:
+            progress(message)
+
     begun = time.monotonic()
-    end = begun + seconds
-    if _END.get() <= end:  # the outer limit raises its own error
-        yield listener
+    end = math.inf if seconds is None else begun + seconds
+    if seconds is None or _END.get() <= end:  # an outer limit raises its own error
+        yield tell
         return
     token = _END.set(end)
     try:
-        yield listener
+        yield tell
     except TimeIsUp:
-        when = f"(last: {listener.last})" if listener.last else ""
+        when = f"(last: {last})" if last else ""
         spent = max(time.monotonic() - begun, seconds)
         violation = Violation("time limit", spent, seconds, "max", "s", (), when, REMEDY)
         raise TimeLimitError([violation]) from None

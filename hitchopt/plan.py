@@ -37,12 +37,8 @@ if TYPE_CHECKING:
 class Plan(OneLine):
     """A certified motion of a hitch, or of a swarm without cables.
 
-    Attributes
-    ----------
-    motion: the polynomials, with their team and requirements.
-    certificate: its checks, valid for all t.
-    title: the problem's title.
-    problem: the text of its problem file, where it came from one.
+    It has the polynomials with their team and requirements (``motion``), the checks that hold for
+    all t, the problem's title, and the text of its file, where it came from one.
     """
 
     motion: Motion
@@ -71,10 +67,7 @@ class Plan(OneLine):
     def end(self) -> Hitch:
         """The hitch that the plan ends in, from which another one can go on.
 
-        Raises
-        ------
-        InputError: the plan ends with free cables, or has none.
-        UnsupportedError: its end is no hitch with the team's tensions.
+        Raises InputError where it ends with free cables, UnsupportedError with other tensions.
         """
         return final_hitch(self.motion)
 
@@ -85,15 +78,9 @@ class Plan(OneLine):
         return plan_card(self.motion, self.certificate, self.title)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw the plan from above, start, paths and end; return the matplotlib axes.
+        """Draw start, paths and end from above on matplotlib axes, and return these.
 
-        Parameters
-        ----------
-        axes: what to draw on; None for a new figure of pyplot's, which notebooks show.
-
-        Raises
-        ------
-        InputError: no axes.
+        None is for a new figure of pyplot's, which notebooks show.
         """
         from matplotlib.axes import Axes as AnyAxes
 
@@ -106,14 +93,8 @@ class Plan(OneLine):
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
         """Return the setpoints as a pandas data frame: the rows of ``setpoints.csv``, and phases.
 
-        Parameters
-        ----------
-        rate: samples a second [Hz]; the end is a sample as well.
-
-        Raises
-        ------
-        InputError: a rate that is not positive.
-        UnsupportedError: pandas is not installed (``pip install 'hitchopt[pandas]'``).
+        ``rate`` is that of samples [Hz]; the end is a sample as well. UnsupportedError says where
+        pandas is not installed.
         """
         from hitchopt.exports.directory import data_frame
 
@@ -122,19 +103,15 @@ class Plan(OneLine):
     def at(self, t: ArrayLike) -> States:
         """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
 
-        A plan stays at rest after its end.
-
-        Raises
-        ------
-        InputError: a time before the start, or one that is not finite.
+        A plan stays at rest after its end. Raises InputError for a time before the start.
         """
         return states_at(self.motion, t)
 
     def abort(self, t: float, how: str = "hold") -> Plan:
-        """Return the plan until a time t [s] with a certified continuation that ends it there.
+        """Return the plan until a time t [s], and a certified continuation that ends it.
 
-        The clock of all drones is slowed to rest, at once or as soon as the limits allow, and what
-        follows is planned from there. Until t the returned plan is this one.
+        The clock of all drones is slowed to rest as soon as the limits allow, and what follows is
+        planned from there.
 
         Parameters
         ----------
@@ -164,10 +141,8 @@ class Plan(OneLine):
     ) -> Path:
         """Write plan, setpoints at ``rate`` [Hz], certificate and picture; return the directory.
 
-        With ``report`` there is ``report.html`` as well.
-
-        Either all files are written or none, even if the process is killed; only files of these
-        names are replaced.
+        With ``report`` there is ``report.html`` as well. Either all files are written or none, even
+        if the process is killed; only files of these names are replaced.
 
         Raises
         ------
@@ -178,7 +153,7 @@ class Plan(OneLine):
         from hitchopt.view.pictures import draw_summary
         from hitchopt.view.style import save_figure
 
-        motion, report = self.motion, flag("report", report)
+        motion, folder = self.motion, path("directory", directory)
 
         def draw(file: Path) -> None:
             save_figure(draw_summary(motion, self.certificate, self.title), file)
@@ -187,19 +162,11 @@ class Plan(OneLine):
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        folder, pictures = path("directory", directory), {SUMMARY: draw}
-        if report:
+        pictures = {SUMMARY: draw}
+        if flag("report", report):
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
-        return save_plan(
-            folder,
-            motion,
-            self.certificate,
-            self.title,
-            rate,
-            pictures,
-            share,
-            self.problem,
-        )
+        told = self.certificate, self.title, rate, pictures, share, self.problem
+        return save_plan(folder, motion, *told)
 
     def _write_report(self, path: Path, directory: Path) -> None:
         """Write the report, with the digests of the plan's files in ``directory``."""
@@ -208,15 +175,7 @@ class Plan(OneLine):
         write_report(path, self.motion, self.certificate, self.title, self.problem, directory)
 
     def report(self, directory: Path | str) -> Path:
-        """Write ``report.html`` into the directory of the plan; return its path.
-
-        It is one file that needs no network: playback, plots, certificate, phases, the problem
-        file, versions and digests.
-
-        Raises
-        ------
-        FileError: the directory cannot be written to.
-        """
+        """Write ``report.html``, one file that needs no network, into the plan's directory."""
         place = path("directory", directory)
         writers = {REPORT: lambda path: self._write_report(path, place)}
         return replace_files(place, writers, (REPORT,), seal=REPORT) / REPORT
@@ -233,6 +192,8 @@ class Plan(OneLine):
     ) -> LiveView | None:
         """Show the plan live in the browser, or write it to a file.
 
+        The view that is returned is served until it is closed or Python ends.
+
         Parameters
         ----------
         save: file to write in place of serving: .html is the report; .png, .svg and .pdf are the
@@ -242,14 +203,9 @@ class Plan(OneLine):
         browser: whether to open the browser.
         progress: called with what is done of a film.
 
-        Returns
-        -------
-        The view, which is served until it is closed or Python ends; None with ``save``.
-
         Raises
         ------
-        InputError, FileError: another ending of the file's name, or a file that cannot be read or
-            written.
+        InputError, FileError: another ending of the file's name, or a file that is not accessible.
         UnsupportedError: viser, or what writes films, is not installed.
         """
         if save is not None:
@@ -258,8 +214,8 @@ class Plan(OneLine):
                 raise InputError("ghost", str(ghost), words, "leave out save: it is shown live")
             from hitchopt.view.report import save_view
 
-            shown = (self.motion, self.certificate, self.title, self.problem)
-            save_view(path("save", save), *shown, progress)
+            told = (self.motion, self.certificate, self.title, self.problem)
+            save_view(path("save", save), *told, progress)
             return None
         import webbrowser
 
@@ -267,9 +223,8 @@ class Plan(OneLine):
         from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
-        live = LiveView(
-            self.motion, self.certificate, self.title, ghost=other, host=host, port=port
-        )
+        shown = self.motion, self.certificate, self.title
+        live = LiveView(*shown, ghost=other, host=host, port=port)
         if browser:
             webbrowser.open(live.url)
         return live
@@ -287,21 +242,8 @@ class Plan(OneLine):
             parquet, npz, json or gltf.
         folder: made if it is missing; only files of an earlier export there are replaced.
         progress: called with what is being done now.
-        options: the keywords of ``ExportOptions``, all optional.
-
-            - frame: enu, nwu or ned; None for the format's usual one.
-            - origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
-            - yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
-            - fleet: path of a fleet file; None calls the drones as the plan does.
-            - rate: samples a second [Hz], where the format samples; None for its usual rate.
-            - stretch: factor of all durations, from 1 on.
-            - storage: storage format of a bag, mcap or sqlite3.
-            - ros_distro: the ROS 2 release that a bag is for, humble, iron or jazzy; later ones
-              read bags for earlier ones.
-            - hold_tension: move set points outward, for controllers that do not feed the cable
-              force forward.
-            - stiffness, damping: of these controllers [N/m], [N s/m]; None for the team's
-              stiffness and a damping ratio of 5/6.
+        options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
+            rate, stretch, storage, ros_distro, hold_tension, stiffness and damping.
 
         Raises
         ------
@@ -320,15 +262,8 @@ class Plan(OneLine):
 
         There is one entry per part of the plan, usually one; each is certified like an export.
         Drones must ``goTo`` the point where they hover before the next part is uploaded: an upload
-        overwrites the memory from which a finished trajectory is still evaluated.
-
-        Parameters
-        ----------
-        options: the arguments ``frame``, ``origin``, ``yaw``, ``fleet``, ``stretch`` of ``export``.
-
-        Raises
-        ------
-        InputError, FileError, CertificateError, InfeasibleError: see ``export``.
+        overwrites the memory from which a finished trajectory is still evaluated. Options and
+        errors are those of ``export``.
         """
         with tempfile.TemporaryDirectory() as place:
             return tuple(
@@ -348,11 +283,6 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
     plan: a plan of at least two drones.
     spans: number of equal parts of its time; each has the pair that comes closest in it.
     picture: file to draw the result to (PNG), or None.
-
-    Raises
-    ------
-    InputError: there is a single drone, or no span.
-    FileError: the picture cannot be written.
     """
     instance("plan", plan, Plan)
     found = closeness(plan.motion, whole("spans", spans, 1))
@@ -371,9 +301,7 @@ def closest(plan: Plan, spans: int = SPANS, picture: Path | str | None = None) -
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from its polynomials.
 
-    Raises
-    ------
-    FileError: there is no plan, its file is damaged, or the plan is not the one that was asked for.
+    Raises FileError where there is none, it is damaged, or is not the one that was asked for.
     """
     file = path("directory", directory) / PLAN
     motion, problem = read_asked_plan(file)
@@ -381,12 +309,7 @@ def load(directory: Path | str) -> Plan:
 
 
 def read_asked_plan(file: Path) -> tuple[Motion, str]:
-    """Return the motion in a plan file, and its problem's text, which asks for such a motion.
-
-    Raises
-    ------
-    FileError: as ``load``.
-    """
+    """Return the motion in a plan file, and its problem's text, which asks for such a motion."""
     motion, problem = read_plan(file), read_problem_text(file)
     if problem:
         from hitchopt.mission.loading import asked_in  # heavy, as of all files

@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import copy
-import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from hitchopt.mission.repair import Edit
+from hitchopt.storage.yaml_file import split_key
 
 
 def edited(data: Mapping[str, Any], edits: Iterable[Edit]) -> dict[str, Any]:
-    """Return a copy of a problem's mapping with the edits made.
-
-    Parameters
-    ----------
-    data: with the keys of a problem file.
-    edits: of a change, or read from a diagnosis.json.
-    """
+    """Return a copy of a problem's mapping with the edits of a change, or of a diagnosis.json."""
     result = copy.deepcopy(dict(data))
     for edit in edits:
         put(result, edit.key, edit.value)
@@ -25,19 +19,10 @@ def edited(data: Mapping[str, Any], edits: Iterable[Edit]) -> dict[str, Any]:
 
 
 def put(data: Any, key: str, value: object) -> None:
-    """Set one value; ``key`` is a path such as ``mission[0].morph.duration``.
-
-    Sections that are missing or empty are created.
-    """
-    *parents, last = _parts(key)
-    place = data
+    """Set one value at a path such as ``mission[0].morph.duration``; sections may be missing."""
+    *parents, last = split_key(key)
     for part in parents:
-        if isinstance(part, str) and place.get(part) is None:
-            place[part] = {}
-        place = place[part]
-    place[last] = value
-
-
-def _parts(key: str) -> list[str | int]:
-    found = re.findall(r"\[(\d+)\]|([^.\[\]]+)", key)
-    return [int(index) if index else name for index, name in found]
+        if isinstance(part, str) and data.get(part) is None:
+            data[part] = {}
+        data = data[part]
+    data[last] = value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.api import ALONE
-from hitchopt.steps import STEPS, Step
+from hitchopt.steps import STEPS
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
 OTHER = [[0.35, -0.7], [-0.15, 0.7], [0.7, 0.75]]
@@ -35,28 +36,23 @@ def stub(owner: str) -> dict[str, ast.FunctionDef]:
     return {x.name: x for x in body if isinstance(x, ast.FunctionDef)}
 
 
-def test_every_step_has_a_method_and_those_without_objects_a_function_for_completion() -> None:
+def test_methods_and_functions_have_the_arguments_of_their_records() -> None:
+    """The stub declares what is made: a method for every step, some functions."""
     assert stub("Mission").keys() == {kind.name for kind in STEPS}
     assert stub("").keys() == {kind.name for kind in ALONE}
-
-
-@pytest.mark.parametrize("kind", STEPS)
-def test_methods_have_the_arguments_of_their_records(kind: type[Step]) -> None:
-    fields = dataclasses.fields(kind)
-    begun = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
-    alone = [field for field in fields if field.name != "blend"]
-    made: list[tuple[str, Any, list[str], Any]] = [("Mission", ho.Mission, ["self"], fields)]
-    made += [("", ho, begun, alone)] if kind in ALONE else []
-    for owner, place, first, given in made:
-        names = [*first, *(field.name for field in given)]
+    for kind, owner in [(k, "Mission") for k in STEPS] + [(k, "") for k in ALONE]:
+        begun = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
+        given = [f for f in dataclasses.fields(kind) if owner or f.name != "blend"]
+        names = [*(["self"] if owner else begun), *(field.name for field in given)]
         values = [field.default for field in given if field.default is not dataclasses.MISSING]
         listed = stub(owner)[kind.name].args
-        function = getattr(place, kind.name)
-        signature = list(inspect.signature(function).parameters)
+        function = getattr(ho.Mission if owner else ho, kind.name)
+        kept = [] if owner else ["limits", "separation", "arena"]
         assert [argument.arg for argument in listed.args] == names
-        assert signature == names + ([] if owner else ["limits", "separation", "arena"])
+        assert list(inspect.signature(function).parameters) == names + kept
         assert function.__name__ == kind.name
-        assert "Parameters" in function.__doc__
+        described = function.__doc__.partition("Parameters\n----------\n")[2]
+        assert all(f"{name}:" in described for name in names[1:] if name not in begun)
         plain = [entry for entry in listed.defaults if ast.unparse(entry) != "..."]
         assert [ast.literal_eval(entry) for entry in plain] == values
 
@@ -128,15 +124,13 @@ def test_the_end_is_the_hitch_that_drones_and_cables_are_in(team: ho.Team, legs:
     assert onward.at(0.0).positions == pytest.approx(last.positions, abs=1e-9)
 
 
-def test_a_saved_plan_ends_in_the_same_hitch(plan: ho.Plan, tmp_path: Path) -> None:
+def test_a_saved_plan_ends_in_the_same_hitch_and_one_with_free_cables_in_none(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
     loaded = ho.load(plan.save(tmp_path / "out", rate=5.0))
     assert loaded.end.q_legs == pytest.approx(plan.end.q_legs, abs=1e-12)
-
-
-def test_a_plan_that_ends_with_free_cables_has_no_hitch() -> None:
-    team = ho.Team(3, 2.4)
     q, r = (np.array([[x, y, 1.0] for y in (-1.2, 0.0, 1.2)]) for x in (-0.6, 0.6))
-    landed = ho.land(team, q, r)
+    landed = ho.land(ho.Team(3, 2.4), q, r)
     with pytest.raises(ho.InputError, match="end = 'free cables': must be a hitch"):
         _ = landed.end
 
@@ -151,7 +145,9 @@ def test_a_plan_is_drawn_on_axes(plan: ho.Plan) -> None:
     pyplot.close("all")
 
 
-def test_a_data_frame_holds_the_rows_of_setpoints_csv(plan: ho.Plan, tmp_path: Path) -> None:
+def test_a_data_frame_holds_the_rows_of_setpoints_csv(
+    plan: ho.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pandas as pd
 
     frame = plan.to_dataframe(rate=7.0)
@@ -161,26 +157,18 @@ def test_a_data_frame_holds_the_rows_of_setpoints_csv(plan: ho.Plan, tmp_path: P
     numbers = [name for name in table.columns if name != "drone"]
     np.testing.assert_allclose(frame[numbers], table[numbers], atol=1e-9)
     assert list(frame["phase"].unique()) == ["morph (0)", "hold (1)"]
-
-
-def test_without_pandas_the_message_says_what_to_install(
-    plan: ho.Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
+    monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ho.UnsupportedError, match=r"pip install 'hitchopt\[pandas\]'"):
         plan.to_dataframe()
 
 
 def test_notebooks_show_cards(plan: ho.Plan) -> None:
     card = plan._repr_html_()
-    assert "<b>Two &lt;steps&gt;</b>: 6 drones" in card
-    assert 'src="data:image/png;base64,' in card
+    held = "<b>Two &lt;steps&gt;</b>: 6 drones", 'src="data:image/png;base64,', "<td>morph</td>"
+    names = [f"<td>{check.name}</td>" for check in plan.certificate.checks]
+    for words in (*held, plan.certificate._repr_html_(), "certified for all t", *names):
+        assert words in card
     assert "http" not in card
-    assert "<td>morph</td>" in card
-    assert plan.certificate._repr_html_() in card
-    assert "certified for all t" in card
-    for check in plan.certificate.checks:
-        assert f"<td>{check.name}</td>" in card
 
 
 def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
@@ -207,12 +195,10 @@ def test_a_hanging_cable_has_its_length_and_its_ends(second: list[float]) -> Non
 
 
 def test_hanging_cables_are_computed_at_once_and_none_is_stretched() -> None:
-    ends = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 2.0, 0.0]])
-    together = ho.hanging_cable([0.0, 0.0, 0.0], ends, 2.0, points=7)
-    assert together.shape == (3, 7, 3)
-    for points, end in zip(together, ends, strict=True):
-        assert points == pytest.approx(ho.hanging_cable([0.0, 0.0, 0.0], end, 2.0, points=7))
+    origin, ends = [0.0, 0.0, 0.0], np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 2.0, 0.0]])
+    for points, end in zip(ho.hanging_cable(origin, ends, 2.0, points=7), ends, strict=True):
+        assert points == pytest.approx(ho.hanging_cable(origin, end, 2.0, points=7))
     with pytest.raises(ho.InputError, match=r"at least the distance of its ends, 2 m"):
-        ho.hanging_cable([0.0, 0.0, 0.0], ends, 1.9)
+        ho.hanging_cable(origin, ends, 1.9)
     with pytest.raises(ho.InputError, match=r"points = 1.*: must be at most 1000000"):
-        ho.hanging_cable([0.0, 0.0, 0.0], ends, 2.0, points=10**30)
+        ho.hanging_cable(origin, ends, 2.0, points=10**30)

@@ -1,16 +1,20 @@
-"""The ``repr`` of every public record: one line of at most 100 characters, whatever it holds."""
+"""The ``repr`` of every public record, one line of at most 100 characters; violations in words."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
+import sys
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.errors import LONGEST, OneLine, short
+from hitchopt.errors import LONGEST, OneLine, broken_limit, short
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 
@@ -58,3 +62,19 @@ def test_records_are_written_in_their_own_words() -> None:
     states = plan.at([0.0, 1.0])
     for part in (error, plan.motion, plan.motion.drones, states, plan.phases[0], ho.closest(plan)):
         assert len(repr(part)) <= LONGEST
+
+
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [
+        (("grip", -math.inf, 1.5, "min", "1", ("drum",)), "-inf is below the limit of 1.5 at drum"),
+        (("grip", -sys.float_info.max, 1.5, "min", "1", ()), "-inf is below the limit of 1.5"),
+        (
+            ("speed", 1.0 + 1e-11, 1.0, "max", "m/s", ()),
+            "1.00000000001 m/s is above the limit of 1 m/s",
+        ),
+    ],
+)
+def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: str) -> None:
+    """What contradicts itself is infinitely far off."""
+    assert broken_limit(*limit) == f"{limit[0]}: {words}"

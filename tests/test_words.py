@@ -5,13 +5,13 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 import hitchopt
 
 PACKAGE = Path(hitchopt.__file__).parent
-MODULES = sorted(PACKAGE.rglob("*.py"))
+TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+NODES = [(path, node) for path, tree in TREES.items() for node in ast.walk(tree)]
 
 PREPOSITIONS = frozenset(
     """about above across after against along among around as at before behind below beneath beside
@@ -21,63 +21,27 @@ PREPOSITIONS = frozenset(
 )
 
 BANNED = frozenset(
-    ("asking", "dear", "honey", "manners", "promise", "promises", "standing")
-    + ("urge", "wary", "wish", "wishes")
+    "asking dear honey manners promise promises standing urge wary wish wishes".split()  # noqa: SIM905
 )
 """Words that identifiers do not use; the field's terms are priority rule, penalty weight, damping,
 options, evaluation and estimate."""
 
-HOOKS = frozenset(
-    {
-        "compute_constraint_params",  # toppra
-        "convert",  # click
-        "field_title_should_be_set",  # pydantic
-        "invoke",  # click
-        "reducer_override",  # pickle
-    }
+CALLED = frozenset(
+    # by toppra, click, pydantic, click, pickle
+    ["compute_constraint_params", "convert", "field_title_should_be_set", "invoke"]
+    + ["reducer_override"]
+    # by users: methods of Certificate, Plan and the outlines
+    + ["abort", "from_dict", "mirrored", "pause", "renumbered", "retarget", "resume", "rotated"]
+    + ["to_dataframe"]
 )
-"""Methods that a library calls by their names."""
-
-METHODS = frozenset(
-    {
-        "abort",
-        "from_dict",
-        "mirrored",
-        "pause",
-        "renumbered",
-        "retarget",
-        "resume",
-        "rotated",
-        "to_dataframe",
-    }
-)
-"""Methods of public classes, ``Certificate``, ``Plan`` and the outlines, that users call."""
+"""Methods that the package itself does not call."""
 
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"
 """Strings that name a class or type, with or without its module."""
 
 
-@cache
-def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@cache
-def nodes(path: Path) -> list[ast.AST]:
-    """All nodes of a module."""
-    return list(ast.walk(tree(path)))
-
-
-def place(path: Path, node: ast.AST) -> str:
-    return f"{path.relative_to(PACKAGE.parent)}:{getattr(node, 'lineno', 1)}"
-
-
-def docstrings(path: Path) -> Iterator[ast.Constant]:
-    """All strings that stand as statements: docstrings, and descriptions of constants."""
-    for node in nodes(path):
-        match node:
-            case ast.Expr(ast.Constant(str()) as text):
-                yield text
+def place(path: Path, node: ast.AST, words: str) -> str:
+    return f"{path.relative_to(PACKAGE.parent)}:{getattr(node, 'lineno', 1)}: {words}"
 
 
 def first_word(text: str) -> str:
@@ -87,85 +51,60 @@ def first_word(text: str) -> str:
     return found[1].lower() if found else ""
 
 
-def identifiers(path: Path) -> Iterator[tuple[ast.AST, str]]:
-    """All names that the code gives or uses, keywords of calls included."""
-    for node in nodes(path):
-        for field in ("id", "attr", "name", "asname", "arg", "module"):
-            value = getattr(node, field, None)
-            if isinstance(value, str):
-                yield node, value
-
-
-@cache
-def parts(identifier: str) -> set[str]:
-    """The words of an identifier in snake case or camel case."""
-    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", identifier)
-    return set(re.split(r"[_.]+", spaced.lower()))
-
-
 def test_docstrings_begin_with_no_preposition() -> None:
-    found = [
-        f"{place(path, node)}: {str(node.value).splitlines()[0]}"
-        for path in MODULES
-        for node in docstrings(path)
-        if first_word(str(node.value)) in PREPOSITIONS
+    """Descriptions of constants neither."""
+    texts = [
+        (path, node, str(node.value.value))
+        for path, node in NODES
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
     ]
-    assert not found, f"{len(found)} docstrings\n" + "\n".join(found)
-
-
-def test_identifiers_are_the_field_s_words() -> None:
-    found = [
-        f"{place(path, node)}: {name}"
-        for path in MODULES
-        for node, name in identifiers(path)
-        if parts(name) & BANNED
-    ]
-    found += [str(path) for path in MODULES if parts(path.stem) & BANNED]
+    found = [place(*each) for each in texts if first_word(each[-1]) in PREPOSITIONS]
+    assert len(texts) > 1000
     assert not found, "\n".join(found)
 
 
-def defined(path: Path) -> Iterator[tuple[ast.AST, str]]:
+def test_identifiers_are_the_field_s_words() -> None:
+    names = [(path, path.stem) for path in TREES] + [
+        (path, value)
+        for path, node in NODES
+        for field in ("id", "attr", "name", "asname", "arg", "module")
+        if isinstance(value := getattr(node, field, None), str)
+    ]
+    words = {name: re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() for _, name in names}
+    parts = {name: set(re.split(r"[_.]+", spaced)) for name, spaced in words.items()}
+    found = {f"{path}: {name}" for path, name in names if parts[name] & BANNED}
+    assert not found, "\n".join(sorted(found))
+
+
+def defined(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
     """The public names that a module defines, and the public methods of its classes.
 
     Decorated functions are left out, since a decorator may register them; not so properties and the
     like.
     """
-    for node in tree(path).body:
+    for node in tree.body:
         if isinstance(node, ast.FunctionDef) and not node.decorator_list:
             yield node, node.name
-        elif isinstance(node, ast.Assign):
-            yield from ((node, x.id) for target in node.targets for x in _names(target))
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            yield node, node.target.id
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names = (x for target in targets for x in ast.walk(target) if isinstance(x, ast.Name))
+            yield from ((node, name.id) for name in names)
         elif isinstance(node, ast.ClassDef):
             yield node, node.name
             yield from ((x, x.name) for x in node.body if isinstance(x, ast.FunctionDef))
 
 
-def _names(target: ast.expr) -> Iterator[ast.Name]:
-    return (node for node in ast.walk(target) if isinstance(node, ast.Name))
-
-
-def used(path: Path) -> Iterator[str]:
-    """The names that a module reads, in strings such as ``module:Class`` too; not imports."""
-    for node in nodes(path):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
-            yield node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
-            yield node.attr
-        elif isinstance(node, ast.Constant) and re.fullmatch(CLASS_NAME, str(node.value)):
-            yield str(node.value).rpartition(":")[2]
-
-
 def test_nothing_public_is_unused_by_the_package() -> None:
-    """What only tests or benchmarks use belongs there."""
-    known = (
-        {name for path in MODULES for name in used(path)} | {*hitchopt.__all__} | HOOKS | METHODS
-    )
+    """What only tests or benchmarks use belongs there; strings such as ``module:Class`` count."""
+    read = [node for _, node in NODES if isinstance(getattr(node, "ctx", None), ast.Load)]
+    known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
+    known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
+    texts = (str(node.value) for _, node in NODES if isinstance(node, ast.Constant))
+    known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
     unused = [
-        f"{place(path, node)}: {name}"
-        for path in MODULES
-        for node, name in defined(path)
+        place(path, node, name)
+        for path, tree in TREES.items()
+        for node, name in defined(tree)
         if name not in known and not name.startswith("_")
     ]
     assert not unused, "\n".join(unused)
@@ -173,13 +112,10 @@ def test_nothing_public_is_unused_by_the_package() -> None:
 
 def test_documents_name_files_that_exist() -> None:
     root = PACKAGE.parent
-    documents = [root / "CONTRIBUTING.md", *(root / "docs").rglob("*.md")]
     named = {
         (document.name, path)
-        for document in documents
-        for path in re.findall(
-            r"`((?:hitchopt|tests|problems)/[\w./]*)`", document.read_text("utf-8")
-        )
+        for document in (root / "CONTRIBUTING.md", *(root / "docs").rglob("*.md"))
+        for path in re.findall(r"`((?:hitchopt|tests|problems)/[\w./]*)`", document.read_text())
     }
     assert len(named) > 10
     missing = [" names ".join(entry) for entry in sorted(named) if not (root / entry[1]).exists()]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import api
+from hitchopt.steps import STEPS, Step
+from hitchopt.steps.step_keys import keys_of
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]
@@ -28,60 +30,69 @@ VERTICES = PLAN.at(0.0).vertices
 FEEDBACK, PLAYER = ho.Feedback(PLAN), ho.Player(PLAN)
 REST: dict[str, Any] = {"limits": None, "separation": None, "arena": None}
 RECORDS: dict[str, Any] = {
+    **REST,
     "limits": ho.Limits(),
     "separation": ho.Separation(),
-    "arena": None,
     "title": "",
 }
-STEPS: dict[str, dict[str, Any]] = {
-    "morph": {
-        "polygon": TRIANGLE,
-        "legs": None,
-        "duration": None,
-        "optimize": False,
-        "tension": None,
-    },
-    "move_vertex": {"vertex": 0, "by": [0.0, 0.1], "legs": None, "duration": None},
-    "move_edge": {"edge": 0, "by": [0.0, 0.1], "legs": None, "duration": None},
-    "adjust": {"legs": "balanced", "duration": None},
-    "follow_vertex": {"vertex": 0, "path": [[1.0, 0.0, -0.9]], "legs": None},
-    "transport": {"to": [0.0, 0.0, 1.0], "yaw": 0.0, "duration": None},
-    "hold": {"seconds": 1.0},
-    "release": {"duration": None},
+BEGUN: dict[str, ho.Mission] = {
+    **dict.fromkeys(("form", "land"), ho.Mission(TEAM, ho.DronesStart(Q, R))),  # type: ignore[arg-type]
+    **{"enclose": CRATE, "transport_object": CRATE, "grasp": ENCLOSED, "lift": HELD},
+    **{"carry": HELD.lift(0.1), "set_down": HELD.lift(0.1), "loosen": HELD},
+    "leave": ENCLOSED,
 }
-FORM: dict[str, Any] = {"polygon": TRIANGLE, "altitude": 1.0, "legs": None, "assign": "auto"}
+"""Missions in which steps are possible, where not at the start of one with a hitch."""
+
+
+def arguments(kind: type[Step]) -> dict[str, Any]:
+    """What a step may be given: examples of a file, or defaults."""
+    given: dict[str, Any] = {
+        name: key.examples[0] if key.examples else default
+        for name, (key, default) in keys_of(kind).items()
+        if not isinstance(default, type)
+    }
+    given |= {"object": "crate"} if "object" in given else {}
+    return given | ({"by": [0.0, 0.1]} if "to" in given and given["to"] is None else {})
+
+
+def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
+    """Methods and functions of all kinds of steps, but for what only a team with friction does."""
+    for kind in STEPS:
+        given = arguments(kind)
+        if kind is ho.Settle:
+            continue
+        if kind in api.ALONE:
+            free = kind.needs_hitch is False
+            start = {"team": TEAM, "q": Q, "r": R} if free else {"start": START}
+            alone = {name: value for name, value in given.items() if name != "blend"}
+            yield getattr(ho, kind.name), {**start, **alone, **REST}
+        yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given
+
+
 AFTER = -1.0
 """A time that is refused, so that nothing is computed."""
 
 NOWHERE = "there is no such file"
+# fmt: off
 GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
-    *((getattr(ho, name), {"start": START, **values, **REST}) for name, values in STEPS.items()),
-    *((getattr(ho.Mission(TEAM, START), name), values) for name, values in STEPS.items()),
-    (ho.form, {"team": TEAM, "q": Q, "r": R, **FORM, "swap": None, "duration": None, **REST}),
-    (ho.Mission(TEAM, ho.DronesStart(Q, R)).form, {**FORM, "swap": ho.SwapSettings()}),  # type: ignore[arg-type]
-    (ho.land, {"team": TEAM, "q": Q, "r": R, "duration": None, **REST}),
+    *steps(),
     (ho.solve, {"problem": ho.Problem(TEAM, START, (ho.Hold(1.0),)), "limit": None}),
-    (ho.separate, {"problem": NOWHERE}),
-    (ho.suggestions, {"problem": NOWHERE}),
-    (ho.repair, {"problem": NOWHERE}),
+    *((call, {"problem": NOWHERE}) for call in (ho.separate, ho.suggestions, ho.repair)),
+    (ho.lint, {"path": NOWHERE}),
+    *((call, {"path": NOWHERE}) for call in (ho.read_problem, ho.load_problem, ho.load_swarm)),
+    *((call, {"directory": NOWHERE}) for call in (ho.load, ho.load_sweep)),
+    *((call, {"plan": PLAN, "t": AFTER}) for call in (ho.settle, ho.tolerance)),
     (ho.certify, {"motion": PLAN.motion}),
     (ho.closest, {"plan": PLAN, "spans": 2}),
-    (ho.settle, {"plan": PLAN, "t": AFTER}),
-    (ho.tolerance, {"plan": PLAN, "t": AFTER}),
     (ho.hanging_cable, {"first": [0, 0, 0], "second": [1, 0, 0], "length": 2.0, "points": 5}),
     (ho.regular_polygon, {"n": 3, "edge": 1.0, "angle": 0.0}),
-    (ho.load, {"directory": NOWHERE}),
-    (ho.lint, {"path": NOWHERE}),
     (ho.calibrate, {"plan": NOWHERE, "recording": NOWHERE}),
     (ho.export, {"plan": PLAN, "format": "none", "folder": NOWHERE}),
     (ho.simulate, {"plan": NOWHERE, "preset": "fast", "perturbed": False, "perturbations": None}),
     (PLAN.at, {"t": 0.5}),
     (PLAN.to_dataframe, {"rate": 2.0}),
-    (ho.Team, {"robots": 3, "cable_length": 2.4, "topology": "closed", "quadrotor": None}),
-    (
-        ho.Team,
-        {"robots": 3, "cable_length": 2.4, "tension": 0.4, "load": 0.0},
-    ),
+    (ho.Team, {"robots": 3, "cable_length": 2.4, "topology": "closed", "quadrotor": None,
+               "tension": 0.4, "load": 0.0}),
     (ho.Swarm, {"drones": 2, "quadrotor": None}),
     (ho.Quadrotor, {"mass": 0.1, "max_thrust": 2.6, "stiffness": None, "integral": False}),
     (ho.Limits, {"speed": 1.0, "tilt": 0.7, "leg": 0.15, "duration": None, "body_rate": None}),
@@ -89,64 +100,41 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.Separation, {"radius": 0.1, "height": 0.3, "cable": 0.1, "crossing": 0.05}),
     (ho.Arena, {"lower": [0, 0, 0], "upper": [1, 1, 1]}),
     (ho.Prism, {"polygon": TRIANGLE, "lower": 0.0, "upper": 9.0}),
-    (
-        ho.Hitch,
-        {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.0, "q_legs": [0.3] * 3},
-    ),
+    (ho.Hitch, {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.0, "q_legs": [0.3] * 3}),
     (ho.Hitch.balanced, {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.0, "roll": 0.0}),
     (ho.Hitch.spread, {"team": TEAM, "polygon": TRIANGLE, "limits": None, "separation": None}),
     (ho.DronesStart, {"q": Q, "r": R}),
-    (
-        ho.Problem,
-        {"team": TEAM, "start": START, "mission": [ho.Hold(1.0)], "objects": {}, **RECORDS},
-    ),
-    (ho.Mission, {"team": TEAM, "start": START, "steps": (), "objects": {}, **RECORDS}),
+    (ho.Problem,
+     {"team": TEAM, "start": START, "mission": [ho.Hold(1.0)], "objects": {}, **RECORDS}),
+    (ho.Mission, {"team": TEAM, "start": START, "mission": (), "objects": {}, **RECORDS}),
     (ho.SwarmProblem, {"team": PAIR, "start": LOWER, "goal": UPPER, "keep_out": (), **RECORDS}),
     (ho.SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
     (ho.ErrorSize, {"bound": 0.0, "deviation": 0.0}),
     (ho.Assignment, {"robots": (0, 1, 2), "flipped": (False,) * 3}),
-    (ho.Section, {"outline": TRIANGLE}),
-    (ho.Section, {"radius": 0.1}),
+    (ho.Section, {"outline": TRIANGLE}), (ho.Section, {"radius": 0.1}),
     (ho.Rim, {"section": SECTION, "height": 0.2}),
     (ho.SolidObject, {"section": SECTION, "lower": 0.0, "upper": 0.3, "mass": 0.1}),
     (ho.SolidObject, {"section": SECTION, "friction": 0.5, "at": [0, 0, 0], "yaw": 0.0}),
     (ho.SolidObject, {"section": SECTION, "rim": None, "fixed": False}),
-    (CRATE.enclose, {"object": "crate", "duration": None}),
-    (ENCLOSED.grasp, {"object": "crate", "by": "rest", "tension": None, "duration": None}),
-    (HELD.lift, {"by": 0.5, "duration": None}),
-    (HELD.lift(0.1).carry, {"object": "crate", "to": [0.0, 0.0, 1.0], "yaw": 0.0}),
-    (HELD.lift(0.1).set_down, {"object": "crate", "duration": None}),
-    (CRATE.transport_object, {"object": "crate", "to": [0, 0, 1], "by": None, "lift": 0.3}),
-    (CRATE.transport_object, {"object": "crate", "to": [0, 0, 1], "tension": None, "yaw": 0.0}),
     (CRATE.then, {"step": ho.Hold(1.0)}),
     (ho.Feedback, {"plan": PLAN, "rate": 0.1, "reserve": 0.01, "delay": 0.05, "stiffness": None}),
     (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": None, "drones": None}),
-    (
-        FEEDBACK.step,
-        {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None},
-    ),
+    (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None}),
     (ho.Replanner, {"team": TEAM, "start": START, **REST}),
     (ho.Player, {"plan": PLAN, "time": 0.0, "rate": 1.0}),
     (PLAYER.step, {"seconds": 0.01}),
     (PLAYER.rate, {"rate": 1.0}),
     (PLAYER.seek, {"time": 0.5}),
     (ho.run_sweep, {"study": NOWHERE, "directory": NOWHERE, "workers": 1, "scheduler": ""}),
-    (ho.load_sweep, {"directory": NOWHERE}),
-    (ho.read_problem, {"path": NOWHERE}),
-    (ho.load_problem, {"path": NOWHERE}),
-    (ho.load_swarm, {"path": NOWHERE}),
     (ho.PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
 ]
+# fmt: on
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]
 
 NEVER = [object(), 1j, len]
 """What no argument may be."""
 
-SYNONYMS = {
-    "q_legs": "legs",
-    "breaks": "coefficients",
-    "coefficients": "breaks",
-}
+SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}
 """Arguments whose messages name another key."""
 
 

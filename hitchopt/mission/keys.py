@@ -9,14 +9,17 @@ from __future__ import annotations
 from dataclasses import MISSING
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, create_model, model_validator
+from pydantic import ConfigDict, Field, Tag, create_model, model_validator
 
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.step_keys import (
+    EACH,
+    FORM,
     LEGS_TEXT,
+    MAPPING,
     MIN_QUANTITY,
     OUTLINE_TEXT,
     TRIANGLE,
@@ -25,23 +28,20 @@ from hitchopt.steps.step_keys import (
     NotNegative,
     Number,
     ObjectName,
-    OneOrEach,
     OutlinePoints,
     PerClasp,
     PerRobot,
     Point2,
     Point3,
     Positive,
+    RobotsList,
     fault,
     key,
     keys_of,
 )
 
-MAX_STEPS = 1000
-"""Steps of one mission."""
-
-MAX_TITLE = 200
-"""Characters of a title."""
+MAX_TITLE, MAX_STEPS, MAX_OBJECTS, MAX_PRISMS, MAX_CORNERS = 200, 1000, 100, 1000, 1000
+"""Characters of a title; steps, objects and prisms of a problem; corners of one outline."""
 
 
 def section(model: type[Keys]) -> Any:
@@ -67,15 +67,12 @@ class OneKey(Keys):
     @model_validator(mode="before")
     @classmethod
     def _check_one_key(cls, data: object) -> object:
-        if isinstance(data, dict):
-            if len(data) != 1:
-                raise fault(
-                    f"a mapping with exactly one of the keys {', '.join(cls.model_fields)}",
-                    f"write {cls.example}",
-                )
-            ((key, value),) = data.items()
-            if value is None and key in cls.model_fields:
-                raise fault(f"a mapping, also after {key}", f"write {key}: {{…}} with its keys")
+        if isinstance(data, dict) and len(data) != 1:
+            keys = ", ".join(cls.model_fields)
+            raise fault(f"a mapping with exactly one of the keys {keys}", f"write {cls.example}")
+        for name, value in data.items() if isinstance(data, dict) else ():
+            if value is None and name in cls.model_fields:
+                raise fault(f"a mapping, also after {name}", f"write {name}: {{…}} with its keys")
         return data
 
 
@@ -84,45 +81,27 @@ class QuadrotorKeys(Keys):
 
     mass: Positive = key("Mass [kg]", Quadrotor.mass)
     max_thrust: Positive = key("Largest collective thrust [N]", Quadrotor.max_thrust)
-    stiffness: Positive | None = key(
-        "Stiffness of the position loop [N/m], or null for a rigid one", Quadrotor.stiffness
-    )
-    integral: bool = key(
-        "Whether the controller drives the position error to zero", Quadrotor.integral
-    )
-    feed_forward: bool = key(
-        "Whether the controller adds the cable force that set points hold", Quadrotor.feed_forward
-    )
+    stiffness: Positive | None = key("Of the position loop [N/m]; null: rigid", Quadrotor.stiffness)
+    integral: bool = key("Whether position errors are driven to zero", Quadrotor.integral)
+    feed_forward: bool = key("Whether cable forces of set points are added", Quadrotor.feed_forward)
+
+
+OneKind = Annotated[QuadrotorKeys, Tag(MAPPING)]
 
 
 class TeamKeys(Keys):
     """Who flies, on which cables, pulling how hard."""
 
     robots: int = key(
-        "Number of catenary robots, that is of cables; each has two quadrotors",
-        ge=2,
-        le=MAX_ROBOTS,
-        examples=[3],
+        "Number of cables; each has two quadrotors", ge=2, le=MAX_ROBOTS, examples=[3]
     )
-    topology: Literal["closed", "open"] = key(
-        "closed: a polygon; open: a chain along a convex arc", "closed"
-    )
-    cable_length: PerRobot[Positive] = key(
-        "Length of the cables [m], one for all or one per robot", examples=[2.4]
-    )
+    topology: Literal["closed", "open"] = key("closed: a polygon; open: a convex arc", "closed")
+    cable_length: PerRobot[Positive] = key("[m], one for all or one per robot", examples=[2.4])
     cable_density: NotNegative = key("Mass per length [kg/m]", 0.0)
-    load: PerClasp = key(
-        "What hangs at the clasps [kg], one for all, or one per vertex of a polygon "
-        "and inner point of a chain",
-        0.0,
-    )
-    cable_friction: NotNegative = key(
-        "Friction at the clasps, a coefficient: legs lean against it as cables slide", 0.0
-    )
-    tension: PerRobot[Positive] = key(
-        "Tension of the cables [N], one for all or one per robot", 0.4
-    )
-    quadrotor: PerRobot[QuadrotorKeys] = key(
+    load: PerClasp = key("What hangs at the clasps [kg], one for all or one per clasp", 0.0)
+    cable_friction: NotNegative = key("Coefficient of friction at the clasps", 0.0)
+    tension: PerRobot[Positive] = key("Of the cables [N], one for all or one per robot", 0.4)
+    quadrotor: Annotated[OneKind | Annotated[RobotsList[QuadrotorKeys], Tag(EACH)], FORM] = key(
         "Kind of quadrotor, one for all or a list of one per robot", default_factory=QuadrotorKeys
     )
 
@@ -136,9 +115,7 @@ class MotionLimitsKeys(Keys):
     tilt_deg: Annotated[float, Field(ge=MIN_QUANTITY, lt=90.0)] = key(
         "Largest angle of the thrust from vertical [°]", 45.0
     )
-    body_rate_deg: Positive | None = key(
-        "Largest turning rate of the thrust [°/s], or null for no limit", None
-    )
+    body_rate_deg: Positive | None = key("Turning rate of the thrust [°/s]; null: any", None)
     duration: Positive | None = key("Of the whole plan [s], or null for no limit", Limits.duration)
     reserve: Annotated[float, Field(ge=MIN_QUANTITY, le=1.0)] = key(
         "Share of acceleration and jerk that the plan uses; below 1 stops can begin at every time",
@@ -156,25 +133,18 @@ class LimitsKeys(MotionLimitsKeys):
 class EllipsoidKeys(Keys):
     """The ellipsoids that must not overlap."""
 
-    radius: Positive = key(
-        "Horizontal semi-axis of a drone's ellipsoid, and its distance to prisms [m]",
-        Separation.radius,
-    )
+    radius: Positive = key("Horizontal semi-axis, and distance to prisms [m]", Separation.radius)
     height: Positive = key("Vertical semi-axis of a drone's ellipsoid [m]", Separation.height)
 
 
 class SeparationKeys(EllipsoidKeys):
     """Distances to keep."""
 
-    cable: NotNegative = key(
-        "Drone to any cable but its own, and to its own edge [m]", Separation.cable
-    )
+    cable: NotNegative = key("Drone to other cables and to its own edge [m]", Separation.cable)
     crossing: NotNegative = key(
-        "Cable to cable where they share no clasp, taut parts [m]", Separation.crossing
+        "Taut parts of cables without a common clasp [m]", Separation.crossing
     )
-    object: NotNegative = key(
-        "A cable's centre line, and a held object, to objects [m]", Separation.object
-    )
+    object: NotNegative = key("Cables, and a held object, to objects [m]", Separation.object)
 
 
 class ArenaKeys(Keys):
@@ -195,12 +165,8 @@ class HitchKeys(Keys):
 class DronesKeys(Keys):
     """Where the drones are of a hitch that is to be formed."""
 
-    q: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = key(
-        "Drones q, one [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]]
-    )
-    r: Annotated[list[Point3], Field(min_length=2, max_length=MAX_ROBOTS)] = key(
-        "Drones r, one [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]]
-    )
+    q: RobotsList[Point3] = key("One [x, y, z] [m] per robot", examples=[[[0, 0, 1], [1, 0, 1]]])
+    r: RobotsList[Point3] = key("One [x, y, z] [m] per robot", examples=[[[0, 1, 1], [1, 1, 1]]])
 
 
 class StartKeys(OneKey):
@@ -211,43 +177,35 @@ class StartKeys(OneKey):
     drones: DronesKeys | None = key("Drones of a hitch that is to be formed, at rest", None)
 
 
-MAX_OBJECTS = 100
-"""Objects of one problem."""
-
-MAX_CORNERS = 1000
-"""Corners of one outline."""
-
-SHAPES = ("outline", "circle", "file")
-"""Keys of which an object has exactly one; a rim the first or the second."""
-
 Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
+CORNERS_TEXT = "Corners [x, y] [m] of a convex outline, in either sense"
 
 
-def _one_of(values: object, names: tuple[str, ...]) -> None:
-    """Raise a fault unless exactly one of the names is given."""
-    if isinstance(values, dict) and sum(values.get(name) is not None for name in names) != 1:
-        words = ", ".join(names)
-        raise fault(f"a mapping with exactly one of {words}", "write circle: 0.2, for example")
+def _one_of(data: object, names: tuple[str, ...]) -> object:
+    """Return a mapping's values; raise a fault unless exactly one of the names is given."""
+    if isinstance(data, dict) and sum(data.get(name) is not None for name in names) != 1:
+        words = f"a mapping with exactly one of {', '.join(names)}"
+        raise fault(words, "write circle: 0.2, for example")
+    return data
 
 
 class RimKeys(Keys):
     """A rim or tray that may rest on cables."""
 
-    outline: Corners | None = key("Corners [x, y] [m] of a convex outline, in either sense", None)
+    outline: Corners | None = key(CORNERS_TEXT, None)
     circle: Positive | None = key("Radius [m] of a circle", None)
     at: Number = key("Height above the object's base [m]", 0.2)
 
     @model_validator(mode="before")
     @classmethod
     def _check_shape(cls, data: object) -> object:
-        _one_of(data, SHAPES[:2])
-        return data
+        return _one_of(data, ("outline", "circle"))
 
 
 class ObjectKeys(Keys):
     """An upright object that is carried, or stands in the way."""
 
-    outline: Corners | None = key("Corners [x, y] [m] of a convex outline, in either sense", None)
+    outline: Corners | None = key(CORNERS_TEXT, None)
     circle: Positive | None = key("Radius [m] of a circle", None)
     file: Annotated[str, Field(min_length=1, max_length=1000)] | None = key(
         "Drawing of its outline, in metres, relative to this file", None
@@ -264,8 +222,7 @@ class ObjectKeys(Keys):
     @model_validator(mode="before")
     @classmethod
     def _check_shape(cls, data: object) -> object:
-        _one_of(data, SHAPES)
-        return data
+        return _one_of(data, ("outline", "circle", "file"))
 
 
 def step_model(kind: type[Step]) -> type[Keys]:
@@ -279,8 +236,12 @@ def step_model(kind: type[Step]) -> type[Keys]:
             said.kind | None if default is None else said.kind,
             key(said.text, ... if default is MISSING else default, **options),
         )
-    text = str(kind.__doc__).partition("\n")[0]
-    return create_model(f"{kind.__name__}Keys", __base__=Keys, __doc__=text, **entries)
+    return create_model(f"{kind.__name__}Keys", __base__=Keys, __doc__=summary(kind), **entries)
+
+
+def summary(kind: type[Step]) -> str:
+    """Return what a kind of step does: the first line of its words."""
+    return str(kind.__doc__).partition("\n")[0]
 
 
 STEP_KINDS = {kind.name: kind for kind in STEPS}
@@ -297,7 +258,7 @@ StepKeys = create_model(
     "StepKeys",
     __base__=_Step,
     __doc__=_Step.__doc__,
-    **{kind.name: (step_model(kind) | None, key(kind.summary, None)) for kind in STEPS},
+    **{kind.name: (step_model(kind) | None, key(summary(kind), None)) for kind in STEPS},
 )  # type: ignore[call-overload]
 
 
@@ -320,19 +281,17 @@ class ProblemKeys(Keys):
     )
 
 
-MAX_PRISMS = 1000
-"""Prisms of one problem."""
-
 Points = Annotated[list[Point3], Field(min_length=1, max_length=MAX_DRONES)]
+
+
+Kinds = Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES)]
 
 
 class SwarmTeamKeys(Keys):
     """Who flies: single drones, without cables."""
 
     drones: int = key("Number of drones", ge=1, le=MAX_DRONES, examples=[2])
-    quadrotor: OneOrEach[
-        QuadrotorKeys, Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES)]
-    ] = key(
+    quadrotor: Annotated[OneKind | Annotated[Kinds, Tag(EACH)], FORM] = key(
         "Kind of quadrotor, one for all or a list of one per drone", default_factory=QuadrotorKeys
     )
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydantic import ValidationError
@@ -48,11 +48,7 @@ AnyProblem = Problem | SwarmProblem
 
 
 def read_problem(path: str | Path) -> AnyProblem:
-    """Return the problem in the YAML file at ``path``, of a hitch or of single drones.
-
-    Parameters
-    ----------
-    path: of the file; ``-`` is standard input.
+    """Return the problem in the YAML file at ``path``; ``-`` is standard input.
 
     Raises
     ------
@@ -64,17 +60,9 @@ def read_problem(path: str | Path) -> AnyProblem:
 
 
 def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> AnyProblem:
-    """Return the problem in YAML, of a hitch or of single drones.
+    """Return the problem in a YAML text; errors as ``read_problem``.
 
-    Parameters
-    ----------
-    text: what a problem file holds.
-    name: what messages call it.
-    directory: where outlines of objects are.
-
-    Raises
-    ------
-    FileError, InputError: as ``read_problem``.
+    ``name`` is what messages call it, ``directory`` where outlines of objects are.
     """
     try:
         data = parse_yaml(text, name)
@@ -93,16 +81,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
     """Return what the text of a problem file asks, as ``hitchopt.motion.asked`` has it.
 
-    Where a hitch starts, its drones are not known before it is planned: the polygon is.
-
-    Parameters
-    ----------
-    text: what a problem file holds.
-    objects: those of its plan; they stand in for drawings, which a text alone does not have.
-
-    Raises
-    ------
-    FileError, InputError: as ``read_problem``.
+    The ``objects`` of its plan stand in for drawings, which a text alone does not have.
     """
     data: Any = parse_yaml(text, "problem")
     given = data.get("objects") if isinstance(data, dict) else None
@@ -114,24 +93,12 @@ def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
 
 
 def load_problem(path: str | Path) -> Problem:
-    """Return the problem of a hitch in the YAML file at ``path``.
-
-    Raises
-    ------
-    InputError: a problem of single drones; as ``read_problem``.
-    FileError: as ``read_problem``.
-    """
+    """Return the problem of a hitch in the YAML file at ``path``; errors as ``read_problem``."""
     return _of_a_hitch(read_problem(path))
 
 
 def load_swarm(path: str | Path) -> SwarmProblem:
-    """Return the problem of single drones in the YAML file at ``path``.
-
-    Raises
-    ------
-    InputError: a problem of a hitch; as ``read_problem``.
-    FileError: as ``read_problem``.
-    """
+    """Return the problem of single drones in a YAML file; errors as ``read_problem``."""
     problem = read_problem(path)
     if not isinstance(problem, SwarmProblem):
         raise InputError("team", "robots", "a team of single drones", "use load_problem")
@@ -150,12 +117,7 @@ def _of_a_hitch(problem: AnyProblem) -> Problem:
 
 
 def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None) -> AnyProblem:
-    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``.
-
-    Raises
-    ------
-    InputError: as ``read_problem``.
-    """
+    """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
     values = plain(data)
     team = values.get("team") if isinstance(values, dict) else None
     single = isinstance(team, dict) and "drones" in team and "robots" not in team
@@ -169,90 +131,73 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
 
 
 def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
-    """Return the problem that ``keys`` describe; drawings are looked for in ``folder``.
-
-    Raises
-    ------
-    InputError: what single values do not tell, such as counts and shapes; a joint error if several.
-    """
-    faults = Collector()
-    parts = _common_parts(keys, folder, faults)
-    kind: Any = Swarm if isinstance(keys, SwarmKeys) else Team
-    team = faults.attempt("team", lambda: kind(**_team_values(keys.team)))
-    if team is None:  # nothing else can be judged without it
-        return faults.made(None)
+    """Return the problem that ``keys`` describe, or raise what single values do not tell."""
+    faults = _Faults()
+    parts: dict[str, Any] = {
+        "title": faults.attempt("", _title, keys.title),
+        "limits": faults.attempt("limits", Limits, **keys.limits.model_dump()),
+        "separation": faults.attempt("separation", Separation, **keys.separation.model_dump()),
+        "objects": {
+            name: faults.attempt(f"objects.{name}", _object, given, folder)
+            for name, given in keys.objects.items()
+        },
+    }
+    if keys.arena is not None:
+        parts["arena"] = faults.attempt("arena", Arena, keys.arena.lower, keys.arena.upper)
     if isinstance(keys, SwarmKeys):
-        prisms = [
-            faults.attempt(f"keep_out[{k}]", partial(Prism, **prism.model_dump()))
+        swarm = faults.attempt("team", _team, Swarm, keys.team)
+        parts["keep_out"] = [
+            faults.attempt(f"keep_out[{k}]", Prism, **prism.model_dump())
             for k, prism in enumerate(keys.keep_out)
         ]
-        parts["keep_out"] = tuple(prism for prism in prisms if prism is not None)
+        faults.check()
         places = np.array(keys.start), np.array(keys.goal)
-        swarm = partial(SwarmProblem, team, *places, duration=keys.duration, **parts)
-        return faults.made(faults.attempt("", swarm))
-    start = _start(keys.start, team, faults)
-    steps = [_step(i, step, team, faults) for i, step in enumerate(keys.mission)]
+        return SwarmProblem(swarm, *places, duration=keys.duration, **parts)
+    team = faults.attempt("team", _team, Team, keys.team)
+    if team is not None:  # nothing else can be judged without it
+        start = faults.attempt("", _start, keys.start, team)
+        mission = [
+            faults.attempt(f"mission[{i}].{name}", _step, name, step, team)
+            for i, given in enumerate(keys.mission)
+            for name, step in cast("Keys", given)
+            if step is not None
+        ]
     faults.check()
-    mission = tuple(step for step in steps if step is not None)
-    return faults.made(Problem(team, start, mission, **parts) if start else None)
-
-
-def _common_parts(
-    keys: ProblemKeys | SwarmKeys, folder: Path | None, faults: Collector
-) -> dict[str, Any]:
-    """Return the parts that problems of both kinds have, by name, those refused left out."""
-    box, separation = keys.arena, keys.separation
-    parts: dict[str, Any] = {
-        "title": faults.attempt("", partial(_title, keys.title)),
-        "limits": faults.attempt("limits", lambda: Limits(**keys.limits.model_dump())),
-        "separation": faults.attempt("separation", lambda: Separation(**separation.model_dump())),
-        "arena": box and faults.attempt("arena", lambda: Arena(box.lower, box.upper)),
-    }
-    objects = {
-        name: faults.attempt(f"objects.{name}", partial(_object, given, folder))
-        for name, given in keys.objects.items()
-    }
-    parts["objects"] = {name: each for name, each in objects.items() if each is not None}
-    return {name: part for name, part in parts.items() if part is not None}
+    return Problem(team, start, tuple(mission), **parts)
 
 
 def _title(title: str) -> str:
     """Return the title, or raise InputError where a terminal would obey it."""
-    if not title.isprintable():  # a terminal would obey its control characters
+    if not title.isprintable():
         raise InputError("title", title, "printable text on one line", "remove such characters")
     return title
 
 
-def _team_values(keys: TeamKeys | SwarmTeamKeys) -> dict[str, Any]:
-    """Return the arguments of the team that ``keys`` describe."""
+def _team(kind: type[T], keys: TeamKeys | SwarmTeamKeys) -> T:
+    """Return the team that ``keys`` describe."""
     values = keys.model_dump()
-    kinds = values["quadrotor"]
+    kinds, found = values["quadrotor"], []
     one = isinstance(kinds, dict)
-    found = []
-    for k, kind in enumerate([kinds] if one else kinds):
+    for k, each in enumerate([kinds] if one else kinds):
         with seen_from("quadrotor" if one else f"quadrotor[{k}]"):
-            found.append(Quadrotor(**kind))
-    values["quadrotor"] = found[0] if one else found
-    return values
+            found.append(Quadrotor(**each))
+    return kind(**values | {"quadrotor": found[0] if one else found})
 
 
-def _start(keys: StartKeys, team: Team, faults: Collector) -> Start | None:
-    """Return where the plan starts; None where it has been refused."""
-    start: Start | None = None
+def _start(keys: StartKeys, team: Team) -> Start:
+    """Return where the plan starts."""
     if keys.hitch is not None:
-        values: dict[str, Any] = keys.hitch.model_dump()
-        start = faults.attempt("start.hitch", lambda: HitchStart(**values))
-    elif keys.drones is not None:
-        q, r = np.array(keys.drones.q), np.array(keys.drones.r)
-        start = faults.attempt("start.drones", lambda: DronesStart(q, r))
-    return start and faults.attempt("", partial(fitting_start, team, start))
+        with seen_from("start.hitch"):
+            start: Start = HitchStart(**keys.hitch.model_dump())
+    else:
+        with seen_from("start.drones"):
+            start = DronesStart(**keys.drones.model_dump())  # type: ignore[union-attr]
+    return fitting_start(team, start)
 
 
-def _step(i: int, keys: Keys, team: Team, faults: Collector) -> Step | None:
-    """Return the record of a step; None where it has been refused."""
-    ((name, given),) = ((name, step) for name, step in keys if step is not None)
-    kind, values = STEP_KINDS[name], given.model_dump()
-    return faults.attempt(f"mission[{i}].{name}", lambda: kind.from_file(values).fitting(team))
+def _step(name: str, keys: Keys, team: Team) -> Step:
+    """Return the record of a step."""
+    return STEP_KINDS[name].from_file(keys.model_dump()).fitting(team)
 
 
 KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "rim"}
@@ -262,38 +207,33 @@ KEYS = {"lower": "from", "upper": "to", "rim.height": "rim.at", "rim.section": "
 def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
     """Return the object that ``keys`` describe."""
     values: dict[str, Any] = keys.model_dump()
-    rim, file = values.pop("rim"), values.pop("file")
-    outline, circle = values.pop("outline"), values.pop("circle")
-    if file is not None:
-        try:
-            outline = object_outline(Path(file) if folder is None else folder / file)
-        except InputError as error:
-            raise InputError("file", file, error.bound, error.remedy) from None
-    if rim is not None:
-        rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
+    rim, file, outline, circle = (values.pop(key) for key in ("rim", "file", "outline", "circle"))
     yaw = math.radians(values.pop("yaw_deg"))
     lower, upper = values.pop("from_"), values.pop("to")
     try:
+        if file is not None:
+            outline = object_outline(Path(file) if folder is None else folder / file)
+        if rim is not None:
+            rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
         return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)
     except InputError as error:
-        key = KEYS.get(error.key, error.key)
-        if file is not None and key.partition("[")[0] == "outline":
-            bound = f"an outline that is {error.bound.removeprefix('an outline that is ')}"
-            raise InputError("file", file, bound, error.remedy) from None
-        raise InputError(key, error.value, error.bound, error.remedy) from None
+        key, bound = KEYS.get(error.key, error.key), error.bound
+        if file is not None and key.partition("[")[0] in ("outline", "file"):
+            raise InputError("file", file, f"an outline: {bound}", error.remedy) from None
+        raise InputError(key, error.value, bound, error.remedy) from None
 
 
-class Collector:
+class _Faults:
     """Gathers faults, so that one run names them all."""
 
     def __init__(self) -> None:
         self.inputs: list[InputError] = []
 
-    def attempt(self, parent: str, make: Callable[[], T]) -> T | None:
-        """Return ``make()``, or None where it raises, gathering the error under ``parent``."""
+    def attempt(self, parent: str, make: Callable[..., T], *args: Any, **kwargs: Any) -> Any:
+        """Return what is made, or None where that raises; the error is kept under ``parent``."""
         try:
             with seen_from(parent):
-                return make()
+                return make(*args, **kwargs)
         except InputError as error:
             self.inputs.append(error)
         return None
@@ -302,10 +242,3 @@ class Collector:
         """Raise what was gathered, as one error."""
         if self.inputs:
             raise one_or_all(self.inputs)
-
-    def made(self, whole: T | None) -> T:
-        """Return what was made of all parts, or raise what was gathered."""
-        self.check()
-        if whole is None:
-            raise RuntimeError("a part is missing although nothing was refused")
-        return whole

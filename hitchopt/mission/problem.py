@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,39 +30,22 @@ from hitchopt.values import Array, coordinate, instance, points, positive, seque
 from hitchopt.values.units import HEIGHT, check_unit, warn_of_unit
 
 
-def fitting_steps(
-    team: Team,
-    outline: Outline | None,
-    steps: tuple[Step, ...],
-    objects: Mapping[str, SolidObject] | None = None,
-    *,
-    complete: bool = True,
-) -> tuple[Step, ...]:
-    """Return the steps with their polygons as outlines and their legs as arrays.
+def fitting_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]:
+    """Return steps with their polygons as outlines and their legs as arrays.
 
-    Parameters
-    ----------
-    team: who flies them.
-    outline: the hitch's at the start; None where cables are free.
-    steps: with polygons and legs as a user writes them.
-    objects: those that steps may name.
-    complete: whether the last step may not blend, since nothing follows.
-
-    Raises
-    ------
-    InputError: a step that does not fit the team, the outline it meets, the object that is held, or
-        the next step; its key is that of the problem file, from ``mission`` on.
+    Raises InputError: a step that does not fit the team, the outline it meets, the object that is
+    held, or the next step; its key is that of the problem file, from ``mission`` on.
     """
-    fitted: list[Step] = []
-    held = _Held()
+    team, outline = problem.team, problem.start_outline
+    fitted, held = list[Step](), _Held()
     for i, given in enumerate(steps):
         try:
             step = given.fitting(team)
-            held = held.after(step, objects or {})
+            held = held.after(step, problem.objects)
             outline = step.polygon_left(team, outline)
-            if complete or i + 1 < len(steps):
-                _check_blend(step, steps[i + 1] if i + 1 < len(steps) else None)
-            if i > 0 and steps[i - 1].blends:
+            if step.blends and (problem.complete or i + 1 < len(steps)):
+                _check_blend(steps[i + 1] if i + 1 < len(steps) else None)
+            if step.blends or (i > 0 and steps[i - 1].blends):
                 _check_untimed(step)
         except InputError as error:
             raise error.within(f"mission[{i}].{given.name}") from None
@@ -72,14 +55,7 @@ def fitting_steps(
 
 @dataclass(frozen=True)
 class _Held:
-    """How far a hitch is with which object, and whether its outline is that of an earlier step.
-
-    Attributes
-    ----------
-    stage: how far.
-    name: of the object, or an empty word.
-    known: whether the outline is; that around an object follows from the object.
-    """
+    """How far a hitch is with which object, and whether its outline is that of an earlier step."""
 
     stage: Stage = Stage.FREE
     name: str = ""
@@ -95,10 +71,9 @@ class _Held:
             return self
         begin, end = step.stages
         if self.stage is not begin:
-            order = (
-                "enclose, grasp, lift, carry, set_down, loosen and leave an object, in this order"
-            )
-            raise InputError("", f"a hitch {self.stage}", f"one {begin}", order)
+            kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
+            remedy = f"{kinds} an object, in this order"
+            raise InputError("", f"a hitch {self.stage}", f"one {begin}", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
         if not self.known and isinstance(step, MoveStep | FollowVertex):
@@ -109,28 +84,22 @@ class _Held:
         return _Held(end, "" if end is Stage.FREE else name, known)
 
 
-def _check_blend(step: Step, following: Step | None) -> None:
+def _check_blend(following: Step | None) -> None:
     """Raise InputError where a step cannot go on into the next one, or None, without a stop."""
-    if not step.blends:
-        return
     if following is None:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
     if not following.blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
         remedy = f"leave it out: only {names} go on into one another"
         raise InputError("blend", True, f"false before a {following.name}", remedy)
-    _check_untimed(step)
 
 
 def _check_untimed(step: Step) -> None:
     """Raise InputError where a step that is blended is to be optimised, or has a duration."""
-    reason = "whose path is not optimised"
-    for key, value in vars(step).items():
-        if key in {"optimize", "tension", "duration"} and value:
-            if key == "duration":
-                reason = "which have no stop to end with"
-            bound = f"left out of steps that are blended, {reason}"
-            raise InputError(key, value, bound, f"leave out {key} or blend")
+    for key in ("optimize", "tension", "duration"):
+        if vars(step).get(key):
+            bound = "left out of steps that are blended, which are not optimised, nor stop to end"
+            raise InputError(key, vars(step)[key], bound, f"leave out {key} or blend")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +135,8 @@ class DronesStart(OneLine):
     r: Array
 
     def __post_init__(self) -> None:
-        for name in ("q", "r"):
-            remedy = "give one point [x, y, z] a robot"
-            given = points(name, getattr(self, name), (2, 3), "(n, 3)", remedy)
+        for name, place in vars(self).items():
+            given = points(name, place, (2, 3), "(n, 3)", "give one point [x, y, z] a robot")
             object.__setattr__(self, name, given)
 
     @property
@@ -193,9 +161,11 @@ class Problem(OneLine):
 
     Raises
     ------
-    InputError: an object that floats or stands in another one, no steps, or some that do not fit
-        the team, the outline or one another.
+    InputError: objects or steps that do not fit one another, the team or the outline; no step.
     """
+
+    complete: ClassVar[bool] = True
+    """Whether no step follows."""
 
     team: Team
     start: Start
@@ -207,14 +177,26 @@ class Problem(OneLine):
     objects: Mapping[str, SolidObject] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        steps = checked_parts(self, "mission")
-        if self.objects:
+        instance("team", self.team, Team)
+        instance("start", self.start, HitchStart, Hitch, DronesStart)
+        check_requirements(self)
+        text("title", self.title)
+        steps = sequence("mission", self.mission)
+        for i, step in enumerate(steps):
+            instance(f"mission[{i}]", step, Step)
+        if not isinstance(self.objects, Mapping):
+            remedy = "write {'box': hitchopt.SolidObject(…)}"
+            raise InputError("objects", self.objects, "a dict of objects by name", remedy)
+        for name, body in self.objects.items():
+            instance(f"objects.{name}", body, SolidObject)
+        object.__setattr__(self, "objects", dict(self.objects))
+        object.__setattr__(self, "start", fitting_start(self.team, self.start))
+        if self.complete:
             check_placed(self.objects, self.requirements.floor)
-        if not steps:
-            raise InputError("mission", [], "a list of at least one step", "add a morph or a hold")
-        object.__setattr__(
-            self, "mission", fitting_steps(self.team, self.start_outline, steps, self.objects)
-        )
+            if not steps:
+                bound = "a list of at least one step"
+                raise InputError("mission", [], bound, "add a morph or a hold")
+        object.__setattr__(self, "mission", fitting_steps(self, steps))
 
     @property
     def requirements(self) -> Requirements:
@@ -223,15 +205,12 @@ class Problem(OneLine):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``).
-
-        Where a hitch starts its drones are not known before it is planned: the polygon is.
-        """
+        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
         from hitchopt.motion.asked import asked, hitch_start
 
         if isinstance(self.start, DronesStart):
-            drones = {"q": self.start.q.tolist(), "r": self.start.r.tolist()}
-            return asked(self.team, self.requirements, {"drones": drones})
+            places = {name: place.tolist() for name, place in vars(self.start).items()}
+            return asked(self.team, self.requirements, {"drones": places})
         hitch = hitch_start(self.start.polygon.vertices, self.start.altitude)
         return asked(self.team, self.requirements, {"hitch": hitch})
 
@@ -241,74 +220,32 @@ class Problem(OneLine):
         return None if isinstance(self.start, DronesStart) else self.start.polygon
 
 
-def checked_parts(record: Any, steps: str) -> tuple[Step, ...]:
-    """Check a record's parts, fit its start to its team, and return its steps.
-
-    Parameters
-    ----------
-    record: a problem, or one in the making.
-    steps: name of its steps.
-
-    Raises
-    ------
-    InputError: a part of a wrong type, or a start that does not fit the team.
-    """
-    instance("team", record.team, Team)
-    instance("start", record.start, HitchStart, Hitch, DronesStart)
-    check_requirements(record)
-    text("title", record.title)
-    given = sequence(steps, getattr(record, steps))
-    for i, step in enumerate(given):
-        instance(f"{steps}[{i}]", step, Step)
-    object.__setattr__(record, "objects", _named_objects(record.objects))
-    object.__setattr__(record, "start", fitting_start(record.team, record.start))
-    return given
-
-
-def _named_objects(objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
-    """Return objects by name.
-
-    Raises
-    ------
-    InputError: they are no mapping of names to objects.
-    """
-    if not isinstance(objects, Mapping):
-        remedy = "write {'box': hitchopt.SolidObject(…)}"
-        raise InputError("objects", objects, "a dict of objects by name", remedy)
-    for name, body in objects.items():
-        instance(f"objects.{name}", body, SolidObject)
-    return dict(objects)
-
-
 def fitting_start(team: Team, start: Start) -> Start:
     """Return the start with its polygon as an outline and its legs as an array, if it is a hitch.
 
-    Raises
-    ------
-    InputError: a start that does not fit the team; its key is that of the problem file.
+    Raises InputError where it does not fit the team, with the key of the problem file.
     """
     if isinstance(start, Hitch):
         if start.team is not team:
             raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")
         return start
-    key = "hitch" if isinstance(start, HitchStart) else "drones"
-    try:
-        if isinstance(start, HitchStart):
+    if isinstance(start, HitchStart):
+        try:
             outline, legs = fitting_polygon(team, start.polygon), slack_split(start.legs, team)
-            return replace(start, polygon=outline, legs=legs)
-        for name, given in (("q", start.q), ("r", start.r)):
-            if len(given) != team.robots:
-                bound = f"a list of {team.robots} points"
-                remedy = "add or remove points, or change team.robots"
-                raise InputError(name, f"{len(given)} points", bound, remedy)
-        apart = np.linalg.norm(start.q - start.r, axis=1)
-        k = int(np.argmax(apart / team.cable_length))
-        if apart[k] > FAR_OFF * team.cable_length[k]:
-            words = f"{apart[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
-            meant = "if millimetres were meant, write metres"
-            warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {meant}"))
-    except InputError as error:
-        raise error.within(f"start.{key}") from None
+        except InputError as error:
+            raise error.within("start.hitch") from None
+        return replace(start, polygon=outline, legs=legs)
+    for name, given in vars(start).items():
+        if len(given) != team.robots:
+            key, bound = f"start.drones.{name}", f"a list of {team.robots} points"
+            remedy = "add or remove points, or change team.robots"
+            raise InputError(key, f"{len(given)} points", bound, remedy)
+    apart = np.linalg.norm(start.q - start.r, axis=1)
+    k = int(np.argmax(apart / team.cable_length))
+    if apart[k] > FAR_OFF * team.cable_length[k]:
+        words = f"{apart[k]:.4g} m from q[{k}] on a cable of {team.cable_length[k]:g} m"
+        meant = "if millimetres were meant, write metres"
+        warn_of_unit(UnitWarning(f"start.drones.r[{k}]", f"{words}; {meant}"))
     return start
 
 
@@ -323,10 +260,6 @@ class SwarmProblem(OneLine):
     limits, separation, arena, keep_out, title: what to keep, and what to call it.
     duration: of the flight, exactly [s], or None: as fast as is found.
     objects: by name; they stand where they are, and the drones stay off them.
-
-    Raises
-    ------
-    InputError: not one point per drone, or a point that is not finite.
     """
 
     team: Swarm
@@ -358,9 +291,8 @@ class SwarmProblem(OneLine):
             bound, remedy = "a list of points [x, y, z]", "give three numbers per drone"
             given = points(name, getattr(self, name), (1, 3), bound, remedy)
             if len(given) != self.team.drones:
-                bound = f"{self.team.drones} points, one per drone"
-                remedy = "add or remove points, or change team.drones"
-                raise InputError(name, f"{len(given)} points", bound, remedy)
+                words = f"{self.team.drones} points, one per drone", "change team.drones, or these"
+                raise InputError(name, f"{len(given)} points", *words)
             object.__setattr__(self, name, given)
         object.__setattr__(self, "keep_out", sequence("keep_out", self.keep_out))
         check_requirements(self)

@@ -26,14 +26,10 @@ from hitchopt.errors import (
     Violation,
     time_left,
 )
-from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.requirements import Arena
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.mission.solving import solve_problem
-from hitchopt.steps.holds import EASED
-from hitchopt.steps.route_choice import split_hitch
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,
@@ -44,17 +40,14 @@ from hitchopt.steps.step import (
     points_scaled,
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
-from hitchopt.steps.step_keys import RolledLegs, SlackSplit
+from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
-BUDGET = 15.0
-"""Time [s] after which no further plan is begun: a user waits for it."""
+BUDGET, DIGITS = 15.0, 3
+"""Time [s] after which no further plan is begun, and digits of a suggested value."""
 
 NO_CHANGE = "no single change was found that makes it feasible"
 """Message where there is no suggestion."""
-
-DIGITS = 3
-"""Significant digits of a suggested value: what a person would type."""
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes tried in turn, those of all knobs before the next size."""
@@ -62,11 +55,8 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 RESOLUTION = 0.005
 """Resolution of the smallest size, as a share of the new value."""
 
-FAR = 4.0
-"""Times the smallest change: those that are larger still are not looked for."""
-
-ENOUGH = 3
-"""Most suggestions: more would not be read."""
+FAR, ENOUGH = 4.0, 3
+"""Changes that are so many times larger than the smallest are not looked for; most suggestions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +69,7 @@ class Change(OneLine):
     words: what it is, where the key does not tell.
     old, new: its values [unit].
     unit: such as ``m``; ``times`` for a factor, nothing for words.
-    relative: size of the change over that of the quantity, with its sign.
+    relative: size of the change over that of the quantity, with its sign; 0 for words.
     problem: with the change.
     edits: what to write into the problem's file for it.
     """
@@ -96,21 +86,17 @@ class Change(OneLine):
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
         values = [v if isinstance(v, str) else f"{v:.6g}" for v in (self.old, self.new)]
-        words = f"{self.words}, " if self.words else ""
-        percent = 100.0 * self.relative
+        change = f"{self.key} {values[0]} -> {values[1]}{unit}"
+        if not self.relative:
+            return change
+        words, percent = f"{self.words}, " if self.words else "", 100.0 * self.relative
         share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
-        return f"{self.key} {values[0]} -> {values[1]}{unit} ({words}{share} %)"
+        return f"{change} ({words}{share} %)"
 
 
 @dataclass(frozen=True, eq=False)
 class Suggestion(OneLine):
-    """A change with which the problem has been planned and certified.
-
-    Attributes
-    ----------
-    change: the only one that is needed.
-    duration: of the certified plan [s].
-    """
+    """A change with which the problem is planned and certified, and how long its plan lasts [s]."""
 
     change: Change
     duration: float
@@ -120,8 +106,7 @@ class Suggestion(OneLine):
 
     def to_dict(self) -> dict[str, object]:
         """Return the suggestion as plain values, for JSON."""
-        change = {key: value for key, value in vars(self.change).items() if key != "problem"}
-        del change["words"]
+        change = {k: v for k, v in vars(self.change).items() if k not in ("problem", "words")}
         edits = [vars(edit) for edit in self.change.edits]
         return {**change, "duration": self.duration, "edits": edits, "message": str(self)}
 
@@ -142,15 +127,8 @@ def find_suggestions(
     """Return up to three single changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. They are the smallest that were found: no value between
-    the last one that failed and the one suggested is known to do. None proves nothing.
-
-    Parameters
-    ----------
-    problem: one that cannot be met.
-    error: why not.
-    budget: how long to search [s]; the last plan that was begun is waited for, up to the time
-        limit within which this is called.
-    progress: called with what is being tried now.
+    the last one that failed and the one suggested is known to do. None proves nothing. ``error``
+    says why the problem cannot be met; after ``budget`` [s] no further plan is begun.
     """
     end = time.monotonic() + budget
 
@@ -169,7 +147,8 @@ def find_suggestions(
 
     broken = broken_constraints(error)
     knobs = [knob for knob in _knobs(problem, error.violations) if broken <= knob.covers]
-    spread = map(judged, spread_changes(problem, error))
+    crowded = broken <= SPACE | {"crossing", "arena"}
+    spread = map(judged, _spread(problem) if crowded else ())
     found = [verdict for verdict in spread if isinstance(verdict, Suggestion)]
     found += _smallest(problem, knobs, judged)
     if not found and error.note:  # the optimiser was needed and may be needed still
@@ -183,9 +162,7 @@ def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Sug
     Sizes that are known to be needed come first: they may be enough. Then all knobs are tried with
     one size before any with the next one.
     """
-    found: list[Suggestion] = []
-    failed: dict[int, float] = {}
-    done: set[int] = set()
+    found, done, failed = list[Suggestion](), set[int](), [knob.least for knob in knobs]
     sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
     tries = [(0.0 if size == knobs[i].least else size, i, size) for i, size in sizes]
     last = 0.0
@@ -198,16 +175,11 @@ def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Sug
             continue
         verdict = judge(change_of(problem, knob, size))
         if isinstance(verdict, Suggestion):
-            least = failed.get(i, knob.least)
-            found.append(_narrowed(problem, knob, least, size, verdict, judge))
+            found.append(_narrowed(problem, knob, failed[i], size, verdict, judge))
             done.add(i)
         # Where other things are broken beyond the least, larger changes would break them the more.
         elif turn > 0.0 and (verdict is None or not verdict <= knob.covers):
             done.add(i)
-        elif i not in failed and knob.relaxes:
-            largest = judge(change_of(problem, knob, _sizes(knob)[-1]))
-            if not isinstance(largest, Suggestion):
-                done.add(i)
         failed[i] = size
     return found
 
@@ -245,25 +217,23 @@ def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
     """
     extent = knob.extent or knob.old
     value = knob.old + knob.sign * size * extent
-    new = tidy(value, knob.sign, knob.extent or abs(value))
+    step = 10.0 ** (math.floor(math.log10(knob.extent or abs(value))) + 1 - DIGITS)
+    steps = value / step  # a value that is tidy already is not to be moved by its rounding error
+    rounded = math.ceil(steps - 1e-9) if knob.sign > 0 else math.floor(steps + 1e-9)
+    new = float(f"{rounded * step:.12g}")
     edits = knob.edits(new)
     try:
         changed = with_edits(problem, edits)
     except InputError:
         return None
-    said = knob.key, knob.words, knob.old, new, knob.unit, (new - knob.old) / extent
-    return Change(*said, changed, edits)
+    relative = (new - knob.old) / extent
+    return Change(knob.key, knob.words, knob.old, new, knob.unit, relative, changed, edits)
 
 
 def with_edits(problem: Problem, edits: Edits) -> Problem:
-    """Return the problem that its file describes with these edits.
-
-    Raises
-    ------
-    InputError: a value that a record refuses, or parts that do not fit one another.
-    """
-    parts = {name: getattr(problem, name) for name in ("team", "start", "mission", "arena")}
-    parts |= {"limits": problem.limits, "objects": problem.objects}
+    """Return the problem that its file describes with these edits, or raise InputError."""
+    names = ("team", "start", "mission", "arena", "limits", "objects")
+    parts = {name: getattr(problem, name) for name in names}
     for edit in edits:
         name, *path = re.findall(r"[^.\[\]]+", edit.key)
         if name == "start":
@@ -285,20 +255,11 @@ def _put(record: Any, path: Sequence[str], value: Any) -> Any:
     if isinstance(record, Mapping):
         return {**record, key: _put(record[key], rest, value)}
     if key == "quadrotor":
-        kinds = value if isinstance(value, list) else [value]
-        found = tuple(Quadrotor(**kind) for kind in kinds)
-        return replace(record, quadrotor=found if isinstance(value, list) else found[0])
+        kinds = [Quadrotor(**kind) for kind in (value if isinstance(value, list) else [value])]
+        return replace(record, quadrotor=tuple(kinds) if isinstance(value, list) else kinds[0])
     name = key.removesuffix("_deg")
     changed = _put(getattr(record, name), rest, value)
     return replace(record, **{name: changed if name == key else math.radians(changed)})
-
-
-def tidy(value: float, sign: int, scale: float) -> float:
-    """Return ``value`` rounded up (sign 1) or down (sign -1) to DIGITS digits of ``scale``."""
-    step = 10.0 ** (math.floor(math.log10(scale)) + 1 - DIGITS)
-    steps = value / step  # a value that is tidy already is not to be moved by its rounding error
-    rounded = math.ceil(steps - 1e-9) if sign > 0 else math.floor(steps + 1e-9)
-    return float(f"{rounded * step:.12g}")
 
 
 def broken_constraints(error: InfeasibleError) -> frozenset[str]:
@@ -334,11 +295,9 @@ TOO_CLOSE = frozenset({"crossing", "cable_clearance", "separation"})
 HEAVY, HELD = frozenset({"load"}), frozenset({"grip"})
 """What tensions are too low for, and what lighter objects, and rougher ones, repair."""
 
-BALANCE = frozenset({"equilibrium", "keep_out"})
-"""What a lighter object repairs besides."""
-
-ROUGHEST, STEEPEST = 1.0, 80.0
-"""Largest coefficient of friction, and largest tilt [deg] suggested."""
+ROUGHEST, STEEPEST, EASED = 1.0, 80.0, 0.95
+"""Largest coefficient of friction, and largest tilt [deg] suggested; share of the largest mass at
+rest from which on it is tried, as carrying pulls at it too."""
 
 LIMITS = {
     "speed": ("m/s", "speed"),
@@ -348,8 +307,9 @@ LIMITS = {
     "duration": ("s", PLAN_DURATION),
     "tilt_deg": ("deg", "tilt"),
     "body_rate_deg": ("deg/s", "body_rate"),
+    "leg": ("m", "legs"),
 }
-"""Limits that may be raised, with their units and checks."""
+"""Limits that may be raised, the last one lowered, with their units and checks."""
 
 
 def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
@@ -358,14 +318,17 @@ def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     yield from _team(problem, violations)
     yield from _objects(problem, violations)
     for name, (unit, check) in LIMITS.items():
-        if getattr(problem.limits, name.removesuffix("_deg")) is None:
+        value = getattr(problem.limits, name.removesuffix("_deg"))
+        if value is None:
             continue
-        covers = {check} if check == PLAN_DURATION else TIMES | {check}
-        knob = _limit(problem, name, unit, covers)
-        most = STEEPEST / knob.old - 1.0 if name == "tilt_deg" else math.inf
-        if most > 0.0:
+        old = round(math.degrees(value), 9) if name.endswith("_deg") else float(value)
+        covers = frozenset({check} if check in ("legs", PLAN_DURATION) else TIMES | {check})
+        knob = Knob(f"limits.{name}", old, unit, covers=covers)
+        most = STEEPEST / old - 1.0 if name == "tilt_deg" else math.inf
+        if name == "leg":
+            yield replace(knob, sign=-1)
+        elif most > 0.0:
             yield replace(knob, least=_needed(violations, check), most=most)
-    yield replace(_limit(problem, "leg", "m", {"legs"}), sign=-1)
     for i, step in enumerate(problem.mission):
         own = _needed((v for v in violations if f"step {i} " in v.when), "duration")
         for knob in step.knobs():
@@ -373,7 +336,7 @@ def _knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
             def written(new: float, i: int = i, knob: Knob = knob) -> Edits:
                 return _in_step(problem, i, knob.edits(new))
 
-            (key,) = (each.key for each in _in_step(problem, i, (Edit(knob.key, 0.0),)))
+            key = f"mission[{i}].{step.name}.{knob.key}"
             least = own if "duration" in knob.covers else 0.0
             yield replace(knob, key=key, written=written, least=least)
     yield from _walls(problem, violations)
@@ -389,65 +352,43 @@ def _starts(problem: Problem) -> Iterator[Knob]:
     def placed(middle: float, arm: float) -> Edits:
         """Return the edits that put middles apart and arms as long by factors."""
         centres = points_scaled(middles, middle, np.mean(middles, axis=0))
-        places = {"q": start.q.copy(), "r": start.r.copy()}
-        for sign, place in zip((-1.0, 1.0), places.values(), strict=True):
-            place[:, :2] = np.round(centres + sign * arm * arms, DECIMALS)
-        return tuple(Edit(f"start.drones.{name}", p.tolist()) for name, p in places.items())
+        edits = []
+        for name, sign in (("q", -1.0), ("r", 1.0)):
+            level = np.round(centres + sign * arm * arms, DECIMALS)
+            place = np.column_stack([level, getattr(start, name)[:, 2]])
+            edits.append(Edit(f"start.drones.{name}", place.tolist()))
+        return tuple(edits)
 
-    key, words = "start.drones", "two drones of a robot"
     apart, drawn = (lambda factor: placed(factor, 1.0)), (lambda factor: placed(1.0, factor))
+    key, span = "start.drones", frozenset({"span"})
     yield Knob(key, 1.0, "times", apart, 1, TOO_CLOSE, "robots from their middle")
-    yield Knob(key, 1.0, "times", drawn, -1, frozenset({"span"}), words)
+    yield Knob(key, 1.0, "times", drawn, -1, span, "two drones of a robot")
 
 
 def _team(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     """Yield cables, the outlines, and forces."""
-    team = problem.team
     length, tension = _values(problem, "cable_length", "m"), _values(problem, "tension", "N")
-    yield replace(length, words="all cables", covers=SPACE)
-    yield replace(length, words="all cables", sign=-1, covers=TOO_CLOSE | {"arena"})
+    length = replace(length, words="all cables")
+    yield replace(length, covers=SPACE)
+    yield replace(length, sign=-1, covers=TOO_CLOSE | {"arena"})
     written = partial(outlines_scaled, problem)
     larger = Knob("polygon", 1.0, "times", written, 1, TOO_CLOSE, "scale of all polygons")
     yield replace(larger, sign=-1, covers=SPACE | RATES | TIMES | {"arena"})
     yield larger
     yield replace(tension, sign=-1, covers=FORCES)
     yield replace(tension, covers=HEAVY, least=_needed(violations, "load"))
-    if np.any(team.load > 0.0):
+    if np.any(problem.team.load > 0.0):
         covers = HEAVY | FORCES | TOO_CLOSE
         yield replace(_values(problem, "load", "kg"), sign=-1, covers=covers)
     thrust = _values(problem, "max_thrust", "N")
     key = "team.quadrotor.max_thrust" if thrust.unit == "N" else "team.quadrotor"
-    yield replace(thrust, key=key, covers=TIMES | {"thrust"}, relaxes=True)
-
-
-def _team_values(problem: Problem, name: str) -> Array:
-    """Return cable lengths [m], tensions [N], largest thrusts [N] or loads [kg], (n,) or clasps."""
-    team = problem.team
-    values: Array = team.max_thrust[::2] if name == "max_thrust" else getattr(team, name)
-    return values
-
-
-def team_edit(problem: Problem, name: str, values: Array) -> Edit:
-    """Return what to write for other ``_team_values``: one value where all are the same."""
-    rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
-    if name == "max_thrust":
-        name = "quadrotor"
-        rounded = [  # mass and thrust, and whatever else is not its default
-            {"mass": kind.mass, "max_thrust": value}
-            | {
-                key: other
-                for key, other in vars(kind).items()
-                if key not in ("mass", "max_thrust") and other != getattr(Quadrotor, key)
-            }
-            for kind, value in zip(problem.team.quadrotor, rounded, strict=True)
-        ]
-    same = all(value == rounded[0] for value in rounded)
-    return Edit(f"team.{name}", rounded[0] if same else rounded)
+    yield replace(thrust, key=key, covers=TIMES | {"thrust"})
 
 
 def _values(problem: Problem, name: str, unit: str) -> Knob:
     """Return the team's values as one knob: the value that all have, or a factor of them."""
-    values = _team_values(problem, name)
+    team = problem.team
+    values: Array = team.max_thrust[::2] if name == "max_thrust" else getattr(team, name)
     same = bool(np.ptp(values) == 0.0)
     ratios = np.ones(len(values)) if same else values
     old, words = (float(values[0]), "") if same else (1.0, f"every {name}")
@@ -456,6 +397,19 @@ def _values(problem: Problem, name: str, unit: str) -> Knob:
         return (team_edit(problem, name, new * ratios),)
 
     return Knob(f"team.{name}", old, unit if same else "times", written, words=words)
+
+
+def team_edit(problem: Problem, name: str, values: Array) -> Edit:
+    """Return what to write for other values of a team: one value where all are the same."""
+    rounded: list[Any] = [round(float(value), DECIMALS) for value in values]
+    if name == "max_thrust":
+        name, usual = "quadrotor", vars(Quadrotor())
+        for k, kind in enumerate(problem.team.quadrotor):
+            given = {**vars(kind), "max_thrust": rounded[k]}
+            asked = ("mass", "max_thrust")  # and whatever else is not its default
+            rounded[k] = {key: v for key, v in given.items() if key in asked or v != usual[key]}
+    same = all(value == rounded[0] for value in rounded)
+    return Edit(f"team.{name}", rounded[0] if same else rounded)
 
 
 def outlines_scaled(problem: Problem, factor: float) -> Edits:
@@ -488,20 +442,13 @@ def _objects(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
         told = (f"objects.{name}" in v.when or name in v.where for v in violations)
         if body.fixed or not any(told):
             continue
-        covers = HELD | HEAVY | FORCES | TOO_CLOSE | BALANCE
+        covers = HELD | HEAVY | FORCES | TOO_CLOSE | {"equilibrium", "keep_out"}
         least = round(1.0 - share, 9)
         yield Knob(f"objects.{name}.mass", body.mass, "kg", None, -1, covers, least=least)
         if 0.0 < body.friction <= share * ROUGHEST:
             least, most = 1.0 / share - 1.0, ROUGHEST / body.friction - 1.0
             key = f"objects.{name}.friction"
             yield Knob(key, body.friction, "", covers=HELD, least=least, most=most)
-
-
-def _limit(problem: Problem, name: str, unit: str, covers: Iterable[str]) -> Knob:
-    """Return the knob of a limit, by its key in the file."""
-    value = getattr(problem.limits, name.removesuffix("_deg"))
-    old = round(math.degrees(value), 9) if name.endswith("_deg") else float(value)
-    return Knob(f"limits.{name}", old, unit, covers=frozenset(covers), relaxes=True)
 
 
 def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
@@ -521,36 +468,18 @@ def _walls(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
 
             key, old = f"arena.{side}[{axis}]", float(getattr(arena, side)[axis])
             covers, least = frozenset({"arena"}), beyond / extent
-            knob = Knob(
-                key, old, "m", written, sign, covers, "one wall", extent, least, relaxes=True
-            )
-            yield knob
+            yield Knob(key, old, "m", written, sign, covers, "one wall", extent, least)
 
 
-def spread_changes(problem: Problem, error: InfeasibleError) -> Iterator[Change]:
-    """Yield the changes from given or balanced legs to spread ones, at the start and after steps.
-
-    Their relative size is the farthest that a drone goes, over its cable's length.
-    """
-    if not broken_constraints(error) <= SPACE | {"crossing", "arena"}:
-        return
-    outline, start, team = problem.start_outline, problem.start, problem.team
-    places: list[tuple[SlackSplit | None, Outline | None, Edits]] = []
-    if isinstance(start, HitchStart):
-        places.append((start.legs, outline, (Edit("start.hitch.legs", "spread"),)))
-    for i, step in enumerate(problem.mission):
-        outline, legs = step.polygon_left(team, outline), getattr(step, "legs", None)
-        places.append((legs, outline, _in_step(problem, i, (Edit("legs", "spread"),))))
-    for legs, shape, edits in places:
+def _spread(problem: Problem) -> Iterator[Change]:
+    """Yield the changes from given or balanced legs to spread ones, at the start or after steps."""
+    records: list[tuple[str, object]] = [("start.hitch", problem.start)]
+    records += [(f"mission[{i}].{step.name}", step) for i, step in enumerate(problem.mission)]
+    for place, record in records:
+        legs: Any = getattr(record, "legs", None)
         sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
-        if shape is None or sharing is None or (isinstance(sharing, str) and sharing == "spread"):
+        if sharing is None or (isinstance(sharing, str) and sharing == "spread"):
             continue
-        try:
-            given = balanced_legs(team, shape) if isinstance(sharing, str) else sharing
-            best = split_hitch(team, shape, 0.0, "spread", problem.requirements).q_legs
-        except InfeasibleError:  # no cable is left for any legs
-            continue
-        relative = float(np.max(np.abs(best - given) / team.cable_length))
-        words = legs if isinstance(legs, str) else "as given"
-        said = edits[0].key, "", words, "spread", "", relative
-        yield Change(*said, with_edits(problem, edits), edits)
+        edits = (Edit(f"{place}.legs", "spread"),)
+        words, changed = legs if isinstance(legs, str) else "as given", with_edits(problem, edits)
+        yield Change(edits[0].key, "", words, "spread", "", 0.0, changed, edits)

@@ -5,27 +5,25 @@ from __future__ import annotations
 import hashlib
 import math
 import pickle
+import re
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
 from hitchopt.checks import certify, merged
-from hitchopt.checks.spans import shared_values
 from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
-    InputError,
     Progress,
     TimeLimitError,
     Violation,
 )
-from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Prism, Requirements
-from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
+from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProblem
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
@@ -36,9 +34,9 @@ from hitchopt.steps.certified_motions import (
     check_at_rest,
     check_start,
     infeasible,
+    split_hitch,
 )
 from hitchopt.steps.moving import plan_blended
-from hitchopt.steps.route_choice import split_hitch
 from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -61,22 +59,15 @@ def solve_problem(
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     HitchoptError: a planner failed to find what may exist, and says so.
     """
-    # The certificates of a single step and of the plan need the same values, if no other step's.
-    with shared_values() if len(problem.mission) == 1 else nullcontext():
-        return _solved(problem, progress, optimiser)
-
-
-def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Certified:
-    steps, requirements = problem.mission, problem.requirements
+    steps, requirements, tell = problem.mission, problem.requirements, progress or _unheard
     planned = requirements.planned  # stops on the common clock may use the rest
-    first_form = next((step for step in steps if isinstance(step, Form)), None)
-    situation, assignment = _begun(progress, problem.team, problem.start, first_form, planned)
+    situation, assignment = _begun(problem, planned, tell)
     start, parts = situation.hitch, list[StepPlan]()
     for first, group in _groups(steps):
-        _tell(progress, f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
+        tell(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
         task = StepTask(situation, first, situation.at_objects(planned), optimiser)
         try:
-            part = _step(progress, group, task)
+            part = _step(group, task, tell)
         except TimeLimitError:
             raise
         except HitchoptError as error:
@@ -98,6 +89,10 @@ def _solved(problem: Problem, progress: Progress | None, optimiser: bool) -> Cer
     if isinstance(problem.start, DronesStart):
         check_above_ground(motion)
     return Certified(replace(motion, assignment=assignment), certificate)
+
+
+def _unheard(message: str) -> None:
+    """Hear what is being done, where nobody else does."""
 
 
 MOST = 32
@@ -126,46 +121,38 @@ def contents(value: object) -> object:
 
 
 def _begun(
-    progress: Progress | None,
-    team: Team,
-    start: Start,
-    form: Form | None,
-    requirements: Requirements,
+    problem: Problem, requirements: Requirements, tell: Progress
 ) -> tuple[Situation, Assignment | None]:
-    """Return where a mission starts; from free cables, with the robots' roles for all of the plan.
-
-    Parameters
-    ----------
-    form: the first step that forms a hitch.
-    """
-    if not isinstance(start, DronesStart):
-        if isinstance(start, Hitch):
-            hitch = start
-        else:
-            _tell(progress, "splitting the slack at the start")
-            hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+    """Return where a mission starts; from free cables, with the robots' roles for all of it."""
+    team, start = problem.team, problem.start
+    if isinstance(start, Hitch):
+        return Situation.formed(start), None
+    if isinstance(start, HitchStart):
+        tell("splitting the slack at the start")
+        hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
         return Situation.formed(hitch), None
     named = Situation(team, start.drones)  # drones have the file's names
     check_start(StepTask(named, 0, requirements))
     assignment = Assignment.fixed(team.robots)
+    form = next((step for step in problem.mission if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
         from hitchopt.planners.forming.approach import assigned
 
-        _tell(progress, "assigning robots to edges")
+        tell("assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     return Situation(assignment.team(team), assignment.drones(start.drones)), assignment
 
 
-def _step(progress: Progress | None, group: tuple[Step, ...], task: StepTask) -> StepPlan:
+def _step(group: tuple[Step, ...], task: StepTask, tell: Progress) -> StepPlan:
     """Return the certified plan of steps without a stop, from memory where nothing differs."""
     key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
     planned = _FINISHED.pop(key, None)
     if planned is None:
         planned = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
-        _tell(progress, f"certifying step {task.index} ({group[0].name})")
+        tell(f"certifying step {task.index} ({group[0].name})")
         _ = planned.certificate  # is kept with the plan
     else:
-        _tell(progress, "planned before, taken from memory")
+        tell("planned before, taken from memory")
     _FINISHED[key] = planned  # as the one used last
     if len(_FINISHED) > MOST:
         _FINISHED.popitem(last=False)
@@ -174,69 +161,54 @@ def _step(progress: Progress | None, group: tuple[Step, ...], task: StepTask) ->
 
 def _groups(steps: Sequence[Step]) -> Iterator[tuple[int, tuple[Step, ...]]]:
     """Yield the steps that follow one another without a stop, with the first one's index."""
-    group: list[Step] = []
+    first = 0
     for i, step in enumerate(steps):
-        group.append(step)
         if not step.blends:
-            yield i + 1 - len(group), tuple(group)
-            group = []
-    if group:
-        raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
+            yield first, tuple(steps[first : i + 1])
+            first = i + 1
 
 
 def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> InfeasibleError:
-    """Return the error with the step named wherever its words do not name it yet."""
+    """Return the error with the step named as the file has it, wherever it happens."""
     names = " and ".join(f"{i} ({step.name})" for i, step in enumerate(group, first))
     told = []
     for violation in error.violations:
         when = violation.when
+        if len(group) == 1:  # parts of a step have names of their own
+            when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
         if f"step {first}" not in when and "end of step" not in when:
             when = f"{when} of step {names}".strip()
-        advice = "leave out blend" if len(group) > 1 else ""
-        told.append(replace(_with_remedy(violation, advice), when=when))
+        told.append(replace(violation, when=when, remedy=_remedy(violation, len(group) > 1)))
     return InfeasibleError(told, error.note)
 
 
 def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
-    """Return what a certificate refuses, with what can be changed in the steps where it does."""
+    """Return what a certificate refuses; where steps are blended a stop may help."""
     error = infeasible(found.certificate, found.motion)
     told = []
     for violation, check in zip(error.violations, found.certificate.violated, strict=True):
-        advice = [""]
-        for phase in found.motion.phases:
-            if phase.start <= check.time <= phase.end and check.name != "duration":
-                i = phase.step
-                blends = any(step.blends for step in steps[max(0, i - 1) : i + 1])
-                advice.append(steps[i].advice(check.name) or blends * "leave out blend")
-        told.append(_with_remedy(violation, max(advice)))
+        during = [p for p in found.motion.phases if p.start <= check.time <= p.end]
+        around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
+        blends = check.name != "duration" and any(step.blends for step in around)
+        told.append(replace(violation, remedy=_remedy(violation, blends)))
     return InfeasibleError(told, error.note)
 
 
-def _with_remedy(violation: Violation, advice: str) -> Violation:
-    return replace(violation, remedy=f"{violation.remedy}, or {advice}") if advice else violation
-
-
-def _tell(progress: Progress | None, message: str) -> None:
-    if progress is not None:
-        progress(message)
+def _remedy(violation: Violation, blended: bool) -> str:
+    return f"{violation.remedy}, or leave out blend" if blended else violation.remedy
 
 
 SHARE = 1.0 - 1e-6
 """Share of what thrust and tilt allow that is used, so that rounding breaks no limit."""
 
-CORNERS = 24
-"""Number of corners of the polygon around a circle that the planner keeps drones out of."""
-
-THIN = 1e-3
-"""[m] Height of the prism around a rim."""
+CORNERS, THIN = 24, 1e-3
+"""Corners of the polygon around a circle, and height of the prism around a rim [m]."""
 
 
 def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Certified:
     """Return the plan with its certificate; ``progress`` is called with what is being done now.
 
-    Raises
-    ------
-    InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
+    Raises InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
     from hitchopt.planners.separation import SeparationTask, separate
 
@@ -246,17 +218,18 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
         found = Violation("duration", asked, longest, "max", "s", (), "as asked for", remedy)
         raise InfeasibleError([found])
     planned = problem.requirements.planned
-    bodies = [(name, slab) for name, body in problem.objects.items() for slab in body.slabs]
-    around = tuple(prism_around(problem.objects[name], slab) for name, slab in bodies)
-    prisms = [f"prism {k}" for k in range(len(planned.keep_out))]
+    prisms = [(f"prism {k}", prism) for k, prism in enumerate(planned.keep_out)]
+    for name, body in problem.objects.items():
+        prisms += [(name, _prism_around(body, slab)) for slab in body.slabs]
+    names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
     task = SeparationTask(
         problem.start,
         problem.goal,
-        replace(planned, keep_out=planned.keep_out + around, objects={}),
+        replace(planned, keep_out=keep_out, objects={}),
         duration=problem.duration,
         acceleration=flyable_accelerations(problem),
         names=problem.team.drone_names,
-        prisms=(*prisms, *(name for name, _ in bodies)),
+        prisms=names,
     )
     separated = separate(task, progress)
     phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
@@ -267,11 +240,8 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
     return Certified(motion, certificate)
 
 
-def prism_around(body: SolidObject, slab: Slab) -> Prism:
-    """Return a prism that holds a slab of an object, where it stands.
-
-    A circle has a polygon of CORNERS corners around it.
-    """
+def _prism_around(body: SolidObject, slab: Slab) -> Prism:
+    """Return a prism that holds a slab of an object, where it stands."""
     corners = slab.section.core
     if slab.section.radius is not None:
         angles = -2.0 * np.pi / CORNERS * np.arange(CORNERS)
@@ -285,9 +255,7 @@ def prism_around(body: SolidObject, slab: Slab) -> Prism:
 def flyable_accelerations(problem: SwarmProblem) -> Array:
     """(N,) [m/s²]: what each drone can do in any direction, by its limit, its thrust and the tilt.
 
-    Raises
-    ------
-    InfeasibleError: a drone that cannot even hover.
+    Raises InfeasibleError for one that cannot even hover.
     """
     team = problem.team
     spare = team.max_thrust / team.mass - GRAVITY

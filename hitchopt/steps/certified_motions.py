@@ -1,25 +1,33 @@
-"""Motions of single steps, at rest or flying, on free cables or tied, with their certificates."""
+"""Motions of single steps, with their certificates: at rest, on routes, on free cables, tied."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Violation
+from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import CLEARANCE, hover_altitude
 from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import stage
-from hitchopt.planners.morph.path import RigidPath
-from hitchopt.planners.timing.flight import Flight, fly
-from hitchopt.steps.step import Situation, StepPlan, StepTask
+from hitchopt.planners.morph.actions import Action
+from hitchopt.planners.morph.legs import SLIDES, legs_clear
+from hitchopt.planners.morph.path import RigidPath, ShapePath
+from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
+from hitchopt.steps.step import IDLE, Situation, StepPlan, StepTask
+from hitchopt.steps.step_keys import RolledLegs, SlackSplit
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -37,13 +45,7 @@ class Certified:
 
 
 def checked(planned: StepPlan, when: str = "") -> StepPlan:
-    """Return the plan of a step or a part of it; raise InfeasibleError for what it breaks.
-
-    Parameters
-    ----------
-    planned: what is checked.
-    when: said in place of the time, for a motion at rest.
-    """
+    """Return a plan; raise InfeasibleError for what it breaks, ``when`` being said for the time."""
     if not planned.certificate.certified:
         raise infeasible(planned.certificate, planned.motion, when)
     return planned
@@ -85,45 +87,39 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
-    """Return the error that tells what a certificate's broken checks say.
+    """Return the error that tells what checks of a motion's certificate are broken.
 
-    Parameters
-    ----------
-    certificate: one that does not hold.
-    motion: whose it is: its distances tell in metres by how much level drones are too close, its
-        phases in which step it happens.
-    when: said instead, for a certificate of something at rest.
+    Of something at rest ``when`` is said in place of time and step.
     """
-    return InfeasibleError(
-        [
-            check.violation(
-                _metres(check, motion) + (when or _moment(check, motion.phases)),
-                _remedy(check, motion),
-            )
-            for check in certificate.violated
-        ]
-    )
+    found = []
+    for check in certificate.violated:
+        phases = [p for p in motion.phases if p.start <= check.time <= p.end]
+        words = when
+        if not when and check.name != "duration":
+            step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
+            words = f"at t = {check.time:.4g} s{step}"
+        found.append(
+            check.violation(_metres(check, motion) + words, _remedy(check, motion, phases))
+        )
+    return InfeasibleError(found)
 
 
-def _remedy(check: Check, motion: Motion) -> str:
-    during = (phase for phase in motion.phases if phase.start <= check.time <= phase.end)
-    formed = [phase.formed for phase in during]
+def _remedy(check: Check, motion: Motion, phases: Sequence[Phase]) -> str:
+    """Return what to change, of the remedies that a check has for different bodies."""
     rule = RULE_OF[check.name]
-    if formed and not any(formed):
+    if phases and not any(phase.formed for phase in phases):
         return rule.free_remedy or rule.remedy
-    far = rule.far_remedy and not _share_clasp(check.where, motion.team)
-    return rule.far_remedy if far else rule.remedy
+    if rule.far_remedy and not _share_clasp(check.where, motion.team):
+        return rule.far_remedy
+    return rule.remedy
 
 
 def _share_clasp(where: tuple[str, ...], team: Team) -> bool:
     """Return whether a drone stands at a clasp of another drone, or of a cable."""
-    layout, points = team.layout, []
-    for name in where:
-        if name in team.drone_names:
-            points.append({layout.anchors[team.drone_names.index(name)]})
-        elif name.startswith("cable "):
-            k = int(name.removeprefix("cable "))
-            points.append({layout.starts[k], layout.ends[k]})
+    layout, names = team.layout, team.drone_names
+    cables = {f"cable {k}": {layout.starts[k], layout.ends[k]} for k in range(team.robots)}
+    drones = {name: {layout.anchors[i]} for i, name in enumerate(names)}
+    points = [(drones | cables)[name] for name in where if name in drones or name in cables]
     return len(points) == 2 and bool(set.intersection(*points))
 
 
@@ -139,13 +135,233 @@ def _metres(check: Check, motion: Motion) -> str:
     return f"({apart:.3g} m apart, {needed - apart:.3g} m too close) "
 
 
-def _moment(check: Check, phases: tuple[Phase, ...]) -> str:
-    if check.name == "duration":
-        return ""
-    for phase in phases:
-        if phase.start <= check.time <= phase.end:
-            return f"at t = {check.time:.4g} s, in step {phase.step} ({phase.name})"
-    return f"at t = {check.time:.4g} s"
+# The hitch that a step ends with, and its routes there.
+
+
+def split_hitch(
+    team: Team,
+    polygon: Outline | ArrayLike,
+    altitude: float,
+    legs: SlackSplit,
+    requirements: Requirements,
+) -> Hitch:
+    """Return the hitch whose slack is split as ``legs`` says."""
+    if isinstance(legs, RolledLegs):
+        sharing, roll, auto = legs.sharing, legs.roll, legs.roll is None
+    else:
+        sharing, roll, auto = legs, None, False
+    if isinstance(sharing, str) and sharing == "spread":
+        limits, separation = requirements.limits, requirements.separation
+        return Hitch.spread(
+            team, polygon, altitude, limits=limits, separation=separation, roll=roll
+        )
+    given = 0.0 if roll is None else roll
+    if isinstance(sharing, str):
+        hitch = Hitch.balanced(team, polygon, altitude, given)
+    else:
+        hitch = Hitch(team, polygon, altitude, sharing, given)
+    return hitch.least_rolled(requirements) if auto else hitch
+
+
+class End(NamedTuple):
+    """The hitch after a step, at rest, and what the action's own legs would break, in words."""
+
+    hitch: Hitch
+    reason: str = ""
+
+
+def end_of_morph(
+    start: Hitch, polygon: Outline, legs: SlackSplit | None, requirements: Requirements
+) -> End:
+    """Return the hitch on ``polygon``; without ``legs`` with fractions nearest to those before."""
+    if legs is not None:
+        return End(split_hitch(start.team, polygon, start.altitude, legs, requirements))
+    return End(_nearest(start, polygon, start.fractions, requirements))
+
+
+def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
+    """Return the hitch after an action; without ``legs`` with those nearest to its law's."""
+    start, polygon = action.start, action.polygon
+    if legs is not None:
+        return end_of_morph(start, polygon, legs, requirements)
+    wanted = action.kept_legs
+    try:
+        hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
+    except InfeasibleError as error:
+        reason = _words(replace(error.violations[0], limit=requirements.limits.leg))
+    else:
+        broken = at_rest(hitch, requirements).certificate.violated
+        if not broken:
+            return End(hitch)
+        reason = _words(broken[0].violation("", ""))
+    nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), requirements)
+    # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
+    q_legs = np.where(np.abs(nearest.q_legs - wanted) < SLIDES, wanted, nearest.q_legs)
+    end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
+    return End(end, f"{reason} at the end")
+
+
+def _words(broken: Violation) -> str:
+    """Return such as "legs 0.11 m at q0 would be below 0.15 m"."""
+    unit = "" if broken.unit in {"1", "ratio"} else f" {broken.unit}"
+    relation = "below" if broken.sense == "min" else "above"
+    place = f" at {', '.join(broken.where)}" if broken.where else ""
+    value = f"{broken.constraint} {broken.value:.3g}{unit}{place}"
+    return f"{value} would be {relation} {broken.limit:.3g}{unit}"
+
+
+def _nearest(
+    start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
+) -> Hitch:
+    """Return the hitch within all limits whose fractions are nearest to those given."""
+    kept = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
+    return Hitch.nearest(start.team, polygon, start.altitude, fractions, roll=start.roll, **kept)
+
+
+FASTER = "faster than the step's own route"
+SHUT = "the step's own route is infeasible"
+SLOWER = "the step's own route takes longer"
+
+
+def optimised(
+    task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
+) -> StepPlan:
+    """Return the fastest plan that the optimiser finds from the task's hitch to another.
+
+    Both are at one altitude, and within all limits at rest. ``phase`` has the step's name and
+    index, and within what tensions may change meanwhile; ``lead``: also try legs that lead and lag.
+
+    Raises InfeasibleError where it takes longer than ``duration`` [s], or HitchoptError.
+    """
+    from hitchopt.planners.morph.legs import leading
+    from hitchopt.planners.optimise.search import OptimisedMorph
+
+    start, requirements = task.hitch, task.requirements
+    accepted: dict[Flight, StepPlan] = {}
+
+    def planned(flight: Flight) -> StepPlan:
+        flown = replace(phase, end=flight.duration)
+        return task.ended(flying(flight, start.team, requirements, [flown]), end)
+
+    def judged(path: ShapePath) -> Flight | None:
+        """Return the flight along a path, or one on which legs lead and lag, if it is certified."""
+        led = leading(path, requirements.limits) if lead else ()
+        for each in (*(p for p in led if legs_clear(p, requirements)), path):
+            try:
+                flight = fly(each, requirements.limits)
+            except HitchoptError:
+                if each is path:
+                    raise
+                continue
+            found = planned(flight)
+            if found.certificate.certified:
+                accepted[flight] = found
+                return flight
+        return None
+
+    found = OptimisedMorph(start, end, requirements, judged, phase.tension).solve()
+    if not found:
+        raise HitchoptError("no route was found")
+    best, words = found[0].flight, f"on an optimised route, first guess {found[0].name}"
+    if duration is None:
+        return accepted[best].remarked(words)
+    check_duration(duration, best.duration)
+    return checked(planned(best.lasting(duration)).remarked(words))
+
+
+def refused_both(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
+    """Return what tells why neither a step's own route nor the optimised one is flown.
+
+    What binds on the own one; a route that only takes too long is told before others.
+    """
+
+    def late(refusal: InfeasibleError) -> float:
+        """Return the time that a route takes at least [s], if that alone is why it is refused."""
+        timed = all((v.constraint, v.sense) == ("duration", "min") for v in refusal.violations)
+        return max((v.limit for v in refusal.violations if timed), default=math.inf)
+
+    told = [each for each in (own, other) if isinstance(each, InfeasibleError)]
+    if not told:
+        return own
+    first = min(told, key=late)  # the own one where none has a time
+    if first is not own and isinstance(own, InfeasibleError):
+        note = SHUT if late(own) == math.inf else SLOWER
+    return InfeasibleError(first.violations, first.note or note)
+
+
+SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
+"""Shares of the friction to lean against, tried in turn until every limit is satisfied."""
+
+WHOLE, LONGER = 0.99, 1.5
+"""Share of the friction from which on all of it counts as used, and most times as long as without
+friction that a step may last for legs to lean so far."""
+
+NO_ROOM = "legs do not lean against friction: limits leave no room for it"
+
+
+def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
+    """Return the plan with legs that lean against friction as far as limits allow.
+
+    It is the given one where the team's cables have no friction or none of them slides, and where
+    limits leave no room for leaning, which its remarks then say. The motion may take up to LONGER
+    times as long, unless its time is given (``timed``) or the whole plan's is limited.
+    """
+    motion, limits = planned.motion, planned.motion.requirements.limits
+    if motion.team.cable_friction == 0.0:
+        return planned
+    from hitchopt.planners.morph.friction import leaning, worth_leaning
+
+    if not worth_leaning(motion):
+        return planned
+    slower = not timed and limits.duration is None
+    for share in SHARES:
+        found = leaning(motion, limits, share, slower=slower)
+        if found is None or found.motion.duration > LONGER * motion.duration:
+            continue
+        words = f"legs lean against friction, by up to {math.degrees(found.turned):.2g}°"
+        if share < 1.0:
+            words += f" ({share:.0%} of what would do: limits leave room for no more)"
+        leant = replace(planned, motion=found.motion).remarked(words)
+        if leant.certificate.certified:
+            return leant
+    return planned.remarked(NO_ROOM)
+
+
+def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
+    """Return the plan in which drones swing until the clasps' friction has lost its memory.
+
+    They swing as far as limits allow, as the remark says, for ``seconds`` [s], or SWINGS of SWING,
+    up to LONGER times as long where limits of motion need that. The times of ``phase`` are set.
+
+    Raises InfeasibleError where limits leave no room for it, and it is ``needed``.
+    """
+    from hitchopt.planners.morph.friction import SWING, SWINGS, settling
+
+    lasts = SWING * (SWINGS + 0.5) if seconds is None else seconds
+    hitch, requirements, tried = task.hitch, task.requirements, None
+    rest = resting(hitch, requirements, lasts, phase)
+    for share in SHARES:
+        found = settling(rest, share)
+        if found is None:
+            break
+        leaning, used = found
+        motion = leaning.motion
+        words = f"drones swing by up to {math.degrees(leaning.turned):.2g}°"
+        curves = motion.drones, motion.vertices, motion.pulls
+        factor = needed_stretch(motion.team, requirements.limits, *curves)
+        if factor > 1.0 and seconds is None and factor <= LONGER:
+            motion = motion.slowed(factor)
+        if used < WHOLE:
+            words += f" (at least {used:.0%} of what would do: legs have room for no more)"
+        tried = task.ended(motion, hitch).remarked(words)
+        if tried.certificate.certified:
+            return tried
+    if tried is None:
+        return task.ended(rest, hitch).remarked("no leg can lean against friction")
+    if needed:
+        raise infeasible(tried.certificate, tried.motion)
+    left = task.ended(resting(hitch, requirements, IDLE, phase), hitch)
+    return left.remarked("clasps keep their friction: limits leave no room to work them")
 
 
 # Motions on free cables, and of hitches that are tied or untied.
@@ -159,10 +375,8 @@ TIGHTENING = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 def hovering(task: StepTask, seconds: float) -> Motion:
     """Return the motion in which drones on free cables stay: parked, or hovering."""
-    rest = PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
-    motion = stage(
-        "parked", rest, task.before.team, task.requirements, task.index, CableState.GROUND
-    )
+    team, rest = task.before.team, PiecewisePolynomial.constant([0.0, seconds], task.before.drones)
+    motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)
     (phase,) = motion.phases
     hanging = phase.state is CableState.FREE
     return replace(motion, phases=(replace(phase, name="hold"),)) if hanging else motion
@@ -170,9 +384,8 @@ def hovering(task: StepTask, seconds: float) -> Motion:
 
 def check_start(task: StepTask) -> None:
     """Raise InfeasibleError where drones on free cables break a limit before anything moves."""
-    still = hovering(task, 1.0)
     try:
-        checked(StepPlan(still, task.before), "at the start (t = 0)")
+        checked(StepPlan(hovering(task, 1.0), task.before), "at the start (t = 0)")
     except InfeasibleError as error:
         found = [_span(v, task.before) if v.constraint == "span" else v for v in error.violations]
         found.sort(key=lambda v: v.constraint != "span")  # what else is broken follows from it
@@ -212,12 +425,7 @@ def tying_site(
 ) -> tuple[Hitch, PreHitch]:
     """Return the hitch where it is tied or untied, as much higher as that takes, and its pre-hitch.
 
-    Parameters
-    ----------
-    hitch: to be tied or untied.
-    swap: how the drones turn about each other.
-    senses: (clasps,) how it was formed, to be reversed; None to choose them.
-    requirements: what the plan must satisfy.
+    ``senses`` (clasps,) are those with which it was formed, to be reversed; None to choose them.
     """
     pre = find_prehitch(hitch, requirements.separation, swap)
     if senses is not None:

@@ -1,195 +1,319 @@
-"""Whether a hitch holds an object at rest, and how it closes around one to grip it."""
+"""How a hitch takes, holds and lets go of an object: its moves, one after the other."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
+from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.rule import CheckRule
 from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import HoldBy, Motion
+from hitchopt.motion.motion import Hold, HoldBy, Motion, Phase, joined_motions
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world, stacked_on
 from hitchopt.planners.carrying.grip import GrippedHitch
 from hitchopt.planners.carrying.grip_polygon import check_pull, grip_left
-from hitchopt.planners.carrying.moves import Move, SmoothLaw
-from hitchopt.planners.carrying.rest import HeldHitch
-from hitchopt.steps.certified_motions import checked
-from hitchopt.steps.held_moves import (
-    LIFT_SPEED,
-    PRELOAD,
-    changed_move,
-    ended_holding,
-    gap_below,
-    gentle_rates,
-    held_motion,
-    holding_otherwise,
-    object_of,
-    place_of,
-    polygon_at,
-    resting_move,
-    rim_move,
-    transferred,
-    within_limits,
-)
-from hitchopt.steps.route_choice import NO_ROOM
-from hitchopt.steps.step import Step, StepPlan, StepTask
+from hitchopt.planners.carrying.moves import Move, SmoothLaw, move_motion
+from hitchopt.planners.carrying.rest import ROOM, HeldHitch
+from hitchopt.planners.timing.flight import check_duration, needed_stretch
+from hitchopt.steps.certified_motions import NO_ROOM, checked
+from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
 from hitchopt.values import Array
 
-HALVINGS, EASED = 7, 0.95
-"""Halvings of the range of masses, and the share of the largest one at rest that is suggested:
-lifting and carrying pull at it too."""
+LIFT_SPEED, BELOW = 0.1, 0.01
+"""Speed upright with an object, and against its rim [m/s]; how much farther than
+``separation.object`` cables pass below a rim [m]."""
 
-OTHER_TENSIONS = (1.25, 0.8, 1.5, 0.65)
-"""Tensions that are tried for a suggestion, over those asked."""
+CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
+"""[m/s²] Largest acceleration of what is carried, and where it is lifted or set down."""
+
+TURNING = SmoothLaw(0.75)
+"""How tensions change, legs turn to lean, and weight passes from support to clasps or back."""
+
+STRETCHES, SLOWER = 5, 1.5
+"""So often a move is slowed until limits hold; by this factor where it is not known how far."""
+
+LOOSE, WEIGHTS = 0.3, 4.0
+"""Tension with which grips are opened [N], and times a cable's weight that it is at the least: the
+less cables pull, the less they hold each other, but the more they sag."""
+
+LEANS, KEPT = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
+"""Shares of clasp friction against which legs are tried to lean while a hitch closes or opens, and
+checks that decide how far. Where edges meet other corners they sag otherwise at once."""
+
+LEFT, PUSHED = 0.5, 0.9
+"""Share of the weight below which has to be what a hitch that has opened still grips with; and of
+friction with its support with which edges may push what stands."""
 
 WEIGHTY = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Limits at which less weight, or more of what bears it, is all that helps."""
 
-LOOSE = (0.3, 0.5, 1.0)
-"""[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
-but the more their weight brings drones together."""
 
-LEANS = (0.9, 0.6, 0.3, 0.0)
-"""Shares of clasp friction against which legs are tried to lean while a hitch closes or opens."""
+def gap_around(requirements: Requirements) -> float:
+    """Return how far edges around an object keep from it [m]."""
+    return requirements.separation.object + ROOM
 
-KEPT = ("separation", "cable_length")
-"""Checks that decide how a hitch closes or opens. Where edges meet other corners they sag otherwise
-at once, the more the less they are pulled."""
 
-LEFT = 0.5
-"""Share of the weight below which has to be what a hitch that has opened still grips with."""
+def gap_below(requirements: Requirements) -> float:
+    """Return how far below a rim cables pass before they touch it [m]."""
+    return requirements.separation.object + BELOW
 
-PUSHED = 0.9
-"""Share of friction with its support with which edges may push what stands."""
 
-TURNING = SmoothLaw(0.5 * PRELOAD)
-"""How tensions change, and how legs turn to lean."""
+def object_of(task: StepTask, name: str) -> SolidObject:
+    """Return an object, where it is by now; raise InputError unless it can be held."""
+    objects, key = task.requirements.objects, f"objects.{name}"
+    body = objects[name]
+    if not task.before.team.layout.closed:
+        raise InputError("team.topology", "open", "closed where objects are held", "close it")
+    if body.fixed:
+        raise InputError(f"{key}.fixed", True, "false where it is held", "leave it out")
+    if body.friction == 0.0:
+        bound, remedy = "above 0 where it is held", "nothing else takes it along as cables move"
+        raise InputError(f"{key}.friction", 0.0, bound, remedy)
+    for other in stacked_on(objects, name, task.requirements.floor):
+        at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held on its own"
+        raise InputError(f"objects.{other}.at", at, bound, f"carry objects.{other} away before")
+    return body
+
+
+def polygon_at(body: SolidObject, places: Array) -> ConvexPolygon:
+    """Return a polygon (n, 2) [m] in an object's frame as seen from the world."""
+    flat = np.column_stack([places, np.zeros(len(places))])
+    return ConvexPolygon(in_world(body.pose, flat)[:, :2])
+
+
+def place_of(body: SolidObject) -> Array:
+    """Return where an object's base is (4,): x, y, z [m] and yaw [rad]."""
+    return np.append(body.at, body.yaw)
+
+
+def moved_to(body: SolidObject, place: Array) -> SolidObject:
+    """Return an object whose base is at (4,) x, y, z [m] and yaw [rad]."""
+    return replace(body, at=place[:3], yaw=float(place[3]))
+
+
+def holding_otherwise(task: StepTask, **changes: Any) -> StepTask:
+    """Return the task with a hitch that holds the object otherwise."""
+    return replace(task, before=replace(task.before, holding=replace(task.holding, **changes)))
+
+
+# Moves.
+
+
+def changed_move(task: StepTask, law: SmoothLaw, **changes: Any) -> Move:
+    """Return a move from where an object is, with everything unchanged that is not given."""
+    holding = task.holding
+    place = place_of(task.requirements.objects[holding.name])
+    share, pulls = float(holding.borne), np.stack([holding.tension, holding.tension])
+    if "tension" in changes:
+        changes["tension"] = np.stack(changes["tension"])
+    return replace(Move(place, place, pulls, (share, share), (0.0, 0.0), law), **changes)
+
+
+def resting_move(task: StepTask, seconds: float) -> Move:
+    """Return the move in which nothing changes for ``seconds`` [s]."""
+    return changed_move(task, SmoothLaw(0.5 * seconds))
+
+
+def transferred(task: StepTask, before: float, after: float) -> Move:
+    """Return the move in which weight passes to the clasps or back."""
+    return within_limits(task, changed_move(task, TURNING, borne=(before, after)))
+
+
+def tension_moves(task: StepTask, before: Array, after: Array, gap: float) -> list[Move]:
+    """Return the change of tensions (n,) [N] that far below a rim [m], if there is one."""
+    if np.array_equal(before, after):
+        return []
+    move = changed_move(task, TURNING, tension=(before, after), below=(gap, gap))
+    return [within_limits(task, move)]
+
+
+def _gentle_law(task: StepTask, length: float) -> SmoothLaw:
+    """Return the law of a slow motion over a length [m]."""
+    limits = task.requirements.limits
+    rates = LIFT_SPEED, 0.5 * limits.acceleration, 0.5 * limits.jerk
+    return SmoothLaw.fastest(*(rate / length for rate in rates))
+
+
+def rim_move(task: StepTask, before: float, after: float) -> Move:
+    """Return the move from one distance below a rim to another [m], one of them 0."""
+    law = _gentle_law(task, max(before, after))
+    return within_limits(task, changed_move(task, law, below=(before, after)))
+
+
+def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
+    """Return the fastest move of a carried object within all limits.
+
+    It goes straight from ``start`` to ``to`` (4,) x, y, z [m] and yaw [rad]; the object, and drones
+    about it, go with ``speed`` [m/s] at most. Raises InfeasibleError: it cannot be carried.
+    """
+    held, limits = task.holding.held, task.requirements.limits
+    assert held is not None
+    turned = abs(float(to[3] - start[3])) * held.reach
+    length = float(np.linalg.norm((to - start)[:3])) + turned
+    upright = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
+    gentle = LIFT_ACCELERATION if upright else CARRY_ACCELERATION
+    acceleration = min(gentle, limits.acceleration, held.largest_acceleration)
+    law = SmoothLaw(0.5)
+    if length > 0.0 and acceleration > 0.0:
+        top = min(speed, limits.speed, limits.vertex_speed)
+        law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
+    lifted = holding_otherwise(task, borne=True)
+    rules = [RULE_OF[name] for name in ("grip", "separation", "crossing")]
+    return within_limits(
+        lifted, changed_move(lifted, law, start=start, end=to), QUICK_EQUILIBRIUM, *rules
+    )
+
+
+def within_limits(task: StepTask, move: Move, *rules: CheckRule) -> Move:
+    """Return a move that is slowed down as far as limits of motion, and some rules, need."""
+    for _ in range(STRETCHES):
+        try:
+            motion = held_motion(task, [move], "")
+            curves = motion.drones, motion.vertices, motion.pulls
+            factor = needed_stretch(motion.team, task.requirements.limits, *curves)
+            checks = (rule.check(motion) for rule in rules)
+            if factor <= 1.0 and any(check and not check.holds for check in checks):
+                factor = math.inf
+        except InfeasibleError:
+            if not rules:
+                raise
+            factor = math.inf
+        if factor == math.inf and rules:  # how much slower is not known
+            factor = SLOWER
+        if not 1.0 < factor < math.inf:
+            break
+        move = replace(move, law=move.law.slowed(1.01 * factor))
+    return move
+
+
+# Motions.
+
+
+def held_motion(task: StepTask, moves: Sequence[Move], name: str) -> Motion:
+    """Return the motion of moves one after the other with a held object, as one phase."""
+    held, requirements = task.holding.held, task.requirements
+    assert held is not None
+    hold = Hold(task.holding.name, held.by, tuple(range(held.team.robots)))
+    phase = Phase(name, task.index, 0.0, 1.0, hold=hold)
+    parts = [move_motion(held, move, requirements, phase) for move in moves]
+    return one_phase(parts, task, name, hold)
+
+
+def one_phase(
+    parts: Sequence[Motion], task: StepTask, name: str, hold: Hold | None = None
+) -> Motion:
+    """Return motions one after the other as one phase of a step, in which an object may be held.
+
+    It has the remarks of all of the motions' own phases.
+    """
+    motion = joined_motions([replace(each, requirements=task.requirements) for each in parts])
+    pulls = motion.tensions.coefficients
+    tension = None
+    if np.any(pulls != task.before.team.tension[:, None]):
+        tension = float(np.min(pulls)), float(np.max(pulls))
+    remark = "; ".join(dict.fromkeys(each.remark for each in motion.phases if each.remark))
+    phase = Phase(name, task.index, 0.0, motion.duration, remark, tension=tension, hold=hold)
+    return replace(motion, phases=(phase,))
+
+
+def held_plan(step: Step, task: StepTask, after: Holding, moves: Sequence[Move]) -> StepPlan:
+    """Return the plan of moves one after the other, and that it ends holding ``after``.
+
+    Where the step was given a duration, all are slowed alike.
+    """
+    if step.given_duration is not None:
+        total, wanted = sum(move.law.duration for move in moves), step.given_duration
+        check_duration(wanted, total, f"of step {task.index}")
+        moves = [replace(move, law=move.law.slowed(wanted / total)) for move in moves]
+    motion = held_motion(task, moves, step.name)
+    return ended_holding(task, after, motion, moves[-1].end, moves[-1].below[1])
+
+
+def ended_holding(
+    task: StepTask, after: Holding, motion: Motion, place: Array, below: float = 0.0
+) -> StepPlan:
+    """Return the plan of a motion that ends with the object's base at a place (4,)."""
+    objects = dict(task.requirements.objects)
+    body = objects[after.name] = moved_to(objects[after.name], place)
+    held, hitch = after.held, task.hitch
+    if held is not None:
+        altitude = float(place[2]) + float(held.places[0, 2]) - below
+        if isinstance(held, HeldHitch):
+            altitude -= float(held.drop(after.tension, float(after.borne)))
+        polygon = polygon_at(body, held.places[:, :2])
+        q_legs = held.fractions * cable_slack(held.team, polygon)
+        hitch = Hitch(held.team, polygon, altitude, q_legs, held.roll)
+    drones = motion.drones.at(motion.duration)
+    situation = replace(task.before, drones=drones, hitch=hitch, holding=after, objects=objects)
+    return StepPlan(motion, situation)
+
+
+# Whether an object is held, and how a hitch closes around one to grip it.
 
 
 def check_held(task: StepTask) -> None:
     """Raise InfeasibleError where the hitch does not hold the object at rest.
 
     Where it holds by rest, it also keeps all limits as it rises to the rim and takes the weight.
-    The refusal names the mass and the tension with which the hold at rest is certified.
     """
     holding = task.holding
-    words = f"with objects.{holding.name} off its support"
+    held, name = holding.held, f"objects.{holding.name}"
+    assert held is not None
+    bearing, words = holding_otherwise(task, borne=True), f"with {name} off its support"
     try:
-        _check_bearing(task)
-        if isinstance(holding.held, HeldHitch):
-            words = f"as the clasps take objects.{holding.name}"
+        if isinstance(held, HeldHitch):  # without the rim, which bends legs that do not carry it
+            held.at_rest(holding.tension, held.body.mass)
+        still = held_motion(bearing, [resting_move(bearing, 1.0)], "hold")
+        checked(StepPlan(still, bearing.before), words)
+        if isinstance(held, HeldHitch):
+            words = f"as the clasps take {name}"
             moves = rim_move(task, gap_below(task.requirements), 0.0), transferred(task, 0.0, 1.0)
             checked(StepPlan(held_motion(task, moves, "lift"), task.before), words)
     except InfeasibleError as error:
-        ways, told = _what_holds(task), []
+        robots = "use more robots, as hitchopt fit counts them"
+        last = robots if held.by is HoldBy.REST else "use rougher cables, or give it a rim"
+        ways, told = f"lower {name}.mass, or ask for another tension, or {last}", []
         for each in error.violations:
-            more = ["raise limits.tilt_deg"] if each.constraint == "tilt" else []
-            more += [] if each.constraint in WEIGHTY else [each.remedy]
-            told.append(replace(each, when=words, remedy=", or ".join([*ways, *more])))
+            more = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
+            more += "" if each.constraint in WEIGHTY else f", or {each.remedy}"
+            told.append(replace(each, when=words, remedy=ways + more))
         raise InfeasibleError(told) from None
 
 
-def _check_bearing(task: StepTask) -> None:
-    """Raise InfeasibleError where the hitch breaks a limit at rest with the object's weight."""
-    held = task.holding.held
-    if isinstance(held, HeldHitch):  # without the rim, which bends legs that do not carry it
-        held.at_rest(task.holding.tension, held.body.mass)
-    bearing = holding_otherwise(task, borne=True)
-    motion = held_motion(bearing, [resting_move(bearing, 1.0)], "hold")
-    checked(StepPlan(motion, bearing.before))
+def grip_closed(step: Step, task: StepTask, asked: Array) -> StepPlan:
+    """Return the plan from around an object to cables that grip it with tensions (n,) [N].
 
-
-def _bears(task: StepTask) -> bool:
-    try:
-        _check_bearing(task)
-    except InfeasibleError:
-        return False
-    return True
-
-
-def _what_holds(task: StepTask) -> list[str]:
-    """Return in words with which mass, tension or team the object is held at rest."""
-    holding, requirements = task.holding, task.requirements
-    held = holding.held
-    assert held is not None
-
-    def weighing(mass: float) -> StepTask:
-        body = replace(held.body, mass=mass)
-        objects = {**requirements.objects, holding.name: body}
-        lighter = holding_otherwise(task, held=replace(held, body=body))
-        return replace(lighter, requirements=replace(requirements, objects=objects))
-
-    low, high = 0.0, held.body.mass
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _bears(weighing(middle)) else (low, middle)
-    ways = [f"lower objects.{holding.name}.mass to {EASED * low:.3g} kg"] if low else []
-    for factor in OTHER_TENSIONS:
-        value = float(f"{factor * float(np.mean(holding.tension)):.3g}")
-        if _bears(holding_otherwise(task, tension=np.full(held.team.robots, value))):
-            ways.append(f"ask for a tension of {value:g} N")
-            break
-    ways = ways or [f"lower objects.{holding.name}.mass", "raise the tension"]
-    if held.by is HoldBy.REST:
-        return [*ways, "use more robots, as hitchopt fit counts them"]
-    return [*ways, "use rougher cables, or give it a rim"]
-
-
-def spaced(requirements: Requirements, factor: float) -> Requirements:
-    """Return requirements with larger distances between drones and cables."""
-    far = {key: factor * value for key, value in vars(requirements.separation).items()}
-    return replace(requirements, separation=replace(requirements.separation, **far))
-
-
-def grip_closed(step: Step, task: StepTask, tension: float | None) -> StepPlan:
-    """Return the plan from around an object to cables that grip it.
-
-    Parameters
-    ----------
-    step: what is planned; it names the object.
-    tension: of all cables [N]; None for the team's.
-
-    Raises
-    ------
-    InputError: an object with a rim.
-    InfeasibleError: the object cannot be gripped, with what binds and what to change.
+    Raises InputError for an object with a rim, InfeasibleError for one that cannot be gripped.
     """
     around, team = task.holding, task.before.team
-    body = object_of(task, around.name)
+    body, polygons = object_of(task, around.name), around.polygons
     if body.rim is not None:
+        key = f"mission[{task.index}].{step.name}.by"
         bound = "rest where the object has a rim, which the hitch is below"
-        raise InputError(
-            f"mission[{task.index}].{step.name}.by", "grip", bound, "leave out the rim"
-        )
-    asked = team.tension if tension is None else np.full(team.robots, tension)
+        raise InputError(key, "grip", bound, "leave out the rim")
     check_pull(float(np.max(asked)), team, task.requirements)
-    held = GrippedHitch(
-        team,
-        body,
-        around.polygons.around,
-        around.polygons.closed,
-        float(body.centre_of_mass[2]),
-        task.hitch.fractions,
-    )
+    height, fractions = float(body.centre_of_mass[2]), task.hitch.fractions
+    held = GrippedHitch(team, body, polygons.around, polygons.closed, height, fractions)
     here = holding_otherwise(task, tension=asked, held=held)
     check_held(here)
     motion, _, words = _passed(step, here, (team.tension, asked), (0.0, 1.0))
-    return ended_holding(task, here.holding, motion, place_of(body)).remarked(words)
+    plan = ended_holding(task, here.holding, motion, place_of(body))
+    return plan.remarked(words) if words else plan
 
 
 def grip_opened(step: Step, task: StepTask) -> StepPlan:
-    """Return the plan of opening a grip to a hitch around the standing object.
-
-    Raises
-    ------
-    InfeasibleError: clasps that stick would hold too much of it, or edges would push it.
-    """
+    """Return the plan of opening a grip to a hitch around the standing object."""
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
     assert isinstance(held, GrippedHitch)
@@ -199,84 +323,57 @@ def grip_opened(step: Step, task: StepTask) -> StepPlan:
     hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
     freed = replace(holding, tension=team.tension, held=None)
     drones = motion.drones.at(motion.duration)
-    after = replace(task.before, drones=drones, hitch=hitch, holding=freed)
-    return StepPlan(motion, after).remarked(words)
+    plan = StepPlan(motion, replace(task.before, drones=drones, hitch=hitch, holding=freed))
+    return plan.remarked(words) if words else plan
 
 
 def _passed(
     step: Step, task: StepTask, tension: tuple[Array, Array], closed: tuple[float, float]
 ) -> tuple[Motion, list[Move], str]:
-    """Return the motion that closes or opens a hitch, the first that satisfies the checks KEPT.
+    """Return the motion that closes or opens a hitch, its moves, and how far legs lean.
 
-    Cables pull as hard as while the object is held, or less: as little as possible where the hitch
-    opens. Legs lean against clasp friction as far as drones stay apart; the remark says how far.
-
-    Parameters
-    ----------
-    tension: (n,) [N], before and after.
-    closed: how far the hitch is closed before and after.
-
-    Raises
-    ------
-    InfeasibleError: none does, or edges would push the object along its support.
+    Cables pull as hard as while the object is held, or less so that edges do not push it along;
+    where the hitch opens it opens loosely. Legs lean against clasp friction as far as drones stay
+    apart. ``tension`` (n,) [N] and ``closed``, how far the hitch is, are before and after.
     """
-    holding = task.holding
+    holding, opening = task.holding, closed[0] > closed[1]
     held, name = holding.held, f"objects.{holding.name}"
     assert isinstance(held, GrippedHitch)
-    opening, largest = closed[0] > closed[1], float(np.max(holding.tension))
-    tried = LOOSE if opening else (math.inf, *reversed(LOOSE))
-    leans = LEANS if held.team.cable_friction else LEANS[-1:]
     most = PUSHED * held.body.friction * held.body.mass * GRAVITY
-    pushed, refused = list[InfeasibleError](), list[InfeasibleError]()
-    for value, lean in product(dict.fromkeys(min(each, largest) for each in tried), leans):
-        between = np.minimum(holding.tension, value)
-        if (push := held.largest_push(between)) > most:
-            remedy = f"give it more weight, raise {name}.friction, or give it a rim"
-            when = "on its support, which its edges push it along as they close around it"
-            broken = Violation("grip", push, most, "max", "N", (name,), when, remedy)
-            pushed.append(InfeasibleError([broken]))
-            continue
-        lax = holding_otherwise(task, tension=between)
-        ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
-        first, last = (
-            [changed_move(task, TURNING, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
-            for p, q, at in ends
-        )
-        signed = -lean if opening else lean
+    team = held.team
+    loose = np.maximum(LOOSE, WEIGHTS * GRAVITY * team.cable_density * team.cable_length)
+    between = np.minimum(holding.tension, loose) if opening else holding.tension
+    push = held.largest_push(between)
+    if push > most:
+        between = np.maximum(np.minimum(between, loose), between * most / push)
+        push = held.largest_push(between)
+    if push > most * (1.0 + 1e-9):
+        remedy = f"give it more weight, raise {name}.friction, or give it a rim"
+        when = "on its support, which its edges push it along as they close around it"
+        raise InfeasibleError([Violation("grip", push, most, "max", "N", (name,), when, remedy)])
+    lax = holding_otherwise(task, tension=between)
+    ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
+    first, last = (
+        [changed_move(task, TURNING, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
+        for p, q, at in ends
+    )
+    rubbing, refused = bool(team.cable_friction), list[InfeasibleError]()
+    for lean in LEANS if rubbing else LEANS[-1:]:
         try:
-            moves = [*first, *_leaning(lax, *closed, signed), *last]
+            moves = [*first, *_leaning(lax, *closed, -lean if opening else lean), *last]
             motion = held_motion(task, moves, step.name)
         except InfeasibleError as error:  # legs cannot lean so far
             refused.append(error)
             continue
-        for check in filter(None, (RULE_OF[each].check(motion) for each in KEPT)):
-            if not check.holds:
-                when = f"as the hitch {'opens' if opening else 'closes'} around {name}"
-                remedy = "use lighter cables or other lengths of them, or smooth the outline"
-                refused.append(InfeasibleError([check.violation(when, remedy)]))
-                break
-        else:
+        checks = filter(None, (RULE_OF[each].check(motion) for each in KEPT))
+        broken = next((check for check in checks if not check.holds), None)
+        if broken is None:
             words = f"legs lean against {lean:.0%} of clasp friction" if lean else NO_ROOM
-            rubbing = bool(held.team.cable_friction)
             return step.lasting(task, motion), moves, words if rubbing else ""
-    raise [*refused, *pushed][0]
-
-
-def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
-    """Raise InfeasibleError where clasps that stick would hold half of the object's weight."""
-    opening = [move for move in moves if move.closed[0] > move.closed[1]][-1]
-    end = held.curves(opening, np.array([opening.law.duration]))
-    layout, body = held.team.layout, held.body
-    legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
-    pair = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
-    left = grip_left(pair, opening.tension[1], held.team.cable_friction, body.friction)
-    most = LEFT * body.mass * GRAVITY
-    if left > most:
-        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
-        broken = Violation(
-            "grip", left, most, "max", "N", (f"objects.{name}",), "left as clasps stick", remedy
-        )
-        raise InfeasibleError([broken])
+        when = f"as the hitch {'opens' if opening else 'closes'} around {name}"
+        remedy = "use lighter cables or other lengths of them, or smooth the outline"
+        refused.append(InfeasibleError([broken.violation(when, remedy)]))
+    raise refused[0]
 
 
 def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
@@ -289,11 +386,23 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
     if lean:
         yield changed_move(task, TURNING, closed=(start, start), lean=(0.0, lean))
     places = np.unique([start, *held.events, end])
-    if start > end:
-        places = places[::-1]
-    for one, other in pairwise(places.tolist()):
-        length = held.farthest * abs(other - one)
-        law = SmoothLaw.fastest(LIFT_SPEED / length, *gentle_rates(task, length))
+    for one, other in pairwise((places if start < end else places[::-1]).tolist()):
+        law = _gentle_law(task, held.farthest * abs(other - one))
         yield within_limits(task, changed_move(task, law, closed=(one, other), lean=(lean, lean)))
     if lean:
         yield changed_move(task, TURNING, closed=(end, end), lean=(lean, 0.0))
+
+
+def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
+    """Raise InfeasibleError where clasps that stick would hold half of the object's weight."""
+    opening = [move for move in moves if move.closed[0] > move.closed[1]][-1]
+    end = held.curves(opening, np.array([opening.law.duration]))
+    layout, body = held.team.layout, held.body
+    legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
+    pair = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
+    left = grip_left(pair, opening.tension[1], held.team.cable_friction, body.friction)
+    most = LEFT * body.mass * GRAVITY
+    if left > most:
+        where, when = (f"objects.{name}",), "left as clasps stick"
+        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
+        raise InfeasibleError([Violation("grip", left, most, "max", "N", where, when, remedy)])

@@ -25,11 +25,7 @@ from hitchopt.steps.step import (
     Step,
     StepPlan,
     StepTask,
-    check_within,
-    convex_outline,
     eased,
-    lasting_knobs,
-    outline_edit,
     points_scaled,
 )
 from hitchopt.steps.step_keys import (
@@ -55,7 +51,6 @@ from hitchopt.steps.step_keys import (
     WhichPoint,
     auto_seconds,
     key,
-    numbers,
     of_shape,
     point,
     seconds,
@@ -67,7 +62,7 @@ if TYPE_CHECKING:
     from hitchopt.motion.motion import Motion
     from hitchopt.planners.morph.actions import Action, Flying
     from hitchopt.planners.timing.flight import Flight
-    from hitchopt.steps.route_choice import End
+    from hitchopt.steps.certified_motions import End
 
 
 class HitchStep(Step):
@@ -75,7 +70,7 @@ class HitchStep(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, its legs leaning against friction."""
-        from hitchopt.steps.route_choice import against_friction
+        from hitchopt.steps.certified_motions import against_friction
 
         return against_friction(self.fly(task), timed=self.given_duration is not None)
 
@@ -118,42 +113,50 @@ class ShapeStep(HitchStep):
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
         from hitchopt.motion.motion import Phase
-        from hitchopt.steps.certified_motions import tried
-        from hitchopt.steps.route_choice import FASTER, SHUT, optimised, refused_both
+        from hitchopt.steps.certified_motions import FASTER, SHUT, optimised, refused_both, tried
 
         end, duration = self.end(task), self.given_duration
-        lead, tension = getattr(self, "optimize", False), getattr(self, "tension", None)
-        phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
+        tension: tuple[float, float] | None = getattr(self, "tension", None)
+        lead = bool(getattr(self, "optimize", False))
         own = tried(lambda: task.ended(self.own_motion(task, end), end.hitch))
-        if isinstance(own, StepPlan):
-            if not (task.optimiser and (lead or tension is not None)):
-                return own
-        else:
+        if isinstance(own, StepPlan) and not (task.optimiser and (lead or tension)):
+            return own
+        if isinstance(own, HitchoptError):
             for hitch in (task.hitch, end.hitch):
                 self.check_end(hitch, task)
             if not task.optimiser:
                 raise own
+        phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
         other = tried(lambda: optimised(task, end.hitch, phase, duration, lead=lead))
-        if isinstance(own, StepPlan):
-            if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
-                return own
-            return other.remarked(FASTER)
-        if isinstance(other, StepPlan):
-            return other.remarked(SHUT)
-        what = "other route" if duration is None else "route that is fast enough either"
-        raise refused_both(own, other, f"the optimiser found no {what}")
+        if isinstance(own, HitchoptError):
+            if isinstance(other, StepPlan):
+                return other.remarked(SHUT)
+            what = "other route" if duration is None else "route that is fast enough either"
+            raise refused_both(own, other, f"the optimiser found no {what}")
+        if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
+            return own
+        return other.remarked(FASTER)
 
 
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which names the drones that move."""
 
-    @abstractmethod
+    told: ClassVar[tuple[str, ...]] = ("vertex",)
+    """Fields that the action is told besides the hitch and the outline after it."""
+
     def action(self, task: StepTask) -> Action:
-        """Return the action."""
+        """Return the action, which has the step's name."""
+        from hitchopt.planners.morph import actions
+
+        start, told = task.hitch, [getattr(self, name) for name in self.told]
+        polygon = self.polygon_after(start.team, start.polygon)
+        assert polygon is not None
+        found: Action = getattr(actions, self.name)(start, polygon, *told)
+        return found
 
     def end(self, task: StepTask) -> End:
         """Return the hitch after the action."""
-        from hitchopt.steps.route_choice import end_of_action
+        from hitchopt.steps.certified_motions import end_of_action
 
         return end_of_action(self.action(task), self.legs, task.requirements)
 
@@ -164,8 +167,7 @@ class ActionStep(ShapeStep):
         action = self.action(task)
         planner = ActionFlight(action, end.hitch, task.requirements, self.given_duration)
         found = planner.solve()
-        remark = self._remark(action, end, found)
-        return self.motion(task, found.flight, end.hitch, remark)
+        return self.motion(task, found.flight, end.hitch, self._remark(action, end, found))
 
     def _remark(self, action: Action, end: End, found: Flying) -> str:
         """Return which drones move that the paper does not name, and why."""
@@ -191,30 +193,19 @@ def _all_of(names: tuple[str, ...], verb: str) -> str:
 
 @dataclass(frozen=True)
 class Hold(HitchStep):
-    """Nothing moves.
+    """Nothing moves."""
 
-    Parameters
-    ----------
-    seconds: how long [s].
-    """
-
-    name: ClassVar[str] = "hold"
-    summary: ClassVar[str] = "Stay"
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = None
+    time_key: ClassVar[str] = "seconds"
     seconds: Annotated[float, Key(Positive, "How long [s]", (1.0,), check=seconds)]
-
-    @property
-    def given_duration(self) -> float:
-        """How long it takes [s]."""
-        return self.seconds
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which a hitch, or drones on free cables, stay."""
         from hitchopt.steps.certified_motions import hovering
 
         if task.before.holding is not None and task.before.holding.held is not None:
-            from hitchopt.steps.held_moves import held_plan, resting_move
+            from hitchopt.steps.holds import held_plan, resting_move
 
             return held_plan(self, task, task.holding, [resting_move(task, self.seconds)])
         if task.before.hitch is not None:
@@ -225,39 +216,24 @@ class Hold(HitchStep):
         """Return the plan in which a hitch stays."""
         return task.ended(self.motion(task, None, task.hitch), task.hitch)
 
-    def knobs(self) -> Iterator[Knob]:
-        """Yield the seconds."""
-        yield from lasting_knobs(self, "seconds")
-
 
 @dataclass(frozen=True)
 class Settle(Step):
     """The clasps are worked until their friction has lost its memory.
 
-    With friction a hitch has no single place of rest, but a band, in which it rests as it was
-    formed. Drones swing about their places, by less and less; vertices stay within the plan.
-
-    Parameters
-    ----------
-    seconds: how long [s]; ``auto``: eight swings of two seconds, slower where limits need that.
+    Drones swing about their places, by less and less; vertices stay within the plan.
     """
 
-    name: ClassVar[str] = "settle"
-    summary: ClassVar[str] = "Work friction out of the clasps"
+    time_key: ClassVar[str] = "seconds"
     seconds: Annotated[
         float | Literal["auto"],
         Key(
             AutoSeconds,
-            "How long [s]; auto: eight swings of two seconds",
+            "How long [s]; auto: eight swings of two seconds, slower where limits need that",
             (17,),
             check=auto_seconds,
         ),
     ] = "auto"
-
-    @property
-    def given_duration(self) -> float | None:
-        """How long it takes [s], where it was given that, or None."""
-        return None if isinstance(self.seconds, str) else self.seconds
 
     def fitting(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team whose cables have no friction."""
@@ -269,15 +245,9 @@ class Settle(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which drones swing about their places."""
         from hitchopt.motion.motion import Phase
-        from hitchopt.steps.route_choice import worked
+        from hitchopt.steps.certified_motions import worked
 
-        phase = Phase(self.name, task.index, 0.0, 0.0)
-        return worked(task, self.given_duration, phase)
-
-    def knobs(self) -> Iterator[Knob]:
-        """Yield the seconds, where they are given."""
-        if self.given_duration is not None:
-            yield from lasting_knobs(self, "seconds", longer=True)
+        return worked(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
 
 
 class TensionKeys(Keys):
@@ -288,6 +258,7 @@ class TensionKeys(Keys):
 
 
 def _range(key: str, value: object) -> tuple[float, float]:
+    """Return a smallest and a largest tension [N], or raise InputError."""
     given = sequence(key, value)
     if len(given) != 2:
         raise InputError(key, value, "a smallest and a largest tension [N]", "write (0.3, 0.6)")
@@ -297,40 +268,23 @@ def _range(key: str, value: object) -> tuple[float, float]:
     return least, most
 
 
+OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies all limits"
+
+
 @dataclass(frozen=True, eq=False)
 class Morph(ShapeStep):
-    """Every vertex goes to its place in a polygon.
+    """Every vertex goes to its place in a polygon."""
 
-    Parameters
-    ----------
-    polygon: the outline at the end, or its points (n, 2) [m] until a Problem knows the topology.
-    legs: at the end, ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for those nearest to the
-        current fractions.
-    duration: exactly that long [s]; None for as fast as the limits allow.
-    blend: go on into the next step without a stop.
-    optimize: look for a faster route even where the straight one satisfies all limits.
-    tension: smallest and largest [N] where tensions may change meanwhile, or None.
-    """
-
-    name: ClassVar[str] = "morph"
-    summary: ClassVar[str] = "Polygon to polygon"
     polygon: Annotated[
         Outline, Key(OutlinePoints, OUTLINE_TEXT, ([[0, -0.5], [-0.4, 0.5], [0.4, 0.5]],))
     ]
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
-    optimize: Annotated[
-        bool,
-        Key(
-            bool,
-            "Look for a faster route even where the straight one satisfies all limits",
-            check=flag,
-        ),
-    ] = False
+    optimize: Annotated[bool, Key(bool, OPTIMIZE_TEXT, check=flag)] = False
     tension: Annotated[
         tuple[float, float] | None,
-        Key(TensionKeys, "Within what tensions may change meanwhile", check=_range),
+        Key(TensionKeys, "Within what tensions [N] may change meanwhile", check=_range),
     ] = None
 
     @classmethod
@@ -352,13 +306,9 @@ class Morph(ShapeStep):
             raise InputError("tension", {"min": least, "max": most}, bound, remedy)
         return fitted
 
-    def polygon_after(self, team: Team, outline: Outline) -> Outline:  # noqa: ARG002
-        """Return the step's polygon."""
-        return fitting_polygon(team, self.polygon)
-
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
-        from hitchopt.steps.route_choice import end_of_morph
+        from hitchopt.steps.certified_motions import end_of_morph
 
         return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
@@ -368,10 +318,6 @@ class Morph(ShapeStep):
 
         planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
         return self.motion(task, planner.solve(), end.hitch)
-
-    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return the edit that scales its polygon about its centroid, which is the centre then."""
-        return (outline_edit("polygon", self.polygon, factor),), self.polygon.centroid
 
 
 class MoveStep(ActionStep):
@@ -396,7 +342,7 @@ class MoveStep(ActionStep):
         points = outline.vertices.copy()
         moved = self.moved_points(team, len(points))
         points[moved] = points[moved] + np.asarray(self.by) if self.to is None else self.to
-        return convex_outline(team, points, *self.moved_key)
+        return _convex(team, points, *self.moved_key)
 
     @property
     def moved_key(self) -> tuple[str, Array | None]:
@@ -410,11 +356,31 @@ class MoveStep(ActionStep):
         return (Edit(key, points_scaled(np.asarray(value), factor, about).tolist()),), centre
 
 
+def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline:
+    """Return the points as an outline; an error names the step's ``key`` and its ``value``."""
+    try:
+        return fitting_polygon(team, points)
+    except InputError as error:
+        why = f"{error.key} = {error.value} would have to be {error.bound}"
+        bound = f"such that the outline stays convex and clockwise ({why})"
+        raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
+
+
+def _within(key: str, index: int, count: int) -> int:
+    """Return an index, or raise InputError where it is none of ``count``."""
+    if index >= count:
+        raise InputError(key, index, f"from 0 to {count - 1}", "indices start at 0")
+    return index
+
+
 _PLACE = of_shape((2,), "a point [x, y]")
 _TWO_PLACES = of_shape((2, 2), "two points [[x, y], [x, y]]")
 _OFFSET = of_shape((2,), "an offset [dx, dy]")
+_ENDS_TEXT = "Where its ends go, [[x, y], [x, y]] [m], its first vertex first"
 
-By = Annotated[Array | None, Key(Point2, "By how much, [dx, dy] [m]", check=_OFFSET)]
+By = Annotated[
+    Array | None, Key(Point2, "By how much, [dx, dy] [m], in place of to", check=_OFFSET)
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -423,16 +389,8 @@ class MoveVertex(MoveStep):
 
     Only the four drones move that the paper names; where a limit binds, further drones slide along
     their cables as well.
-
-    Parameters
-    ----------
-    vertex: which, from 0.
-    to, by: its new place, or by how much it goes (2,) [m]; exactly one of them.
-    legs, duration, blend: as of Morph; without legs those of the paper are left as they are.
     """
 
-    name: ClassVar[str] = "move_vertex"
-    summary: ClassVar[str] = "Move one vertex"
     vertex: WhichPoint
     to: Annotated[Array | None, Key(Point2, "Where to, [x, y] [m]", check=_PLACE)] = None
     by: By = None
@@ -442,41 +400,19 @@ class MoveVertex(MoveStep):
 
     def moved_points(self, team: Team, count: int) -> list[int]:  # noqa: ARG002
         """Return the vertex."""
-        check_within("vertex", self.vertex, count)
-        return [self.vertex]
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import move_vertex
-
-        start = task.hitch
-        return move_vertex(start, self.polygon_after(start.team, start.polygon), self.vertex)
+        return [_within("vertex", self.vertex, count)]
 
 
 @dataclass(frozen=True, eq=False)
 class MoveEdge(MoveStep):
     """Both ends of one edge go elsewhere.
 
-    Four drones move, or six where edges turn.
-
-    Parameters
-    ----------
-    edge: which, from 0; edge k runs from vertex k to vertex k + 1.
-    to, by: the new places of its ends (2, 2), or by how much both go (2,) [m]; exactly one of them.
-    legs, duration, blend: as of MoveVertex.
+    Edge k runs from vertex k to vertex k + 1. Four drones move, or six where edges turn.
     """
 
-    name: ClassVar[str] = "move_edge"
-    summary: ClassVar[str] = "Move one edge"
+    told: ClassVar[tuple[str, ...]] = ("edge",)
     edge: WhichPoint
-    to: Annotated[
-        Array | None,
-        Key(
-            TwoPoints,
-            "Where its ends go, [[x, y], [x, y]] [m], its first vertex first",
-            check=_TWO_PLACES,
-        ),
-    ] = None
+    to: Annotated[Array | None, Key(TwoPoints, _ENDS_TEXT, check=_TWO_PLACES)] = None
     by: By = None
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -484,18 +420,10 @@ class MoveEdge(MoveStep):
 
     def moved_points(self, team: Team, count: int) -> list[int]:
         """Return the edge's ends."""
-        check_within("edge", self.edge, team.robots)
-        return [self.edge, (self.edge + 1) % count]
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import move_edge
-
-        start = task.hitch
-        return move_edge(start, self.polygon_after(start.team, start.polygon), self.edge)
+        return [_within("edge", self.edge, team.robots), (self.edge + 1) % count]
 
 
-def _legs_given(key: str, value: Any) -> Any:
+def _given(key: str, value: Any) -> Any:
     if value is None:
         raise InputError(key, None, "balanced, spread or a list of d_k", "write balanced")
     return value
@@ -503,75 +431,50 @@ def _legs_given(key: str, value: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Adjust(ActionStep):
-    """Cables slide through their clasps; the outline stays.
+    """Cables slide through their clasps; the outline stays."""
 
-    Parameters
-    ----------
-    legs: at the end.
-    duration, blend: as of Morph.
-    """
-
-    name: ClassVar[str] = "adjust"
-    summary: ClassVar[str] = "Change the legs"
-    legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_legs_given)] = "balanced"
+    legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_given)] = "balanced"
     duration: Seconds = None
     blend: Blend = False
 
     def action(self, task: StepTask) -> Action:
         """Return the action."""
         from hitchopt.planners.morph.actions import adjust
-        from hitchopt.steps.route_choice import split_hitch
+        from hitchopt.steps.certified_motions import end_of_morph
 
         start = task.hitch
-        altitude, requirements = start.altitude, task.requirements
-        wanted = split_hitch(start.team, start.polygon, altitude, self.legs, requirements)
+        wanted = end_of_morph(start, start.polygon, self.legs, task.requirements).hitch
         return adjust(start, wanted.q_legs)
 
 
 MIN_GAP = 1e-3
-"""Shortest time between two points [s]: less is a typing error, as no drone could follow."""
+"""Shortest time between two points [s]: less is a typing error."""
+
+_ROWS = of_shape((None, 3), "points [t, x, y]")
+_PATH_TEXT = (
+    "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
+    "equal points that follow each other the vertex stands still"
+)
 
 
 def _timed_path(key: str, value: object) -> Array:
-    path = numbers(key, value, (None, 3), "points [t, x, y]")
-    gaps = np.diff(path[:, 0], prepend=0.0)
-    if path[0, 0] == 0.0:
-        gaps = gaps[1:]
+    """Return points (J, 3) whose times increase, or raise InputError."""
+    path = _ROWS(key, value)
+    gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
-        increase = f"increase from 0 or later, by {MIN_GAP:g} s or more, and end after it"
-        bound, remedy = f"a path whose times {increase}", "sort its points by time"
-        raise InputError(key, path.tolist(), bound, remedy)
+        bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"
+        raise InputError(key, path.tolist(), bound, "sort its points by time")
     return path
 
 
 @dataclass(frozen=True, eq=False)
 class FollowVertex(ActionStep):
-    """One vertex follows timed points.
+    """One vertex follows timed points; it meets them at their times, at rest before and after."""
 
-    It meets them at their times, at rest before and after.
-
-    Parameters
-    ----------
-    vertex: which, from 0.
-    path: (J, 3), rows ``t, x, y`` [s, m, m], t from the step's start and increasing. Where a
-        point follows an equal one, the vertex stands still in between.
-    legs: at the end; without them as of MoveVertex.
-    """
-
-    name: ClassVar[str] = "follow_vertex"
-    summary: ClassVar[str] = "Lead one vertex along timed points"
     blendable: ClassVar[bool] = False
+    told: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
-    path: Annotated[
-        Array,
-        Key(
-            TimedPath,
-            "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
-            "equal points that follow each other the vertex stands still",
-            ([[1.0, 0.0, -0.9]],),
-            check=_timed_path,
-        ),
-    ]
+    path: Annotated[Array, Key(TimedPath, _PATH_TEXT, ([[1.0, 0.0, -0.9]],), check=_timed_path)]
     legs: LegsAtEnd = None
 
     @property
@@ -582,29 +485,14 @@ class FollowVertex(ActionStep):
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
         points = outline.vertices.copy()
-        check_within("vertex", self.vertex, len(points))
-        points[self.vertex] = self.path[-1, 1:]
-        return convex_outline(team, points, "path", self.path)
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import follow_vertex
-
-        start = task.hitch
-        polygon = self.polygon_after(start.team, start.polygon)
-        return follow_vertex(start, polygon, self.vertex, self.path)
+        points[_within("vertex", self.vertex, len(points))] = self.path[-1, 1:]
+        return _convex(team, points, "path", self.path)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; there is no other route."""
         end = self.end(task)
         self.check_end(end.hitch, task)
         return task.ended(self.own_motion(task, end), end.hitch)
-
-    def advice(self, check: str) -> str:
-        """Return that more time helps, where it does."""
-        from hitchopt.checks.registry import RULE_OF
-
-        return "give the points more time" if RULE_OF[check].derivative else ""
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the points' times."""
@@ -641,17 +529,8 @@ def _turned(key: str, value: object) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Transport(HitchStep):
-    """The whole hitch goes elsewhere and turns; its shape and legs stay.
+    """The whole hitch goes elsewhere and turns about its centroid; its shape and legs stay."""
 
-    Parameters
-    ----------
-    to: (3,) [m], where the centroid of the outline goes.
-    yaw: by how much it turns about that, counter-clockwise [rad]; more than a turn is one.
-    duration: as of Morph.
-    """
-
-    name: ClassVar[str] = "transport"
-    summary: ClassVar[str] = "Carry the whole hitch"
     to: Annotated[
         Array,
         Key(Point3, "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],), check=point),
@@ -662,11 +541,11 @@ class Transport(HitchStep):
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""
         if abs(self.to[2]) > MAX_COORDINATE:
-            bound = f"within ±{MAX_COORDINATE:g} m"
-            raise InputError("to", self.to.tolist(), bound, "check its coordinates")
+            words = f"within ±{MAX_COORDINATE:g} m", "check its coordinates"
+            raise InputError("to", self.to.tolist(), *words)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
-        return convex_outline(team, turned + self.to[:2], "to", self.to)
+        return _convex(team, turned + self.to[:2], "to", self.to)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
@@ -694,17 +573,11 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     """Return the plan of steps without a stop in between; ``task`` is that of the first.
 
     One path through all hitches that they would have ended with, timed as a whole; each phase ends
-    when its step's hitch is passed.
-
-    Raises
-    ------
-    InputError: a step that moves nothing.
-    InfeasibleError, HitchoptError: as ``Step.plan``.
+    when its step's hitch is passed. Raises InputError for a step that moves nothing.
     """
     from hitchopt.motion.motion import Phase
     from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
-    from hitchopt.steps.certified_motions import flying
-    from hitchopt.steps.route_choice import against_friction
+    from hitchopt.steps.certified_motions import against_friction, flying
 
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):
@@ -712,12 +585,9 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
         end = step.end(here).hitch
         step.check_end(end, here)
         if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
-            raise InputError(
-                f"mission[{i}].{step.name}",
-                "no motion",
-                "a step that moves something where steps are blended",
-                "leave it out, or leave out blend",
-            )
+            bound = "a step that moves something where steps are blended"
+            remedy = "leave it out, or leave out blend"
+            raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
     planner = BlendedMorph(hitches, requirements)
     whole, flight = planner.problem, planner.solve()

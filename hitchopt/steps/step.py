@@ -1,8 +1,9 @@
-"""What every kind of step is: a record with its keys, its planning and its edits."""
+"""What every kind of step is: a record with its keys, its planning and what repair may change."""
 
 from __future__ import annotations
 
 import math
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine
+from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -28,12 +29,11 @@ if TYPE_CHECKING:
     from hitchopt.planners.carrying.grip import GrippedHitch
     from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 
-
-DECIMALS = 9
-"""Decimals of numbers in edits: far below any tolerance, and short enough to read."""
-
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""
+
+DECIMALS, LEAST_LEFT = 9, 0.1
+"""Decimals of numbers in edits, and share of a quantity that is left where it is lowered."""
 
 PLAN_DURATION = "plan duration"
 """The plan's duration as a constraint, told apart from a step's, which is too short."""
@@ -50,17 +50,10 @@ def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class Edit(OneLine):
-    """What to write into a problem file.
+    """What to write into a problem file."""
 
-    Attributes
-    ----------
-    key: path of the key, such as ``team.cable_length`` or ``mission[0].morph.polygon``; of a step's
-        own edits, within the step.
-    value: number, word, list or mapping, in the file's units.
-    """
-
-    key: str
-    value: object
+    key: str  # path such as ``mission[0].morph.polygon``; of a step's own edits, within the step
+    value: object  # number, word, list or mapping, in the file's units
 
 
 Edits = tuple[Edit, ...]
@@ -69,32 +62,20 @@ Edits = tuple[Edit, ...]
 
 @dataclass(frozen=True, eq=False)
 class Knob:
-    """A number that repair may raise or lower.
+    """A number that repair may raise or lower."""
 
-    Attributes
-    ----------
-    key: as the file has it; of a step's number, within the step.
-    old, unit: its value, and the unit of it; ``times`` for a factor.
-    written: gives what to write for another value; None for the value itself under the key.
-    sign: 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most.
-    covers: constraints that it can repair; where others are broken too it is not tried.
-    words: what it is, where the key does not tell.
-    extent: what sizes are relative to [unit]; the old value unless given.
-    least, most: sizes below are known not to do; sizes above make no sense.
-    relaxes: it takes nothing away, so that no size can do where the largest does not.
-    """
-
-    key: str
-    old: float
-    unit: str
+    key: str  # as the file has it; of a step's number, within the step
+    old: float  # its value
+    unit: str  # of the value; ``times`` for a factor
+    # gives what to write for another value; None for the value itself under the key
     written: Callable[[float], Edits] | None = None
-    sign: int = 1
+    sign: int = 1  # 1 where it is raised, -1 where it is lowered, to LEAST_LEFT of it at most
+    # constraints that it can repair; where others are broken too it is not tried
     covers: frozenset[str] = frozenset()
-    words: str = ""
-    extent: float | None = None
-    least: float = 0.0
-    most: float = math.inf
-    relaxes: bool = False
+    words: str = ""  # what it is, where the key does not tell
+    extent: float | None = None  # what sizes are relative to [unit]; the old value unless given
+    least: float = 0.0  # sizes below are known not to do
+    most: float = math.inf  # sizes above make no sense
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:
@@ -103,18 +84,6 @@ class Knob:
     def edits(self, value: float) -> Edits:
         """Return what to write for another value."""
         return (Edit(self.key, value),) if self.written is None else self.written(value)
-
-
-LEAST_LEFT = 0.1
-"""Share of a quantity that is left where it is lowered the most."""
-
-
-def lasting_knobs(step: Step, key: str, *, longer: bool = False) -> Iterator[Knob]:
-    """Yield the knobs of a duration [s] of a step: shorter, and longer where that may help."""
-    seconds = float(getattr(step, key))
-    if longer:  # which takes nothing away
-        yield Knob(key, seconds, "s", covers=frozenset({"duration"}), relaxes=True)
-    yield Knob(key, seconds, "s", sign=-1, covers=frozenset({PLAN_DURATION}))
 
 
 def points_scaled(points: Array, factor: float, centre: Array) -> Array:
@@ -129,46 +98,30 @@ def outline_edit(key: str, outline: Outline, factor: float) -> Edit:
 
 @dataclass(frozen=True, eq=False)
 class Holding:
-    """An object that a hitch is around, or holds.
+    """An object that a hitch is around, or holds."""
 
-    Attributes
-    ----------
-    name: of the object.
-    polygons: of the hitch, in the object's frame.
-    tension: (n,) [N], what cables pull with from grasping to loosening.
-    held: the hitch that holds it; None while it is only around it.
-    borne: whether clasps carry its weight.
-    """
-
-    name: str
-    polygons: HoldPolygons
-    tension: Array
+    name: str  # of the object
+    polygons: HoldPolygons  # of the hitch, in the object's frame
+    tension: Array  # (n,) [N], what cables pull with from grasping to loosening
+    # the hitch that holds it; None while it is only around it
     held: HeldHitch | GrippedHitch | None = None
-    borne: bool = False
+    borne: bool = False  # whether clasps carry its weight
 
 
 @dataclass(frozen=True, eq=False)
 class Situation:
-    """A moment of rest: a hitch, or drones on free cables.
+    """A moment of rest: a hitch, or drones on free cables."""
 
-    Attributes
-    ----------
-    team: who flies.
-    drones: (2n, 3) [m], in the order q0, r0, q1, r1, ….
-    hitch: what they hold, or None where cables are free.
-    senses: (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that
-        was there at first is taken to have been formed so.
-    swap: the settings of these turns.
-    holding: what the hitch is around or holds; ``hitch`` is then as if it carried nothing.
-    objects: where objects are by now; None where the problem has them.
-    """
-
-    team: Team
-    drones: Array
-    hitch: Hitch | None = None
+    team: Team  # who flies
+    drones: Array  # (2n, 3) [m], in the order q0, r0, q1, r1, …
+    hitch: Hitch | None = None  # what they hold, or None where cables are free
+    # (clasps,), how pairs have turned to form it, 1 where q went up first; a hitch that was there
+    # at first is taken to have been formed so
     senses: Array | None = None
-    swap: SwapSettings = field(default_factory=SwapSettings)
+    swap: SwapSettings = field(default_factory=SwapSettings)  # the settings of these turns
+    # what the hitch is around or holds; ``hitch`` is then as if it carried nothing
     holding: Holding | None = None
+    # where objects are by now; None where the problem has them
     objects: Mapping[str, SolidObject] | None = None
 
     @classmethod
@@ -183,13 +136,7 @@ class Situation:
 
 @dataclass(frozen=True, eq=False)
 class StepPlan:
-    """The motion of a step, and where it ends.
-
-    Attributes
-    ----------
-    motion: from rest to rest.
-    after: where it ends.
-    """
+    """The motion of a step from rest to rest, and the situation after it."""
 
     motion: Motion
     after: Situation
@@ -202,9 +149,7 @@ class StepPlan:
         return certify(self.motion.untimed, part=True)
 
     def remarked(self, words: str) -> StepPlan:
-        """Return the same plan, the remarks of its phases with these words at their end, if any."""
-        if not words:
-            return self
+        """Return the same plan, the remarks of its phases with these words at their end."""
         phases = [
             replace(phase, remark=f"{phase.remark}; {words}" if phase.remark else words)
             for phase in self.motion.phases
@@ -217,20 +162,12 @@ class StepPlan:
 
 @dataclass(frozen=True, eq=False)
 class StepTask:
-    """What a step is asked to plan.
+    """What a step is asked to plan."""
 
-    Attributes
-    ----------
-    before: where the mission stands.
-    index: of the step in its mission.
-    requirements: what the plan must satisfy.
-    optimiser: whether the optimiser may be used.
-    """
-
-    before: Situation
-    index: int
-    requirements: Requirements
-    optimiser: bool = True
+    before: Situation  # where the mission stands
+    index: int  # of the step in its mission
+    requirements: Requirements  # what the plan must satisfy
+    optimiser: bool = True  # whether the optimiser may be used
 
     @property
     def hitch(self) -> Hitch:
@@ -243,9 +180,8 @@ class StepTask:
     def holding(self) -> Holding:
         """What the hitch is around or holds; raises InputError where that is nothing."""
         if self.before.holding is None:
-            raise InputError(
-                f"mission[{self.index}]", None, "around an object", "enclose it before"
-            )
+            words = "around an object", "enclose it before"
+            raise InputError(f"mission[{self.index}]", None, *words)
         return self.before.holding
 
     def within(self, requirements: Requirements, situation: Situation) -> StepTask:
@@ -271,10 +207,7 @@ class Step(OneLine, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
     name: ClassVar[str]
-    """What the problem file calls it."""
-
-    summary: ClassVar[str]
-    """What it does, in a few words."""
+    """What the problem file calls it: the name of the class, in words of lower case."""
 
     needs_hitch: ClassVar[bool | None] = True
     """Whether a hitch must be there before it (True), must not (False), or may (None)."""
@@ -285,6 +218,13 @@ class Step(OneLine, ABC):
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
     """Where it begins and ends with respect to an object that is carried; None for anywhere."""
 
+    time_key: ClassVar[str] = "duration"
+    """Name of the field that says how long it takes, if it has one."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.name = re.sub(r"(?<=.)([A-Z])", r"_\1", cls.__name__).lower()
+
     def __post_init__(self) -> None:
         for name, (key, default) in keys_of(type(self)).items():
             value = getattr(self, name)
@@ -293,12 +233,7 @@ class Step(OneLine, ABC):
 
     @classmethod
     def from_file(cls, values: dict[str, Any]) -> Self:
-        """Return the step with the values of a problem file, in which angles are in degrees.
-
-        Raises
-        ------
-        InputError: values that do not go together; its key is the step's own.
-        """
+        """Return the step with the values of a problem file, in which angles are in degrees."""
         return cls(
             **{
                 key.removesuffix("_deg"): math.radians(value) if key.endswith("_deg") else value
@@ -309,8 +244,8 @@ class Step(OneLine, ABC):
     @property
     def given_duration(self) -> float | None:
         """How long it takes [s], where it was given that, or None."""
-        found: float | None = getattr(self, "duration", None)
-        return found
+        found = getattr(self, self.time_key, None)
+        return found if isinstance(found, float) else None
 
     @property
     def blends(self) -> bool:
@@ -318,29 +253,17 @@ class Step(OneLine, ABC):
         return bool(getattr(self, "blend", False))
 
     def fitting(self, team: Team) -> Self:
-        """Return the step with its polygon as an outline and its legs as an array, if it has any.
-
-        Raises
-        ------
-        InputError: one that does not fit the team.
-        """
-        given = {key: vars(self).get(key) for key in ("polygon", "legs")}
-        fitted: dict[str, Any] = {
-            key: fitting_polygon(team, value) if key == "polygon" else slack_split(value, team)
-            for key, value in given.items()
-            if value is not None
-        }
-        changed = any(value is not given[key] for key, value in fitted.items())
-        return replace(self, **fitted) if changed else self
+        """Return the step with its polygon as an outline and its legs as an array, if they fit."""
+        polygon, legs = (vars(self).get(key) for key in ("polygon", "legs"))
+        changed: dict[str, Any] = {}
+        if polygon is not None:
+            changed["polygon"] = fitting_polygon(team, polygon)
+        if legs is not None:
+            changed["legs"] = slack_split(legs, team)
+        return replace(self, **changed) if changed else self
 
     def polygon_left(self, team: Team, outline: Outline | None) -> Outline | None:
-        """Return the outline after the step; None where there is no hitch.
-
-        Raises
-        ------
-        InputError: as ``polygon_after``, or a step that needs a hitch where there is none, or none
-            where there is one.
-        """
+        """Return the outline after the step, None for no hitch; raise InputError if none fits."""
         if self.needs_hitch is True and outline is None:
             raise InputError("", "no hitch", "given a hitch at that point", "form one before")
         if self.needs_hitch is False and outline is not None:
@@ -348,15 +271,10 @@ class Step(OneLine, ABC):
             raise InputError("", "a hitch", bound, "release it before")
         return self.polygon_after(team, outline)
 
-    def polygon_after(self, team: Team, outline: Any) -> Outline | None:  # noqa: ARG002
-        """Return the outline that the step makes of ``outline``, which is there if it needs one.
-
-        Raises
-        ------
-        InputError: an index beyond the team's, or an outline that is not convex.
-        """
-        found: Outline | None = outline
-        return found
+    def polygon_after(self, team: Team, outline: Any) -> Outline | None:
+        """Return the outline that the step makes of ``outline``: its own polygon, if it has one."""
+        own = vars(self).get("polygon", outline)
+        return None if own is None else fitting_polygon(team, own)
 
     @abstractmethod
     def plan(self, task: StepTask) -> StepPlan:
@@ -378,48 +296,21 @@ class Step(OneLine, ABC):
         check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
         return motion.slowed(duration / motion.duration)
 
-    def part(self, step: Step, task: StepTask) -> StepPlan:
-        """Return the plan of another step as a part of this one, which refusals name."""
-        try:
-            return step.plan(task)
-        except InfeasibleError as error:
-            inner, own = (f"step {task.index} ({kind.name})" for kind in (step, self))
-            told = [replace(v, when=v.when.replace(inner, own)) for v in error.violations]
-            raise InfeasibleError(told, error.note) from None
-
-    def advice(self, check: str) -> str:  # noqa: ARG002
-        """Return what to change in the step where it breaks a check; nothing if that is unknown."""
-        return ""
-
     def knobs(self) -> Iterator[Knob]:
-        """Yield the numbers that repair may change."""
-        if self.given_duration is not None:
-            yield from lasting_knobs(self, "duration", longer=True)
+        """Yield the numbers that repair may change: a duration that was given."""
+        seconds = self.given_duration
+        if seconds is not None:
+            yield Knob(self.time_key, seconds, "s", covers=frozenset({"duration"}))
+            covers = frozenset({PLAN_DURATION})
+            yield Knob(self.time_key, seconds, "s", sign=-1, covers=covers)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return the edits that scale its outline, and the centre of the outline after it.
+    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
+        """Return the edits that scale its outline by a factor, and the outline's centre after it.
 
-        Parameters
-        ----------
-        factor: of all outlines.
-        centre: (2,) [m], about which the outline before the step is scaled.
+        ``centre`` (2,) [m] is that of the outline before, about which points go; a polygon is
+        scaled about its own centroid.
         """
-        return (), centre
-
-
-def convex_outline(team: Team, points: Array, key: str, value: Array | None) -> Outline:
-    """Return the points as an outline; an error names the step's ``key`` and its ``value``."""
-    try:
-        return fitting_polygon(team, points)
-    except InputError as error:
-        bound = (
-            f"such that the outline stays convex and clockwise ({error.key} = {error.value} would "
-            f"have to be {error.bound})"
+        own: Outline | None = vars(self).get("polygon")
+        return (
+            ((), centre) if own is None else ((outline_edit("polygon", own, factor),), own.centroid)
         )
-        raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
-
-
-def check_within(key: str, index: int, count: int) -> None:
-    """Raise InputError where ``index`` is none of ``count``."""
-    if index >= count:
-        raise InputError(key, index, f"from 0 to {count - 1}", "indices start at 0")

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from functools import cache, partial
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,63 +31,11 @@ from hitchopt.values import (
 )
 from hitchopt.values.units import DURATION, HEIGHT, check_unit
 
-MIN_QUANTITY = 1e-9
-"""Smallest quantity, in SI units: smaller ones are typing errors and would only underflow."""
-
-MAX_QUANTITY = 1e9
-"""Largest quantity, in SI units: larger ones are typing errors and would only overflow."""
+MIN_QUANTITY, MAX_QUANTITY = 1e-9, 1e9
+"""Smallest and largest quantity, in SI units: others are typing errors."""
 
 FAULT = "hitchopt"
 """Type of the errors that carry their own ``bound`` and ``remedy``."""
-
-ONE, EACH, WORD, FLAG, MAPPING = "<one>", "<each>", "<word>", "<flag>", "<mapping>"
-"""Tags of the forms of a value: once for all robots, one each, a word, a flag, a mapping."""
-
-
-def one_or_each(value: object) -> str:
-    """Return the tag of a value that is given once, or as a list of one per robot."""
-    return EACH if isinstance(value, list) else ONE
-
-
-def word_one_or_each(value: object) -> str:
-    """Return the tag of a value that is a word, given once, or a list."""
-    return WORD if isinstance(value, str) else one_or_each(value)
-
-
-def word_flag_or_one(value: object) -> str:
-    """Return the tag of a value that is a word, a flag, or a number."""
-    return FLAG if isinstance(value, bool) else word_one_or_each(value)
-
-
-def legs_form(value: object) -> str:
-    """Return the tag of legs that are a word, a list, or a mapping."""
-    return MAPPING if isinstance(value, dict | Keys) else one_or_each(value)
-
-
-def fault(bound: str, remedy: str) -> PydanticCustomError:
-    """Return an error that carries its own words."""
-    return PydanticCustomError(FAULT, "{bound}; {remedy}", {"bound": bound, "remedy": remedy})
-
-
-Number = Annotated[float, Field(ge=-MAX_QUANTITY, le=MAX_QUANTITY)]
-Positive = Annotated[float, Field(ge=MIN_QUANTITY, le=MAX_QUANTITY)]
-NotNegative = Annotated[float, Field(ge=0.0, le=MAX_QUANTITY)]
-Roll = Annotated[float, Field(gt=-90.0, lt=90.0)]
-Index = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
-Point2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
-Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
-TimedPoint = Annotated[list[Number], Field(min_length=3, max_length=3)]
-OutlinePoints = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
-TwoPoints = Annotated[list[Point2], Field(min_length=2, max_length=2)]
-TimedPath = Annotated[list[TimedPoint], Field(min_length=1)]
-T = TypeVar("T")
-M = TypeVar("M")
-OneOrEach = Annotated[Annotated[T, Tag(ONE)] | Annotated[M, Tag(EACH)], Discriminator(one_or_each)]
-RobotsList = Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS)]
-ClaspsList = Annotated[list[T], Field(min_length=1, max_length=MAX_ROBOTS)]
-PerRobot = OneOrEach[T, RobotsList[T]]
-PerClasp = OneOrEach[NotNegative, ClaspsList[NotNegative]]
-Sharing = OneOrEach[Literal["balanced", "spread"], RobotsList[NotNegative]]
 
 
 class Keys(BaseModel):
@@ -96,6 +44,45 @@ class Keys(BaseModel):
     model_config = ConfigDict(
         strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True
     )
+
+
+WORD, FLAG, EACH, MAPPING, ONE = "a word", "true or false", "a list", "a mapping", "a number"
+"""Forms of a value, as messages call them; tags of what a key takes in several forms."""
+
+
+def form_of(value: object) -> str:
+    """Return the tag of a value's form."""
+    forms = ((str, WORD), (bool, FLAG), (list, EACH), (dict | Keys, MAPPING))
+    return next((tag for kind, tag in forms if isinstance(value, kind)), ONE)
+
+
+def fault(bound: str, remedy: str) -> PydanticCustomError:
+    """Return an error that carries its own words."""
+    return PydanticCustomError(FAULT, "{bound}; {remedy}", {"bound": bound, "remedy": remedy})
+
+
+T = TypeVar("T")
+M = TypeVar("M")
+FORM = Discriminator(form_of)
+Number = Annotated[float, Field(ge=-MAX_QUANTITY, le=MAX_QUANTITY)]
+Positive = Annotated[float, Field(ge=MIN_QUANTITY, le=MAX_QUANTITY)]
+NotNegative = Annotated[float, Field(ge=0.0, le=MAX_QUANTITY)]
+Roll = Annotated[float, Field(gt=-90.0, lt=90.0)]
+Index = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
+Point2 = Annotated[list[Number], Field(min_length=2, max_length=2)]
+Point3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
+OutlinePoints = Annotated[list[Point2], Field(min_length=3, max_length=MAX_ROBOTS + 1)]
+TwoPoints = Annotated[list[Point2], Field(min_length=2, max_length=2)]
+TimedPath = Annotated[list[Point3], Field(min_length=1)]
+OneOrEach = Annotated[Annotated[T, Tag(ONE)] | Annotated[M, Tag(EACH)], FORM]
+RobotsList = Annotated[list[T], Field(min_length=2, max_length=MAX_ROBOTS)]
+ClaspsList = Annotated[list[T], Field(min_length=1, max_length=MAX_ROBOTS)]
+PerRobot = OneOrEach[T, RobotsList[T]]
+PerClasp = OneOrEach[NotNegative, ClaspsList[NotNegative]]
+Split = Annotated[Literal["balanced", "spread"], Tag(WORD)]
+SplitLegs = Annotated[RobotsList[NotNegative], Tag(EACH)]
+Auto = Annotated[Literal["auto"], Tag(WORD)]
+ObjectName = Annotated[str, Field(min_length=1, max_length=50, pattern=r"^[A-Za-z0-9_ -]+$")]
 
 
 def key(text: str, default: Any = ..., **options: Any) -> Any:
@@ -111,54 +98,37 @@ OUTLINE_TEXT = (
 SHARING_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
 LEGS_TEXT = f"{SHARING_TEXT}; or that as sharing, with a roll_deg"
 DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
+YAW_TEXT = "By how much it turns, counter-clockwise [°]"
 
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 """Points [m] of an example."""
+
+AUTO: Final = "auto"
+"""Word for what is chosen: a duration, or a roll that is none unless limits need it."""
 
 
 class RolledLegsKeys(Keys):
     """Legs that are rolled out of their plane."""
 
-    sharing: Sharing = key(SHARING_TEXT, "spread")
+    sharing: Annotated[Split | SplitLegs, FORM] = key(SHARING_TEXT, "spread")
     roll_deg: Annotated[
-        Annotated[Literal["auto"], Tag(WORD)]
-        | Annotated[Roll, Tag(ONE)]
-        | Annotated[ClaspsList[Roll], Tag(EACH)],
-        Discriminator(word_one_or_each),
+        Auto | Annotated[Roll, Tag(ONE)] | Annotated[ClaspsList[Roll], Tag(EACH)], FORM
     ] = key(
         "Roll of the legs about their clasps [°], q up and r down, one for all or one "
         "per clasp; auto: none unless legs without it break a limit",
-        "auto",
+        AUTO,
     )
 
 
-Legs = Annotated[
-    Annotated[Literal["balanced", "spread"], Tag(ONE)]
-    | Annotated[RobotsList[NotNegative], Tag(EACH)]
-    | Annotated[RolledLegsKeys, Tag(MAPPING)],
-    Discriminator(legs_form),
-]
-
-ObjectName = Annotated[str, Field(min_length=1, max_length=50, pattern=r"^[A-Za-z0-9_ -]+$")]
-"""What an object may be called."""
-
-
-AUTO = "auto"
-"""Word for a roll that is none unless legs without it break a limit."""
+Legs = Annotated[Split | SplitLegs | Annotated[RolledLegsKeys, Tag(MAPPING)], FORM]
 
 
 @dataclass(frozen=True, eq=False)
 class RolledLegs:
-    """Legs that are rolled out of their plane.
+    """Legs that are rolled out of their plane."""
 
-    Attributes
-    ----------
-    sharing: how cables share their slack, as without roll.
-    roll: (clasps,) [rad]; None for none unless legs break a limit without.
-    """
-
-    sharing: Literal["balanced", "spread"] | Array
-    roll: Array | None = None
+    sharing: Literal["balanced", "spread"] | Array  # how cables share their slack, as without roll
+    roll: Array | None = None  # (clasps,) [rad]; None for none unless legs break a limit without
 
 
 SlackSplit = Literal["balanced", "spread"] | Array | RolledLegs
@@ -171,50 +141,35 @@ def slack_split(
 ) -> SlackSplit:
     """Return what a user wrote for ``legs``, checked.
 
-    Parameters
-    ----------
-    legs: a mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg].
-
-    Raises
-    ------
-    InputError: another word, or a list that does not have one positive length per robot, none of
-        them zero but the first of a chain.
+    A mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg]. A list
+    has one positive length per robot, none of them zero but the first of a chain.
     """
     if isinstance(legs, RolledLegs):
         roll = None if legs.roll is None else checked_roll(team, legs.roll)
         return RolledLegs(_sharing(legs.sharing, team), roll)
     if not isinstance(legs, Mapping):
         return _sharing(legs, team)
-    unknown = legs.keys() - {"sharing", "roll_deg"}
-    if unknown:
-        key = f"legs.{min(unknown)}"
-        raise InputError(key, legs[min(unknown)], "left out", "use sharing and roll_deg")
-    sharing = _sharing(legs.get("sharing", "spread"), team)
-    given = legs.get("roll_deg", AUTO)
+    for name in sorted(legs.keys() - {"sharing", "roll_deg"}):
+        raise InputError(f"legs.{name}", legs[name], "left out", "use sharing and roll_deg")
+    sharing, given = _sharing(legs.get("sharing", "spread"), team), legs.get("roll_deg", AUTO)
     if isinstance(given, str):
-        if given != AUTO:
-            raise InputError("legs.roll_deg", given, "auto, an angle, or a list", "write auto")
+        choice("legs.roll_deg", given, [AUTO])
         return RolledLegs(sharing)
-    clasps = len(team.layout.clasps)
-    degrees = per_robot("legs.roll_deg", given, clasps, finite, "clasp")
+    degrees = per_robot("legs.roll_deg", given, len(team.layout.clasps), finite, "clasp")
     worst = float(np.max(np.abs(degrees)))
     if worst >= 90.0:
         raise InputError("legs.roll_deg", worst, "within ±90°", "give a smaller angle")
     return RolledLegs(sharing, checked_roll(team, degrees * (math.pi / 180.0)))
 
 
-def _sharing(
-    legs: str | Sequence[float] | ArrayLike, team: Team
-) -> Literal["balanced", "spread"] | Array:
-    bound = "balanced, spread or a list of d_k"
-    if isinstance(legs, str):
-        if legs == "balanced":
-            return "balanced"
-        if legs == "spread":
-            return "spread"
-        raise InputError("legs", legs, bound, "write legs: spread")
-    if isinstance(legs, int | float):
-        raise InputError("legs", legs, bound, "give one length per robot")
+def _sharing(legs: Any, team: Team) -> Literal["balanced", "spread"] | Array:
+    """Return a word or checked q-legs (n,) [m]."""
+    if isinstance(legs, str) and legs == "balanced":
+        return "balanced"
+    if isinstance(legs, str) and legs == "spread":
+        return "spread"
+    if isinstance(legs, str | int | float):
+        raise InputError("legs", legs, "balanced, spread or a list of d_k", "write legs: spread")
     q_legs = per_robot("legs", legs, team.robots, not_negative)
     zero = np.flatnonzero(team.layout.has_leg[:, 0] & (q_legs == 0.0))
     if len(zero) > 0:
@@ -224,21 +179,13 @@ def _sharing(
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A step's field as a problem file has it.
+    """A step's field as a problem file has it."""
 
-    Attributes
-    ----------
-    kind: its type there; a model of keys for a mapping.
-    text: what it is, with its unit.
-    examples: values that may be written.
-    name: in the file, where it is not that of the field.
-    check: gives the field's value for one that a Python user wrote, of a name; or refuses it.
-    """
-
-    kind: Any
-    text: str
-    examples: tuple[object, ...] = ()
-    name: str = ""
+    kind: Any  # its type there; a model of keys for a mapping
+    text: str  # what it is, with its unit
+    examples: tuple[object, ...] = ()  # values that may be written
+    name: str = ""  # in the file, where it is not that of the field
+    # gives the field's value for one that a Python user wrote, of a name; or refuses it
     check: Callable[[str, Any], Any] | None = None
 
 
@@ -255,25 +202,37 @@ def keys_of(kind: type[Any]) -> dict[str, tuple[Key, object]]:
     }
 
 
-def numbers(key: str, value: object, shape: tuple[int | None, ...], words: str) -> Array:
-    """Return ``value`` as a read-only array of that shape; None stands for one or more.
+def parameters(kind: Any, without: str = "") -> str:
+    """Return the fields of a kind of step as a docstring lists them, angles in radians."""
+    texts = {name: said.text.replace("°", "rad") for name, (said, _) in keys_of(kind).items()}
+    lines = [f"{name}: {text[0].lower()}{text[1:]}." for name, text in texts.items()]
+    return "\n".join(line for line in lines if not line.startswith(f"{without}:"))
 
-    Raises
-    ------
-    InputError: another shape, described by ``words``, or numbers that are not finite.
-    """
-    array = as_array(value)
-    fits = array.ndim == len(shape) and all(
-        size == wanted if wanted is not None else size > 0
-        for size, wanted in zip(array.shape, shape, strict=True)
-    )
-    value = value.tolist() if isinstance(value, np.ndarray) else value
-    if not fits:
-        raise InputError(key, value, words, "give plain numbers in SI units")
-    if not np.all(np.isfinite(array)):
-        raise InputError(key, value, "finite", "nan and inf are no quantities")
-    array.setflags(write=False)
-    return array
+
+# Checks of what Python users give; each takes the key for messages, and the value.
+
+
+def of_shape(shape: tuple[int | None, ...], words: str) -> Callable[[str, object], Array]:
+    """Return the check of finite numbers of a shape, None for one or more; words describe it."""
+
+    def numbers(key: str, value: object) -> Array:
+        array = as_array(value)
+        fits = array.ndim == len(shape) and all(
+            size == wanted if wanted is not None else size > 0
+            for size, wanted in zip(array.shape, shape, strict=True)
+        )
+        value = value.tolist() if isinstance(value, np.ndarray) else value
+        if not fits:
+            raise InputError(key, value, words, "give plain numbers in SI units")
+        if not np.all(np.isfinite(array)):
+            raise InputError(key, value, "finite", "nan and inf are no quantities")
+        array.setflags(write=False)
+        return array
+
+    return numbers
+
+
+point = of_shape((3,), "a point [x, y, z]")
 
 
 def seconds(key: str, value: object) -> float:
@@ -281,6 +240,11 @@ def seconds(key: str, value: object) -> float:
     number = positive(key, value)
     check_unit(key, number, DURATION)
     return number
+
+
+def auto_seconds(key: str, value: object) -> float | str:
+    """Return a duration [s] or ``auto``, or raise InputError."""
+    return AUTO if isinstance(value, str) and value == AUTO else seconds(key, value)
 
 
 def altitude(key: str, value: object) -> float:
@@ -300,31 +264,11 @@ def one_of(words: Any) -> Callable[[str, Any], str]:
     return checked
 
 
-def of_shape(shape: tuple[int | None, ...], words: str) -> Callable[[str, object], Array]:
-    """Return the check of a value that is an array of that shape; see ``numbers``."""
-    return lambda key, value: numbers(key, value, shape, words)
-
-
-point = of_shape((3,), "a point [x, y, z]")
-
-
 MAX_TURNS = 5
 """Most turns of one step: a bounded number of polynomials would not follow more closely."""
 
 TURNS = Annotated[float, Field(ge=-360 * MAX_TURNS, le=360 * MAX_TURNS)]
-YAW_TEXT = "By how much it turns, counter-clockwise [°]"
-
-AutoSeconds = Annotated[
-    Annotated[Literal["auto"], Tag(WORD)] | Annotated[Positive, Tag(ONE)],
-    Discriminator(word_one_or_each),
-]
-
-
-def auto_seconds(key: str, value: object) -> float | str:
-    """Return a duration [s] or ``auto``, or raise InputError."""
-    return AUTO if value == AUTO else seconds(key, value)
-
-
+AutoSeconds = Annotated[Auto | Annotated[Positive, Tag(ONE)], FORM]
 Seconds = Annotated[float | None, Key(Positive, DURATION_TEXT, check=seconds)]
 Blend = Annotated[bool, Key(bool, "Go on into the next step without a stop", check=flag)]
 LegsAtEnd = Annotated[SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end")]

@@ -5,33 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field, Tag
 
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.step import (
-    Edits,
-    Knob,
-    Step,
-    StepPlan,
-    StepTask,
-    eased,
-    outline_edit,
-)
+from hitchopt.steps.step import Knob, Situation, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
+    AUTO,
     FLAG,
+    FORM,
     LEGS_TEXT,
     ONE,
     OUTLINE_TEXT,
     TRIANGLE,
-    WORD,
+    Auto,
     Key,
     Keys,
     Legs,
@@ -45,7 +37,6 @@ from hitchopt.steps.step_keys import (
     auto_seconds,
     key,
     one_of,
-    word_flag_or_one,
 )
 from hitchopt.values import Array, instance
 
@@ -60,7 +51,7 @@ SENSES = {"up": 1, "down": -1, "auto": 0}
 """Senses of a swap, as the file has them."""
 
 CABLE_MARGINS = (1.5, 1.25)
-"""Times ``separation.cable`` that drones of a formed hitch keep from cables if they can."""
+"""Times ``separation.cable`` that drones keep from cables, if they can, as a hitch is tightened."""
 
 
 class SwapKeys(Keys):
@@ -82,10 +73,7 @@ def _settings(key: str, value: object) -> object:
 
 
 SettleKey = Annotated[
-    Annotated[Literal["auto"], Tag(WORD)]
-    | Annotated[Literal[False], Tag(FLAG)]
-    | Annotated[Positive, Tag(ONE)],
-    Discriminator(word_flag_or_one),
+    Auto | Annotated[Literal[False], Tag(FLAG)] | Annotated[Positive, Tag(ONE)], FORM
 ]
 
 
@@ -93,52 +81,35 @@ def _settle(key: str, value: object) -> float | str | bool:
     return False if value is False else auto_seconds(key, value)
 
 
+ASSIGN_TEXT = (
+    "auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order"
+)
+SETTLE_TEXT = (
+    "Where cables have friction, how long clasps are worked at the end [s], as by settle; "
+    "auto: as far as limits allow; or false"
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Form(Step):
-    """Drones with hanging cables form a hitch.
+    """Drones with hanging cables form a hitch; all cables are pulled by the team's tension then.
 
-    All cables are pulled by the team's tension then.
-
-    Parameters
-    ----------
-    polygon: the hitch's outline, or its points (n, 2) [m] until a Problem knows the topology.
-    altitude: of its plane [m].
-    legs: ``balanced``, ``spread`` or (n,) ``d_k`` [m]; None for spread, with a margin to the cables
-        where drones stand close to them.
-    assign: ``auto``: which robot takes which edge, and which end is its q, is chosen.
-    swap: how the drones turn about each other.
-    settle: how long clasps are worked at the end where cables have friction [s], as by Settle;
-        ``auto`` for as far as limits allow, False for not at all.
-    duration: of the whole step, exactly that long [s]; None for as fast as the limits allow.
+    Without ``legs`` they are spread, with a margin to the cables where drones stand close to them.
     """
 
-    name: ClassVar[str] = "form"
-    summary: ClassVar[str] = "Form the hitch"
     needs_hitch: ClassVar[bool | None] = False
     polygon: Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]
     altitude: Annotated[float, Key(Number, "Height of the hitch's plane [m]", check=altitude)] = 1.0
     legs: Annotated[
         SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end; spread without it")
     ] = None
-    assign: Annotated[
-        Assign,
-        Key(
-            Assign,
-            "auto: which robot takes which edge is chosen; fixed: in order",
-            check=one_of(Assign),
-        ),
-    ] = "auto"
+    assign: Annotated[Assign, Key(Assign, ASSIGN_TEXT, check=one_of(Assign))] = AUTO
     swap: Annotated[SwapSettings, Key(SwapKeys, str(SwapKeys.__doc__), check=_settings)] = field(
         default_factory=SwapSettings
     )
     settle: Annotated[
-        float | Literal["auto", False],
-        Key(
-            SettleKey,
-            "Where cables have friction, how long clasps are worked at the end [s]; auto, or false",
-            check=_settle,
-        ),
-    ] = "auto"
+        float | Literal["auto", False], Key(SettleKey, SETTLE_TEXT, check=_settle)
+    ] = AUTO
     duration: Seconds = None
 
     @classmethod
@@ -152,35 +123,26 @@ class Form(Step):
         )
         return cls(**values | {"swap": settings})
 
-    def polygon_after(self, team: Team, outline: None) -> Outline:  # noqa: ARG002
-        """Return the hitch's outline."""
-        return fitting_polygon(team, self.polygon)
-
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
         from hitchopt.motion.motion import Phase, joined_motions
         from hitchopt.planners.forming.stages import tied
         from hitchopt.steps import certified_motions as motions
-        from hitchopt.steps.route_choice import worked
+        from hitchopt.steps.certified_motions import worked
 
         i, requirements = task.index, task.requirements
         wanted = self._wanted(task.before.team, requirements)
         motions.check_at_rest(wanted, requirements, f"at the end of step {i} (form)")
         high, pre = motions.tying_site(wanted, self.swap, None, requirements)
         tying = joined_motions(tied(pre, high, requirements, self.swap, i))
-        if pre.shortfall > 0.0:
-            # It is no use to go there if nothing can be tied.
+        if pre.shortfall > 0.0:  # it is no use to go there if nothing can be tied
             motions.checked(StepPlan(tying, task.before))
         parts = [_approach(task, pre.drones), tying]
         if high is not wanted:
             parts.append(motions.lifted(high, wanted.altitude, "lower", task))
-        after = replace(
-            task.before,
-            drones=wanted.drones,
-            hitch=wanted,
-            senses=np.sign(pre.turns.rise),
-            swap=self.swap,
-        )
+        senses = np.sign(pre.turns.rise)
+        formed = Situation(wanted.team, wanted.drones, wanted, senses, self.swap)
+        after = replace(formed, objects=task.before.objects)
         if wanted.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
@@ -190,13 +152,9 @@ class Form(Step):
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
         """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
 
-        Where spreading leaves drones less than the first of CABLE_MARGINS times
-        ``separation.cable`` from a cable, they get the largest of these that satisfies every limit,
-        and are spread beyond that. Drones that stand close lose little of a distance that has
-        downwash in it; the one to cables has nothing to spare for a gust as a hitch is drawn tight.
+        They are the largest of CABLE_MARGINS that satisfies every limit; drones are spread beyond.
         """
-        from hitchopt.steps.certified_motions import at_rest
-        from hitchopt.steps.route_choice import split_hitch
+        from hitchopt.steps.certified_motions import at_rest, split_hitch
 
         legs: SlackSplit = "spread" if self.legs is None else self.legs
         spread = split_hitch(team, self.polygon, self.altitude, legs, requirements)
@@ -222,51 +180,35 @@ class Form(Step):
             covers = eased("length") | {"interlacing", "arena", "crossing"}
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
-    def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
-        """Return the edit that scales its polygon about its centroid, which is the centre then."""
-        return (outline_edit("polygon", self.polygon, factor),), self.polygon.centroid
-
 
 def _approach(task: StepTask, goal: Array) -> Motion:
     """Return the first route to the pre-hitch that the certificate holds for.
 
-    Raises
-    ------
-    InfeasibleError: none; says what binds on the first of them.
+    Raises InfeasibleError: none; says what binds on the first of them.
     """
     from hitchopt.motion.motion import joined_motions
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
     from hitchopt.steps.certified_motions import tried
 
     asked = task.before.team, task.before.drones, goal, task.requirements, task.index
-    refusals = list[HitchoptError]()
-
-    def flown(planner: type[DirectApproach | GatheredApproach]) -> StepPlan:
-        return StepPlan(joined_motions(planner(*asked).solve()), task.before)
-
-    for planner in (DirectApproach, GatheredApproach):
-        found = tried(partial(flown, planner))
+    routes = (DirectApproach(*asked), GatheredApproach(*asked))
+    refused = list[HitchoptError]()
+    for route in routes:
+        found = tried(lambda route=route: StepPlan(joined_motions(route.solve()), task.before))  # type: ignore[misc]
         if isinstance(found, StepPlan):
             return found.motion
-        refusals.append(found)
-    told = [each for each in refusals if isinstance(each, InfeasibleError)]
-    if not told:
-        raise refusals[0]
-    note = told[0].note or "no other route to the pre-hitch was found"
-    raise InfeasibleError(told[0].violations, note)
+        refused.append(found)
+    for error in refused:
+        if isinstance(error, InfeasibleError):
+            note = error.note or "no other route to the pre-hitch was found"
+            raise InfeasibleError(error.violations, note)
+    raise refused[0]
 
 
 @dataclass(frozen=True)
 class Release(Step):
-    """The hitch is taken apart as it was formed, backwards, until its cables hang free.
+    """The hitch is taken apart as it was formed, backwards, until its cables hang free."""
 
-    Parameters
-    ----------
-    duration: as of Form.
-    """
-
-    name: ClassVar[str] = "release"
-    summary: ClassVar[str] = "The reverse of form"
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
@@ -279,9 +221,8 @@ class Release(Step):
         from hitchopt.steps.certified_motions import lifted, tying_site
 
         before, hitch, requirements = task.before, task.hitch, task.requirements
-        senses = before.senses
-        if senses is None:
-            senses = np.ones(len(before.team.layout.clasps))
+        up = np.ones(len(before.team.layout.clasps))
+        senses = up if before.senses is None else before.senses
         high, pre = tying_site(hitch, before.swap, senses, requirements)
         parts = undone(tied(pre, high, requirements, before.swap, task.index))
         if high is not hitch:
@@ -292,15 +233,8 @@ class Release(Step):
 
 @dataclass(frozen=True)
 class Land(Step):
-    """All drones go straight down to the ground.
+    """All drones go straight down to the ground."""
 
-    Parameters
-    ----------
-    duration: as of Form.
-    """
-
-    name: ClassVar[str] = "land"
-    summary: ClassVar[str] = "Land all drones"
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
 

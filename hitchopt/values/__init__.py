@@ -129,29 +129,19 @@ def as_array(value: object) -> Array:
 
 
 def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: str) -> Array:
-    """Return ``value`` as a read-only array of points within ±MAX_COORDINATE on every axis.
+    """Return points [m] as a read-only array, or raise InputError for what lies too far off.
 
-    Parameters
-    ----------
-    key: name of the value in messages.
-    value: the points [m].
-    shape: smallest number of points, and their number of coordinates.
-    bound, remedy: what to say of another shape.
-
-    Raises
-    ------
-    InputError: another shape, or a coordinate that is not finite or beyond the largest.
+    ``shape`` is the smallest number of points, and their number of coordinates; of another one
+    ``bound`` and ``remedy`` are said.
     """
     array = as_array(value)
     if array.ndim != 2 or array.shape[1] != shape[1] or len(array) < shape[0]:
         raise InputError(key, value, bound, remedy)
     good = np.abs(array) <= MAX_COORDINATE  # not of nan
     if not good.all():
-        bad = ~np.all(good, axis=1)
-        k = int(np.argmax(bad))
-        finite_within = f"finite and within ±{MAX_COORDINATE:g} m"
-        remedy = "check the point's coordinates"
-        raise InputError(f"{key}[{k}]", array[k].tolist(), finite_within, remedy)
+        k = int(np.argmin(np.all(good, axis=1)))
+        bound, remedy = f"finite and within ±{MAX_COORDINATE:g} m", "check the point's coordinates"
+        raise InputError(f"{key}[{k}]", array[k].tolist(), bound, remedy)
     array.setflags(write=False)
     return array
 
@@ -165,19 +155,7 @@ def per_robot(
 ) -> NDArray[np.float64]:
     """Return ``value`` as a read-only array (robots,); one number holds for all robots.
 
-    Or for all of what ``owner`` names, of which there are as many.
-
-    Parameters
-    ----------
-    key: name of the value in messages.
-    value: one number, or one per robot.
-    robots: number of robots.
-    checked: check of every number.
-    owner: what has one number each.
-
-    Raises
-    ------
-    InputError: there is not one number, nor one per robot, or ``checked`` refuses a number.
+    Or for all of what ``owner`` names, of which there are as many. ``checked`` checks every number.
     """
     if isinstance(value, int | float | np.number) and not isinstance(value, bool):
         array = np.full(robots, checked(key, float(value)))

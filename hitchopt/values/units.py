@@ -1,7 +1,4 @@
-"""Values that are probably in another unit: what is usual, what is possible, and what was meant.
-
-What nothing has that flies is refused as an InputError; what is merely unusual is a UnitWarning.
-"""
+"""Values that are probably in another unit: what is usual, what is possible, what was meant."""
 
 from __future__ import annotations
 
@@ -9,9 +6,9 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.values import acute, not_negative, positive
@@ -20,34 +17,26 @@ OUTSIDE = frozenset({"hitchopt", "contextlib", "dataclasses"})
 """Packages between a user's line and the place where a value is checked."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """Ranges of a physical quantity, and units that are taken for its own.
+class Quantity(NamedTuple):
+    """A physical quantity."""
 
-    Attributes
-    ----------
-    unit: the one expected.
-    usual: smallest and largest value beyond which a warning is given.
-    possible: smallest and largest value beyond which the value is refused.
-    others: names of other units, and their sizes in ``unit``.
-    """
-
-    unit: str
-    usual: tuple[float, float]
-    possible: tuple[float, float]
-    others: tuple[tuple[str, float], ...] = ()
+    unit: str  # the one expected
+    usual: tuple[float, float]  # smallest and largest value beyond which there is a warning
+    possible: tuple[float, float]  # and beyond which a value is refused
+    others: tuple[tuple[str, float], ...] = ()  # other units, and their sizes in the one expected
 
 
 LENGTHS = (("millimetres", 1e-3), ("centimetres", 1e-2))
 GRAMS = (("grams", 1e-3),)
+OF_FORCE = (("grams of force", 0.00981),)
 DEGREES = 0.017453292519943295
 """One degree [rad]."""
 
 CABLE_LENGTH = Quantity("m", (0.05, 100.0), (1e-3, 1e4), LENGTHS)
 MASS = Quantity("kg", (0.005, 100.0), (1e-5, 1e4), GRAMS)
 LOAD = Quantity("kg", (0.0, 100.0), (0.0, 1e4), GRAMS)
-THRUST = Quantity("N", (0.05, 5e3), (1e-4, 1e6), (("grams of force", 0.00981),))
-TENSION = Quantity("N", (0.002, 500.0), (1e-6, 1e6), (("grams of force", 0.00981),))
+THRUST = Quantity("N", (0.05, 5e3), (1e-4, 1e6), OF_FORCE)
+TENSION = Quantity("N", (0.002, 500.0), (1e-6, 1e6), OF_FORCE)
 DENSITY = Quantity("kg/m", (0.0, 1.0), (0.0, 100.0), (("grams per metre", 1e-3),))
 FRICTION = Quantity("(a coefficient)", (0.0, 3.0), (0.0, 1e9), (("per cent", 1e-2),))
 STIFFNESS = Quantity("N/m", (0.01, 1e5), (1e-6, 1e9), (("N/mm", 1e3),))
@@ -69,25 +58,17 @@ LEAST_LIFT, MOST_LIFT = 0.01, 100.0
 
 
 def check_unit(key: str, value: Any, quantity: Quantity) -> None:
-    """Refuse or warn of a value, or the first of an array, that is probably in another unit.
-
-    Raises
-    ------
-    InputError: a value that nothing has that flies.
-    """
+    """Refuse or warn of a value, or the first of an array, that is probably in another unit."""
     values = [value] if isinstance(value, float) else value.ravel().tolist()
-    alike = len(set(values)) == 1
+    (low, high), (least, most) = quantity.usual, quantity.possible
     for i, number in enumerate(values):
-        name = key if alike else f"{key}[{i}]"
-        low, high = quantity.possible
-        if not low <= number <= high:
-            bound = f"from {low:g} to {high:g} {quantity.unit}"
-            raise InputError(name, number, bound, _meant(number, quantity))
-        low, high = quantity.usual
+        name, meant = key if len(set(values)) == 1 else f"{key}[{i}]", _meant(number, quantity)
+        if not least <= number <= most:
+            bound = f"from {least:g} to {most:g} {quantity.unit}"
+            raise InputError(name, number, bound, meant)
         if not low <= number <= high:
             usual = f"usual are {low:g} to {high:g} {quantity.unit}"
-            words = f"{number:g} {quantity.unit}; {usual}; {_meant(number, quantity)}"
-            warn_of_unit(UnitWarning(name, words))
+            warn_of_unit(UnitWarning(name, f"{number:g} {quantity.unit}; {usual}; {meant}"))
             return
 
 
@@ -132,12 +113,7 @@ def store(record: object, values: Mapping[str, Any], checked: Collection[str] = 
 def radians_of(
     key: str, radians: float | None, degrees: float | None, quantity: Quantity
 ) -> float | None:
-    """Return an angle or a rate that is given in one of two units, in radians.
-
-    Raises
-    ------
-    InputError: it is given in both, or is no positive number.
-    """
+    """Return an angle or a rate that is given in one of two units, not in both, in radians."""
     if degrees is None:
         return None if radians is None else positive(key, radians)
     name = f"{key}_deg"
@@ -151,15 +127,9 @@ def radians_of(
 
 
 def check_lift(mass: float, max_thrust: float, gravity: float) -> None:
-    """Refuse a thrust that is a hundred times off a drone's weight.
+    """Raise InputError for a thrust [N] that is a hundred times off a drone's weight (mass in kg).
 
-    Parameters
-    ----------
-    mass, max_thrust, gravity: [kg], [N], [m/s²]
-
-    Raises
-    ------
-    InputError: names the mass if grams fit, else the thrust.
+    It names the mass if grams fit, else the thrust.
     """
     lift = max_thrust / (mass * gravity)
     if LEAST_LIFT < lift < MOST_LIFT:

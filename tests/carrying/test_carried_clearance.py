@@ -19,19 +19,16 @@ RIM = 0.25
 
 def mission(*steps: dict[str, Any], floor: float = 0.0, **objects: Any) -> dict[str, Any]:
     """Return the problem of a tray on four cables, by what is done once it is lifted."""
-    z = floor
-    angles = -0.5 * np.pi * np.arange(4)
-    polygon = 0.6 * np.column_stack([np.cos(angles), np.sin(angles)])
+    polygon = [[0.6, 0.0], [0.0, -0.6], [-0.6, 0.0], [0.0, 0.6]]
     body = {"circle": 0.06, "to": 0.3, "mass": 0.15, "rim": {"circle": 0.5, "at": RIM}}
-    given: dict[str, Any] = {
+    lower, upper = [-5.0, -5.0, floor], [5.0, 5.0, floor + 5.0]
+    return {
         "team": {"robots": 4, "cable_length": 2.6, "tension": 1.0},
-        "objects": {"tray": {**body, "at": [*AT, z]}, **objects},
-        "start": {"hitch": {"polygon": polygon.tolist(), "altitude": 1.0 + z}},
+        "objects": {"tray": {**body, "at": [*AT, floor]}, **objects},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.0 + floor}},
         "mission": [{"enclose": {"object": "tray"}}, {"grasp": {"object": "tray"}}, *steps],
+        **({"arena": {"lower": lower, "upper": upper}} if floor else {}),
     }
-    if floor:
-        given["arena"] = {"lower": [-5.0, -5.0, floor], "upper": [5.0, 5.0, floor + 5.0]}
-    return given
 
 
 def lifted(to: list[float], by: float = 0.3, **others: Any) -> dict[str, Any]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,14 +10,12 @@ from carried_plans import plan
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.checks.stops import CarriedInertia, ClockLimits, start_phases, stop_phases, stop_table
+from hitchopt.checks.stops import stop_phases
 from hitchopt.live.abort import Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import retimed
-from hitchopt.objects import SolidObject
 from hitchopt.trajectory.clock_phases import ClockPhases
-from hitchopt.values import Array
 
 KINDS = ["tray", "drum"]
 
@@ -31,22 +27,6 @@ def carried(motion: Motion) -> tuple[float, float]:
     return float(motion.drones.breaks[on[0]]), float(motion.drones.breaks[on[-1] + 1])
 
 
-def random_stops(motion: Motion, seed: int, count: int) -> tuple[Array, Array]:
-    """Starts and durations of stops that rest before the object stands again."""
-    begin, end = carried(motion)
-    rng = np.random.default_rng(seed)
-    durations = np.geomspace(0.1, 6.0, count)[rng.permutation(count)]
-    return rng.uniform(begin, end - 0.5 * durations), durations
-
-
-def kept(inertia: CarriedInertia, clock: ClockPhases) -> bool:
-    cells, pieces = clock.cut(inertia.breaks)
-    flown = pieces < len(inertia.breaks) - 1
-    found = np.ones(1, dtype=np.bool_)
-    inertia.look(cells.taken(flown), pieces[flown], found)
-    return bool(found[0])
-
-
 def balanced(motion: Motion, clock: ClockPhases) -> bool:
     """Whether the plan flown on a clock keeps the object, by the checks of plans."""
     flown = retimed(motion, clock)
@@ -54,29 +34,8 @@ def balanced(motion: Motion, clock: ClockPhases) -> bool:
     return all(check is None or check.holds for check in checks)
 
 
-@pytest.mark.parametrize("kind", ["tray", pytest.param("drum", marks=pytest.mark.slow)])
-def test_checks_hold_of_the_plan_on_clocks_that_are_kept(kind: str) -> None:
-    motion = plan(kind).motion
-    inertia = CarriedInertia.of(motion)
-    assert inertia is not None
-    refused = 0
-    for start, duration in zip(*random_stops(motion, 9, 20), strict=True):
-        clock = stop_phases(np.array([start]), np.array([duration]))
-        holds = balanced(motion, clock)
-        assert holds or not kept(inertia, clock)
-        refused += not holds
-    assert refused > 7
-
-
-def replaced(body: SolidObject, **changes: Any) -> SolidObject:
-    names = ("section", "lower", "upper", "mass", "friction", "at", "yaw", "rim", "fixed")
-    return SolidObject(**{name: getattr(body, name) for name in names} | changes)
-
-
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_pause_waits_until_what_is_carried_stays_in_balance(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pause_waits_until_what_is_carried_stays_in_balance(kind: str) -> None:
     """From where it gathers speed; and the clock can start again from there."""
     flown = plan(kind)
     carry = next(p for p in flown.motion.phases if p.name == "carry")
@@ -90,12 +49,8 @@ def test_a_pause_waits_until_what_is_carried_stays_in_balance(
     assert player.resting
     player.resume()
     assert balanced(flown.motion, player.ahead)
-    monkeypatch.setattr(CarriedInertia, "of", lambda _: None)
-    weightless = ho.Plan(replace(flown.motion), flown.certificate)
-    sooner = Player(weightless, time)
-    sooner.pause()
-    assert float(np.sum(sooner.ahead.duration)) < 0.8 * seconds
-    assert not balanced(flown.motion, sooner.ahead)
+    sooner = stop_phases(np.array([time]), np.array([seconds]))  # at once, as quickly
+    assert not balanced(flown.motion, sooner)
 
 
 @pytest.mark.slow
@@ -129,33 +84,6 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
     assert done > 3
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_stop_rests_much_sooner_than_the_longest(kind: str) -> None:
-    """From the command that is reported, none that keeps all limits does by a tenth.
-
-    Stops that begin in the table's spacing, 0.05 s, after it are not told apart.
-    """
-    motion, reported = plan(kind).motion, plan(kind).certificate["stoppable"]
-    limits = ClockLimits(motion)
-    starts, durations = (
-        each.ravel()
-        for each in np.meshgrid(
-            reported.time + np.arange(0.1, 0.9 * reported.bound, 0.05), np.geomspace(0.1, 6.0, 25)
-        )
-    )
-    soon = starts + durations < reported.time + 0.9 * reported.bound
-    starts, durations = starts[soon], durations[soon]
-    fine = limits.keep(stop_phases(starts, durations), len(starts))
-    rests = starts + 0.5 * durations
-    fine &= limits.keep(start_phases(rests, durations), len(starts))
-    assert len(starts) > 300
-    assert not np.any(fine)
-    table = stop_table(motion)
-    found = np.flatnonzero(np.isfinite(table.durations))
-    clocks = stop_phases(table.starts[found], table.durations[found])
-    assert np.all(limits.keep(clocks, len(found)))
-
-
 def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
     player = Player(plan("drum"), 0.5)
     with pytest.raises(ho.InfeasibleError, match=r"no change of .* carried has inertia"):
@@ -171,14 +99,3 @@ def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
     found = Aborts(motion).found(lift.end - 1.0, "hold")
     assert found.certificate.certified
     assert found.rest < lift.end + 0.2
-
-
-def test_an_object_without_a_rim_that_is_to_rest_is_no_error() -> None:
-    motion = plan("tray").motion
-    objects = dict(motion.requirements.objects)
-    objects["tray"] = replaced(objects["tray"], rim=None)
-    rimless = replace(motion, requirements=replace(motion.requirements, objects=objects))
-    assert CarriedInertia.of(rimless) is None
-    found = RULE_OF["support"].check(rimless)
-    assert found is not None
-    assert not found.holds

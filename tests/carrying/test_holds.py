@@ -41,12 +41,6 @@ def solved(problem: dict[str, Any]) -> ho.Plan:
     return ho.solve(ho.problem_from_dict(problem))
 
 
-def refusal(problem: dict[str, Any]) -> ho.InfeasibleError:
-    with pytest.raises(ho.InfeasibleError) as caught:
-        solved(problem)
-    return caught.value
-
-
 DRUM = {"circle": 0.2, "mass": 0.114, "friction": 0.5}
 TILTED = tray(3, 0.3, 2.04, radius=0.5) | {"limits": {"tilt_deg": 45}}
 TILTED["team"] |= {"tension": 1.29, "cable_density": 0.0}
@@ -68,22 +62,6 @@ def test_holds_near_a_limit_are_planned(name: str) -> None:
     worst = solved(problem).certificate[check].worst
     assert worst is not None
     assert least <= worst <= most
-
-
-@pytest.mark.slow
-def test_a_refused_hold_names_a_mass_and_a_tension_that_are_planned() -> None:
-    problem = hold(DRUM, 3, 1.6, radius=0.56, tension=1.0, cable_friction=0.15)
-    violation = refusal(problem).violations[0]
-    assert violation.constraint == "grip"
-    lighter = re.search(r"objects\.body\.mass to ([\d.]+) kg", violation.remedy)
-    assert lighter
-    body = problem["objects"]["body"]
-    assert 0.5 * body["mass"] < float(lighter[1]) < body["mass"]
-    solved(problem | {"objects": {"body": body | {"mass": float(lighter[1])}}})
-    other = re.search(r"tension of ([\d.]+) N", violation.remedy)
-    assert other
-    step = problem["mission"][0]["transport_object"] | {"tension": float(other[1])}
-    solved(problem | {"mission": [{"transport_object": step}]})
 
 
 def steps_of(problem: dict[str, Any], *steps: dict[str, Any]) -> dict[str, Any]:
@@ -114,52 +92,35 @@ EDGE["mission"][0]["transport_object"]["to"] = [0.4, 0.7, 0.1]
 CRATE, TRAY = ([[-half, -half], [half, -half], [half, half], [-half, half]] for half in (0.25, 0.3))
 NARROW = {"outline": CRATE, "rim": {"outline": TRAY, "at": 0.2}}
 REFUSED: list[tuple[dict[str, Any], str, str]] = [
-    (plans.tray(mass=0.6), "load", r"lower objects.tray.mass to 0\."),
+    (plans.tray(mass=0.6), "load", r"lower objects.tray.mass"),
     (plans.tray(rim={"circle": 0.12, "at": 0.25}), "support", "give objects.tray a wider rim"),
     (hold(NARROW, 6, 2.2), "support", "hitchopt fit"),
     (tray(4, 0.2, 2.2, at=0.07), "object_clearance", "stand it on something"),
     (TENSE, "tilt", "limits.tilt_deg"),
-    (
-        plans.tray(rim={"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}),
-        "objects.tray.rim", "",
-    ),
+    (plans.tray(rim={"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}), "objects.tray.rim", ""),
     (plans.tray(friction=0.0), "objects.tray.friction", "takes it along"),
     (ON_TOP, "objects.cup.at", "carry objects.cup away"),
     (HIGH, "mission[0].transport_object.by", r"a height belongs to lift: 0\.6"),
     (EDGE, "mission[0]", "farther in"),
     (steps_of(LOW, ENCLOSED), "arena", r"at the end of step 0 \(enclose\)"),
     (steps_of(SMALL, ENCLOSED_DRUM), "equilibrium", r"as large as around objects\.drum, 0\.5\d? m"),
-    (
-        steps_of(plans.tray(), {"lift": {"by": 0.2}}),
-        "mission[0].lift", "must be one holding an object that stands",
-    ),
-    (
-        steps_of(plans.tray(), {"enclose": {"object": "tr"}}),
-        "mission[0].enclose.object", "must be one of objects: tray, table",
-    ),
-    (
-        steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),
-        "mission[2].move_vertex", "morph before",
-    ),
-    (
-        steps_of(plans.tray(), {"enclose": {"object": "table"}}),
-        "objects.table.fixed", "false where it is held",
-    ),
-    (
-        steps_of(plans.tray(), {"grasp": {"object": "tray", "tension": -1}}),
-        "mission[0].grasp.tension", "greater than",
-    ),
+    (steps_of(plans.tray(), {"lift": {"by": 0.2}}), "mission[0].lift",
+     "must be one holding an object that stands"),
+    (steps_of(plans.tray(), {"enclose": {"object": "tr"}}), "mission[0].enclose.object",
+     "must be one of objects: tray, table"),
+    (steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),
+     "mission[2].move_vertex", "morph before"),
+    (steps_of(plans.tray(), {"enclose": {"object": "table"}}), "objects.table.fixed",
+     "false where it is held"),
+    (steps_of(plans.tray(), {"grasp": {"object": "tray", "tension": -1}}),
+     "mission[0].grasp.tension", "greater than"),
     ({**plans.drum(), "limits": {}}, "tilt", "need limits.tilt_deg of 51, above 45.*1.29 N or"),
-    (plans.drum(mass=0.13), "grip", r"objects.drum.mass to 0\.1.*a tension of 1\."),
-    (
-        steps_of(RIMMED, ENCLOSED_DRUM, {"grasp": {"object": "drum", "by": "grip"}}),
-        "mission[1].grasp.by", "rest where the object has a rim",
-    ),
-    (
-        steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}),
-        "objects.drum.rim", "grasp it by: grip",
-    ),
-    (LOADED, "equilibrium", "objects.drum.mass to"),
+    (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or ask for another tension"),
+    (steps_of(RIMMED, ENCLOSED_DRUM, {"grasp": {"object": "drum", "by": "grip"}}),
+     "mission[1].grasp.by", "rest where the object has a rim"),
+    (steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}), "objects.drum.rim",
+     "grasp it by: grip"),
+    (LOADED, "equilibrium", "lower objects.drum.mass"),
 ]  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hitchopt import Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.steps.route_choice import split_hitch
+from hitchopt.steps.certified_motions import split_hitch
 from hitchopt.steps.step_keys import RolledLegs, slack_split
 from problems.random_morph import random_convex_polygon
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,47 +33,34 @@ def answer_to(given: dict[str, Any] | Path) -> Problem | HitchoptError:
         return error
 
 
-def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> list[tuple[str | int, ...]]:
-    entries = data.items() if isinstance(data, dict) else enumerate(data)
-    inner = [(*path, key) for key, _ in entries]
-    nested = [paths_of(data[p[-1]], p) for p in inner if isinstance(data[p[-1]], dict | list)]
-    return inner + [p for ps in nested for p in ps]
+def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from paths_of(value, (*path, key))
 
 
-PATHS = paths_of(triangle())
-
+ODD = [0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x", object()]
+KEYS = ["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]
+inner: st.SearchStrategy[Any] = st.none() | st.floats() | st.just({}) | st.just({"seconds": 1})
 values = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(),
-    st.integers(-3, 12),
-    st.integers(10**300, 10**310),
-    st.floats(),
-    st.floats(-3, 3),
-    st.sampled_from([0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x"]),
-    st.text(max_size=8),
+    *(st.none(), st.booleans(), st.integers(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
+    *(st.integers(10**300, 10**310), st.sampled_from(ODD), st.text(max_size=8)),
     st.lists(st.floats() | st.integers(-3, 3), max_size=4),
     st.lists(st.lists(st.floats(-3, 3), min_size=2, max_size=2), min_size=3, max_size=5),
-    st.dictionaries(
-        st.sampled_from(["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]),
-        st.none() | st.floats() | st.just({}) | st.just({"seconds": 1}),
-        max_size=2,
-    ),
-    st.just(object()),
+    st.dictionaries(st.sampled_from(KEYS), inner, max_size=2),
     st.just(np.ones((3, 2))),
 )
-mutations = st.lists(
-    st.tuples(st.sampled_from(PATHS), st.sampled_from(["set", "drop", "add", "twice"]), values),
-    min_size=1,
-    max_size=3,
-)
+PATHS, ACTIONS = list(paths_of(triangle())), ["set", "drop", "add", "twice"]
+mutation = st.tuples(st.sampled_from(PATHS), st.sampled_from(ACTIONS), values)
+mutations = st.lists(mutation, min_size=1, max_size=3)
 
 
 def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, Any]:
     data: Any = copy.deepcopy(triangle())
     for path, action, value in changes:
         place = data
-        try:
+        with contextlib.suppress(LookupError, TypeError, ValueError):  # removed by now
             for part in path[:-1]:
                 place = place[part]
             if action == "set":
@@ -82,8 +71,6 @@ def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, 
                 place[f"{path[-1]}s"] = value
             elif isinstance(place, list):
                 place.append(copy.deepcopy(place[-1]) if action == "twice" else value)
-        except (LookupError, TypeError, ValueError):
-            continue  # an earlier change has removed the place
     return dict(data)
 
 

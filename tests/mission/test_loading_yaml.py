@@ -14,27 +14,14 @@ from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
 from hitchopt.storage.yaml_file import MAX_BYTES, MAX_NODES, parse_yaml, read_yaml
 
+# fmt: off
 SCALARS: list[tuple[str, object]] = [
-    ("1e-3", 0.001),
-    ("-1.5E+2", -150.0),
-    (".5", 0.5),
-    ("007", 7),
-    ("0o17", 15),
-    ("0xff", 255),
-    ("1_000", "1_000"),
-    ("2026-01-01", "2026-01-01"),
-    ("yes", "yes"),
-    ("true", True),
-    ("~", None),
-    ("", None),
-    ("'1'", "1"),
-    ('"true"', "true"),
-    ('"\\ud83d\\ude81"', "\U0001f681"),
-    ('"\\ud83d"', "\ufffd"),
-    ("-.INF", -math.inf),
-    ("1e999", math.inf),
-    ("|\n  1\n", "1\n"),
+    ("1e-3", 0.001), ("-1.5E+2", -150.0), (".5", 0.5), ("007", 7), ("0o17", 15), ("0xff", 255),
+    ("1_000", "1_000"), ("2026-01-01", "2026-01-01"), ("yes", "yes"), ("true", True), ("~", None),
+    ("", None), ("'1'", "1"), ('"true"', "true"), ('"\\ud83d\\ude81"', "\U0001f681"),
+    ('"\\ud83d"', "\ufffd"), ("-.INF", -math.inf), ("1e999", math.inf), ("|\n  1\n", "1\n"),
 ]
+# fmt: on
 
 
 @pytest.mark.parametrize(("text", "value"), SCALARS, ids=[repr(text) for text, _ in SCALARS])
@@ -85,15 +72,15 @@ def test_keys_are_given_once_and_are_text() -> None:
         parse_yaml("? \n: 1")
 
 
-def test_depth_and_count_are_bounded() -> None:
+def test_depth_count_and_texts_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse_yaml("[" * 20 + "1" + "]" * 20) is not None
-    with pytest.raises(InputError, match="nested at most 20 levels deep"):
-        parse_yaml("[" * 21 + "1" + "]" * 21)
-    with pytest.raises(InputError, match="nested at most 20 levels deep"):
-        parse_yaml("[" * 100_000)
-
-
-def test_too_many_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    for text in ("[" * 21 + "1" + "]" * 21, "[" * 100_000):
+        with pytest.raises(InputError, match="nested at most 20 levels deep"):
+            parse_yaml(text)
+    with pytest.raises(InputError, match=r"a\.b = 'xx.*at most 10000 characters"):
+        parse_yaml(f"a: {{b: {'x' * 10_001}}}")
+    with pytest.raises(FileError, match="a key must have at most 10000 characters"):
+        parse_yaml(f"? {'x' * 10_001}\n: 1")
     assert MAX_NODES > 8 * 3 * 10_000  # several polygons of the largest team
     monkeypatch.setattr("hitchopt.storage.yaml_file.MAX_NODES", 100)
     assert parse_yaml(f"a: [{'1, ' * 98}]") is not None
@@ -101,32 +88,21 @@ def test_too_many_values_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         parse_yaml(f"a: [{'1, ' * 120}]")
 
 
-def test_texts_are_bounded() -> None:
-    with pytest.raises(InputError, match=r"a\.b = 'xx.*at most 10000 characters"):
-        parse_yaml(f"a: {{b: {'x' * 10_001}}}")
-    with pytest.raises(FileError, match="a key must have at most 10000 characters"):
-        parse_yaml(f"? {'x' * 10_001}\n: 1")
-
-
 def write(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path
 
 
-GOOD_TEXT = "team: {robots: 3}\n"
-
-
 def test_files_that_are_no_utf_8_text_are_refused(tmp_path: Path) -> None:
-    for encoding in ("utf-16", "utf-16-le", "utf-16-be", "utf-32"):
-        with pytest.raises(FileError, match=r"UTF-(16|8)|not YAML"):
-            read_yaml(write(tmp_path / "x.yaml", GOOD_TEXT.encode(encoding)))
-    with pytest.raises(FileError, match="UTF-16; save it as UTF-8"):
-        read_yaml(write(tmp_path / "x.yaml", GOOD_TEXT.encode("utf-16")))
-    with pytest.raises(FileError, match=r"not UTF-8 text \(byte 7\)"):
-        read_yaml(write(tmp_path / "x.yaml", b"title: \xfcber"))
-    for binary in (b"\x00" * 50, b"PK\x03\x04\x14\x00\x00\x00", bytes(range(256))):
-        with pytest.raises(FileError):
-            read_yaml(write(tmp_path / "x.yaml", binary))
+    text = "team: {robots: 3}\n"
+    for data, words in (
+        *((text.encode(f"utf-{kind}"), "UTF-(16|8)|not YAML") for kind in ("16-le", "16-be", "32")),
+        (text.encode("utf-16"), "UTF-16; save it as UTF-8"),
+        (b"title: \xfcber", r"not UTF-8 text \(byte 7\)"),
+        *((binary, "x.yaml") for binary in (b"\x00" * 50, b"PK\x03\x04\x14", bytes(range(256)))),
+    ):
+        with pytest.raises(FileError, match=words):
+            read_yaml(write(tmp_path / "x.yaml", data))
 
 
 def test_a_byte_order_mark_and_dos_line_ends_are_fine(tmp_path: Path) -> None:
@@ -135,25 +111,20 @@ def test_a_byte_order_mark_and_dos_line_ends_are_fine(tmp_path: Path) -> None:
     assert data == {"a": 1, "b": ["ü"]}
 
 
-def test_large_files_are_refused_before_they_are_parsed(tmp_path: Path) -> None:
+def test_large_files_and_paths_that_are_no_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "large.yaml"
     with path.open("wb") as file:
         file.truncate(50 * 2**30)  # sparse
-    with pytest.raises(FileError, match=f"larger than the {MAX_BYTES} bytes"):
-        read_yaml(path)
-
-
-def test_paths_that_are_no_files_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="no such file; check the path"):
-        load_problem(tmp_path / "missing.yaml")
-    with pytest.raises(FileError, match="is a directory; give"):
-        load_problem(tmp_path)
-    with pytest.raises(FileError, match=r"cannot be read \(embedded null byte\)"):
-        load_problem("a\0b")
-    with pytest.raises(FileError, match=r"cannot be read \(File name too long\)"):
-        load_problem(tmp_path / ("x" * 300))
-    with pytest.raises(FileError, match=r"cannot be read \(Not a directory\)"):
-        load_problem(write(tmp_path / "file", b"") / "x.yaml")
+    for wrong, words in (
+        (path, f"larger than the {MAX_BYTES} bytes"),
+        (tmp_path / "missing.yaml", "no such file; check the path"),
+        (tmp_path, "is a directory; give"),
+        ("a\0b", r"cannot be read \(embedded null byte\)"),
+        (tmp_path / ("x" * 300), r"cannot be read \(File name too long\)"),
+        (path / "x.yaml", r"cannot be read \(Not a directory\)"),
+    ):
+        with pytest.raises(FileError, match=words):
+            load_problem(wrong)
 
 
 @given(st.text(max_size=60) | st.text("-:{}[],&*!|>'\"#?%@ \n\tab1.~<\\", max_size=60))

@@ -100,20 +100,26 @@ def test_a_blend_that_turns_back_on_itself_is_told() -> None:
         ho.solve(mission(there, back))
 
 
-def test_what_cannot_be_blended_is_refused() -> None:
-    vertex = blended(MOVES)[0]
-    with pytest.raises(ho.InputError, match=r"mission\[0\]\.move_vertex\.blend = True: .* last"):
-        mission(vertex)
-    with pytest.raises(ho.InputError, match=r"\.blend = True: must be false before a hold"):
-        mission(vertex, ho.Hold(1.0))
-    with pytest.raises(ho.InputError, match=r"\.blend = True: must be false before a transport"):
-        mission(vertex, ho.Transport(np.array([0.0, 0.0, 1.0])))
-    with pytest.raises(ho.InputError, match=r"mission\[1\]\.morph\.duration = 3\.0: must be left"):
-        mission(vertex, ho.Morph(HEXAGON, duration=3.0))
-    with pytest.raises(ho.InputError, match=r"mission\[0\]\.adjust.*moves something"):
-        ho.solve(
-            mission(ho.Adjust("balanced", blend=True), ho.Adjust("balanced", blend=True), MOVES[0])
-        )
+VERTEX = blended(MOVES)[0]
+STILL = ho.Adjust("balanced", blend=True)
+
+
+@pytest.mark.parametrize(
+    ("steps", "words"),
+    [
+        ([VERTEX], r"mission\[0\]\.move_vertex\.blend = True: .* last"),
+        ([VERTEX, ho.Hold(1.0)], r"\.blend = True: must be false before a hold"),
+        ([VERTEX, ho.Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
+        (
+            [VERTEX, ho.Morph(HEXAGON, duration=3.0)],
+            r"mission\[1\]\.morph\.duration = 3\.0: must be left",
+        ),
+        ([STILL, STILL, MOVES[0]], r"mission\[0\]\.adjust.*moves something"),
+    ],
+)
+def test_what_cannot_be_blended_is_refused(steps: list[Step], words: str) -> None:
+    with pytest.raises(ho.InputError, match=words):
+        ho.solve(mission(*steps))
 
 
 def test_errors_name_the_step_that_they_are_of() -> None:

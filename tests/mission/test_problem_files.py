@@ -15,7 +15,7 @@ from ruamel.yaml import YAML
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import read_problem
 from hitchopt.mission.problem import SwarmProblem
-from hitchopt.mission.wording import problem_schema
+from hitchopt.mission.wording import SCHEMA_FILE, problem_schema, schema_text
 from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = ROOT / "problems" / "swarms"
@@ -55,6 +55,19 @@ def test_what_is_wrong_in_itself_is_told_with_its_place(path: Path) -> None:
 def test_every_fault_has_one_file_and_every_section_is_valid() -> None:
     assert len({header(path, "Fault") for path in BAD}) == len(BAD) >= 25
     VALIDATOR.validate(triangle())
+
+
+def test_the_shipped_schema_is_current_and_describes_every_key() -> None:
+    assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
+    shown: dict[str, Any] = {}
+    for model in problem_schema()["$defs"].values():
+        assert model["additionalProperties"] is False
+        assert model["description"]
+        for name, entry in model["properties"].items():
+            assert "description" in entry or "$ref" in entry, name
+            shown |= {name: entry["default"]} if "default" in entry else {}
+    for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "jerk": 20.0}.items():
+        assert shown[name] == value
 
 
 def test_files_are_read_without_solvers() -> None:

@@ -17,6 +17,7 @@ from hitchopt.mission.problem import SwarmProblem
 from hitchopt.mission.solving import flyable_accelerations
 from hitchopt.mission.wording import problem_schema
 from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.values import Array
 
 SWARMS = Path(__file__).parents[2] / "problems" / "swarms"
 GOOD = sorted(SWARMS.glob("*.yaml"))
@@ -45,16 +46,20 @@ def test_every_key_is_read_and_kept() -> None:
     VALIDATOR.validate(full())
     problem = any_problem_from_dict(full())
     assert isinstance(problem, SwarmProblem)
-    assert problem.team.mass.tolist() == [0.1, 0.132]
-    assert problem.team.max_thrust.tolist() == [2.6, 3.0]
-    assert problem.limits.tilt == pytest.approx(math.radians(30.0))
-    assert problem.limits.duration == 9.0
-    assert (problem.separation.radius, problem.separation.height) == (0.1, 0.25)
     assert problem.arena is not None
-    assert problem.arena.upper.tolist() == [2.0, 2.5, 3.0]
-    assert problem.keep_out[0].polygon.vertices.tolist()[1] == [0.3, 1.4]
-    assert problem.goal[1].tolist() == [-1.0, 0.3, 1.2]
-    assert problem.duration == 6.5
+    found = {
+        "mass": problem.team.mass.tolist(),
+        "max_thrust": problem.team.max_thrust.tolist(),
+        "tilt": math.degrees(problem.limits.tilt),
+        "limit": problem.limits.duration,
+        "ellipsoid": [problem.separation.radius, problem.separation.height],
+        "upper": problem.arena.upper.tolist(),
+        "corner": problem.keep_out[0].polygon.vertices[1].tolist(),
+        "goal": problem.goal[1].tolist(),
+        "duration": problem.duration,
+    }
+    expected = [[0.1, 0.132], [2.6, 3.0], pytest.approx(30.0), 9.0, [0.1, 0.25], [2.0, 2.5, 3.0]]
+    assert list(found.values()) == [*expected, [0.3, 1.4], [-1.0, 0.3, 1.2], 6.5]
     plan = ho.separate(problem)
     assert plan.duration == pytest.approx(6.5)
     assert plan.certificate.certified
@@ -85,6 +90,9 @@ def test_infeasible_problems_say_what_binds(path: Path) -> None:
     assert caught.value.violations[0].constraint == header(path, "Binds")
 
 
+FROM_TO = {"lower": 0, "upper": 1}
+
+
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
@@ -95,11 +103,7 @@ def test_infeasible_problems_say_what_binds(path: Path) -> None:
         ("duration", -1.0, "duration"),
         ("limits", {"leg": 0.2}, "limits.leg"),
         ("arena", {"lower": [0, 0, 0], "upper": [0, 1, 1]}, "arena"),
-        (
-            "keep_out",
-            [{"polygon": [[0, 0], [1, 0], [1, 1]], "lower": 0, "upper": 1}],
-            "keep_out[0]",
-        ),
+        ("keep_out", [{"polygon": [[0, 0], [1, 0], [1, 1]], **FROM_TO}], "keep_out[0]"),
         ("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1]], "lower": 2, "upper": 1}], "upper"),
     ],
 )
@@ -137,14 +141,10 @@ def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
         ho.solve(any_problem_from_dict(slow))
 
 
+SQUARE = [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.2], [-0.3, 0.2]]
+STANDS = {"at": [2.0, 1.0, 0.0], "yaw_deg": 20.0, "fixed": True}
 OBJECTS: dict[str, Any] = {
-    "table": {
-        "outline": [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.2], [-0.3, 0.2]],
-        "to": 0.4,
-        "at": [2.0, 1.0, 0.0],
-        "yaw_deg": 20.0,
-        "fixed": True,
-    },
+    "table": {"outline": SQUARE, "to": 0.4, **STANDS},
     "tub": {"circle": 0.2, "to": 1.2, "at": [2.0, 1.0, 0.4], "rim": {"circle": 0.3, "at": 1.0}},
 }
 
@@ -158,18 +158,10 @@ def past_objects(goal: tuple[float, ...] = (3.2, 1.0, 0.6)) -> dict[str, Any]:
     }
 
 
-def distance_to_box(points: np.ndarray, half: tuple[float, float], top: float) -> np.ndarray:
-    """Distances of points (m, 3) in the frame of a box on the ground."""
-    beyond = np.abs(points - [0.0, 0.0, 0.5 * top]) - [*half, 0.5 * top]
-    found: np.ndarray = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-    return found
-
-
-def distance_to_disc(points: np.ndarray, radius: float, low: float, high: float) -> np.ndarray:
-    beside = np.maximum(np.hypot(points[:, 0], points[:, 1]) - radius, 0.0)
-    above = np.maximum(np.maximum(low - points[:, 2], points[:, 2] - high), 0.0)
-    found: np.ndarray = np.hypot(beside, above)
-    return found
+def distance(beside: Array, z: Array, low: float, high: float) -> float:
+    """Least distance to what is upright between heights; level distances to it are given [m]."""
+    above = np.maximum(np.maximum(low - z, z - high), 0.0)
+    return float(np.min(np.hypot(np.maximum(beside, 0.0), above)))
 
 
 @pytest.mark.slow
@@ -179,17 +171,11 @@ def test_drones_stay_off_objects_by_samples() -> None:
     points = plan.motion.drones.at(np.linspace(0.0, plan.duration, 20001)).reshape(-1, 3)
     seen = points - [2.0, 1.0, 0.0]
     c, s = math.cos(math.radians(20.0)), math.sin(math.radians(20.0))
-    turned = np.column_stack(
-        [c * seen[:, 0] + s * seen[:, 1], c * seen[:, 1] - s * seen[:, 0], seen[:, 2]]
-    )
-    nearest = min(
-        float(np.min(distances))
-        for distances in (
-            distance_to_box(turned, (0.3, 0.2), 0.4),
-            distance_to_disc(seen, 0.2, 0.4, 1.6),
-            distance_to_disc(seen, 0.3, 1.4, 1.4),
-        )
-    )
+    turned = np.stack([c * seen[:, 0] + s * seen[:, 1], c * seen[:, 1] - s * seen[:, 0]], axis=-1)
+    beyond = np.maximum(np.abs(turned) - [0.3, 0.2], 0.0)
+    to_box, to_axis = np.linalg.norm(beyond, axis=1), np.hypot(seen[:, 0], seen[:, 1])
+    rows = ((to_box, 0.0, 0.4), (to_axis - 0.2, 0.4, 1.6), (to_axis - 0.3, 1.4, 1.4))
+    nearest = min(distance(beside, seen[:, 2], low, high) for beside, low, high in rows)
     found = plan.certificate["keep_out"]
     assert 0.12 <= found.bound <= nearest + 1e-9
     assert found.bound == pytest.approx(nearest, abs=1e-3)

@@ -1,0 +1,213 @@
+"""Cables with friction: legs lean where they slide, and clasps are worked until they forget."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt import verify
+from hitchopt.values import Array
+
+SLIDING = [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
+WORKED = [[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]]
+Q = [[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]]
+R = [[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]]
+LEANING = "legs lean against friction, by up to"
+Steps = list[dict[str, Any]]
+
+
+def planned(steps: Steps, start: dict[str, Any], friction: float, **keys: Any) -> ho.Plan:
+    team = {"robots": 3, "cable_length": 2.4, "cable_friction": friction} | keys.pop("team")
+    given = {"team": team, "start": start, "mission": steps, **keys}
+    plan = ho.solve(ho.problem_from_dict(given))
+    assert plan.certificate.certified
+    return plan
+
+
+def slid(steps: Steps, friction: float = 0.1, **keys: Any) -> ho.Plan:
+    start = {"hitch": {"polygon": SLIDING, "altitude": 1.0}}
+    return planned(steps, start, friction, team={"tension": 0.5}, **keys)
+
+
+def settled(steps: Steps, tied: bool = True, friction: float = 0.1, **keys: Any) -> ho.Plan:
+    hitch = {"hitch": {"polygon": WORKED, "altitude": 1.2}}
+    start = hitch if tied else {"drones": {"q": Q, "r": R}}
+    return planned(steps, start, friction, team={"tension": 0.6} | keys.pop("team", {}), **keys)
+
+
+def moved(by: list[float], seconds: float) -> dict[str, Any]:
+    return {"move_vertex": {"vertex": 0, "by": by, "duration": seconds}}
+
+
+MOVE = moved([0.1, 0.3], 4.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "friction", "keys", "leans"),
+    [
+        (MOVE, 1e-3, {}, False),  # too little to lean for
+        (MOVE, 0.1, {"separation": {"cable": 0.0}}, True),
+        (moved([0.0, 0.4], 8.0), 0.5, {}, True),
+    ],
+)
+def test_remarks_say_whether_legs_lean(
+    step: dict[str, Any], friction: float, keys: dict[str, Any], leans: bool
+) -> None:
+    plan = slid([step], friction, **keys)
+    remark = plan.phases[0].remark
+    assert LEANING in remark if leans else "lean" not in remark
+    assert "no more" not in remark
+    assert (plan.motion.leg_tensions is not None) == leans
+
+
+def test_only_the_steps_that_slide_lean() -> None:
+    turned = {"transport": {"to": [0.5, 0.0, 1.4], "yaw_deg": 20}}
+    adjusted = {"adjust": {"legs": "balanced", "duration": 4.0}}
+    plan = slid([{"hold": {"seconds": 0.5}}, MOVE, turned, adjusted])
+    assert [LEANING in phase.remark for phase in plan.phases] == [False, True, False, True]
+    for phase in plan.phases[::2]:
+        t = np.linspace(phase.start, phase.end, 50)
+        np.testing.assert_allclose(plan.motion.pulls.at(t), 0.5, atol=1e-9)
+    assert np.ptp(plan.motion.pulls.at(np.linspace(0.0, plan.duration, 2_000))) > 0.02
+
+
+def test_vertices_go_where_and_when_they_would_without_friction() -> None:
+    plain, leaned = slid([MOVE], 0.0), slid([MOVE])
+    t = np.linspace(0.0, 4.0, 500)
+    assert leaned.duration == plain.duration == 4.0
+    np.testing.assert_allclose(leaned.at(t).vertices, plain.at(t).vertices, atol=1e-9)
+    away = np.linalg.norm(leaned.at(t).positions - plain.at(t).positions, axis=-1)
+    assert 0.01 < np.max(away) < 0.2
+
+
+def test_where_limits_leave_little_room_legs_lean_less() -> None:
+    """A limit of tilt just above what the hitch needs at rest lets no leg pull much harder."""
+    inward, t = moved([0.0, -0.25], 6.0), np.linspace(0.0, 6.0, 2_000)
+    free, plain = slid([inward]), slid([inward], 0.0)
+    thrusts = [plan.at(t).thrusts(plan.motion.team) for plan in (free, plain)]
+    most, least = (
+        float(np.max(np.degrees(np.arctan2(np.hypot(f[..., 0], f[..., 1]), f[..., 2]))))
+        for f in thrusts
+    )
+    assert most > least + 0.1
+    tight = slid([inward], limits={"tilt_deg": 0.5 * (most + least)})
+    assert tight.certificate["tilt"].bound <= 0.5 * (most + least)
+    assert "limits leave room for no more" in tight.phases[0].remark
+    ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
+    assert 0.0 < ratios[0] < ratios[1]
+
+
+def test_what_leaning_would_break_is_flown_without_it() -> None:
+    """Within walls that the drones just reach; a plan without friction stays one with it."""
+    step = moved([0.2, 0.0], 4.0)
+    plain, t = slid([step], 0.0), np.linspace(0.0, 4.0, 4_001)
+    places = plain.at(t).positions.reshape(-1, 3)
+    ends = np.min(places, axis=0) - 1e-4, np.max(places, axis=0) + 1e-4
+    plan = slid([step], arena={"lower": ends[0].tolist(), "upper": ends[1].tolist()})
+    assert "legs do not lean against friction: limits leave no room" in plan.phases[0].remark
+    np.testing.assert_array_equal(plan.at(t).positions, plain.at(t).positions)
+
+
+def test_drones_swing_to_both_sides_by_less_and_less_and_vertices_stay() -> None:
+    """Their legs balance the edges as friction that is fully used would have them."""
+    plan = settled([{"settle": {}}])
+    assert (plan.phases[0].name, plan.duration) == ("settle", 17.0)
+    samples = plan.at(np.linspace(0.0, 17.0, 4_001))
+    p, x, pulls = samples.vertices, samples.positions, plan.motion.pulls.at(samples.t)
+    np.testing.assert_allclose(p, np.broadcast_to(p[0], p.shape), atol=1e-9)
+    np.testing.assert_allclose(x[-1], x[0], atol=1e-9)
+    away = np.max(np.linalg.norm(x - x[:1], axis=-1), axis=0)
+    assert np.all((away > 0.07) & (away < 0.12))
+    for pull in np.log(pulls / 0.6).T:
+        steps = np.diff(pull)
+        turned = pull[1:-1][steps[1:] * steps[:-1] < 0.0]
+        assert len(turned) == 16
+        assert np.all(turned[1:] * turned[:-1] < 0.0)
+        np.testing.assert_allclose(np.diff(np.abs(turned)), -np.abs(turned[0]) / 17.0, rtol=0.1)
+    u = np.roll(p, -1, axis=1) - p
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    force = 0.6 * (u - np.roll(u, 1, axis=1))
+    for of_q, at in ((0, p), (1, np.roll(p, -1, axis=1))):
+        leg = x[:, of_q::2] - at
+        pulled = pulls[:, of_q::2, None] * leg / np.linalg.norm(leg, axis=-1, keepdims=True)
+        force += np.roll(pulled, of_q, axis=1)
+    assert np.max(np.abs(force)) < 1e-3 * 0.6
+    # Cables bend by half of the angle between the edges at a clasp, each, and once more at a leg.
+    wrapped = np.arccos(np.sum(u * np.roll(u, 1, axis=1), axis=-1))[0]
+    assert np.max(pulls) <= 0.6 * np.exp(0.1 * np.max(wrapped)) * 1.001
+
+
+def form(**keys: Any) -> Steps:
+    return [{"form": {"polygon": WORKED, "altitude": 1.2, **keys}}]
+
+
+def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
+    worked, left = settled(form(), tied=False), settled(form(settle=False), tied=False)
+    assert worked.phases[-1].name == "settle"
+    assert worked.duration == pytest.approx(left.duration + 17.0)
+    given = settled(form(settle=20), tied=False)
+    assert given.duration == pytest.approx(left.duration + 20.0)
+    smooth = settled(form(), tied=False, friction=0.0)
+    assert "settle" not in {phase.name for phase in (*left.phases, *smooth.phases)}
+    ends = [plan.at([plan.duration]).positions for plan in (worked, left, given)]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+    np.testing.assert_allclose(ends[2], ends[1], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
+    plan = settled([{"settle": {"seconds": 18}}], team={"cable_density": 0.01})
+    assert plan.duration == 18.0
+    plan.save(tmp_path)
+    assert verify.main([str(tmp_path)]) == 0
+
+
+@pytest.mark.slow
+def test_limits_make_swings_smaller_or_slower() -> None:
+    limits = {"speed": 0.2}
+    free, slow = settled([{"settle": {}}]), settled([{"settle": {}}], limits=limits)
+    assert 17.0 < slow.duration < 25.6
+    quick = settled([{"settle": {"seconds": 12}}], limits=limits)
+    assert "no more" in quick.phases[0].remark
+    assert "no more" not in free.phases[0].remark + slow.phases[0].remark
+
+    def widest(plan: ho.Plan) -> float:
+        places: Array = plan.at(np.linspace(0.0, plan.duration, 999)).positions
+        return float(np.max(np.ptp(places, axis=0)))
+
+    assert widest(slow) == pytest.approx(widest(free), rel=1e-3)
+    assert widest(quick) < 0.9 * widest(free)
+    with pytest.raises(ho.InfeasibleError, match="speed"):
+        settled([{"settle": {"seconds": 2}}], limits=limits)
+
+
+@pytest.mark.slow
+def test_form_says_where_limits_leave_no_room_for_it() -> None:
+    plan = settled(form(), tied=False, limits={"tilt_deg": 25.2})
+    assert "limits leave no room" in plan.phases[-1].remark
+
+
+@pytest.mark.parametrize(
+    ("steps", "friction", "named"),
+    [
+        ([{"settle": {}}], 0.0, "settle"),
+        ([{"settle": {"seconds": -1}}], 0.1, "seconds"),
+        ([{"settle": {"seconds": "long"}}], 0.1, "seconds"),
+        ([{"release": {}}, {"settle": {}}], 0.1, "settle"),
+    ],
+)
+def test_settling_that_cannot_be_is_refused(steps: Steps, friction: float, named: str) -> None:
+    with pytest.raises(ho.InputError, match=named):
+        settled(steps, friction=friction)
+
+
+def test_python_values_are_checked() -> None:
+    team = ho.Team(robots=3, cable_length=2.4, tension=0.6, cable_friction=0.1)
+    with pytest.raises(ho.InputError, match="seconds"):
+        ho.Mission(team, ho.Hitch.spread(team, WORKED, 1.2)).settle(seconds=True)
+    with pytest.raises(ho.InputError, match="settle"):
+        ho.Form(WORKED, settle="no")  # type: ignore[arg-type]
