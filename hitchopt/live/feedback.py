@@ -273,7 +273,7 @@ def vertex_responses(
     conditions = Conditions(stiffness=stiffness, integral=False)
     found = []
     for time in np.atleast_1d(as_array(times)).tolist():
-        energy, x = energy_of(motion, conditions, samples_of(motion, [time], conditions)[1])
+        energy, x = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
         arcs = energy.law.forces(x[:, energy.nodes], energy.law.reference)[1]
         energy = replace(energy, law=replace(energy.law, lengths=arcs))  # of planned tension
         rows = Gradients.of(energy, x).position[clasps.ravel()]
@@ -361,7 +361,9 @@ class _Distances:
     def __init__(self, motion: Motion, reserve: float) -> None:
         layout, need = motion.team.layout, motion.requirements
         parts = Parts.of(motion.team.robots, motion.team.topology)
-        i, j, kind = parts.all_pairs
+        i, j = np.triu_indices(len(parts.nodes), 1)
+        kind = parts.kind(i, j)
+        i, j, kind = i[kind >= 0], j[kind >= 0], kind[kind >= 0]
         legs = layout.drones_with_legs  # pairs of a drone and a point as well
         ends = [np.stack([x, x], axis=1) for x in (legs + layout.points, layout.anchors[legs])]
         first = np.concatenate([parts.nodes[i], ends[0]])
