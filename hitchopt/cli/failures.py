@@ -45,34 +45,30 @@ class SafeGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command and print its results; turn errors into exit codes."""
+        code = 0
         with ctx:
             try:
-                result = self._invoke(ctx)
+                with ending_signals(), _units_on_stderr():
+                    super().invoke(ctx)
             except click.exceptions.Exit as end:
-                output().finish(str(ctx.invoked_subcommand), end.exit_code)
-                raise
-            output().finish(str(ctx.invoked_subcommand), 0)
-            return result
-
-    def _invoke(self, ctx: click.Context) -> Any:
-        try:
-            with ending_signals(), _units_on_stderr():
-                return super().invoke(ctx)
-        except HitchoptError as error:
-            complain(error)
-            ctx.exit(exit_code(error))
-        except KeyboardInterrupt:  # raised by a solver that has caught the signal
-            ctx.exit(INTERRUPTED)
-        except SystemExit as end:  # raised by a signal; a library's own may be a message
-            if not isinstance(end.code, int):
-                raise
-            ctx.exit(end.code)
-        except OSError as error:  # a full disk, a directory that may not be written
-            place = f"{error.filename}: " if error.filename else ""
-            message = f"{place}{error.strerror or error}; check the path and its disk"
-            record(errors=[{"message": message}])
-            say(f"error: {message}", err=True)
-            ctx.exit(WRONG)
+                code = end.exit_code
+            except HitchoptError as error:
+                complain(error)
+                code = exit_code(error)
+            except KeyboardInterrupt:  # raised by a solver that has caught the signal
+                code = INTERRUPTED
+            except SystemExit as end:  # raised by a signal; a library's own may be a message
+                if not isinstance(end.code, int):
+                    raise
+                code = end.code
+            except OSError as error:  # a full disk, a directory that may not be written
+                place = f"{error.filename}: " if error.filename else ""
+                message = f"{place}{error.strerror or error}; check the path and its disk"
+                record(errors=[{"message": message}])
+                say(f"error: {message}", err=True)
+                code = WRONG
+            output().finish(str(ctx.invoked_subcommand), code)
+            ctx.exit(code)
 
 
 @contextmanager
@@ -106,20 +102,18 @@ def unmet() -> NoReturn:
 
 def complain(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr; it is a result too."""
-    record(errors=error_entries(error))
+    record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)
 
 
-def error_entries(error: HitchoptError) -> list[dict[str, Any]]:
+def _entries(error: HitchoptError) -> list[dict[str, Any]]:
     """Return the error's parts: keys and places of wrong values, or the limits that are broken."""
     if isinstance(error, InputError):
         parts = getattr(error, "errors", (error,))
-        places = [{} if part.place is None else part.place._asdict() for part in parts]
-        return [
-            {"message": str(part), "key": part.key, **place}
-            for part, place in zip(parts, places, strict=True)
-        ]
+        places = [part._asdict() if part else {} for part in (each.place for each in parts)]
+        named = zip(parts, places, strict=True)
+        return [{"message": str(part), "key": part.key, **place} for part, place in named]
     if isinstance(error, InfeasibleError) and error.violations:
         return [{"message": str(v), **vars(v)} for v in error.violations]
     return [{"message": str(error)}]

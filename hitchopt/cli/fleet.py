@@ -13,21 +13,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from hitchopt.cli.failures import unmet
-from hitchopt.cli.options import command, plan_path
+from hitchopt.cli.options import command, completing, plan_path
 from hitchopt.cli.output import LateProgress, certificate_table, record, say, span_text, table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.options import HOMES
 
 if TYPE_CHECKING:
-    from hitchopt.exports.exporting import Export
     from hitchopt.exports.lint import Report
     from hitchopt.hitch import Swarm, Team
     from hitchopt.live.abort import AbortTable
     from hitchopt.live.fly import Flight, Outlet
-    from hitchopt.live.links import Address
     from hitchopt.motion.motion import Motion
 
 MAX_SHOWN = 5
@@ -38,10 +34,6 @@ HOWS = "hold|back|release_and_land|land"
 
 PORT = {"json": 14600, "mavlink": 14580}
 """First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i."""
-
-
-def _complete_format(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
-    return [name for name in HOMES if name.startswith(begun)]
 
 
 @command(
@@ -66,10 +58,11 @@ def _complete_format(_: click.Context, __: click.Parameter, begun: str) -> list[
     --stiffness N/M (float): Of these controllers; by default the team's.
     --damping N·S/M (float): Of these controllers; by default that of a damping ratio of 5/6.
     """,
-    format={"required": True, "shell_complete": _complete_format},
+    format={"required": True, **completing(lambda: HOMES)},
 )
 def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
     """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
+    from hitchopt.checks import Certificate
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
@@ -79,46 +72,29 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)
     if output is None:
-        folder = path.parent
-        name = f"{folder.resolve().name or 'plan'}-{chosen.format}"
-        parent = folder / ".." if folder.name in {"", ".."} else folder.parent
+        folder = path.parent.resolve()
+        name = f"{folder.name or 'plan'}-{chosen.format}"
+        parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
         output = parent / name
     with LateProgress("certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
-    record(parts=[_export_entry(part) for part in done])
+    entries = []
     for part in done:
-        _say_export(part)
-
-
-def _export_entry(part: Export) -> dict[str, Any]:
-    """Return what was written, as ``--json`` prints it."""
-    verdict = part.verdict
-    return {
-        "folder": str(part.folder),
-        "files": list(part.files),
-        "begins": part.begins,
-        "duration": verdict.duration,
-        "position_error": vars(verdict.position),
-        "velocity_error": vars(verdict.velocity),
-        "checks": [vars(check) for check in verdict.checks],
-        "not_carried": verdict.not_carried,
-        "notes": list(part.notes),
-    }
-
-
-def _say_export(part: Export) -> None:
-    from hitchopt.checks import Certificate
-
-    verdict = part.verdict
-    say(certificate_table(Certificate(verdict.duration, verdict.checks)))
-    position, velocity = verdict.position, verdict.velocity
-    say(
-        f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) and "
-        f"{1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
-        "from the plan, over all time"
-    )
-    say("\n".join([f"not carried: {verdict.not_carried}", *(f"note: {x}" for x in part.notes)]))
-    say(f"certified as exported; {len(part.files)} files in {part.folder}")
+        verdict = part.verdict
+        position, velocity = verdict.position, verdict.velocity
+        entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
+        entry |= {"duration": verdict.duration, "position_error": vars(position)}
+        entry |= {"velocity_error": vars(velocity), "checks": [vars(c) for c in verdict.checks]}
+        entries.append({**entry, "not_carried": verdict.not_carried, "notes": part.notes})
+        say(certificate_table(Certificate(verdict.duration, verdict.checks)))
+        say(
+            f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
+            f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
+            "from the plan, over all time"
+        )
+        say("\n".join([f"not carried: {verdict.not_carried}", *(f"note: {x}" for x in part.notes)]))
+        say(f"certified as exported; {len(part.files)} files in {part.folder}")
+    record(parts=entries)
 
 
 @command(
@@ -174,26 +150,21 @@ def _say_report(report: Report) -> None:
     frame = f", frame {report.frame}" if report.frame else ""
     drones = "drone" if len(facts) == 1 else "drones"
     say(f"{report.path}: {report.kind}, {len(facts)} {drones}{frame}, {flight.duration:.3f} s")
-    lines = []
-    if pieces := [fact.pieces for fact in facts if fact.pieces]:
-        lines.append(("pieces", f"{span_text(pieces, '.0f')} per drone"))
-    if sizes := [fact.size for fact in facts if fact.size]:
-        lines.append(("memory", f"{span_text(sizes, '.0f')} of {BYTES} bytes per drone"))
-    lines.append(("speed", f"{_against(flight.speed, flight.speed_limit)} m/s"))
-    if math.isfinite(flight.acceleration):
-        against = _against(flight.acceleration, flight.acceleration_limit)
-        lines.append(("acceleration", f"{against} m/s²"))
-    for own in flight.own:
-        words = f"{own.bound:.4g} of {own.limit:g} {own.unit}, the show's own"
-        lines.append((own.name, words))
-    if math.isfinite(flight.separation):
-        lines.append(("separation", f"{flight.separation:.4g}, 1 where ellipsoids touch"))
     jumps = zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False)
-    joined = ", ".join(f"{size:.2g} {unit}" for size, unit in jumps)
-    lines.append(("jumps", f"{joined} where pieces join"))
-    lines.append(("reach", f"{flight.reach:.4g} m from the origin"))
-    for name, words in lines:
-        say(f"  {name:<13} {words}")
+    lines = {"speed": f"{_against(flight.speed, flight.speed_limit)} m/s"}
+    if pieces := [fact.pieces for fact in facts if fact.pieces]:
+        lines["pieces"] = f"{span_text(pieces, '.0f')} per drone"
+    if sizes := [fact.size for fact in facts if fact.size]:
+        lines["memory"] = f"{span_text(sizes, '.0f')} of {BYTES} bytes per drone"
+    if math.isfinite(flight.acceleration):
+        lines["acceleration"] = f"{_against(flight.acceleration, flight.acceleration_limit)} m/s²"
+    for own in flight.own:
+        lines[own.name] = f"{own.bound:.4g} of {own.limit:g} {own.unit}, the show's own"
+    if math.isfinite(flight.separation):
+        lines["separation"] = f"{flight.separation:.4g}, 1 where ellipsoids touch"
+    lines["jumps"] = ", ".join(f"{size:.2g} {unit}" for size, unit in jumps) + " where pieces join"
+    lines["reach"] = f"{flight.reach:.4g} m from the origin"
+    say("\n".join(f"  {name:<13} {words}" for name, words in lines.items()))
     said: Counter[tuple[str, str]] = Counter()
     for finding in report.findings:
         said[finding.level, finding.rule] += 1
@@ -231,16 +202,16 @@ def abort(directory: Path, how: str | None, every: float) -> None:
 
     path = plan_path(directory)
     motion = read_plan(path)
-    chosen = how or ("release_and_land" if motion.team.has_cables else "land")
+    chosen = how or _usual_abort(motion)
     with LateProgress("planning aborts") as progress:
         found = abort_table(motion, chosen, every, progress)
     rows = []
     for entry in found.entries:
         phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
-        times = (entry.start, entry.start + entry.seconds, entry.certified.motion.duration)
-        rows.append((phase.name, *(f"{t:.3f} s" for t in times)))
-    heads = ["commands until", "at rest after", "ends"]
-    say(table(f"Aborts: {chosen}", ["phase"], heads, rows))
+        times = {"commands until": entry.start, "at rest after": entry.start + entry.seconds}
+        times["ends"] = entry.certified.motion.duration
+        rows.append({"phase": phase.name, **{name: f"{t:.3f} s" for name, t in times.items()}})
+    say(table(f"Aborts: {chosen}", rows))
     thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
     save_aborts(path.parent, found)
@@ -258,6 +229,10 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in found.missing)
         say(f"no abort was found for commands from {spans}", err=True)
         unmet()
+
+
+def _usual_abort(motion: Motion) -> str:
+    return "release_and_land" if motion.team.has_cables else "land"
 
 
 @command(
@@ -359,38 +334,25 @@ def _outlet_of(
 ) -> Callable[[], Outlet]:
     """Return what reaches the fleet that the options name; wrong options are found at once."""
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-    from hitchopt.live.links import (
-        Datagrams,
-        JsonOutlet,
-        MavlinkOutlet,
-        address,
-        crazyflie_outlet,
-        messages,
-    )
+    from hitchopt.live import links
 
     names = team.drone_names
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
     if over == "crazyflie":
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
-        return partial(crazyflie_outlet, names, robots, frame)
-    places, here = _targets(targets, len(names), PORT[over]), address("--listen", listen)
+        return partial(links.crazyflie_outlet, names, robots, frame)
+    places = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
+    if targets:
+        if len(targets) not in (1, len(names)):
+            bound = f"given once, or {len(names)} times"
+            raise InputError("--to", len(targets), bound, "one for each drone")
+        places = [links.address("--to", each) for each in targets] * (len(names) // len(targets))
+    here = links.address("--listen", listen)
     if over == "json":
-        return lambda: JsonOutlet(names, places, frame, Datagrams(here))
-    messages()
-    return lambda: MavlinkOutlet(names, places, frame, Datagrams(here))
-
-
-def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
-    """Return an address for each drone."""
-    from hitchopt.live.links import address
-
-    if not given:
-        return [("127.0.0.1", port + i) for i in range(count)]
-    if len(given) not in (1, count):
-        raise InputError("--to", len(given), f"given once, or {count} times", "one for each drone")
-    found = [address("--to", each) for each in given]
-    return found * count if len(found) == 1 else found
+        return lambda: links.JsonOutlet(names, places, frame, links.Datagrams(here))
+    links.messages()
+    return lambda: links.MavlinkOutlet(names, places, frame, links.Datagrams(here))
 
 
 def flown_aborts(directory: Path, motion: Motion, how: str | None) -> dict[str, AbortTable]:
@@ -399,10 +361,8 @@ def flown_aborts(directory: Path, motion: Motion, how: str | None) -> dict[str, 
 
     with LateProgress("reading aborts") as progress:
         saved = read_aborts(directory, motion, progress)
-    usual = "release_and_land" if motion.team.has_cables else "land"
-    if saved is not None and saved.how in ("release_and_land", "land"):
-        usual = saved.how
-    chosen = how or usual
+    landing = saved is not None and saved.how in ("release_and_land", "land")
+    chosen = how or (saved.how if saved and landing else _usual_abort(motion))
     found = {}
     with LateProgress("planning aborts") as progress:
         for each in dict.fromkeys(("land", chosen)):

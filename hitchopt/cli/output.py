@@ -9,7 +9,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -17,6 +17,7 @@ import click
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+    from rich.text import Text
 
     from hitchopt.checks.certificate import Certificate, Check
     from hitchopt.motion.motion import Phase
@@ -38,6 +39,9 @@ LINES = 1.0
 
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")
 """Count or percentage in a message."""
+
+NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
+"""Beginning of a cell that is aligned to the right."""
 
 
 @dataclass
@@ -65,26 +69,6 @@ class Output:
             echo(strict_json({"command": command, "exit_code": code, **self.content}))
 
 
-class OutputCommand(click.Command):
-    """A command with the options ``--json``, ``-q`` and ``-v``."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        for flags, text in (
-            (("--json",), "Print one JSON object to stdout, all else to stderr."),
-            (("-q", "--quiet"), "Print errors only."),
-            (("-v", "--verbose"), "Print every message of progress to stderr."),
-        ):
-            option = click.Option(
-                flags, is_flag=True, help=text, expose_value=False, callback=_switch
-            )
-            self.params.append(option)
-
-
-def _switch(context: click.Context, option: click.Parameter, value: bool) -> None:
-    setattr(context.meta.setdefault(KEY, Output()), str(option.name), value)
-
-
 def output() -> Output:
     """Return the output of the running command."""
     context = click.get_current_context(silent=True)
@@ -98,12 +82,6 @@ def say(text: str, *, err: bool = False) -> None:
     """Write a line for people: results to stdout unless they are not wanted, else to stderr."""
     if err or not (output().quiet or output().json):
         echo(text, err=err)
-
-
-def hint(text: str) -> None:
-    """Write a line on stderr that is no error and no result."""
-    if not (output().quiet or output().json):
-        echo(text, err=True)
 
 
 def record(**content: Any) -> None:
@@ -126,40 +104,31 @@ def echo(text: str, *, err: bool = False) -> None:
         os.close(nowhere)
 
 
-def table(
-    title: str,
-    words: Sequence[str],
-    numbers: Sequence[str],
-    rows: Iterable[Sequence[object]],
-    last: Sequence[str] = (),
-) -> str:
+def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """Return a table as lines of text that fit the terminal.
 
     Parameters
     ----------
     title: above it.
-    words, numbers, last: heads of the columns on the left, of those that are aligned to the right,
-        and of those after them.
-    rows: a cell for every column, or fewer; a bool is a verdict, yes or NO. A row of one text that
-        ends in a colon is a heading.
+    rows: cells by their columns' heads, plain data: a bool is a verdict, None and nan are dashes,
+        numbers have four significant digits. A row of a single cell is a heading.
     """
     from io import StringIO
 
     from rich import box
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
+    listed = [{head: _cell(value) for head, value in row.items()} for row in rows]
+    heads = list(dict.fromkeys(head for row in listed for head in row))
     found = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in (*words, *numbers, *last):
-        aligned = "right" if name in numbers else "left"
-        found.add_column(name, justify=aligned, overflow="fold")  # type: ignore[arg-type]
-    verdicts = {True: Text("yes", style="green"), False: Text("NO", style="bold red")}
-    for row in rows:
-        cells = [verdicts[x] if isinstance(x, bool) else Text(str(x)) for x in row]
-        if len(row) == 1 and str(row[0]).endswith(":"):
-            cells[0].stylize("bold")
-        found.add_row(*cells)
+    for head in heads:
+        cells = [row[head].plain for row in listed if head in row]
+        right = head != heads[0] and all(map(NUMBER.match, cells))
+        found.add_column(head, justify="right" if right else "left", overflow="fold")
+    for row in listed:
+        style = "bold" if len(row) == 1 < len(heads) else None
+        found.add_row(*(row.get(head, "") for head in heads), style=style)
     terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
     width = shutil.get_terminal_size().columns if terminal else DEFAULT_WIDTH
     text = StringIO()
@@ -169,20 +138,32 @@ def table(
     return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())
 
 
-def quantities(title: str, values: dict[str, str]) -> str:
+def _cell(value: object) -> Text:
+    from rich.text import Text
+
+    if isinstance(value, bool):
+        return Text("yes", "green") if value else Text("NO", "bold red")
+    if isinstance(value, list | tuple):
+        return Text(", ").join(map(_cell, value)) if value else Text("none")
+    if isinstance(value, float) and not math.isnan(value):
+        return Text(f"{value:.4g}")
+    return Text(str(value) if isinstance(value, str | int) else "–")
+
+
+def quantities(title: str, values: Mapping[str, object]) -> str:
     """Return the table of some quantities, one a row."""
-    return table(title, ["quantity"], ["value"], values.items())
+    return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
 
 
 def phase_table(phases: Sequence[Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
-    last = ["remark"] if any(phase.remark for phase in phases) else []
-    rows = [
-        (p.name, p.step, *(f"{t:.3f} s" for t in (p.start, p.end, p.end - p.start)), p.remark)
-        for p in phases
-    ]
-    heads = ["step", "start", "end", "duration"]
-    return table("Phases", ["phase"], heads, [row[: 5 + len(last)] for row in rows], last)
+    rows = []
+    for p in phases:
+        times = {"start": p.start, "end": p.end, "duration": p.end - p.start}
+        cells = {name: f"{t:.3f} s" for name, t in times.items()}
+        remark = {"remark": p.remark} if p.remark else {}
+        rows.append({"phase": p.name, "step": p.step, **cells, **remark})
+    return table("Phases", rows)
 
 
 def certificate_table(certificate: Certificate) -> str:
@@ -191,17 +172,16 @@ def certificate_table(certificate: Certificate) -> str:
     Checks stand under the headings of their groups, and those closest to their limits are marked.
     What is reported without a limit has what it assumes of the vertices in that column.
     """
-    rows: list[Sequence[object]] = []
+    rows: list[dict[str, object]] = []
     closest = certificate.closest
     for heading, checks in certificate.groups.items():
-        rows.append((f"{heading}:",))
-        rows += [(*_check_row(check), "◂" if check in closest else "") for check in checks]
-    last = ("unit", "where", "when", "holds", "")
-    shown = table("Certificate", ["check"], ["worst", "limit"], rows, last)
+        rows.append({"check": f"{heading}:"})
+        rows += [{**_check_row(check), "": "◂" if check in closest else ""} for check in checks]
+    shown = table("Certificate", rows)
     return f"{shown}\n\n ◂ closest to its limit" if closest else shown
 
 
-def _check_row(check: Check) -> list[object]:
+def _check_row(check: Check) -> dict[str, object]:
     limit = f"{'≥' if check.sense == 'min' else '≤'} {number(check.limit)}"
     if check.limit is None:
         limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"
@@ -209,9 +189,15 @@ def _check_row(check: Check) -> list[object]:
     if len(check.where) > MAX_NAMES:
         where += f", and {len(check.where) - MAX_NAMES} more"
     timed = check.worst is not None and math.isfinite(check.time)
-    when = f"{check.time:.3f} s" if timed else ""
-    unit = "" if check.unit == "1" else check.unit
-    return [f"  {check.name}", number(check.worst), limit, unit, where, when, check.holds]
+    return {
+        "check": f"  {check.name}",
+        "worst": number(check.worst),
+        "limit": limit,
+        "unit": "" if check.unit == "1" else check.unit,
+        "where": where,
+        "when": f"{check.time:.3f} s" if timed else "",
+        "holds": check.holds,
+    }
 
 
 def number(value: float | None) -> str:
@@ -305,14 +291,12 @@ class LateProgress:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+        words = TextColumn("{task.description}", markup=False)
+        at_most = TextColumn(self._at_most, markup=False)
+        console = Console(file=self._stream)
         with self._lock:
             self._bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TimeElapsedColumn(),
-                TextColumn(self._at_most, markup=False),
-                console=Console(file=self._stream),
-                transient=True,
+                words, BarColumn(), TimeElapsedColumn(), at_most, console=console, transient=True
             )
             self._bar.add_task(self._message, total=None)  # until there is a count
             self._fill()

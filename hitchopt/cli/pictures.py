@@ -16,7 +16,6 @@ from hitchopt.cli.planning import SUFFIXES, report_suggestions
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
-    from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.repair import Suggestion
     from hitchopt.plan import Plan
     from hitchopt.view.editing import Status
@@ -79,7 +78,7 @@ def view(
 
     Of a simulated flight, DIR/simulation, the film is saved, and live it is the ghost of its plan.
     """
-    from hitchopt.storage.archive import PLAN, RECORDING
+    from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 
     recording = path / RECORDING if path.is_dir() and not (path / PLAN).exists() else path
     flown = recording.name == RECORDING and recording.is_file()
@@ -95,10 +94,15 @@ def view(
         return
     from hitchopt.view.server import open_server, server_address
 
-    planned = path.suffix in SUFFIXES
-    plan, status = shown_plan(path) if planned else (None, None)
-    if plan is None:
-        _refuse_damaged(plan_path(path))
+    plan, status = None, None
+    if path.suffix in SUFFIXES:
+        plan, status = shown_plan(path)
+    else:
+        file = plan_path(path)
+        try:  # before a page is opened for it
+            read_arrays(file, ("settings", "breaks", "drones"))
+        except BROKEN as error:
+            raise FileError(f"{file}: not a plan, or a damaged one: {error}") from error
     server = open_server(host, port)
     address = server_address(server)
     say(f"the plan is at {address}; Ctrl-C ends this")
@@ -119,22 +123,17 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
     from hitchopt.view.film import check_film
     from hitchopt.view.scene import ghost_scene
 
+    record(file=str(file))
     if recording is not None:
         check_film(file)
         flown = plan_path(path)
         save_flight_film(file, ghost_scene(recording, read_plan(flown)), read_title(flown))
-        record(file=str(file))
         return
-    planned = path.suffix in SUFFIXES
-    try:
-        with LateProgress("certifying and drawing") as progress:
-            plan = _planned(path) if planned else load(plan_path(path).parent)
-            plan.view(file, progress=progress)
-    except InfeasibleError as error:
-        if _suggested(path, error)[1]:
-            say(f"nothing is written; hitchopt view {path} shows the first change", err=True)
-        unmet()
-    record(file=str(file))
+    changes = f"nothing is written; hitchopt view {path} shows the first change"
+    plan = shown_plan(path, changes)[0] if path.suffix in SUFFIXES else None
+    with LateProgress("certifying and drawing") as progress:
+        plan = plan or load(plan_path(path).parent)
+        plan.view(file, progress=progress)
     say(f"wrote {file}")
 
 
@@ -146,18 +145,6 @@ def save_flight_film(path: Path, scene: Scene, title: str) -> None:
         words = f"{title} (simulated)".strip()
         save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))
     say(f"the film is {path}")
-
-
-def _refuse_damaged(file: Path) -> None:
-    """Raise FileError for a file that holds no plan, before a page is opened for it."""
-    from hitchopt.storage.archive import BROKEN, read_arrays
-
-    try:
-        read_arrays(file, ("settings", "breaks", "drones"))
-    except BROKEN:
-        from hitchopt.motion.plan_file import read_plan  # slow to import, and says what is wrong
-
-        read_plan(file)
 
 
 def _serve(
@@ -197,47 +184,33 @@ def _serve(
     return live
 
 
-def _planned(path: Path) -> Plan:
-    """Return the plan of a problem file, with its text."""
-    from hitchopt import api
-    from hitchopt.storage.yaml_file import read_text
-
-    text, _ = read_text(path)
-    with LateProgress("planning") as progress:
-        return replace(api.solve(path, progress), problem=text)
-
-
-def shown_plan(path: Path) -> tuple[Plan, Status | None]:
+def shown_plan(path: Path, instead: str = "") -> tuple[Plan, Status | None]:
     """Return what is shown of a problem file: its plan, or one with a change, and how they relate.
 
-    Exits where there is no plan, and no change was found.
+    Exits where there is no plan, and no change was found, or something is said ``instead``.
     """
-    try:
-        return _planned(path), None
-    except InfeasibleError as error:
-        problem, found = _suggested(path, error)
-        words = str(error)
-    if not found:
-        say(f"nothing to show: change {path} as the errors say, then view it again", err=True)
-        unmet()
     from hitchopt import api
+    from hitchopt.mission.loading import read_problem
+    from hitchopt.mission.problem import Problem
     from hitchopt.storage.yaml_file import read_text
     from hitchopt.view.editing import Stage, Status
 
+    problem, text = read_problem(path), read_text(path)[0]
+    try:
+        with LateProgress("planning") as progress:
+            return replace(api.solve(problem, progress), problem=text), None
+    except InfeasibleError as error:
+        complain(error)
+        words = str(error)
+        found: tuple[Suggestion, ...] = ()
+        if isinstance(problem, Problem):
+            found = report_suggestions(problem, error, SEARCH)[1]
+    if instead or not found:
+        nothing = f"nothing to show: change {path} as the errors say, then view it again"
+        say(instead if found else nothing, err=True)
+        unmet()
     say("the page shows the plan of the first change; a click on a change makes it")
     with LateProgress("planning the first change") as progress:
         plan = api.solve(found[0].change.problem, progress)
-    plan = replace(plan, title=problem.title, problem=read_text(path)[0])
+    plan = replace(plan, title=problem.title, problem=text)
     return plan, Status(Stage.SUGGESTED, words, found)
-
-
-def _suggested(path: Path, error: InfeasibleError) -> tuple[AnyProblem, tuple[Suggestion, ...]]:
-    """Report what binds, and return the problem with the changes that make it feasible."""
-    from hitchopt.mission.loading import read_problem
-    from hitchopt.mission.problem import Problem
-
-    complain(error)
-    problem = read_problem(path)
-    if not isinstance(problem, Problem):
-        return problem, ()
-    return problem, report_suggestions(problem, error, SEARCH)[1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import math
 import re
@@ -17,8 +16,8 @@ import click
 
 import hitchopt
 from hitchopt.cli.failures import complain, exit_code, unmet
-from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, hint, phase_table, record, say
+from hitchopt.cli.options import command, completing, plan_path
+from hitchopt.cli.output import LateProgress, certificate_table, output, phase_table, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
@@ -110,48 +109,33 @@ def _output(given: Path | None, file: Path) -> Path:
 def _plan(
     problem: AnyProblem, text: str, place: Path, rate: float, limit: float, *, report: bool
 ) -> None:
-    """Plan, show and write a problem."""
+    """Plan, show and write a problem, and say what to do next."""
     from hitchopt import api
-    from hitchopt.exports.directory import SUMMARY, certificate_content
+    from hitchopt.exports.directory import SUMMARY
     from hitchopt.storage.archive import PLAN
 
-    _check_rows(rate, _least_duration(problem), problem)
     with LateProgress("planning", limit) as progress:
         plan = api.solve(problem, progress=progress, limit=limit)
     motion = plan.motion
+    samples = motion.duration * len(motion.team.drone_names)
+    if rate * samples > MAX_ROWS:
+        bound = f"at most {MAX_ROWS / samples:.3g} Hz for a plan of {motion.duration:g} s"
+        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
     show_plan(plan.title, motion, plan.certificate)
-    _check_rows(rate, motion.duration, problem)
     with LateProgress("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
-    content = certificate_content(motion, plan.certificate, place / PLAN)
-    record(directory=str(place), certificate=content)
+    _record_certificate(motion, plan.certificate, place / PLAN)
+    record(directory=str(place))
     say(f"certified; the plan is in {place}")
+    if output().quiet or output().json:
+        return
     name = shlex.quote(str(place))
-    hint(f"next: look at {place / SUMMARY}")
+    say(f"next: look at {place / SUMMARY}", err=True)
     if motion.team.has_cables:
-        hint(f"      hitchopt simulate {name}")
+        say(f"      hitchopt simulate {name}", err=True)
     # Edges that bend around an object need more digits than fitted polynomials keep.
     chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
-    hint(f"      hitchopt export {name} --format {chosen}")
-
-
-def _least_duration(problem: AnyProblem) -> float:
-    """Return the sum of the steps' own durations [s], a lower bound of the plan's duration."""
-    from hitchopt.mission.problem import Problem
-
-    if not isinstance(problem, Problem):
-        return problem.duration or 0.0
-    return sum(step.given_duration or 0.0 for step in problem.mission)
-
-
-def _check_rows(rate: float, duration: float, problem: AnyProblem) -> None:
-    drones = len(problem.team.drone_names)
-    if (rows := rate * duration * drones) > MAX_ROWS:
-        bound = (
-            f"at most {MAX_ROWS / (duration * drones):.3g} Hz for a plan of {duration:g} s "
-            f"and {drones} drones (it would write {rows:.3g} rows)"
-        )
-        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
+    say(f"      hitchopt export {name} --format {chosen}", err=True)
 
 
 def _leave_diagnosis(
@@ -217,6 +201,13 @@ def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
     say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
 
 
+def _record_certificate(motion: Motion, certificate: Certificate, path: Path) -> None:
+    """Add what certificate.json says of the plan in a file."""
+    from hitchopt.exports.directory import certificate_content
+
+    record(certificate=certificate_content(motion, certificate, path))
+
+
 @command(
     "directory DIR",
     """
@@ -233,7 +224,6 @@ def check(
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
-    from hitchopt.exports.directory import certificate_content
     from hitchopt.plan import Plan, read_asked_plan
     from hitchopt.plan import closest as closest_pairs
 
@@ -251,7 +241,7 @@ def check(
         without = losses.without
         record(without_reaction=[asdict(lost) for lost in without])
     show_plan("", motion, certificate)
-    record(certificate=certificate_content(motion, certificate, path))
+    _record_certificate(motion, certificate, path)
     for lost in without:
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:
@@ -286,16 +276,17 @@ def _show_verified(path: Path) -> None:
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
-    for row in rows:
-        say(line(row))
     record(verified=[row._asdict() for row in rows])
-    say(verdict(rows))
+    say("\n".join([*map(line, rows), verdict(rows)]))
     if any(row.verdict != "proven" for row in rows):
         unmet()
 
 
-def _complete_example(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
-    return [path.stem for path in example_files() if path.stem.startswith(begun)]
+def example_files() -> list[Path]:
+    """Return the examples: in the package where it is installed, else in the checkout."""
+    packed = PACKAGE / "examples"
+    place = packed if packed.is_dir() else PACKAGE.parent / "problems"
+    return sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
 
 
 @command(
@@ -305,7 +296,7 @@ def _complete_example(_: click.Context, __: click.Parameter, begun: str) -> list
     --list: List the examples.
     """,
     name={"type": str, "required": False},
-    example={"shell_complete": _complete_example},
+    example=completing(lambda: [path.stem for path in example_files()]),
     list={"name": "listing"},
 )
 def init(name: str | None, example: str | None, *, listing: bool) -> None:
@@ -313,13 +304,13 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
 
     NAME is problem.yaml by default, or the example's name.
     """
-    if listing:
-        found = {path.stem: _title(path) for path in example_files()}
-        record(examples=[{"name": stem, "title": title} for stem, title in found.items()])
-        width = max(map(len, found))
-        say("\n".join(f"{stem:{width}}  {found[stem]}" for stem in found))
-        return
     files = {path.stem: path for path in example_files()}
+    if listing:
+        titles = {stem: _title(path) for stem, path in files.items()}
+        record(examples=[{"name": stem, "title": title} for stem, title in titles.items()])
+        width = max(map(len, titles))
+        say("\n".join(f"{stem:{width}}  {title}" for stem, title in titles.items()))
+        return
     if example is not None and example not in files:
         near = difflib.get_close_matches(example, files, 1)
         remedy = f"did you mean {near[0]}?" if near else "hitchopt init --list names them"
@@ -328,13 +319,6 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
     record(file=str(path))
     say(f"wrote {path}; try: hitchopt solve {path}")
-
-
-def example_files() -> list[Path]:
-    """Return the examples: in the package where it is installed, else in the checkout."""
-    packed = PACKAGE / "examples"
-    place = packed if packed.is_dir() else PACKAGE.parent / "problems"
-    return sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
 
 
 def _title(path: Path) -> str:
@@ -350,26 +334,15 @@ def problem_text(path: Path) -> str:
 
 
 def _write_new(name: str, text: str) -> Path:
-    """Write a problem file to ``name``, with the suffix .yaml, completely or not at all.
-
-    Raises
-    ------
-    FileError: the file exists, or its directory cannot be written to.
-    """
+    """Write a problem file to ``name``, with the suffix .yaml; refuse one that exists."""
     path = Path(name)
     if not path.name.strip("."):
         raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
     if path.suffix not in SUFFIXES:
         path = path.with_name(f"{path.name}.yaml")
     try:
-        with open(path, "x", encoding="utf-8") as file:
-            try:
-                file.write(text)
-                file.flush()
-            except BaseException:
-                with contextlib.suppress(OSError):
-                    path.unlink()
-                raise
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
     except FileExistsError:
         raise FileError(f"{path}: exists already; give another name, or remove it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name
