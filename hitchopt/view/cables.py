@@ -33,26 +33,20 @@ POINTS = 2 * LEG + 2 * BEND + EDGE
 CLASPS = (LEG + BEND // 2, LEG + BEND + EDGE + BEND // 2)
 """The two points of a cable in the middles of its bends, nearest to the vertices."""
 
-REACH = 3.0
-"""Distance from a vertex, in bends' radii, from which on a cable is straight."""
-
 THICKNESS, THINNEST, THICKEST = 0.0035, 0.004, 0.03
 """Radius of a drawn cable as a share of the scene's extent, and its bounds [m]."""
 
-BEND_RADIUS = 2.2
-"""Radius of a bend in radii of the drawn cable: neighbours then clear each other."""
-
-LEG_SHARE = 0.2
-"""Largest radius of a bend as a share of the shortest leg or edge."""
+BEND_RADIUS, REACH, LEG_SHARE = 2.2, 3.0, 0.2
+"""Radius of a bend in radii of the drawn cable: neighbours then clear each other; distance from a
+vertex, in bends' radii, from which on a cable is straight; and largest radius of a bend as a share
+of the shortest leg or edge."""
 
 NO_SLACK = 1e-4
 """Share of its length by which a weightless cable may exceed its parts and still be straight."""
 
-SHORTEST = 1e-9
-"""Least length of a span [m]: a chain's ends have legs of none."""
-
-NO_TURN = 1e-6
-"""[rad] Edges around an object that turn by less are straight."""
+SHORTEST, NO_TURN = 1e-9, 1e-6
+"""Least length of a span [m], as a chain's ends have legs of none, and angle [rad] by which edges
+around an object turn at least: others are straight."""
 
 HOOKED = frozenset({CableState.TIGHTENING, CableState.HITCHED})
 
@@ -106,38 +100,29 @@ def clasp_senses(motion: Motion) -> Array:
     return np.ones(len(layout.clasps))
 
 
-def wrapped_edges(first: Array, last: Array, contacts: Array, shares: Array) -> tuple[Array, Array]:
-    """Return lengths (…) [m] of edges around an object, and points on them (…, points, 3) [m].
+def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Array]:
+    """Return lengths (…) [m] of edges around an object, and points on them (…, EDGE, 3) [m].
 
-    An edge is a tangent, an arc and a tangent.
+    An edge is a tangent, an arc of a circle and a tangent; the points are its ends and on its arc.
 
     Parameters
     ----------
     first, last: (…, 3) [m], ends of the edges.
     contacts: (…, 2, 3) [m], where they meet and leave what they are wrapped around.
-    shares: of their lengths, at which the points are (…, points).
     """
     start, end = contacts[..., 0, :], contacts[..., 1, :]
     ahead, chord = unit(start - first), end - start
-    angle = np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))[..., None]
-    turns = angle > NO_TURN
-    # Along a circle the chord from its start has 2 R sin(φ/2), turned by φ/2 from the tangent.
-    bow = np.where(turns, 0.5 * angle / np.where(turns, np.sin(0.5 * angle), 1.0), 1.0)
-    whole = length(chord)[..., None]
-    parts = np.concatenate(
-        [length(start - first)[..., None], bow * whole, length(last - end)[..., None]], axis=-1
-    )
-    total = np.sum(parts, axis=-1, keepdims=True)
-    before = np.cumsum(parts, axis=-1) - parts
-    done = shares[..., None] * total[..., None] - before[..., None, :]
-    done = np.clip(done / np.maximum(parts, 1e-12)[..., None, :], 0.0, 1.0)
-    half = 0.5 * done[..., 1] * angle
-    size = np.where(turns, np.sin(half) / np.where(turns, np.sin(0.5 * angle), 1.0), done[..., 1])
+    half = 0.5 * np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))[..., None]
+    turns, share = half > NO_TURN, np.linspace(0.0, 1.0, EDGE - 2)
+    sine, done = np.where(turns, np.sin(half), 1.0), share * half
+    # The chord from an arc's start to a point on it, turned by ``done`` from the tangent.
+    size = np.where(turns, np.sin(done) / sine, share) * length(chord)[..., None]
     side = unit(chord - dot(chord, ahead)[..., None] * ahead)[..., None, :]
-    towards = np.cos(half)[..., None] * ahead[..., None, :] + np.sin(half)[..., None] * side
-    points = first[..., None, :] + done[..., :1] * (start - first)[..., None, :]
-    points = points + (size * whole)[..., None] * towards
-    return total[..., 0], points + done[..., 2:] * (last - end)[..., None, :]
+    toward = np.cos(done)[..., None] * ahead[..., None, :] + np.sin(done)[..., None] * side
+    arc = start[..., None, :] + size[..., None] * toward
+    bow = length(chord) * np.where(turns, half / sine, 1.0)[..., 0]
+    total = length(start - first) + bow + length(last - end)
+    return total, np.concatenate([first[..., None, :], arc, last[..., None, :]], axis=-2)
 
 
 def _at(curves: PiecewisePolynomial, t: Array) -> Array:
@@ -207,7 +192,7 @@ def _bent(
     corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
     chords = length(np.diff(corners, axis=2))
     if contacts is not None:
-        chords[..., 1] = wrapped_edges(a, b, contacts, np.zeros((*a.shape[:2], 1)))[0]
+        chords[..., 1] = wrapped_edges(a, b, contacts)[0]
     extra = team.cable_length - np.sum(chords, axis=-1)
     straight = NO_SLACK * team.cable_length if team.cable_density == 0.0 else 0.0
     extra = np.where(extra <= straight, 0.0, extra)
@@ -221,9 +206,10 @@ def _bent(
         for i, count in enumerate((LEG, EDGE, LEG))
     ]
     if contacts is not None:
-        shares = before[..., None] + (1.0 - before - after)[..., None] * np.linspace(0, 1, EDGE)
-        around = wrapped_edges(a, b, contacts, shares)[1]
-        wrapped = np.any(contacts[..., 0, :] != 0.5 * (a + b), axis=-1)
+        start, end = contacts[..., 0, :], contacts[..., 1, :]
+        first, last = (p + REACH * radius * unit(c - p) for p, c in ((a, start), (b, end)))
+        around = wrapped_edges(first, last, contacts)[1]
+        wrapped = np.any(start != 0.5 * (a + b), axis=-1)
         parts[1] = np.where(wrapped[..., None, None], around, parts[1])
     q_side, r_side = _bends(motion, drones, vertices, radius)
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)

@@ -6,9 +6,8 @@ while the last plan stays; a plan of a text that is no longer the newest is disc
 
 from __future__ import annotations
 
-import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.mission.keys import STEP_KINDS, step_model
 from hitchopt.mission.loading import parse_problem
@@ -41,6 +40,7 @@ from hitchopt.storage.yaml_file import (
     without_entry,
 )
 from hitchopt.values import Array
+from hitchopt.view.style import drafted
 
 MISSION = ("mission",)
 
@@ -76,18 +76,11 @@ class Handle:
 
     def dragged(self, text: str, place: Array) -> str:
         """Return the text of a problem file with the handle at another place (3,) [m]."""
-        by = (np.asarray(place, dtype=np.float64) - self.place).tolist()
-        data: Any = parse_yaml(text)
-        changed, added = deepcopy(data), []
+        by, data = (np.asarray(place, dtype=np.float64) - self.place).tolist(), parse_yaml(text)
         for path, axis in self.numbers:
-            old = value_at(data, path)
-            if by[axis] and old is None:
-                added.append((path, HEIGHT + by[axis]))
-            elif by[axis]:
-                value_at(changed, path[:-1])[path[-1]] = float(old + by[axis])
-        text = with_value(text, (), changed)
-        for path, value in added:
-            text = with_value(text, path, value)
+            if by[axis]:
+                old = value_at(data, path)
+                text = with_value(text, path, float((HEIGHT if old is None else old) + by[axis]))
         return text
 
 
@@ -226,10 +219,6 @@ class _StaleError(BaseException):
     """
 
 
-Planner = Callable[[Problem, Progress], Certified]
-Repairer = Callable[[Problem, InfeasibleError, Progress], Sequence[Suggestion]]
-
-
 class Editing:
     """A problem that is edited by hand.
 
@@ -238,7 +227,6 @@ class Editing:
     text: what the problem file holds.
     path: where it is saved; outlines of objects are beside it.
     planned: the plan of this text, or of a change that makes it feasible.
-    plan, repair: what plans a problem, and what finds changes that make it feasible.
     status: how they relate; by default it is the plan of this text.
 
     Raises
@@ -247,19 +235,10 @@ class Editing:
     """
 
     def __init__(
-        self,
-        text: str,
-        path: Path,
-        planned: Certified,
-        plan: Planner = solve_problem,
-        repair: Repairer = lambda problem, error, progress: find_suggestions(
-            problem, error, progress=progress
-        ),
-        status: Status | None = None,
+        self, text: str, path: Path, planned: Certified, status: Status | None = None
     ) -> None:
         self.path, self.planned = path, planned
         self.listener: Callable[[], None] = lambda: None
-        self._plan, self._repair = plan, repair
         self._texts, self._place, self._version = [text], 0, 0
         self._on_disk = text if path.exists() else None
         self._changed = threading.Condition(threading.RLock())
@@ -363,14 +342,8 @@ class Editing:
                 raise FileError(
                     f"{self.path}: has been changed by someone else; move it away, then save again"
                 )
-            path = self.path.resolve()
-            part = path.with_name(f".{path.name}.part")
-            try:
-                part.write_bytes(self.text.encode())
-                os.replace(part, path)
-            except OSError as error:
-                words = f"{path}: cannot be written ({error.strerror}); check the path"
-                raise FileError(words) from None
+            with drafted(self.path.resolve()) as draft:
+                draft.write_bytes(self.text.encode())
             self._on_disk = self.text
         self.listener()
         return self.path
@@ -426,11 +399,11 @@ class Editing:
                 raise _StaleError
 
         try:
-            planned = self._plan(problem, tell)
+            planned = solve_problem(problem, tell)
         except InfeasibleError as error:
             refused = Status(Stage.REFUSED, f"{error}\nlooking for changes that make it feasible …")
             self._publish(version, refused)
-            found = tuple(self._repair(problem, error, go_on))
+            found = find_suggestions(problem, error, progress=go_on)
             words = str(error) if found else f"{error}\n{NO_CHANGE}"
             self._publish(version, Status(Stage.REFUSED, words, found))
         except HitchoptError as error:

@@ -17,29 +17,20 @@ from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
 from hitchopt.view.server import FIELD, HOST, PORT, open_server, server_address
 from hitchopt.view.style import facts, verdict
 
-FRAME = 1.0 / 30.0
-"""Time between two frames [s]."""
-
-STEP, DECIMALS = 0.001, 3
-"""Step of the time's slider [s], and its decimals."""
+FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
+"""Time between two frames [s]; step of the time's slider [s], and its decimals."""
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 QUIET = "gray"
 """Colour of buttons, but for that of the phase shown and those of checks that do not hold."""
 
-FROM = np.array([-0.35, -0.8, 0.5])
-"""Direction from which the scene is seen at first."""
-
-FILLED = 0.85
-"""Part of the picture that the paths fill."""
+FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
+"""Direction and shortest distance [m] from which the scene is seen at first."""
 
 ASPECT, NARROW_ASPECT = 1.1, 0.62
 """Width over height of what the panel leaves of a small window, and of what that for editing leaves
 as well."""
-
-NEAREST = 1.5
-"""Shortest distance from which the scene is seen at first [m]."""
 
 
 class LiveView:
@@ -181,13 +172,11 @@ class LiveView:
         """Place the camera so that it sees all paths, in pages that are opened from now on."""
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
-        back = FROM / np.linalg.norm(FROM)
-        right = np.cross([0.0, 0.0, 1.0], back)
-        right /= np.linalg.norm(right)
-        seen = (drones - centre) @ np.stack([right, np.cross(back, right), back], axis=1)
-        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([self._aspect, 1.0])
-        away = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / sizes, axis=1)))
-        self.server.initial_camera.position = tuple(centre + max(away, NEAREST) * back)
+        reach = float(np.max(np.linalg.norm(drones - centre, axis=1)))
+        half = np.arctan(np.tan(0.5 * FIELD) * min(1.0, self._aspect))
+        away = max(reach / np.sin(half), NEAREST)
+        position = centre + away * FROM / np.linalg.norm(FROM)
+        self.server.initial_camera.position = tuple(position)
         self.server.initial_camera.look_at = tuple(centre)
 
     def _add_panel(self) -> None:

@@ -22,26 +22,20 @@ NEWTON = 0.2
 MOST_NAMED = 40
 """Number of drones up to which all are named at first: more names hide the scene."""
 
-PALE = (150, 156, 162)
-"""Colour of a ghost."""
-
-GHOSTLY = 0.4
-"""Opacity of objects of a ghost, or of an old plan."""
+PALE, GHOSTLY = (150, 156, 162), 0.4
+"""Colour of a ghost, and opacity of its objects, or of an old plan's."""
 
 FADED, COLOUR_LEFT = (205, 208, 211), 0.2
 """Grey that old plans tend to, and the share of their own colour that is left."""
 
-PATH_TOLERANCE = 0.002
-"""Distance of a drawn path to the drone's [m] that its segments aim at: from 1.5 m a pixel is about
-as much, and browsers that draw by software are slow with many segments."""
+PATH_STEP, MOST_SEGMENTS = 0.1, 4000
+"""Time between the corners of drawn paths [s]: they are off by the acceleration times its square
+over 8, some millimetres. Browsers that draw by software are slow with more segments."""
 
-PATH_WIDTH = 1.2
-"""Width of a path [pixels]: thinner ones are drawn with gaps."""
+PATH_WIDTH, EDGE = 1.2, 0.006
+"""Width of a path [pixels], as thinner ones have gaps, and of the arena's edges [m]."""
 
 ARENA_COLOUR, KEEP_OUT_COLOUR = (203, 203, 203), (179, 38, 30)
-
-EDGE = 0.006
-"""Thickness of the arena's edges [m]."""
 
 SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
 
@@ -84,9 +78,12 @@ class LiveScene:
                 )
                 for kind, colour in (("forces", (200, 65, 79)), ("thrusts", (11, 60, 93)))
             }
-            ends, owners = path_segments(np.moveaxis(scene.drones, 1, 0), PATH_TOLERANCE)
+            most = max(2, MOST_SEGMENTS // len(team.drone_names))
+            corners = np.linspace(0.0, scene.t[-1], int(np.clip(scene.t[-1] / PATH_STEP, 2, most)))
+            rows = np.unique(np.searchsorted(scene.t, corners))
             pale = (0.5 * _as_bytes(drone_colours(team)) + 120.0).astype(np.uint8)
-            self._paths = self._lines("paths", ends, pale[owners], PATH_WIDTH, "screen")
+            paths = _segments(np.moveaxis(scene.drones[rows], 1, 0))
+            self._paths = self._lines("paths", paths, pale, PATH_WIDTH, "screen")
             self._labels = [
                 self._api.add_label(f"{name}names/{drone}", drone, position=tuple(place))
                 for drone, place in zip(team.drone_names, self._moment.drones, strict=True)
@@ -251,26 +248,6 @@ class LiveScene:
         """Return colours (count, 2, 3), each for equally many segments."""
         each = count // max(len(colours), 1)
         return np.repeat(np.repeat(_in_linear_light(colours), each, axis=0)[:, None], 2, axis=1)
-
-
-def path_segments(curves: Array, tolerance: float) -> tuple[Array, NDArray[np.intp]]:
-    """Return segments along smooth curves (m, 2, 3) [m], and the curve that each belongs to (m,).
-
-    Over k equal steps a curve whose second differences are d is off its chord by k² d / 8, by which
-    its samples are chosen.
-
-    Parameters
-    ----------
-    curves: samples (n, points, 3) [m], at least two of each.
-    tolerance: distance of the curve to its segments [m].
-    """
-    bent = np.linalg.norm(np.diff(curves, n=2, axis=1), axis=-1)
-    passed = np.cumsum(np.sqrt(bent / (8.0 * tolerance)), axis=1)
-    chosen = np.ones(curves.shape[:2], np.bool_)
-    chosen[:, 1:-1] = np.diff(np.floor(passed), axis=1, prepend=0.0) > 0.0
-    owners, places = np.nonzero(chosen)
-    points, same = curves[owners, places], owners[1:] == owners[:-1]
-    return np.stack([points[:-1], points[1:]], axis=1)[same], owners[1:][same]
 
 
 def faded(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -19,20 +19,15 @@ from hitchopt.view.style import MARK_COLOUR
 WIDTH = 330
 """Width of the panel [pixels]."""
 
-SIZE = 0.04
-"""Radius of a handle [m]."""
-
-REACH = 0.35
-"""Length of the arrows of the handle that is chosen [m]."""
+SIZE, REACH = 0.04, 0.35
+"""Radius of a handle, and length of the arrows of the one that is chosen [m]."""
 
 IDLE_COLOUR = (90, 96, 102)
 """Colour of handles that are not chosen."""
 
-MOST = 80
-"""Number of handles of a step up to which all are drawn; a list has all of them."""
-
-DECIMALS = 4
-"""Decimals of what a handle is dragged by [m]; nobody drags more finely."""
+MOST, DECIMALS = 80, 4
+"""Number of handles of a step up to which all are drawn, while a list has all of them; and decimals
+of what one is dragged by [m]: nobody drags more finely."""
 
 
 class EditingPanel:

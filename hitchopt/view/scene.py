@@ -24,14 +24,9 @@ from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 from hitchopt.values import Array
 from hitchopt.view.cables import POINTS, THICKNESS, cable_curves
 
-SAMPLES = 1_000_000
-"""Largest number of coordinates of drones and cables in a scene, unless FEWEST needs more."""
-
-FEWEST = 48
-"""Least number of times over a plan, besides the ends of its phases."""
-
-RATE = 30.0
-"""Largest number of times a second [Hz]."""
+SAMPLES, FEWEST, RATE = 1_000_000, 48, 30.0
+"""Largest number of coordinates of drones and cables in a scene; least number of times, besides the
+ends of its phases, whatever that comes to; and most times a second [Hz]."""
 
 PER_DRONE = 11
 """Numbers that a scene has of a drone at a time."""

@@ -16,11 +16,8 @@ from hitchopt.values import Array
 SPAN = 0.8
 """Reach of a drone's rotors as a share of its ellipsoid's radius."""
 
-SEGMENTS = 16
-"""Corners of a rotor; an even number."""
-
-ROUND = 32
-"""Corners of a drawn circle."""
+SEGMENTS, ROUND = 16, 32
+"""Corners of a rotor, an even number, and of a drawn circle."""
 
 PLATE = 0.012
 """Thickness of a drawn rim [m], below its height."""

@@ -49,7 +49,7 @@ mission:
 class Desk:
     """An editing of TEXT whose planner waits where a test tells it to."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.path = folder / "problem.yaml"
         self.path.write_text(TEXT)
         plan = ho.solve(self.path)
@@ -60,7 +60,9 @@ class Desk:
         self.planned: list[Problem] = []
         self.repairs: tuple[Suggestion, ...] = ()
         self.seen: list[Status] = []
-        self.editing = Editing(TEXT, self.path, self.first, self._plan, self._repair)
+        monkeypatch.setattr("hitchopt.view.editing.solve_problem", self._plan)
+        monkeypatch.setattr("hitchopt.view.editing.find_suggestions", self._repair)
+        self.editing = Editing(TEXT, self.path, self.first)
         self.editing.listener = lambda: self.seen.append(self.editing.status)
 
     def _plan(self, problem: Problem, progress: Progress) -> Certified:
@@ -71,7 +73,7 @@ class Desk:
         return solve_problem(problem, progress)
 
     def _repair(
-        self, problem: Problem, error: ho.InfeasibleError, progress: Progress
+        self, problem: Problem, error: ho.InfeasibleError, *, progress: Progress
     ) -> tuple[Suggestion, ...]:
         progress("looking")
         assert error.violations
@@ -80,8 +82,8 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Desk]:
-    made = Desk(tmp_path)
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    made = Desk(tmp_path, monkeypatch)
     yield made
     made.free.set()
     made.editing.close()
