@@ -163,17 +163,14 @@ def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
     Their points are at shares of each cable, from 0 to 1, (POINTS,) or (times, n, POINTS).
     """
     q, r = drones[:, 0::2], drones[:, 1::2]
-    hung = _spread(Catenary.between(q, r, motion.team.cable_length))
-    return _sagging(q, r, hung, hung.place(share))
+    return _sagging(q, r, motion.team.cable_length, share, of_chord=False)
 
 
-def _spread(hung: Catenary) -> Catenary:
-    """Return cables (…) as (…, 1), for several places on each."""
-    return Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
-
-
-def _sagging(first: Array, second: Array, hung: Catenary, mu: Array) -> Array:
-    """Return the points (…, points, 3) at places μ (…, points) of cables between their ends."""
+def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord: bool) -> Array:
+    """Return points (…, points, 3) of cables of sizes (…) [m], at shares of chord or length."""
+    hung = Catenary.between(first, second, np.maximum(size, SHORTEST))
+    hung = Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
+    mu = np.clip(2.0 * share - 1.0, -1.0, 1.0) if of_chord else hung.place(share)
     along = 0.5 * (1.0 + mu)[..., None]
     points = (1.0 - along) * first[..., None, :] + along * second[..., None, :]
     points[..., 2] -= hung.depth(mu)
@@ -201,10 +198,12 @@ def _bent(
     trim, zero = REACH * radius / np.maximum(chords, SHORTEST), np.zeros(a.shape[:2])
     before, after = np.moveaxis(np.where(layout.has_leg, trim[..., 1:2], 0.0), -1, 0)
     cuts = ((zero, trim[..., 0]), (before, after), (trim[..., 2], zero))
-    parts = [
-        _cut_span(corners[:, :, i], corners[:, :, i + 1], lengths[..., i], cuts[i], count)
-        for i, count in enumerate((LEG, EDGE, LEG))
-    ]
+    parts = []
+    for i, count in enumerate((LEG, EDGE, LEG)):
+        first, last = cuts[i]
+        share = first[..., None] + (1.0 - first - last)[..., None] * np.linspace(0.0, 1.0, count)
+        ends = corners[:, :, i], corners[:, :, i + 1]
+        parts.append(_sagging(*ends, lengths[..., i], share, of_chord=True))
     if contacts is not None:
         start, end = contacts[..., 0, :], contacts[..., 1, :]
         first, last = (p + REACH * radius * unit(c - p) for p, c in ((a, start), (b, end)))
@@ -213,17 +212,6 @@ def _bent(
         parts[1] = np.where(wrapped[..., None, None], around, parts[1])
     q_side, r_side = _bends(motion, drones, vertices, radius)
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
-
-
-def _cut_span(
-    first: Array, second: Array, size: Array, cuts: tuple[Array, Array], count: int
-) -> Array:
-    """Return ``count`` points of hanging spans without shares of them, ``cuts``, at both ends."""
-    before, after = cuts
-    grid = np.linspace(0.0, 1.0, count)
-    share = before[..., None] + (1.0 - before - after)[..., None] * grid
-    hung = _spread(Catenary.between(first, second, np.maximum(size, SHORTEST)))
-    return _sagging(first, second, hung, np.clip(2.0 * share - 1.0, -1.0, 1.0))
 
 
 def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tuple[Array, Array]:

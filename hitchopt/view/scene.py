@@ -133,10 +133,7 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
 def ghost_scene(path: Path, motion: Motion) -> Scene:
     """Return the scene of another plan, or of a simulated flight of ``motion``.
 
-    Parameters
-    ----------
-    path: a recording or a plan, or the directory of either.
-    motion: the plan at whose side it is shown.
+    ``path`` is a recording or a plan, or the directory of either.
 
     Raises
     ------
@@ -166,18 +163,14 @@ def recorded_scene(
 
     Parameters
     ----------
-    motion: the plan that was flown.
-    t: (frames,) [s]; negative ones, while cables settle, are left out.
+    motion, t: the plan that was flown; (frames,) [s], negative while cables settle.
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
     first: (n + 1,), first node of each cable, and the number of nodes.
     poses: of the objects (frames, objects, 7): places of their bases [m], and quaternions.
     """
     flown = t >= 0.0
-    cables = [
-        nodes[flown][:, np.linspace(start, end - 1, POINTS).round().astype(int)]
-        for start, end in pairwise(first)
-    ]
-    curves = np.stack(cables, axis=1).astype(np.float64)
+    places = [np.linspace(a, b - 1, POINTS).round().astype(int) for a, b in pairwise(first)]
+    curves = np.stack([nodes[flown][:, each] for each in places], axis=1).astype(np.float64)
     drones = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*drones.shape[:2], 4))
     thrusts, forces = np.zeros(drones.shape[:2]), np.zeros_like(drones)
