@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, completing, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, record, say, span_text, table
+from hitchopt.cli.output import LateProgress, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.options import HOMES
 
@@ -122,63 +121,49 @@ def lint(path: Path, **limits: float | None) -> None:
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     with LateProgress("reading and checking"):
         reports = linted(path, rules)
-    record(reports=[_report_entry(report) for report in reports])
+    entries = []
     for report in reports:
+        named = {name: getattr(report, name) for name in ("kind", "frame", "sound")}
+        flight = {**vars(report.flight), "own": [vars(check) for check in report.flight.own]}
+        listed = {"drones": report.facts, "findings": report.findings}
+        parts = {name: [vars(each) for each in found] for name, found in listed.items()}
+        entries.append({"path": str(report.path), **named, "flight": flight, **parts})
         _say_report(report)
+    record(reports=entries)
     if not all(report.sound for report in reports):
         unmet()
 
 
-def _report_entry(report: Report) -> dict[str, Any]:
-    """Return a report as ``--json`` prints it."""
-    flight = report.flight
-    return {
-        "path": str(report.path),
-        **{name: getattr(report, name) for name in ("kind", "frame", "sound")},
-        "drones": [vars(fact) for fact in report.facts],
-        "flight": {**vars(flight), "own": [vars(check) for check in flight.own]},
-        "findings": [vars(finding) for finding in report.findings],
-    }
-
-
 def _say_report(report: Report) -> None:
-    """Write the contents of the files, then the findings, then their number."""
+    """Write the figures of the files, then the findings, then their number."""
     from hitchopt.exports.format import ERROR, WARNING
     from hitchopt.exports.formats.compressed import BYTES
 
     facts, flight = report.facts, report.flight
+    figures: list[tuple[str, float | None, float | None]] = [
+        ("speed [m/s]", flight.speed, flight.speed_limit),
+        ("acceleration [m/s²]", flight.acceleration, flight.acceleration_limit),
+        *((f"{own.name} [{own.unit}], the show's own", own.bound, own.limit) for own in flight.own),
+        ("separation [ellipsoids]", flight.separation, 1.0),
+        ("reach from the origin [m]", flight.reach, None),
+        ("pieces of a drone", max(fact.pieces or 0 for fact in facts) or None, None),
+        ("bytes of a drone", max(fact.size or 0 for fact in facts) or None, BYTES),
+    ]
+    for size, unit in zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False):
+        figures.append((f"jump where pieces join [{unit}]", size, None))
     frame = f", frame {report.frame}" if report.frame else ""
-    drones = "drone" if len(facts) == 1 else "drones"
-    say(f"{report.path}: {report.kind}, {len(facts)} {drones}{frame}, {flight.duration:.3f} s")
-    jumps = zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False)
-    lines = {"speed": f"{_against(flight.speed, flight.speed_limit)} m/s"}
-    if pieces := [fact.pieces for fact in facts if fact.pieces]:
-        lines["pieces"] = f"{span_text(pieces, '.0f')} per drone"
-    if sizes := [fact.size for fact in facts if fact.size]:
-        lines["memory"] = f"{span_text(sizes, '.0f')} of {BYTES} bytes per drone"
-    if math.isfinite(flight.acceleration):
-        lines["acceleration"] = f"{_against(flight.acceleration, flight.acceleration_limit)} m/s²"
-    for own in flight.own:
-        lines[own.name] = f"{own.bound:.4g} of {own.limit:g} {own.unit}, the show's own"
-    if math.isfinite(flight.separation):
-        lines["separation"] = f"{flight.separation:.4g}, 1 where ellipsoids touch"
-    lines["jumps"] = ", ".join(f"{size:.2g} {unit}" for size, unit in jumps) + " where pieces join"
-    lines["reach"] = f"{flight.reach:.4g} m from the origin"
-    say("\n".join(f"  {name:<13} {words}" for name, words in lines.items()))
-    said: Counter[tuple[str, str]] = Counter()
+    title = f"{report.path}: {report.kind}, {len(facts)} drones{frame}, {flight.duration:.3f} s"
+    rows = [{"figure": name, "worst": worst, "limit": limit} for name, worst, limit in figures]
+    say(table(title, [row for row in rows if row["worst"] is not None]))
+    by_rule: dict[tuple[str, str], list[str]] = {}
     for finding in report.findings:
-        said[finding.level, finding.rule] += 1
-        if said[finding.level, finding.rule] <= MAX_SHOWN:
-            say(str(finding), err=finding.level == ERROR)
-    for (level, rule), count in said.items():
-        if count > MAX_SHOWN:
-            say(f"{level}: {rule}: and {count - MAX_SHOWN} more", err=level == ERROR)
+        by_rule.setdefault((finding.level, finding.rule), []).append(str(finding))
+    for (level, rule), found in by_rule.items():
+        if (more := len(found) - MAX_SHOWN) > 0:
+            found[MAX_SHOWN:] = [f"{level}: {rule}: and {more} more"]
+        say("\n".join(found), err=level == ERROR)
     levels = [finding.level for finding in report.findings]
     say(f"{levels.count(ERROR)} errors, {levels.count(WARNING)} warnings")
-
-
-def _against(value: float, limit: float) -> str:
-    return f"{value:.4g} of {limit:g}" if math.isfinite(limit) else f"{value:.4g}"
 
 
 @command(
@@ -279,7 +264,7 @@ def fly(
     hold, then in a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.live.fly import Course, Flight, Timing
-    from hitchopt.live.links import KEYS_HELP, OperatorLink, terminal_keys
+    from hitchopt.live.links import KEYS_HELP, Datagrams, OperatorLink, address, terminal_keys
     from hitchopt.plan import load
 
     timing = Timing(rate=rate, patience=patience)
@@ -291,8 +276,9 @@ def fly(
     reach = _outlet_of(motion.team, **options)
     tables = flown_aborts(place, motion, how)
     watched = motion.team.drone_names if measurements else ()
-    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, _listening(operator) as remote:
-        steering = OperatorLink(keys, remote)
+    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, ExitStack() as open_:
+        heard = operator and Datagrams(address("--operator", operator))
+        steering = OperatorLink(keys, open_.enter_context(closing(heard)) if heard else None)
         course = Course(motion, tables, workers.submit)
         outlet = reach()
         flight = Flight(course, outlet, steering, timing, watched, workers.submit, say)
@@ -308,19 +294,6 @@ def fly(
     say("landed" if flight.landed else "not landed", err=not flight.landed)
     if not flight.landed:
         unmet()
-
-
-@contextmanager
-def _listening(operator: str | None) -> Iterator[Any]:
-    """Give the socket for an operator on another machine, if there is one."""
-    from hitchopt.live.links import Datagrams, address
-
-    datagrams = None if operator is None else Datagrams(address("--operator", operator))
-    try:
-        yield datagrams
-    finally:
-        if datagrams is not None:
-            datagrams.close()
 
 
 def _outlet_of(
