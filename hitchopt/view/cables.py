@@ -56,10 +56,7 @@ def cable_curves(
 ) -> tuple[Array, float]:
     """Return the cables of a plan (times, n, POINTS, 3) [m], from q to r, and their drawn radius.
 
-    Parameters
-    ----------
-    motion, states: the plan, and its states (times,).
-    thickness: radius of a drawn cable as a share of the scene's extent: it is chosen to be visible.
+    ``thickness`` is that radius as a share of the scene's extent: it is chosen to be visible.
     """
     n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
     radius = float(np.clip(thickness * extent, THINNEST, THICKEST))
@@ -103,12 +100,8 @@ def clasp_senses(motion: Motion) -> Array:
 def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Array]:
     """Return lengths (…) [m] of edges around an object, and points on them (…, EDGE, 3) [m].
 
-    An edge is a tangent, an arc of a circle and a tangent; the points are its ends and on its arc.
-
-    Parameters
-    ----------
-    first, last: (…, 3) [m], ends of the edges.
-    contacts: (…, 2, 3) [m], where they meet and leave what they are wrapped around.
+    An edge between ends (…, 3) is a tangent, an arc of a circle and a tangent; the points are its
+    ends and on its arc. At contacts (…, 2, 3) [m] it meets and leaves the object.
     """
     start, end = contacts[..., 0, :], contacts[..., 1, :]
     ahead, chord = unit(start - first), end - start

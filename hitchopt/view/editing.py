@@ -57,18 +57,11 @@ Number = tuple[tuple[str | int, ...], int]
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A vertex, an edge, the whole hitch, an object or a drone that can be dragged.
+    """A vertex, an edge, the whole hitch, an object or a drone that can be dragged."""
 
-    Attributes
-    ----------
-    name: such as ``vertex 0``.
-    place: (3,) [m].
-    numbers: of the file, that go with it.
-    """
-
-    name: str
-    place: Array
-    numbers: tuple[Number, ...]
+    name: str  # such as ``vertex 0``
+    place: Array  # (3,) [m]
+    numbers: tuple[Number, ...]  # of the file, that go with it
 
     @property
     def vertical(self) -> bool:
@@ -86,13 +79,9 @@ class Handle:
 
 
 def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterator[Handle]:
-    """Yield what can be dragged of the step of an index, or of the start.
+    """Yield what can be dragged of the step of an index, or of the start, in a file's data.
 
-    Parameters
-    ----------
-    problem, data: what a file describes, and what it holds.
-    index: of the step; START for the start.
-    height: of the hitch at the step's end [m], where the file does not tell.
+    ``height`` is that of the hitch at the step's end [m], where the file does not tell.
     """
     key = step_key(data, index)
     step = split_key(key)
@@ -196,18 +185,11 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """What is known of the newest text.
+    """What is known of the newest text."""
 
-    Attributes
-    ----------
-    stage: how the plan that is there relates to it.
-    words: what is being done, or what binds.
-    suggestions: changes that make it feasible, verified.
-    """
-
-    stage: Stage
-    words: str = ""
-    suggestions: tuple[Suggestion, ...] = ()
+    stage: Stage  # how the plan that is there relates to it
+    words: str = ""  # what is being done, or what binds
+    suggestions: tuple[Suggestion, ...] = ()  # changes that make it feasible, verified
 
 
 class _StaleError(BaseException):

@@ -37,40 +37,23 @@ CONCERNED = re.compile(r"(?:cable |[qr]-leg |edge |[cpqrd])(\d+)")
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen at a time; at many of them if all arrays have the times before their axes.
+    """What is seen at a time; at many of them if all arrays have the times before their axes."""
 
-    Attributes
-    ----------
-    drones: positions (N, 3) [m].
-    quaternions: attitudes (N, 4), w, x, y, z.
-    thrusts: (N,) [N].
-    cable_forces: (N, 3) [N], on the drones.
-    cables: (n, POINTS, 3) [m].
-    objects: (objects, 7): places of their bases [m], and quaternions.
-    """
-
-    drones: Array
-    quaternions: Array
-    thrusts: Array
-    cable_forces: Array
-    cables: Array
-    objects: Array
+    drones: Array  # positions (N, 3) [m]
+    quaternions: Array  # attitudes (N, 4), w, x, y, z
+    thrusts: Array  # (N,) [N]
+    cable_forces: Array  # (N, 3) [N], on the drones
+    cables: Array  # (n, POINTS, 3) [m]
+    objects: Array  # (objects, 7): places of their bases [m], and quaternions
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(Moment):
-    """Samples of a plan over time: the arrays of ``Moment`` (times, …).
+    """Samples of a plan over time: the arrays of ``Moment`` (times, …)."""
 
-    Attributes
-    ----------
-    motion: the plan, with limits, arena, keep-outs and objects.
-    t: (times,) [s], from its start; the ends of all phases among them.
-    radius: of drawn cables [m].
-    """
-
-    motion: Motion
-    t: Array
-    radius: float
+    motion: Motion  # the plan, with limits, arena, keep-outs and objects
+    t: Array  # (times,) [s], from its start; the ends of all phases among them
+    radius: float  # of drawn cables [m]
 
     def at(self, time: float) -> Moment:
         """Return the scene at a time [s], interpolated between its samples."""
