@@ -71,10 +71,8 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)
     if output is None:
-        folder = path.parent.resolve()
-        name = f"{folder.name or 'plan'}-{chosen.format}"
         parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
-        output = parent / name
+        output = parent / f"{path.parent.resolve().name or 'plan'}-{chosen.format}"
     with LateProgress("certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
     entries = []
