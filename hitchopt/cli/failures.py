@@ -24,9 +24,7 @@ UNMET = 3
 class SafeGroup(click.Group):
     """A group of commands whose errors end in a message and an exit code.
 
-    Parameters
-    ----------
-    modules: of each command, the module in ``hitchopt.cli`` that registers it when it is imported.
+    ``modules`` names the module in ``hitchopt.cli`` that registers a command when it is imported.
     """
 
     def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:

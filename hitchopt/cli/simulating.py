@@ -135,13 +135,7 @@ def simulate(
 def _lost(
     directory: Path, settings: Settings, task: Task, text: str, *, react: bool
 ) -> tuple[Settings, Task]:
-    """Return settings and task of a flight in which a drone is lost, and say how others react.
-
-    Raises
-    ------
-    InputError: no such drone, or a time after the flight.
-    InfeasibleError: there is no reaction to its loss.
-    """
+    """Return settings and task of a flight in which a drone is lost, and say how others react."""
     from hitchopt.live.lost import Reactions, reacting
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.simulation.settings import Loss
