@@ -131,23 +131,20 @@ def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
     """
     times, hooked = t.copy(), np.zeros(len(t))
     runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
-    for i, run in enumerate(runs):
-        start, end, state = run[0].start, run[-1].end, run[0].state
-        here = (t >= start) & (t <= end)
+    spans = [(run[0].state, run[0].start, run[-1].end) for run in runs]
+    nothing = (CableState.NONE, 0.0, 0.0)
+    for before, (state, start, end), after in zip(
+        [nothing, *spans], spans, [*spans[1:], nothing], strict=False
+    ):
         if state in HOOKED:
-            hooked[here], times[here] = 1.0, t[here]
-        if state is not CableState.CLASPING:
-            continue
-        along = (t - start) / (end - start)
-        here &= hooked < 1.0
-        for j, share, vertices in (
-            (i + 1, 2.0 * along - 1.0, end),
-            (i - 1, 1.0 - 2.0 * along, start),
-        ):
-            if 0 <= j < len(runs) and runs[j][0].state in HOOKED:
-                x = np.clip(share[here], 0.0, 1.0)
-                hooked[here], times[here] = x * x * (3.0 - 2.0 * x), vertices
-    return times, hooked
+            rise, fall = (
+                max(0.5 * (b - a), SHORTEST) if other is CableState.CLASPING else SHORTEST
+                for other, a, b in (before, after)
+            )
+            share = np.clip(1.0 + np.minimum((t - start) / rise, (end - t) / fall), 0.0, 1.0)
+            more = share > hooked
+            hooked[more], times[more] = share[more], np.clip(t, start, end)[more]
+    return times, hooked**2 * (3.0 - 2.0 * hooked)
 
 
 def _hanging(motion: Motion, drones: Array, share: Array) -> Array:

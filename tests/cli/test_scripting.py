@@ -7,6 +7,7 @@ import json
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 from problem_files import BAD, ROOT, TRIANGLE, run, started, strict
@@ -29,39 +30,37 @@ IMPOSSIBLE = ROOT / "problems" / "infeasible" / "edge_longer_than_cable.yaml"
 
 
 @pytest.mark.slow
-def test_results_are_one_object() -> None:
-    solved = strict("solve", TRIANGLE, "-o", "out", "--rate", "5")
+def test_results_are_one_object_and_what_may_take_long_reports_progress() -> None:
+    def object_of(words: str) -> Any:
+        done = run(*words.split(), "--json", "-v")
+        assert " s  " in done.stderr, words
+        return json.loads(done.stdout)
+
+    def written(name: str) -> Any:
+        return json.loads(Path(name).read_text())
+
+    solved = object_of(f"solve {TRIANGLE} -o out --rate 100")
     assert (solved["command"], solved["exit_code"], solved["directory"]) == ("solve", 0, "out")
-    certificate = json.loads(Path("out/certificate.json").read_text())
-    assert solved["certificate"] == certificate
+    assert solved["certificate"] == written("out/certificate.json")
     assert [phase["name"] for phase in solved["phases"]] == ["morph", "hold"]
-    assert strict("check", "out")["certificate"] == certificate
-    exported = strict("export", "out", "--format", "csv", "--rate", "5")
+    assert object_of("check out --closest")["certificate"] == solved["certificate"]
+    assert {row["verdict"] for row in object_of("verify out")["verified"]} == {"proven"}
+    exported = object_of("export out --format csv --rate 5")
     assert exported["parts"][0]["files"] == ["setpoints_enu.csv"]
-    assert strict("lint", "out-csv")["reports"][0]["sound"] is True
-    assert strict("report", "out")["file"] == "out/report.html"
-    assert strict("view", "out", "--save", "plan.png")["file"] == "plan.png"
-    aborts = strict("abort", "out", "--how", "hold")
+    assert object_of("lint out-csv")["reports"][0]["sound"] is True
+    assert object_of("report out")["file"] == "out/report.html"
+    assert object_of("view out --save plan.png")["file"] == "plan.png"
+    aborts = object_of("abort out --how hold")
     assert (aborts["how"], aborts["missing"], aborts["directory"]) == ("hold", [], "out")
-    assert len(aborts["entries"]) == len(json.loads(Path("out/aborts.json").read_text())["entries"])
-    fitted = strict("fit", "circle:0.15", "--robots", "3", "-o", "fit")
-    assert fitted["fit"] == json.loads(Path("fit/fit.json").read_text())
-    settled = strict("statics", "out", "--samples", "1")
-    assert settled["statics"] == json.loads(Path("out/statics.json").read_text())
-
-
-@pytest.mark.slow
-def test_what_may_take_long_reports_progress() -> None:
-    run("solve", TRIANGLE, "-o", "out", "--rate", "100", code=0)
-    run("export", "out", "--format", "crazyswarm2", "--stretch", "1.01", "-o", "files", code=0)
-    for words in (
-        *("check out --closest", "verify out", "report out", "view out --save a.png", "lint files"),
-        *("export out --format csv", "abort out --how hold", "statics out --samples 1"),
-        *("fit circle:0.15 --robots 3", "simulate out --drones point --seed 3"),
-        "calibrate out/simulation --plan out",
-    ):
-        told = run(*words.split(), "-v").stderr
-        assert " s  " in told, words
+    assert len(aborts["entries"]) == len(written("out/aborts.json")["entries"])
+    fitted = object_of("fit circle:0.15 --robots 3 -o fit")
+    assert fitted["fit"] == written("fit/fit.json")
+    assert object_of("statics out --samples 1")["statics"] == written("out/statics.json")
+    flown = object_of("simulate out --drones point --seed 3")
+    assert (
+        flown["simulation"]["succeeded"] is written("out/simulation/simulation.json")["succeeded"]
+    )
+    assert len(object_of("calibrate out/simulation --plan out")["lengths"]) == 3
 
 
 def test_refusals_are_objects_too(place: Path) -> None:
@@ -78,17 +77,7 @@ def test_refusals_are_objects_too(place: Path) -> None:
 
 
 @pytest.mark.slow
-def test_quiet_and_verbose_calls() -> None:
-    quiet = run("solve", TRIANGLE, "-o", "out", "--rate", "5", "-q", code=0)
-    assert quiet.output == ""
-    assert run("check", "nowhere", "-q").stderr.startswith("error: nowhere/plan.npz: ")
-    verbose = run("check", "out", "-v")
-    assert verbose.stdout == run("check", "out").stdout
-    assert " s  separation, 0 of " in verbose.stderr
-
-
-@pytest.mark.slow
-def test_a_solve_says_what_to_do_next() -> None:
+def test_a_solve_says_what_to_do_next_and_nothing_if_quiet() -> None:
     assert run("solve", TRIANGLE, "-o", "my out", "--rate", "5").stderr.splitlines() == [
         "next: look at my out/summary.png",
         "      hitchopt simulate 'my out'",
@@ -96,6 +85,8 @@ def test_a_solve_says_what_to_do_next() -> None:
     ]
     drum = run("solve", TRIANGLE.with_name("grip_drum.yaml"), "-o", "out", "--rate", "5")
     assert drum.stderr.splitlines()[-1] == "      hitchopt export out --format csv"
+    assert run("check", "out", "-q", code=0).output == ""
+    assert run("check", "nowhere", "-q").stderr.startswith("error: nowhere/plan.npz: ")
 
 
 @pytest.mark.slow
@@ -212,22 +203,16 @@ def shown_by(stream: io.StringIO, delay: float, words: str) -> str:
     return stream.getvalue()
 
 
-def test_a_terminal_sees_a_bar_once_it_takes_long() -> None:
+def test_a_terminal_sees_a_bar_once_it_takes_long_filled_by_counts() -> None:
     assert "timing [step 1]" in shown_by(Terminal(), 0.01, "timing [step 1]")
     assert "of at most 600 s" in shown_by(Terminal(), 0.01, "of at most 600 s")
     assert shown_by(Terminal(), 60.0, "") == ""
     assert shown_by(io.StringIO(), 0.0, "") == ""  # a file sees none
-
-
-@pytest.mark.parametrize(
-    ("message", "done"),
-    [
+    for message, done in (
         ("speed, 3 of 22", (3.0, 22.0)),
         ("flying, 1.5 of 12.0 s", (1.5, 12.0)),
         ("writing setpoints, 40%", (40.0, 100.0)),
         ("splitting the slack", (None, None)),
         ("0 of 0 done", (None, None)),
-    ],
-)
-def test_counts_fill_the_bar(message: str, done: tuple[float | None, float | None]) -> None:
-    assert done_of(message) == done
+    ):
+        assert done_of(message) == done

@@ -97,15 +97,12 @@ def test_what_is_in_the_way_is_told(place: Path) -> None:
 def test_a_bad_file_in_a_process_of_its_own(place: Path) -> None:
     bad = next(path for path in BAD if path.stem == "several_faults")
     done = started("-m", "hitchopt", "solve", str(bad))
-    assert (done.returncode, done.stdout) == (2, "")
-    lines = done.stderr.splitlines()
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 4)
     reason = "limits.jerk = 0: must be greater than 0; give a positive number"
-    assert lines[1] == f"error: {bad}:8:23: {reason}"
-    assert len(lines) == 4
+    assert f"\nerror: {bad}:8:23: {reason}\n" in done.stderr
     assert list(place.iterdir()) == []
     done = started("-m", "hitchopt", "solve", "größe.yaml", PYTHONIOENCODING="ascii:strict")
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: gr??e.yaml: no such file")
+    assert (done.returncode, done.stderr[:31]) == (2, "error: gr??e.yaml: no such file")
 
 
 def test_help_is_light_and_names_every_command() -> None:
