@@ -286,17 +286,13 @@ def _outline(text: str) -> object:
     """Return the outline that an argument names: a radius, points, or the path of a drawing."""
     from hitchopt.storage.files import parsed_json
 
-    if text.startswith(CIRCLE):
-        try:
-            return float(text.removeprefix(CIRCLE))
-        except ValueError:
-            raise InputError("OUTLINE", text, "circle:RADIUS", "write circle:0.2") from None
-    if text.lstrip().startswith("["):
-        try:
-            return parsed_json(text)
-        except ValueError:
-            raise InputError("OUTLINE", text, "[[x, y], …]", "write it as JSON") from None
-    return Path(text)
+    if not text.lstrip().startswith((CIRCLE, "[")):
+        return Path(text)
+    try:
+        return parsed_json(text.removeprefix(CIRCLE))
+    except ValueError:
+        bound = "circle:RADIUS, [[x, y], …] or a file"
+        raise InputError("OUTLINE", text, bound, "write circle:0.2") from None
 
 
 def _fit_tables(content: dict[str, Any]) -> Iterator[str]:
