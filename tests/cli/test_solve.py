@@ -108,23 +108,6 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert (place / "out-csv").is_dir()
 
 
-def test_an_overstretched_start_is_refused_before_any_search(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def searched(*_: object) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr("hitchopt.planners.forming.approach.assigned", searched)
-    monkeypatch.setattr("hitchopt.steps.tying.Form.plan", searched)
-    path = CLOSE.with_name("overstretched_start.yaml")
-    told = refused("solve", path, "-o", "out", "--no-repair", code=3)
-    assert told.splitlines()[0] == (
-        "error: span: 1.125 is above the limit of 1 at robot 0, q0, r0 (2.7 m apart on a cable of "
-        "2.4 m) at the start (t = 0); move q0 and r0 of start.drones closer together, or use a "
-        "longer cable"
-    )
-
-
 def test_a_limit_ends_solve_and_search_with_a_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
     told = run("solve", TRIANGLE, "-o", "out", "--limit", "1e-9", code=3).stderr
     assert "s is above the limit of 1e-09 s (last: " in told

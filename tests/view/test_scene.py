@@ -29,7 +29,6 @@ from hitchopt.view.film import check_film, frames, save_film
 from hitchopt.view.painter import Camera, Painter
 from hitchopt.view.scene import concerned, ghost_scene, recorded_scene, scene_at, scene_of
 from hitchopt.view.shapes import object_faces, split
-from problems.forming_steps import save_forming_steps
 
 
 @pytest.fixture(scope="module")
@@ -254,17 +253,3 @@ def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None
     save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (simulated)")
     assert (tmp_path / "flight.gif").read_bytes() == (tmp_path / "own.gif").read_bytes()
     assert "such as flight.mp4" in saved("flight.png", 2)
-
-
-@pytest.mark.slow
-def test_the_steps_of_forming_are_four_panels(tmp_path: Path) -> None:
-    hitch = ho.Hitch.spread(ho.Team(3, 2.4), [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], 1.5)
-    high = np.array([[-0.6, -1.2, 2.2], [-0.6, 0, 2.2], [-0.6, 1.2, 2.2]])
-    plan = ho.form(hitch.team, high, high * [-1, 1, 1], hitch.polygon, 1.5)
-    save_forming_steps(tmp_path / "steps.png", plan.motion)
-    picture = imageio.imread(tmp_path / "steps.png")[..., :3]
-    for panel in np.array_split(picture, 4, axis=1):
-        colours = np.unique((panel[60:-60] // 32).reshape(-1, 3), axis=0)
-        assert len(colours) > 20  # three cables, drones and paths, not an empty frame
-    with pytest.raises(InputError, match=r"motion = 'no swap': must be a plan that forms"):
-        save_forming_steps(tmp_path / "none.png", ho.hold(hitch, 1.0).motion)
