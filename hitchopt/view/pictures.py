@@ -195,7 +195,8 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
         (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in motion.phases
     ]
     return (
-        f"<p><b>{escape(title or 'Plan')}</b>: {facts(motion)}</p>"
+        f"<p><b>{escape(title or 'Plan')}</b>: {len(motion.team.drone_names)} drones, "
+        f"{motion.duration:.4g} s</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
         f"{html_table(('phase', 'step', 'start', 'end', 'remark'), phases)}"
         f"{certificate._repr_html_()}"
