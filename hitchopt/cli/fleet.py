@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,21 +40,17 @@ PORT = {"json": 14600, "mavlink": 14580}
     "directory DIR",
     f"""
     --format NAME (text): One of {", ".join(HOMES)}.
-    -o, --output PATH (path): The folder to write, or the file where there is but one (plan.csv); by
-        default DIR's name, a dash and NAME, next to DIR.
+    -o, --output PATH (path): Folder, or the file where there is but one; else DIR-NAME.
     --frame FRAME (text): enu, nwu or ned; by default the format's usual.
-    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies in the file's frame: east, north,
-        up [m].
+    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin in the file's frame: east, north, up [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned there, counter-clockwise from above.
-    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://0/80/2M/E7E7E7E701, type:
-        cf21}}, …}}, or a crazyflies.yaml with a role for each robot.
+    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://…, type: cf21}}, …}}, or a
+        crazyflies.yaml with a role for each robot.
     --rate HZ (float): Samples per second, where it samples.
     --stretch FACTOR (1.0): Factor of all durations, from 1 on.
     --storage mcap|sqlite3 (mcap): Storage of a ros2bag.
-    --ros-distro humble|iron|jazzy (humble): The release that a ros2bag is for; later ones read bags
-        for earlier ones.
-    --hold-tension: Move set points outward, for controllers that do not feed the cable force
-        forward.
+    --ros-distro humble|iron|jazzy (humble): Release that a ros2bag is for; later ones read it too.
+    --hold-tension: Move set points outward, for controllers without feed-forward of cable forces.
     --stiffness N/M (float): Of these controllers; by default the team's.
     --damping N·S/M (float): Of these controllers; by default that of a damping ratio of 5/6.
     """,
@@ -121,11 +118,9 @@ def lint(path: Path, **limits: float | None) -> None:
         reports = linted(path, rules)
     entries = []
     for report in reports:
-        named = {name: getattr(report, name) for name in ("kind", "frame", "sound")}
-        flight = {**vars(report.flight), "own": [vars(check) for check in report.flight.own]}
-        listed = {"drones": report.facts, "findings": report.findings}
-        parts = {name: [vars(each) for each in found] for name, found in listed.items()}
-        entries.append({"path": str(report.path), **named, "flight": flight, **parts})
+        entry = asdict(report)
+        entry |= {"path": str(report.path), "sound": report.sound, "drones": entry.pop("facts")}
+        entries.append(entry)
         _say_report(report)
     record(reports=entries)
     if not all(report.sound for report in reports):
@@ -167,8 +162,8 @@ def _say_report(report: Report) -> None:
 @command(
     "directory DIR",
     f"""
-    --how {HOWS}: hold: stop and stay; back: fly backward until cables hang free; release_and_land:
-        untie and land; land: straight down. By default release_and_land, land without cables.
+    --how {HOWS}: Stop; fly back until cables hang free; untie and land;
+        straight down. By default release_and_land, land without cables.
     --every SECONDS (2.0): Distance of the entries.
     """,
 )
@@ -221,24 +216,19 @@ def _usual_abort(motion: Motion) -> str:
 @command(
     "directory DIR",
     """
-    --over json|mavlink|crazyflie: json: UDP datagrams; mavlink: offboard setpoints over UDP (needs
-        pymavlink); crazyflie: crazyflie_py of Crazyswarm2.
+    --over json|mavlink|crazyflie: UDP datagrams; offboard setpoints over UDP (needs pymavlink); or
+        crazyflie_py of Crazyswarm2.
     --to HOST:PORT: Address of all drones, or once for each; by default this machine, from port
         14600 (json) or 14580 (mavlink) on, one port for each drone.
-    --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
-        this machine's address on the drones' network.
-    --operator HOST:PORT (text): Listen there for the commands and heartbeats of another machine,
-        and require them.
+    --listen HOST:PORT ('127.0.0.1:0'): Where measurements arrive: this machine, as drones see it.
+    --operator HOST:PORT (text): Require commands and heartbeats of another machine, heard there.
     --fleet FILE (path): Names of the Crazyflies.
-    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies for the drones: east, north, up
-        [m].
+    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin for the drones: east, north, up [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned.
     --rate HZ (50.0): Setpoints per second and drone.
-    --how release_and_land|land: What key a does: by default what aborts.json in DIR does, else
-        release_and_land, land without cables.
+    --how release_and_land|land: What key a does: by default as aborts.json in DIR, else as abort.
     --patience SECONDS (5.0): From a lost link to landing.
-    --measurements/--no-measurements (True): Whether drones must be measured: a silence of 0.5 s is
-        a lost link.
+    --measurements/--no-measurements (True): Whether 0.5 s without measurements is a lost link.
     """,
     over={"required": True},
     to={"name": "targets", "multiple": True},
@@ -256,10 +246,9 @@ def fly(
     """Stream the setpoints of the plan in DIR to drones, steered by keys.
 
     The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
-    a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
-    changes, and the aborts: those that hitchopt abort has written to DIR, certified anew, and
-    others are planned first. A lost operator or lost measurements end in a
-    hold, then in a landing. Ends with 3 unless the drones have landed.
+    a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified, the aborts of
+    DIR anew; others are planned first. A lost operator or lost measurements end in a hold, then in
+    a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.live.fly import Course, Flight, Timing
     from hitchopt.live.links import KEYS_HELP, Datagrams, OperatorLink, address, terminal_keys

@@ -50,8 +50,7 @@ SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language
     --rate HZ (100.0): Setpoints per second and drone.
     --report: Write DIR/report.html as well.
     --verify: Prove the plan's limits by another method as well.
-    --repair/--no-repair (True): If there is no plan, search for the smallest change that makes it
-        feasible.
+    --repair/--no-repair (True): If there is no plan, search for the smallest change that helps.
     --limit SECONDS (600.0): Time limit, searches included.
     """,
 )
@@ -199,10 +198,8 @@ def _show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
     """
     --closest: Report the closest pairs of drones over time.
     --picture PNG (path): Draw the same to a file.
-    --gamma FLOAT (1.0): How many times farther than drones vertices may be off, for
-        tracking_radius.
-    --survivable: Report for how many losses of a drone there is a certified reaction; this takes a
-        while.
+    --gamma FLOAT (1.0): For tracking_radius: how many times farther than drones vertices may be.
+    --survivable: Report for how many losses of a drone there is a certified reaction (slow).
     """,
 )
 def check(

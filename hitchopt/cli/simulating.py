@@ -40,8 +40,7 @@ MOST_REASONS = 8
     "directory DIR",
     """
     -o, --output OUT (path): Results; else DIR/simulation.
-    --preset fast|accurate (fast): fast: whether it holds; accurate: with correct friction, five
-        times slower.
+    --preset fast|accurate (fast): Whether it holds; or with correct friction, five times slower.
     --drones rigid|point (rigid): Rigid bodies with an attitude, or point masses.
     --runs N (int): Simulate N flights, with seeds S, S+1, ….
     --seed S (0): Random seed.
@@ -62,18 +61,15 @@ MOST_REASONS = 8
     --object-mass X (float): Largest error of objects' masses.
     --object-friction X (float): Of their friction, relative.
     --object-place M (float): Of where they stand [m].
-    --stiffness N/M (float): Of position loops; by default the team's.
-    --integral/--no-integral (None): Integral action; by default the team's.
-    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added; by
-        default the team's.
+    --stiffness N/M (float): Of position loops; by default the team's, as the following four.
+    --integral/--no-integral (None): Integral action.
+    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added.
+    --friction MU (float): Cable friction.
+    --density KG/M (float): Cable density.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
-    --friction MU (float): Cable friction; by default the team's.
-    --density KG/M (float): Cable density; by default the team's.
-    --ground M (float): Height of the ground [m]; by default 0 or lower; where there are objects,
-        the arena's.
-    --lose DRONE@SECONDS (text): Stop a drone's motors then, such as q0@12.5; the others fly their
-        certified reaction.
-    --reaction/--no-reaction (True): Whether they do; else they fly on as if nothing had happened.
+    --ground M (float): Its height; by default 0 or lower, with objects the arena's.
+    --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
+    --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
     --film FILE (path): Film of a single flight, .gif or .mp4.
     """,
     drones={"name": "body"},
@@ -91,15 +87,12 @@ def simulate(
 ) -> None:
     """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
 
-    It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
-    and for the length that the bends of thick simulated ropes use up, which it prints.
-    Drones follow setpoints.csv and nothing else, unless --feedback corrects them: of the cables
-    they feed forward cable_x, cable_y and cable_z. Vertex errors are distances in three dimensions,
-    sag included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
-    not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
-    simulation leaves its valid range, which is reported as not simulated and says nothing about the
-    plan. With --lose it is 3 if a survivor touches anything, or if there is no reaction; no hitch
-    is judged then. The exit code of a campaign (--runs) is 0; it reports the rate of success.
+    Drones follow setpoints.csv, of the cables' forces too, and nothing else, unless --feedback
+    corrects them; vertices.csv tells the initial shape of the cables. Vertex errors are distances
+    in three dimensions, sag included. One flight ends with 3 if anything fails: drones touch, a
+    vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5°; or, as not
+    simulated, if the simulation leaves its valid range; with --lose if a survivor touches anything
+    or there is no reaction. A campaign (--runs) ends with 0 and reports the rate of success.
     """
     from hitchopt.simulation.judgement import warnings
     from hitchopt.simulation.settings import settings_of
