@@ -118,7 +118,7 @@ def write_report(
         "arrays": entries,
         "plots": list(_plots(motion, certificate)),
         "checks": [
-            {**check, "concerned": vars(concerned(motion, check["where"]))}
+            {**check, "concerned": concerned(motion, check["where"])._asdict()}
             for check in certificate.to_dict()["checks"]
         ],
         "problem": problem,

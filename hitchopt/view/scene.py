@@ -6,12 +6,11 @@ A ghost, beside a plan, is the scene of another plan or of a flight that was sim
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +30,8 @@ ends of its phases, whatever that comes to; and most times a second [Hz]."""
 PER_DRONE = 11
 """Numbers that a scene has of a drone at a time."""
 
-CONCERNED = re.compile(r"(?:cable |[qr]-leg |edge |[cpqrd])(\d+)")
-"""Names in ``where`` of a check that stand for something in the scene."""
+OF_CABLES = ("cable ", "edge ", "c", "q-leg ", "r-leg ")
+"""Beginnings of names in ``where`` of a check that concern a cable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,9 +160,8 @@ def recorded_scene(
     return Scene(drones, upright, thrusts, forces, curves, objects, motion, t[flown], radius)
 
 
-@dataclass(frozen=True)
-class Concerned:
-    """Indices of what a check names: drones, cables and vertices."""
+class Concerned(NamedTuple):
+    """Indices of what a check names."""
 
     drones: tuple[int, ...] = ()
     cables: tuple[int, ...] = ()
@@ -172,19 +170,11 @@ class Concerned:
 
 def concerned(motion: Motion, where: Sequence[str]) -> Concerned:
     """Return what the names in ``where`` of a check stand for; others are ignored."""
-    index = {name: i for i, name in enumerate(motion.team.drone_names)}
-    drones, cables, vertices = set[int](), set[int](), set[int]()
-    for name in where:
-        match = CONCERNED.fullmatch(name)
-        if match is None:
-            continue
-        k = int(match[1])
-        if name in index:
-            drones.add(index[name])
-        elif name.startswith("p"):
-            vertices.add(k)
-        else:
-            cables.add(k)
-            if "-leg" in name:
-                drones.add(index[f"{name[0]}{k}"])
-    return Concerned(*(tuple(sorted(found)) for found in (drones, cables, vertices)))
+    team, named = motion.team, set(where)
+    legs = ((i, f"{name[0]}-leg {name[1:]}", name) for i, name in enumerate(team.drone_names))
+    cables = ({f"{part}{k}" for part in OF_CABLES} for k in range(team.robots))
+    return Concerned(
+        tuple(i for i, *names in legs if named.intersection(names)),
+        tuple(k for k, names in enumerate(cables) if named & names),
+        tuple(k for k, name in enumerate(team.point_names) if name in named),
+    )
