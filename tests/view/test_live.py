@@ -64,13 +64,13 @@ def test_the_camera_sees_all_paths_from_near(aspect: float, port: int) -> None:
     live = LiveView(make_motion(5), None, port=port, aspect=aspect)
     camera, drones = live.server.initial_camera, live.live.scene.drones.reshape(-1, 3)
     live.close()
-    eye, target = np.array(camera.position), np.array(camera.look_at)
-    forward = (target - eye) / np.linalg.norm(target - eye)
+    away, forward = drones - camera.position, np.subtract(camera.look_at, camera.position)
+    forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    depth = (drones - eye) @ forward * 2.0 * np.tan(0.5 * camera.fov)
-    seen = (drones - eye) @ np.stack([right, np.cross(right, forward)], axis=1) / depth[:, None]
-    shares = np.max(np.abs(seen), axis=0) / [0.5 * aspect, 0.5]
+    depth = away @ forward
+    seen = np.abs(away @ np.stack([right, np.cross(right, forward)], axis=1)) / depth[:, None]
+    shares = np.max(seen, axis=0) / np.tan(0.5 * camera.fov) / [aspect, 1.0]
     assert np.all(depth > 0.0)
     assert 0.5 < np.max(shares) < 1.0
 
