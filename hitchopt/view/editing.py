@@ -204,14 +204,10 @@ class Editing:
 
     Parameters
     ----------
-    text: what the problem file holds.
+    text: what the problem file holds; an InputError or FileError if it is no problem of a hitch.
     path: where it is saved; outlines of objects are beside it.
     planned: the plan of this text, or of a change that makes it feasible.
     status: how they relate; by default it is the plan of this text.
-
-    Raises
-    ------
-    InputError, FileError: the text is no problem of a hitch.
     """
 
     def __init__(
@@ -250,12 +246,7 @@ class Editing:
         return {handle.name: handle for handle in found}
 
     def change(self, text: str) -> None:
-        """Go on with another text.
-
-        Raises
-        ------
-        InputError, FileError: it is no problem of a hitch; nothing has changed.
-        """
+        """Go on with another text; an InputError or FileError if it is no problem of a hitch."""
         with self._changed:
             problem = self._read(text)
             if text == self.text:
@@ -312,16 +303,13 @@ class Editing:
     def save(self) -> Path:
         """Write the problem file at once or not at all, and return where.
 
-        Raises
-        ------
-        FileError: it cannot be written, or someone else has changed it meanwhile.
+        It is a FileError if it cannot be written, or if someone else has changed it meanwhile.
         """
         with self._changed:
             there = read_text(self.path)[0] if self.path.exists() else None
             if there not in (self._on_disk, self.text):
-                raise FileError(
-                    f"{self.path}: has been changed by someone else; move it away, then save again"
-                )
+                words = "has been changed by someone else; move it away, then save again"
+                raise FileError(f"{self.path}: {words}")
             with drafted(self.path.resolve()) as draft:
                 draft.write_bytes(self.text.encode())
             self._on_disk = self.text

@@ -37,13 +37,8 @@ def save_film(
 ) -> None:
     """Write the film of a scene, 1280 × 720, with a title above it.
 
-    ``path`` ends in .gif or .mp4; ``progress`` is called with the fraction that is done.
-
-    Raises
-    ------
-    InputError: another ending.
-    UnsupportedError: a required package is not installed.
-    FileError: the file cannot be written.
+    ``path`` ends in .gif or .mp4; ``progress`` is called with the fraction that is done. Errors are
+    those of ``check_film``, and a FileError where it cannot be written.
     """
     check_film(path)
     import imageio.v2 as imageio

@@ -34,7 +34,7 @@ as well."""
 
 
 class LiveView:
-    """A plan in the browser, served until it is closed.
+    """A plan in the browser, served until it is closed; UnsupportedError where viser is missing.
 
     Parameters
     ----------
@@ -43,10 +43,6 @@ class LiveView:
     host, port: where the server listens; if the port is taken the next free one.
     server: of ``open_server``, which browsers may have opened already, in place of another one.
     aspect: width over height of where the scene is seen; NARROW_ASPECT where it is edited.
-
-    Raises
-    ------
-    UnsupportedError: viser is not installed.
     """
 
     def __init__(

@@ -90,13 +90,8 @@ class Painting(NamedTuple):
 class Painter:
     """What draws the moments of one scene.
 
-    Parameters
-    ----------
-    scene: what is drawn.
-    camera: from where.
-    width: half of a cable's drawn width [m]; 0 for the scene's.
-    size: factor of the drones' drawn sizes.
-    step: by which rotors and cables have fewer corners: few are enough if they are small.
+    ``width`` is half of a cable's drawn width [m], 0 for the scene's; ``size`` a factor of the
+    drones' sizes; ``step`` that by which rotors and cables have fewer corners, as small ones may.
     """
 
     def __init__(

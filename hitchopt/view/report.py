@@ -60,13 +60,9 @@ def save_view(
 ) -> None:
     """Write a plan as a page, a picture or a film, by the ending of the file's name.
 
-    ``problem`` is the text of its file, ``progress`` is called with what is done of a film.
-
-    Raises
-    ------
-    InputError: another ending than those of PAGE, PICTURES and FILMS.
-    UnsupportedError: a film needs a package that is not installed.
-    FileError: the file cannot be written.
+    ``problem`` is the text of its file, ``progress`` is called with what is done of a film. Another
+    ending is an InputError; an UnsupportedError says what a film needs that is not installed, a
+    FileError that the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind in FILMS:
@@ -92,11 +88,7 @@ def write_report(
     """Write the page of a plan: playback, plots and certificate.
 
     ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
-    ``directory``, by default that of ``path``.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
+    ``directory``, by default that of ``path``. A file that cannot be written is an OSError.
     """
     scene, name = scene_of(motion), title or "Plan"
     entries, samples = packed(

@@ -115,11 +115,8 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
 def ghost_scene(path: Path, motion: Motion) -> Scene:
     """Return the scene of another plan, or of a simulated flight of ``motion``.
 
-    ``path`` is a recording or a plan, or the directory of either.
-
-    Raises
-    ------
-    FileError: there is neither, it is damaged, or the flight is that of another team.
+    ``path`` is a recording or a plan, or the directory of either. It is a FileError if there is
+    neither, if it is damaged, or if the flight is that of another team.
     """
     if path.is_dir():
         names = [name for name in (RECORDING, PLAN) if (path / name).exists()]

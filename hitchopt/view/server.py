@@ -27,12 +27,7 @@ SIDE, SIDE_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
 
 
 def open_server(host: str = HOST, port: int = PORT) -> Any:
-    """Return a viser server that serves an empty page.
-
-    Raises
-    ------
-    UnsupportedError: viser is not installed.
-    """
+    """Return a viser server that serves an empty page; without viser, raise UnsupportedError."""
     try:
         import viser
     except ImportError:

@@ -24,10 +24,7 @@ PLATE = 0.012
 
 
 def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, Array]:
-    """Return frame, rotors and rims of a drone whose ellipsoid has that radius [m].
-
-    They are about its centre, the thrust along z, with ``segments`` corners a rotor.
-    """
+    """Return frame, rotors and rims about the centre of a drone of an ellipsoid's radius [m]."""
     size = SPAN * radius
     arm, rotor, above = 0.62 * size, 0.38 * size, 0.08 * size
     quarter = np.radians([45.0, 135.0, 225.0, 315.0])

@@ -102,11 +102,7 @@ def headline(figure: Figure, title: str, words: str) -> None:
 def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUTION) -> None:
     """Write a figure as SVG or PDF if the file's name ends so, else as PNG.
 
-    Its bytes depend on its content only.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
+    Its bytes depend on its content only. A file that cannot be written is an OSError.
     """
     from matplotlib import rc_context
 
@@ -124,9 +120,7 @@ def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUT
 def drafted(path: Path) -> Iterator[Path]:
     """Give a hidden file beside ``path`` to write, which takes its place at the end.
 
-    Raises
-    ------
-    FileError: the file cannot be written; nothing is left of it.
+    If it cannot be written, nothing is left of it, and a FileError says why.
     """
     draft = path.with_name(f".{path.stem}.part{path.suffix}")
     try:
