@@ -193,13 +193,10 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
     save_aborts(path.parent, found)
-    record(
-        directory=str(path.parent),
-        how=found.how,
-        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in found.entries],
-        missing=[list(span) for span in found.missing],
-        longest=found.longest if found.entries else None,
-    )
+    entries = [{"start": entry.start, "seconds": entry.seconds} for entry in found.entries]
+    longest = found.longest if entries else None
+    record(directory=str(path.parent), how=found.how, entries=entries, longest=longest)
+    record(missing=[list(span) for span in found.missing])
     say(f"aborts.json and aborts.zip are in {path.parent}")
     if found.entries:
         say(f"at rest {found.longest:.3f} s after any command at the latest")

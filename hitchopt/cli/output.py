@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.text import Text
 
     from hitchopt.checks.certificate import Certificate, Check
-    from hitchopt.motion.motion import Phase
+    from hitchopt.motion.motion import Motion, Phase
 
 KEY = "hitchopt.output"
 """Key of a call's Output in click's contexts."""
@@ -137,6 +137,15 @@ def _cell(value: object) -> Text:
 def quantities(title: str, values: Mapping[str, object]) -> str:
     """Return the table of some quantities, one a row."""
     return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
+
+
+def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
+    """Report the phases and the certificate of a plan."""
+    names = ("name", "step", "start", "end", "remark")
+    phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
+    record(title=title, phases=phases, certificate=certificate.to_dict())
+    tables = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
+    say(f"{title}\n{tables}" if title else tables)
 
 
 def phase_table(phases: Sequence[Phase]) -> str:

@@ -17,17 +17,15 @@ import click
 import hitchopt
 from hitchopt.cli.failures import complain, exit_code, unmet
 from hitchopt.cli.options import command, completing, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, output, phase_table, record, say
+from hitchopt.cli.output import LateProgress, output, record, say, show_plan, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
-    from hitchopt.checks.certificate import Certificate
     from hitchopt.live.lost import Lost
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
-    from hitchopt.motion.motion import Motion
 
 MAX_ROWS = 5e8
 """Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
@@ -116,7 +114,7 @@ def _plan(
     if rate * samples > MAX_ROWS:
         bound = f"at most {MAX_ROWS / samples:.3g} Hz for a plan of {motion.duration:g} s"
         raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
-    _show_plan(plan.title, motion, plan.certificate)
+    show_plan(plan.title, motion, plan.certificate)
     with LateProgress("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
     content = certificate_content(motion, plan.certificate, place / PLAN)
@@ -184,15 +182,6 @@ def report_suggestions(
     return error, found
 
 
-def _show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
-    """Report the phases and the certificate of a plan."""
-    names = ("name", "step", "start", "end", "remark")
-    phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
-    record(title=title, phases=phases, certificate=certificate.to_dict())
-    tables = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
-    say(f"{title}\n{tables}" if title else tables)
-
-
 @command(
     "directory DIR",
     """
@@ -224,7 +213,7 @@ def check(
         certificate = replace(certificate, checks=(*certificate.checks, losses.check))
         without = losses.without
         record(without_reaction=[asdict(lost) for lost in without])
-    _show_plan("", motion, certificate)
+    show_plan("", motion, certificate)
     record(certificate=certificate_content(motion, certificate, path))
     for lost in without:
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
@@ -290,10 +279,9 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
     """
     files = {path.stem: path for path in example_files()}
     if listing:
-        titles = {stem: _title(path) for stem, path in files.items()}
-        record(examples=[{"name": stem, "title": title} for stem, title in titles.items()])
-        width = max(map(len, titles))
-        say("\n".join(f"{stem:{width}}  {title}" for stem, title in titles.items()))
+        rows = [{"name": stem, "title": _title(path)} for stem, path in files.items()]
+        record(examples=rows)
+        say(table("Examples", rows))
         return
     if example is not None and example not in files:
         near = difflib.get_close_matches(example, files, 1)
