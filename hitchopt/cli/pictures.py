@@ -120,17 +120,18 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
     from hitchopt.view.film import check_film
     from hitchopt.view.scene import ghost_scene
 
-    record(file=str(file))
     if recording is not None:
         check_film(file)
         flown = plan_path(path)
         save_flight_film(file, ghost_scene(recording, read_plan(flown)), read_title(flown))
+        record(file=str(file))
         return
     changes = f"nothing is written; hitchopt view {path} shows the first change"
     plan = shown_plan(path, changes)[0] if path.suffix in SUFFIXES else None
     with LateProgress("certifying and drawing") as progress:
         plan = plan or load(plan_path(path).parent)
         plan.view(file, progress=progress)
+    record(file=str(file))
     say(f"wrote {file}")
 
 
