@@ -13,11 +13,9 @@ from hitchopt.cli.output import output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 
-WRONG = 2
-"""Exit code of a file or usage that is wrong in itself."""
-
-UNMET = 3
-"""Exit code of a well-formed request that cannot be met, or whose certificate fails."""
+WRONG, UNMET = 2, 3
+"""Exit codes of a file or usage that is wrong in itself, and of a well-formed request that cannot
+be met, or whose certificate fails."""
 
 
 class SafeGroup(click.Group):

@@ -25,12 +25,9 @@ if TYPE_CHECKING:
 PROBLEM = "problem.yaml"
 """Name under which an edited problem is saved beside its plan."""
 
-PATIENCE = 3.0
-"""Time for which the processor is left to the browser, until it has loaded the page [s]."""
-
-DRAWING = 1.5
-"""Time for which it is left to it after that, to draw the first picture [s]: graphics cards are
-not everywhere."""
+PATIENCE, DRAWING = 3.0, 1.5
+"""Times for which the processor is left to the browser [s]: until it has loaded the page, and after
+that to draw the first picture, as graphics cards are not everywhere."""
 
 SEARCH = 60.0
 """Time limit of the search for changes that make a problem feasible [s]."""

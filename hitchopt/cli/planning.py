@@ -27,14 +27,12 @@ if TYPE_CHECKING:
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
 
-MAX_ROWS = 5e8
-"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
+MAX_ROWS, SUFFIXES = 5e8, {".yaml", ".yml"}
+"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error; and endings of the
+names of problem files."""
 
 MIN_SEARCH_TIME = 1e-3
 """Time limit of the search for changes [s] if no time is left: its end is then reported."""
-
-SUFFIXES = {".yaml", ".yml"}
-"""Endings of the names of problem files."""
 
 PACKAGE = Path(hitchopt.__file__).parent
 SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="

@@ -78,8 +78,7 @@ class EditingPanel:
 
     def _tell(self, status: Status) -> None:
         """Show how the plan relates to the problem, and what is suggested."""
-        current = status.stage is Stage.CURRENT
-        self.live.note("" if current else str(status.stage))
+        self.live.note("" if status.stage is Stage.CURRENT else str(status.stage))
         disk = "saved" if self.editing.saved else "not saved"
         words = f"**{plain_words(str(status.stage))}** ({disk})"
         if status.suggestions:
@@ -91,11 +90,10 @@ class EditingPanel:
             self._offered = status.suggestions
             for button in self._buttons:
                 button.remove()
+            add, apply = self._button, self.editing.apply
             with self._tab:
-                self._buttons = [
-                    self._button(str(each.change), self.editing.apply, each, hint=str(each))
-                    for each in status.suggestions
-                ]
+                offered = [(str(each.change), each) for each in status.suggestions]
+                self._buttons = [add(name, apply, each, hint=str(each)) for name, each in offered]
 
     def _build(self) -> None:
         """Build what depends on the text and the step."""

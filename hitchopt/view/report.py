@@ -102,6 +102,9 @@ def write_report(
             "turns": scene.objects[..., 3:],
         }
     )
+    checks = certificate.to_dict()["checks"]
+    for check in checks:
+        check["concerned"] = concerned(motion, check["where"])._asdict()
     data = {
         "title": name,
         "facts": facts(motion),
@@ -109,10 +112,7 @@ def write_report(
         "certified": certificate.certified,
         "arrays": entries,
         "plots": list(_plots(motion, certificate)),
-        "checks": [
-            {**check, "concerned": concerned(motion, check["where"])._asdict()}
-            for check in certificate.to_dict()["checks"]
-        ],
+        "checks": checks,
         "problem": problem,
         "origin": _origin(problem, directory or path.parent),
         **_described(scene),
