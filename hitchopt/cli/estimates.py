@@ -133,14 +133,7 @@ def _statics_tables(content: dict[str, Any]) -> str:
         f"{when}; forces balance to {content['force_residual']:.1e} N, lengths to "
         f"{content['length_residual']:.1e} m"
     )
-    if "tension_remainder" in content:
-        tension, place = (max(map(_most, content[f"{x}_remainder"])) for x in ("tension", "vertex"))
-        parts.append(f"ranges include {tension:.3g} N and {1e3 * place:.3g} mm beyond first order")
     return "\n\n".join(parts)
-
-
-def _most(values: Any) -> float:
-    return max(map(_most, values)) if isinstance(values, list) else float(values)
 
 
 @command(

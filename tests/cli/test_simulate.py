@@ -182,7 +182,6 @@ def test_what_rests_is_what_python_says(settling: Path, options: str, conditions
     assert (settling / "statics.png").read_bytes().startswith(b"\x89PNG")
     assert ("band of rest" in result.stdout) is ("friction" in conditions)
     assert ("range [N]" in result.stdout) is (ranges is not None)
-    assert ("beyond first order" in result.stdout) is (ranges is not None)
     if not conditions:  # it rests where the plan says
         assert result.stdout.count("0.500         0.500   no") == 3
         assert "note" not in result.stdout
