@@ -19,10 +19,11 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.states import States, states_at
-from hitchopt.view.pictures import PATH_COLOUR
 from hitchopt.view.style import COLOURS, INK, marker
 
 Array = NDArray[np.float64]
+
+PATH_COLOUR = "0.72"
 
 RESOLUTION = 130
 """Resolution of the picture [dots per inch]."""

@@ -18,7 +18,7 @@ from PIL import Image
 import hitchopt as ho
 from generators.problem_collection import SECTIONS
 from hitchopt.values import Array
-from hitchopt.view.pictures import draw_plan_view, sampled_states
+from hitchopt.view.pictures import draw_plan_view
 from hitchopt.view.style import COLOURS, INK, new_figure, save_figure
 
 SIZE = (4.2, 4.2)
@@ -33,8 +33,7 @@ def draw(file: Path, *, solved: bool) -> Figure:
     figure = new_figure(SIZE)
     axes = figure.add_subplot()
     if solved:
-        motion = ho.solve(file).motion
-        draw_plan_view(axes, motion, sampled_states(motion))
+        draw_plan_view(axes, ho.solve(file).motion)
         legend = axes.get_legend()
         if legend is not None:
             legend.remove()

@@ -3,31 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, record, say, span_text, table
-from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
-    from hitchopt.holding.capacity import Capacity
-    from hitchopt.statics.calibrate import Calibration, Estimate
-    from hitchopt.statics.fit import Fit
-    from hitchopt.statics.settle import Settled
-    from hitchopt.statics.tolerance import Errors, Tolerance
+    from hitchopt.statics.calibrate import Calibration
 
-USUAL_CABLE, USUAL_POSITION = "0.01", "0.02"
+USUAL = {"cable": "0.01", "position": "0.02"}
 """[m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
 motion capture."""
 
+KINDS = ("cable", "position", "force")
+"""Kinds of errors."""
+
 MAX_TIMES = 1000
 """Most times that one call settles."""
-
-MOST_ROWS = 24
-"""Cables or vertices that a table shows; the others are in statics.json."""
 
 CIRCLE = "circle:"
 
@@ -51,19 +47,10 @@ CIRCLE = "circle:"
     --force-error N (text): Error of the force feed-forward, likewise.
     """,
     at={"name": "times", "type": float, "multiple": True},
+    density={"name": "cable_density"},
 )
 def statics(
-    directory: Path,
-    times: tuple[float, ...],
-    samples: int,
-    cable_length: str | None,
-    density: float | None,
-    cable_error: str | None,
-    position_error: str | None,
-    force_error: str | None,
-    *,
-    tolerance: bool,
-    **given: Any,
+    directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **given: Any
 ) -> None:
     """Settle the hitch of the plan in DIR: where it rests, with what tensions, in which ranges.
 
@@ -74,33 +61,36 @@ def statics(
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.statics.files import save_statics, statics_content
     from hitchopt.statics.settle import Conditions, settle_motion
-    from hitchopt.statics.tolerance import taut_times, tolerance_of_motion
+    from hitchopt.statics.tolerance import Errors, ErrorSize, taut_times, tolerance_of_motion
 
     path = plan_path(directory)
-    sizes = {"cable": cable_error, "position": position_error, "force": force_error}
-    errors = _errors(sizes, usual=tolerance)
+    chosen = {name: value for name, value in given.items() if value is not None}
+    sizes = {name: chosen.pop(f"{name}_error") for name in KINDS if f"{name}_error" in chosen}
+    if tolerance and not sizes:
+        sizes = USUAL
+    parsed = {name: ErrorSize.of(f"--{name}-error", text) for name, text in sizes.items()}
+    if "cable_length" in chosen:
+        chosen["cable_length"] = _lengths(chosen["cable_length"])
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("--samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
-    chosen = {name: value for name, value in given.items() if value is not None}
-    lengths = None if cable_length is None else _lengths(cable_length)
-    conditions = Conditions(cable_length=lengths, cable_density=density, **chosen)
+    conditions = Conditions(**chosen)
     motion = read_plan(path)
     t = list(times) if times else taut_times(motion, samples)
     with LateProgress("settling"):
-        if errors is None:
-            ranges, settled = None, settle_motion(motion, t, conditions)
-        else:
-            ranges = tolerance_of_motion(motion, t, errors, conditions)
+        if parsed:
+            ranges = tolerance_of_motion(motion, t, Errors(**parsed), conditions)
             settled = ranges.settled
+        else:
+            ranges, settled = None, settle_motion(motion, t, conditions)
         save_statics(path.parent, settled, ranges)
-    say(_statics_tables(settled, ranges))
+    content = statics_content(settled, ranges)
+    record(directory=str(path.parent), statics=content)
+    say(_statics_tables(content))
     for note in conditions.notes(motion.team):
         say(f"note: {note}")
-    record(directory=str(path.parent), statics=statics_content(settled, ranges))
     say(f"statics.json and statics.png are in {path.parent}")
-    if settled.slack_cables or settled.loose_clasps:
-        names = ", ".join((*settled.slack_cables, *settled.loose_clasps))
-        say(f"slack, or without hold: {names}", err=True)
+    if loose := [*content["slack_cables"], *content["loose_clasps"]]:
+        say(f"slack, or without hold: {', '.join(loose)}", err=True)
         unmet()
 
 
@@ -113,68 +103,37 @@ def _lengths(text: str) -> float | list[float]:
     return lengths[0] if len(lengths) == 1 else lengths
 
 
-def _errors(texts: dict[str, str | None], *, usual: bool) -> Errors | None:
-    """Return the errors that were given; None if there are none."""
-    from hitchopt.statics.tolerance import Errors, ErrorSize
-
-    given = {name: text for name, text in texts.items() if text is not None}
-    if not given and usual:
-        given = {"cable": USUAL_CABLE, "position": USUAL_POSITION}
-    if not given:
-        return None
-    parsed = {name: ErrorSize.of(f"--{name}-error", text) for name, text in given.items()}
-    return Errors(**parsed)
-
-
-def _statics_tables(settled: Settled, ranges: Tolerance | None) -> str:
+def _statics_tables(content: dict[str, Any]) -> str:
     """Return the tables of cables and vertices, each with its extremes over the times."""
-    import numpy as np
-
-    cables, vertices, t = [], [], settled.t
-    for k in range(min(settled.team.robots, MOST_ROWS)):
-        tensions = [settled.planned_tensions[:, k], settled.tensions[:, k]]
-        slack = "yes" if settled.slack[:, k].any() else "no"
-        if ranges is not None:
-            tensions.append(ranges.tensions[:, k].ravel())
-            slack = "may be" if slack == "no" and ranges.slack[:, k].any() else slack
-        cables.append((f"c{k}", *map(span_text, tensions), slack))
-    names = settled.team.point_names
-    rubbing = bool(np.any(settled.rests[:, 0] != settled.rests[:, 1]))
-    lower = 1e3 * (settled.planned_vertices[..., 2] - settled.vertices[..., 2])
-    for k, name in enumerate(names[:MOST_ROWS]):
-        row = [name, f"{1e3 * settled.displacements[:, k].max():.1f}"]
-        row.append(span_text(lower[:, k], ".1f"))
-        if rubbing:
-            ends = settled.band[:, k]
-            row.append(f"{1e3 * ends[:, 0].min():+.0f} to {1e3 * ends[:, 1].max():+.0f}")
-        if ranges is not None:
-            row.append(f"±{1e3 * ranges.radii[:, k].max():.1f}")
-        vertices.append(row)
-    tensions_head = ["planned [N]", "at rest [N]", "range [N]"]
-    moved_head = ["from the plan [mm]", "lower by [mm]"]
-    if rubbing:
-        moved_head.append("band of rest, outward [mm]")
-    if ranges is not None:
-        moved_head.append("range around it [mm]")
-    count = 2 if ranges is None else 3
-    cables_title, title = _title("Cables", settled.team.robots), _title("Vertices", len(names))
+    cables, vertices, t = [], [], content["t"]
+    may_be = content.get("may_be_slack", ())
+    for each in content["cables"]:
+        name, slack = each["name"], "yes" if any(each["slack"]) else "no"
+        row = {"planned [N]": each["planned_tension"], "at rest [N]": each["tension"]}
+        if "smallest" in each:
+            row["range [N]"] = each["smallest"] + each["largest"]
+            slack = "may be" if slack == "no" and name in may_be else slack
+        spans = {head: span_text(values) for head, values in row.items()}
+        cables.append({"cable": name, **spans, "slack": slack})
+    for each in content["vertices"]:
+        pairs = list(zip(each["planned"], each["position"], strict=True))
+        row = {"from the plan [mm]": f"{1e3 * max(math.dist(*pair) for pair in pairs):.1f}"}
+        row["lower by [mm]"] = span_text((1e3 * (p[2] - r[2]) for p, r in pairs), ".1f")
+        inner, outer = zip(*each["band"], strict=True)
+        if inner != outer:
+            ends = f"{1e3 * min(inner):+.0f} to {1e3 * max(outer):+.0f}"
+            row["band of rest, outward [mm]"] = ends
+        if "radius" in each:
+            row["range around it [mm]"] = f"±{1e3 * max(each['radius']):.1f}"
+        vertices.append({"vertex": each["name"], **row})
+    over = "smallest to largest value over the times"
     when = f"at t = {t[0]:g} s" if len(t) == 1 else f"at {len(t)} times, {t[0]:g} to {t[-1]:g} s"
-    rest = (
-        f"{when}; forces balance to {settled.force_residual.max():.1e} N, lengths to "
-        f"{settled.length_residual.max():.1e} m"
+    parts = [table(f"Cables: {over}", cables), table(f"Vertices: {over}", vertices)]
+    parts.append(
+        f"{when}; forces balance to {content['force_residual']:.1e} N, lengths to "
+        f"{content['length_residual']:.1e} m"
     )
-    if ranges is not None:
-        rest += (
-            f"\nranges include {ranges.tension_remainders.max():.3g} N and "
-            f"{1e3 * ranges.vertex_remainders.max():.3g} mm beyond first order"
-        )
-    shown = table(cables_title, ["cable"], tensions_head[:count], cables, ["slack"])
-    return "\n\n".join([shown, table(title, ["vertex"], moved_head, vertices), rest])
-
-
-def _title(what: str, count: int) -> str:
-    more = f" (the first {MOST_ROWS} of {count})" if count > MOST_ROWS else ""
-    return f"{what}: smallest to largest value over the times{more}"
+    return "\n\n".join(parts)
 
 
 @command(
@@ -224,29 +183,24 @@ def _calibration_tables(found: Calibration) -> str:
     """Return the tables of estimates and of distances to the plan."""
     from hitchopt.cli.simulating import spread_text
 
-    team, remarks, rows = found.task.team, [], []
-
-    def add(name: str, estimate: Estimate, unit: str, planned: float) -> None:
-        value, error = "not determined", ""
+    team, compared = found.task.team, found.comparison
+    named = [
+        (f"length of cable {k} [m]", x, team.cable_length[k]) for k, x in enumerate(found.lengths)
+    ]
+    for k, estimate in enumerate(found.stiffness):
+        named.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k]))
+    named.append(("friction", found.friction, team.cable_friction))
+    rows, remarks = [], []
+    for name, estimate, planned in named:
+        cells = {"value": "not determined", "± error": ""}
         if estimate.known:
-            digits = ".4f" if unit == "m" else ".3g"
-            value, error = f"{estimate.value:{digits}} {unit}", f"{estimate.error:.1g}"
+            cells = {"value": f"{estimate.value:.5g}", "± error": f"{estimate.error:.1g}"}
         else:
             remarks.append(f"{name}: {estimate.remark}")
-        stated = f"{planned:.4g} {unit}" if math.isfinite(planned) else "rigid"
-        rows.append((name, value, error, stated))
-
-    for k, estimate in enumerate(found.lengths):
-        add(f"length of cable {k}", estimate, "m", float(team.cable_length[k]))
-    same = len(set(found.stiffness)) == 1
-    for k, estimate in enumerate(found.stiffness[:1] if same else found.stiffness):
-        name = "stiffness" if same else f"stiffness of q{k}, r{k}"
-        add(name, estimate, "N/m", float(team.stiffness[2 * k]))
-    add("friction", found.friction, "", team.cable_friction)
-    estimates = table("Estimates", ["quantity"], ["value", "± error", "in the plan"], rows)
-    compared = found.comparison
+        rows.append({"quantity": name, **cells, "in the plan": float(planned)})
+    heads = ("whole flight", "plan at rest", "plan moving")
     distances = [
-        (name, *map(spread_text, spreads))
+        {"of": name, **dict(zip(heads, map(spread_text, spreads), strict=True))}
         for names, columns in (
             (team.point_names, compared.vertices),
             (team.drone_names, compared.drones),
@@ -254,8 +208,8 @@ def _calibration_tables(found: Calibration) -> str:
         for name, spreads in zip(names, compared.spreads(columns), strict=True)
     ]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
-    heads = ["whole flight", "plan at rest", "plan moving"]
-    return "\n\n".join([estimates, *remarks, table(title, ["of"], heads, distances)]) + "\n"
+    estimates = table("Estimates", rows)
+    return "\n\n".join([estimates, *remarks, table(title, distances)]) + "\n"
 
 
 @command(
@@ -309,9 +263,9 @@ def fit(
     limits = Limits(tilt=math.radians(tilt_deg))
     with LateProgress("fitting"):
         found = fitted(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
-        text = "\n\n".join([*(f"note: {x}" for x in found.notes), _polygons(found), _masses(found)])
-    record(fit=fit_as_json(found))
-    say(text)
+        content = fit_as_json(found)
+    record(fit=content)
+    say("\n\n".join([*(f"note: {note}" for note in found.notes), *_fit_tables(content)]))
     if output is not None:
         save_fit(output, found)
         record(directory=str(output))
@@ -325,50 +279,29 @@ def _outline(text: str) -> object:
     """Return the outline that an argument names: a radius, points, or the path of a drawing."""
     from hitchopt.storage.files import parsed_json
 
-    if text.startswith(CIRCLE):
-        try:
-            return float(text.removeprefix(CIRCLE))
-        except ValueError:
-            raise InputError("OUTLINE", text, "circle:RADIUS", "write circle:0.2") from None
-    if text.lstrip().startswith("["):
-        try:
-            return parsed_json(text)
-        except ValueError:
-            raise InputError("OUTLINE", text, "[[x, y], …]", "write it as JSON") from None
-    return Path(text)
+    if not text.lstrip().startswith((CIRCLE, "[")):
+        return Path(text)
+    try:
+        return parsed_json(text.removeprefix(CIRCLE))
+    except ValueError:
+        bound = "circle:RADIUS, [[x, y], …] or a file"
+        raise InputError("OUTLINE", text, bound, "write circle:0.2") from None
 
 
-def _polygons(found: Fit) -> str:
-    from hitchopt.holding.grip import Grip
-
-    holding, rows = found.holding, []
-    for k in range(holding.robots):
-        grip, wrap, rest = "–", "–", "–"
-        if isinstance(holding.grip, Grip):
-            grip = _point(holding.grip.vertices[k, :2])
-            wrap = f"{math.degrees(holding.grip.wraps.angles[k]):.1f}"
-        if not isinstance(holding.rest, InfeasibleError):
-            rest = _point(holding.rest.vertices[k])
-        rows.append((f"p{k}", _point(holding.enclosing.vertices[k]), grip, wrap, rest))
-    title = f"Polygons of {holding.robots} cables of {holding.cable_length:.2f} m"
-    heads = ["enclosing [m]", "gripping [m]", "wrap [°]", "resting [m]"]
-    return table(title, ["vertex"], heads, rows)
-
-
-def _point(point: Iterable[float]) -> str:
-    return ", ".join(f"{round(float(x), 3) + 0.0:.3f}" for x in point)
-
-
-def _masses(found: Fit) -> str:
-    words = ["robots", "grip", "limit", "change for more", "rest", "limit", "change for more"]
-    grips, rests = found.capacities("grip"), found.capacities("rest")
-    rows = [(n, *_capacity(grips[n]), *_capacity(rests[n])) for n in found.others]
-    return table("Largest mass", words, [], rows)
-
-
-def _capacity(found: Capacity | InfeasibleError) -> tuple[str, str, str]:
-    if isinstance(found, InfeasibleError):
-        broken = found.violations[0]
-        return "–", broken.constraint, broken.remedy
-    mass = f"{1e3 * found.mass:.0f} g" if found.mass > 0.0 else "–"
-    return mass, found.binding, found.suggested
+def _fit_tables(content: dict[str, Any]) -> Iterator[str]:
+    """Yield the tables of polygons and of masses."""
+    grip, rest = content["grip"] or {}, content["rest"] or {}
+    columns = {
+        "enclosing [m]": content["enclosing"],
+        "gripping [m]": grip.get("polygon"),
+        "wrap [°]": grip.get("wraps_deg"),
+        "resting [m]": rest.get("polygon"),
+    }
+    rows = [
+        {"vertex": f"p{k}", **{head: values[k] for head, values in columns.items() if values}}
+        for k in range(content["robots"])
+    ]
+    yield table(f"Polygons of {content['robots']} cables of {content['cable_length']:.2f} m", rows)
+    masses = content["largest_mass"].items()
+    held = [{"robots": n, "by": by, **each} for by, found in masses for n, each in found.items()]
+    yield table("Largest mass [kg]", held)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -14,19 +13,15 @@ from hitchopt.cli.output import output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 
-WRONG = 2
-"""Exit code of a file or usage that is wrong in itself."""
-
-UNMET = 3
-"""Exit code of a well-formed request that cannot be met, or whose certificate fails."""
+WRONG, UNMET = 2, 3
+"""Exit codes of a file or usage that is wrong in itself, and of a well-formed request that cannot
+be met, or whose certificate fails."""
 
 
 class SafeGroup(click.Group):
     """A group of commands whose errors end in a message and an exit code.
 
-    Parameters
-    ----------
-    modules: of each command, the module in ``hitchopt.cli`` that registers it when it is imported.
+    ``modules`` names the module in ``hitchopt.cli`` that registers a command when it is imported.
     """
 
     def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
@@ -45,53 +40,36 @@ class SafeGroup(click.Group):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command and print its results; turn errors into exit codes."""
+        code = 0
         with ctx:
             try:
-                result = self._invoke(ctx)
+                with ending_signals(), warnings.catch_warnings():
+                    warnings.simplefilter("once", UnitWarning)
+                    warnings.showwarning = _show_warning  # type: ignore[assignment]
+                    super().invoke(ctx)
             except click.exceptions.Exit as end:
-                output().finish(str(ctx.invoked_subcommand), end.exit_code)
-                raise
-            output().finish(str(ctx.invoked_subcommand), 0)
-            return result
-
-    def _invoke(self, ctx: click.Context) -> Any:
-        try:
-            with ending_signals(), _units_on_stderr():
-                return super().invoke(ctx)
-        except HitchoptError as error:
-            complain(error)
-            ctx.exit(exit_code(error))
-        except KeyboardInterrupt:  # raised by a solver that has caught the signal
-            ctx.exit(INTERRUPTED)
-        except SystemExit as end:  # raised by a signal; a library's own may be a message
-            if not isinstance(end.code, int):
-                raise
-            ctx.exit(end.code)
-        except OSError as error:  # a full disk, a directory that may not be written
-            place = f"{error.filename}: " if error.filename else ""
-            message = f"{place}{error.strerror or error}; check the path and its disk"
-            record(errors=[{"message": message}])
-            say(f"error: {message}", err=True)
-            ctx.exit(WRONG)
+                code = end.exit_code
+            except HitchoptError as error:
+                complain(error)
+                code = exit_code(error)
+            except KeyboardInterrupt:  # raised by a solver that has caught the signal
+                code = INTERRUPTED
+            except SystemExit as end:  # raised by a signal; a library's own may be a message
+                if not isinstance(end.code, int):
+                    raise
+                code = end.code
+            except OSError as error:  # a full disk, a directory that may not be written
+                place = f"{error.filename}: " if error.filename else ""
+                message = f"{place}{error.strerror or error}; check the path and its disk"
+                record(errors=[{"message": message}])
+                say(f"error: {message}", err=True)
+                code = WRONG
+            output().finish(str(ctx.invoked_subcommand), code)
+            ctx.exit(code)
 
 
-@contextmanager
-def _units_on_stderr() -> Iterator[None]:
-    """Write every warning of a unit to stderr, once, as a line of its own."""
-    shown = warnings.showwarning
-    said: set[str] = set()
-
-    def show(message: Warning | str, *place: Any, **others: Any) -> None:
-        if not isinstance(message, UnitWarning):
-            shown(message, *place, **others)
-        elif str(message) not in said:
-            said.add(str(message))
-            say(f"warning: {message}", err=True)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UnitWarning)
-        warnings.showwarning = show
-        yield
+def _show_warning(message: Warning | str, *_: Any) -> None:
+    say(f"warning: {message}", err=True)
 
 
 def exit_code(error: HitchoptError) -> int:
@@ -106,20 +84,18 @@ def unmet() -> NoReturn:
 
 def complain(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr; it is a result too."""
-    record(errors=error_entries(error))
+    record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)
 
 
-def error_entries(error: HitchoptError) -> list[dict[str, Any]]:
+def _entries(error: HitchoptError) -> list[dict[str, Any]]:
     """Return the error's parts: keys and places of wrong values, or the limits that are broken."""
     if isinstance(error, InputError):
         parts = getattr(error, "errors", (error,))
-        places = [{} if part.place is None else part.place._asdict() for part in parts]
-        return [
-            {"message": str(part), "key": part.key, **place}
-            for part, place in zip(parts, places, strict=True)
-        ]
+        places = [part._asdict() if part else {} for part in (each.place for each in parts)]
+        named = zip(parts, places, strict=True)
+        return [{"message": str(part), "key": part.key, **place} for part, place in named]
     if isinstance(error, InfeasibleError) and error.violations:
         return [{"message": str(v), **vars(v)} for v in error.violations]
     return [{"message": str(error)}]

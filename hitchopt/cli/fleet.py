@@ -5,28 +5,24 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from hitchopt.cli.failures import unmet
-from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, record, say, span_text, table
+from hitchopt.cli.options import command, completing, plan_path
+from hitchopt.cli.output import LateProgress, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.options import HOMES
 
 if TYPE_CHECKING:
-    from hitchopt.exports.exporting import Export
     from hitchopt.exports.lint import Report
     from hitchopt.hitch import Swarm, Team
     from hitchopt.live.abort import AbortTable
     from hitchopt.live.fly import Flight, Outlet
-    from hitchopt.live.links import Address
     from hitchopt.motion.motion import Motion
 
 MAX_SHOWN = 5
@@ -39,36 +35,29 @@ PORT = {"json": 14600, "mavlink": 14580}
 """First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i."""
 
 
-def _complete_format(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
-    return [name for name in HOMES if name.startswith(begun)]
-
-
 @command(
     "directory DIR",
     f"""
     --format NAME (text): One of {", ".join(HOMES)}.
-    -o, --output PATH (path): The folder to write, or the file where there is but one (plan.csv); by
-        default DIR's name, a dash and NAME, next to DIR.
+    -o, --output PATH (path): Folder, or the file where there is but one; else DIR-NAME.
     --frame FRAME (text): enu, nwu or ned; by default the format's usual.
-    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies in the file's frame: east, north,
-        up [m].
+    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin in the file's frame: east, north, up [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned there, counter-clockwise from above.
-    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://0/80/2M/E7E7E7E701, type:
-        cf21}}, …}}, or a crazyflies.yaml with a role for each robot.
+    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://…, type: cf21}}, …}}, or a
+        crazyflies.yaml with a role for each robot.
     --rate HZ (float): Samples per second, where it samples.
     --stretch FACTOR (1.0): Factor of all durations, from 1 on.
     --storage mcap|sqlite3 (mcap): Storage of a ros2bag.
-    --ros-distro humble|iron|jazzy (humble): The release that a ros2bag is for; later ones read bags
-        for earlier ones.
-    --hold-tension: Move set points outward, for controllers that do not feed the cable force
-        forward.
+    --ros-distro humble|iron|jazzy (humble): Release that a ros2bag is for; later ones read it too.
+    --hold-tension: Move set points outward, for controllers without feed-forward of cable forces.
     --stiffness N/M (float): Of these controllers; by default the team's.
     --damping N·S/M (float): Of these controllers; by default that of a damping ratio of 5/6.
     """,
-    format={"required": True, "shell_complete": _complete_format},
+    format={"required": True, **completing(lambda: HOMES)},
 )
 def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
     """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
+    from hitchopt.checks import Certificate
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
@@ -78,46 +67,27 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)
     if output is None:
-        folder = path.parent
-        name = f"{folder.resolve().name or 'plan'}-{chosen.format}"
-        parent = folder / ".." if folder.name in {"", ".."} else folder.parent
-        output = parent / name
+        parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
+        output = parent / f"{path.parent.resolve().name or 'plan'}-{chosen.format}"
     with LateProgress("certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
-    record(parts=[_export_entry(part) for part in done])
+    entries = []
     for part in done:
-        _say_export(part)
-
-
-def _export_entry(part: Export) -> dict[str, Any]:
-    """Return what was written, as ``--json`` prints it."""
-    verdict = part.verdict
-    return {
-        "folder": str(part.folder),
-        "files": list(part.files),
-        "begins": part.begins,
-        "duration": verdict.duration,
-        "position_error": vars(verdict.position),
-        "velocity_error": vars(verdict.velocity),
-        "checks": [vars(check) for check in verdict.checks],
-        "not_carried": verdict.not_carried,
-        "notes": list(part.notes),
-    }
-
-
-def _say_export(part: Export) -> None:
-    from hitchopt.checks import Certificate
-
-    verdict = part.verdict
-    say(certificate_table(Certificate(verdict.duration, verdict.checks)))
-    position, velocity = verdict.position, verdict.velocity
-    say(
-        f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) and "
-        f"{1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
-        "from the plan, over all time"
-    )
-    say("\n".join([f"not carried: {verdict.not_carried}", *(f"note: {x}" for x in part.notes)]))
-    say(f"certified as exported; {len(part.files)} files in {part.folder}")
+        verdict = part.verdict
+        position, velocity = verdict.position, verdict.velocity
+        entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
+        entry |= {"duration": verdict.duration, "position_error": vars(position)}
+        entry |= {"velocity_error": vars(velocity), "checks": [vars(c) for c in verdict.checks]}
+        entries.append({**entry, "not_carried": verdict.not_carried, "notes": part.notes})
+        say(certificate_table(Certificate(verdict.duration, verdict.checks)))
+        say(
+            f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
+            f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
+            "from the plan, over all time"
+        )
+        say("\n".join([f"not carried: {verdict.not_carried}", *(f"note: {x}" for x in part.notes)]))
+        say(f"certified as exported; {len(part.files)} files in {part.folder}")
+    record(parts=entries)
 
 
 @command(
@@ -145,75 +115,54 @@ def lint(path: Path, **limits: float | None) -> None:
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     with LateProgress("reading and checking"):
         reports = linted(path, rules)
-    record(reports=[_report_entry(report) for report in reports])
+    entries = []
     for report in reports:
+        entry = asdict(report)
+        entry |= {"path": str(report.path), "sound": report.sound, "drones": entry.pop("facts")}
+        entries.append(entry)
         _say_report(report)
+    record(reports=entries)
     if not all(report.sound for report in reports):
         unmet()
 
 
-def _report_entry(report: Report) -> dict[str, Any]:
-    """Return a report as ``--json`` prints it."""
-    flight = report.flight
-    return {
-        "path": str(report.path),
-        **{name: getattr(report, name) for name in ("kind", "frame", "sound")},
-        "drones": [vars(fact) for fact in report.facts],
-        "flight": {**vars(flight), "own": [vars(check) for check in flight.own]},
-        "findings": [vars(finding) for finding in report.findings],
-    }
-
-
 def _say_report(report: Report) -> None:
-    """Write the contents of the files, then the findings, then their number."""
+    """Write the figures of the files, then the findings, then their number."""
     from hitchopt.exports.format import ERROR, WARNING
     from hitchopt.exports.formats.compressed import BYTES
 
     facts, flight = report.facts, report.flight
+    figures: list[tuple[str, float | None, float | None]] = [
+        ("speed [m/s]", flight.speed, flight.speed_limit),
+        ("acceleration [m/s²]", flight.acceleration, flight.acceleration_limit),
+        *((f"{own.name} [{own.unit}], the show's own", own.bound, own.limit) for own in flight.own),
+        ("separation [ellipsoids]", flight.separation, 1.0),
+        ("reach from the origin [m]", flight.reach, None),
+        ("pieces of a drone", max(fact.pieces or 0 for fact in facts) or None, None),
+        ("bytes of a drone", max(fact.size or 0 for fact in facts) or None, BYTES),
+    ]
+    for size, unit in zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False):
+        figures.append((f"jump where pieces join [{unit}]", size, None))
     frame = f", frame {report.frame}" if report.frame else ""
-    drones = "drone" if len(facts) == 1 else "drones"
-    say(f"{report.path}: {report.kind}, {len(facts)} {drones}{frame}, {flight.duration:.3f} s")
-    lines = []
-    if pieces := [fact.pieces for fact in facts if fact.pieces]:
-        lines.append(("pieces", f"{span_text(pieces, '.0f')} per drone"))
-    if sizes := [fact.size for fact in facts if fact.size]:
-        lines.append(("memory", f"{span_text(sizes, '.0f')} of {BYTES} bytes per drone"))
-    lines.append(("speed", f"{_against(flight.speed, flight.speed_limit)} m/s"))
-    if math.isfinite(flight.acceleration):
-        against = _against(flight.acceleration, flight.acceleration_limit)
-        lines.append(("acceleration", f"{against} m/s²"))
-    for own in flight.own:
-        words = f"{own.bound:.4g} of {own.limit:g} {own.unit}, the show's own"
-        lines.append((own.name, words))
-    if math.isfinite(flight.separation):
-        lines.append(("separation", f"{flight.separation:.4g}, 1 where ellipsoids touch"))
-    jumps = zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False)
-    joined = ", ".join(f"{size:.2g} {unit}" for size, unit in jumps)
-    lines.append(("jumps", f"{joined} where pieces join"))
-    lines.append(("reach", f"{flight.reach:.4g} m from the origin"))
-    for name, words in lines:
-        say(f"  {name:<13} {words}")
-    said: Counter[tuple[str, str]] = Counter()
+    title = f"{report.path}: {report.kind}, {len(facts)} drones{frame}, {flight.duration:.3f} s"
+    rows = [{"figure": name, "worst": worst, "limit": limit} for name, worst, limit in figures]
+    say(table(title, [row for row in rows if row["worst"] is not None]))
+    by_rule: dict[tuple[str, str], list[str]] = {}
     for finding in report.findings:
-        said[finding.level, finding.rule] += 1
-        if said[finding.level, finding.rule] <= MAX_SHOWN:
-            say(str(finding), err=finding.level == ERROR)
-    for (level, rule), count in said.items():
-        if count > MAX_SHOWN:
-            say(f"{level}: {rule}: and {count - MAX_SHOWN} more", err=level == ERROR)
+        by_rule.setdefault((finding.level, finding.rule), []).append(str(finding))
+    for (level, rule), found in by_rule.items():
+        if (more := len(found) - MAX_SHOWN) > 0:
+            found[MAX_SHOWN:] = [f"{level}: {rule}: and {more} more"]
+        say("\n".join(found), err=level == ERROR)
     levels = [finding.level for finding in report.findings]
     say(f"{levels.count(ERROR)} errors, {levels.count(WARNING)} warnings")
-
-
-def _against(value: float, limit: float) -> str:
-    return f"{value:.4g} of {limit:g}" if math.isfinite(limit) else f"{value:.4g}"
 
 
 @command(
     "directory DIR",
     f"""
-    --how {HOWS}: hold: stop and stay; back: fly backward until cables hang free; release_and_land:
-        untie and land; land: straight down. By default release_and_land, land without cables.
+    --how {HOWS}: Stop; fly back until cables hang free; untie and land;
+        straight down. By default release_and_land, land without cables.
     --every SECONDS (2.0): Distance of the entries.
     """,
 )
@@ -230,26 +179,23 @@ def abort(directory: Path, how: str | None, every: float) -> None:
 
     path = plan_path(directory)
     motion = read_plan(path)
-    chosen = how or ("release_and_land" if motion.team.has_cables else "land")
+    chosen = how or _usual_abort(motion)
     with LateProgress("planning aborts") as progress:
         found = abort_table(motion, chosen, every, progress)
     rows = []
     for entry in found.entries:
         phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
-        times = (entry.start, entry.start + entry.seconds, entry.motion.duration)
-        rows.append((phase.name, *(f"{t:.3f} s" for t in times)))
-    heads = ["commands until", "at rest after", "ends"]
-    say(table(f"Aborts: {chosen}", ["phase"], heads, rows))
+        times = {"commands until": entry.start, "at rest after": entry.start + entry.seconds}
+        times["ends"] = entry.motion.duration
+        rows.append({"phase": phase.name, **{name: f"{t:.3f} s" for name, t in times.items()}})
+    say(table(f"Aborts: {chosen}", rows))
     thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
     save_aborts(path.parent, found)
-    record(
-        directory=str(path.parent),
-        how=found.how,
-        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in found.entries],
-        missing=[list(span) for span in found.missing],
-        longest=found.longest if found.entries else None,
-    )
+    entries = [{"start": entry.start, "seconds": entry.seconds} for entry in found.entries]
+    longest = found.longest if entries else None
+    record(directory=str(path.parent), how=found.how, entries=entries, longest=longest)
+    record(missing=[list(span) for span in found.missing])
     say(f"aborts.json and aborts.zip are in {path.parent}")
     if found.entries:
         say(f"at rest {found.longest:.3f} s after any command at the latest")
@@ -259,24 +205,26 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         unmet()
 
 
+def _usual_abort(motion: Motion) -> str:
+    return "release_and_land" if motion.team.has_cables else "land"
+
+
 @command(
     "directory DIR",
     """
-    --over json|mavlink|crazyflie: json: UDP datagrams; mavlink: offboard setpoints over UDP (needs
-        pymavlink); crazyflie: crazyflie_py of Crazyswarm2.
+    --over json|mavlink|crazyflie: UDP datagrams; offboard setpoints over UDP (needs pymavlink); or
+        crazyflie_py of Crazyswarm2.
     --to HOST:PORT: Address of all drones, or once for each; by default this machine, from port
         14600 (json) or 14580 (mavlink) on, one port for each drone.
     --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
         this machine's address on the drones' network.
     --fleet FILE (path): Names of the Crazyflies.
-    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies for the drones: east, north, up
-        [m].
+    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin for the drones: east, north, up [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned.
     --rate HZ (50.0): Setpoints per second and drone.
     --how release_and_land|land: What key a does: by default release_and_land, land without cables.
     --patience SECONDS (5.0): From a lost link to landing.
-    --measurements/--no-measurements (True): Whether drones must be measured: a silence of 0.5 s is
-        a lost link.
+    --measurements/--no-measurements (True): Whether 0.5 s without measurements is a lost link.
     """,
     over={"required": True},
     to={"name": "targets", "multiple": True},
@@ -351,7 +299,7 @@ def _outlet_of(
     return (JsonOutlet if over == "json" else MavlinkOutlet)(names, places, frame, here)
 
 
-def _targets(given: tuple[str, ...], count: int, port: int) -> list[Address]:
+def _targets(given: tuple[str, ...], count: int, port: int) -> list[tuple[str, int]]:
     """Return an address for each drone."""
     from hitchopt.live.links import address
 

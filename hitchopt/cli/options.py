@@ -5,14 +5,14 @@ from __future__ import annotations
 import ast
 import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import click
 
 from hitchopt.cli import main
-from hitchopt.cli.output import OutputCommand
+from hitchopt.cli.output import output
 from hitchopt.errors import InputError
 
 LINE = re.compile(
@@ -21,14 +21,16 @@ LINE = re.compile(
 )
 """An option: ``--rate HZ (100.0): help``; in brackets its default, or its type without one."""
 
+OUTPUT = """
+--json: Print one JSON object to stdout, all else to stderr.
+-q, --quiet: Print errors only.
+-v, --verbose: Print every message of progress to stderr.
+"""
+"""Options of every command."""
+
 
 class GivenPath(click.Path):
-    """A path that is not empty: an unset shell variable must not mean this directory.
-
-    Raises
-    ------
-    InputError: the path is empty.
-    """
+    """A path; an empty one is an InputError: an unset shell variable is not this directory."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -50,27 +52,27 @@ def command(
 ) -> Callable[[Callable[..., None]], click.Command]:
     """Return the decorator that makes a function a command of the function's name.
 
-    Parameters
-    ----------
-    argument: the parameter's name and how usage calls it, ``directory DIR``; it is a path.
-    options: one after another, each as LINE has it; a value such as ``fast|accurate`` is a choice,
-        and an option without a value is a flag.
-    more: for parameters by name, what click's options are given besides, such as ``multiple``.
+    ``argument`` is the parameter's name and how usage calls it, ``directory DIR``: a path. Options
+    follow one another, each as LINE has it; a value such as ``fast|accurate`` is a choice, one
+    without a value a flag. ``more`` is what click is given besides, such as ``multiple``, by name.
     """
-    parameters: list[click.Parameter] = []
-    if argument:
-        name, metavar = argument.split()
-        settings = {"type": GivenPath(), **more.pop(name, {})}
-        parameters.append(click.Argument([name], metavar=metavar, **settings))
-    entries = re.split(r"\n(?=-)", textwrap.dedent(options).strip())
-    parameters += [_option(" ".join(entry.split()), more) for entry in entries if entry]
-    if more:
-        raise ValueError(f"there are no parameters {', '.join(more)}")
+    name, metavar = argument.split()
+    settings = {"type": GivenPath(), **more.pop(name, {})}
+    parameters: list[click.Parameter] = [click.Argument([name], metavar=metavar, **settings)]
+    parameters += [_option(entry, more) for entry in _entries(options)]
+    switch = {"expose_value": False, "callback": _switch}
+    switches = {name: dict(switch) for name in ("json", "quiet", "verbose")}
+    parameters += [_option(entry, switches) for entry in _entries(OUTPUT)]
+    return main.command(params=parameters)
 
-    def decorate(function: Callable[..., None]) -> click.Command:
-        return main.command(cls=OutputCommand, params=parameters)(function)
 
-    return decorate
+def _switch(_: click.Context, option: click.Parameter, value: bool) -> None:
+    setattr(output(), str(option.name), value)
+
+
+def _entries(options: str) -> list[str]:
+    lines = re.split(r"\n(?=-)", textwrap.dedent(options).strip())
+    return [" ".join(line.split()) for line in lines if line]
 
 
 def _option(entry: str, more: dict[str, dict[str, Any]]) -> click.Option:
@@ -83,23 +85,22 @@ def _option(entry: str, more: dict[str, dict[str, Any]]) -> click.Option:
         settings.update({"default": ast.literal_eval(value)} if value else {"is_flag": True})
     elif "|" in metavar:
         settings.update(type=click.Choice(metavar.split("|")), default=value)
+    elif value in TYPES:
+        settings.update(metavar=metavar, type=TYPES[value])
+    elif value is not None:
+        default = ast.literal_eval(value)
+        count = len(default) if isinstance(default, tuple) else 1
+        settings.update(metavar=metavar, default=default, nargs=count)
     else:
-        settings["metavar"] = metavar
-        if value in TYPES:
-            settings["type"] = TYPES[value]
-        elif value is not None:
-            default = settings["default"] = _literal(value)
-            settings["nargs"] = len(default) if isinstance(default, tuple) else 1
+        settings.update(metavar=metavar)
     name = flags[-1].partition("/")[0].lstrip("-").replace("-", "_")
-    settings.update(more.pop(name, {}))
+    settings.update(more.get(name, {}))
     return click.Option([*flags, settings.pop("name", name)], **settings)
 
 
-def _literal(text: str) -> Any:
-    try:
-        return ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        return text
+def completing(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
+    """Return what click's option is given to complete names in the shell."""
+    return {"shell_complete": lambda _, __, begun: [x for x in names() if x.startswith(begun)]}
 
 
 def plan_path(given: Path) -> Path:

@@ -9,7 +9,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -17,45 +17,36 @@ import click
 
 if TYPE_CHECKING:
     from rich.progress import Progress
+    from rich.text import Text
 
     from hitchopt.checks.certificate import Certificate, Check
-    from hitchopt.motion.motion import Phase
+    from hitchopt.motion.motion import Motion, Phase
 
 KEY = "hitchopt.output"
 """Key of a call's Output in click's contexts."""
 
-DEFAULT_WIDTH = 100
-"""Width of tables that are not written to a terminal [characters]."""
+DEFAULT_WIDTH, MAX_NAMES = 100, 4
+"""Width of tables that are not written to a terminal [characters], and number of drones, cables or
+vertices that are shown for one check."""
 
-MAX_NAMES = 4
-"""Number of drones, cables or vertices that are shown for one check."""
-
-DELAY = 2.0
-"""Time without a bar [s]."""
-
-LINES = 1.0
-"""Shortest time between lines of percentages [s]."""
+DELAY, LINES = 2.0, 1.0
+"""Time without a bar, and shortest time between lines of percentages [s]."""
 
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")
 """Count or percentage in a message."""
 
+NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
+"""Beginning of a cell that is aligned to the right."""
+
 
 @dataclass
 class Output:
-    """How much a call prints, and its results so far.
+    """How much a call prints, and its results so far."""
 
-    Attributes
-    ----------
-    json: results go to stdout as one object, words do not.
-    quiet: neither results nor progress are printed; errors are.
-    verbose: every message of progress is a line on stderr.
-    content: the results, plain data.
-    """
-
-    json: bool = False
-    quiet: bool = False
-    verbose: bool = False
-    content: dict[str, Any] = field(default_factory=dict)
+    json: bool = False  # results go to stdout as one object, words do not
+    quiet: bool = False  # neither results nor progress are printed; errors are
+    verbose: bool = False  # every message of progress is a line on stderr
+    content: dict[str, Any] = field(default_factory=dict)  # the results, plain data
 
     def finish(self, command: str, code: int) -> None:
         """Print the object, if one was asked for, with the command's name and exit code."""
@@ -63,26 +54,6 @@ class Output:
             from hitchopt.storage.files import strict_json
 
             echo(strict_json({"command": command, "exit_code": code, **self.content}))
-
-
-class OutputCommand(click.Command):
-    """A command with the options ``--json``, ``-q`` and ``-v``."""
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        for flags, text in (
-            (("--json",), "Print one JSON object to stdout, all else to stderr."),
-            (("-q", "--quiet"), "Print errors only."),
-            (("-v", "--verbose"), "Print every message of progress to stderr."),
-        ):
-            option = click.Option(
-                flags, is_flag=True, help=text, expose_value=False, callback=_switch
-            )
-            self.params.append(option)
-
-
-def _switch(context: click.Context, option: click.Parameter, value: bool) -> None:
-    setattr(context.meta.setdefault(KEY, Output()), str(option.name), value)
 
 
 def output() -> Output:
@@ -98,12 +69,6 @@ def say(text: str, *, err: bool = False) -> None:
     """Write a line for people: results to stdout unless they are not wanted, else to stderr."""
     if err or not (output().quiet or output().json):
         echo(text, err=err)
-
-
-def hint(text: str) -> None:
-    """Write a line on stderr that is no error and no result."""
-    if not (output().quiet or output().json):
-        echo(text, err=True)
 
 
 def record(**content: Any) -> None:
@@ -126,40 +91,28 @@ def echo(text: str, *, err: bool = False) -> None:
         os.close(nowhere)
 
 
-def table(
-    title: str,
-    words: Sequence[str],
-    numbers: Sequence[str],
-    rows: Iterable[Sequence[object]],
-    last: Sequence[str] = (),
-) -> str:
+def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """Return a table as lines of text that fit the terminal.
 
-    Parameters
-    ----------
-    title: above it.
-    words, numbers, last: heads of the columns on the left, of those that are aligned to the right,
-        and of those after them.
-    rows: a cell for every column, or fewer; a bool is a verdict, yes or NO. A row of one text that
-        ends in a colon is a heading.
+    Rows are cells by their columns' heads, plain data: a bool is a verdict, None and nan are
+    dashes, numbers have four significant digits. A row of a single cell is a heading.
     """
     from io import StringIO
 
     from rich import box
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
+    listed = [{head: _cell(value) for head, value in row.items()} for row in rows]
+    heads = list(dict.fromkeys(head for row in listed for head in row))
     found = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in (*words, *numbers, *last):
-        aligned = "right" if name in numbers else "left"
-        found.add_column(name, justify=aligned, overflow="fold")  # type: ignore[arg-type]
-    verdicts = {True: Text("yes", style="green"), False: Text("NO", style="bold red")}
-    for row in rows:
-        cells = [verdicts[x] if isinstance(x, bool) else Text(str(x)) for x in row]
-        if len(row) == 1 and str(row[0]).endswith(":"):
-            cells[0].stylize("bold")
-        found.add_row(*cells)
+    for head in heads:
+        cells = [row[head].plain for row in listed if head in row]
+        right = head != heads[0] and all(map(NUMBER.match, cells))
+        found.add_column(head, justify="right" if right else "left", overflow="fold")
+    for row in listed:
+        style = "bold" if len(row) == 1 < len(heads) else None
+        found.add_row(*(row.get(head, "") for head in heads), style=style)
     terminal = sys.stdout is not None and sys.stdout.isatty()  # closed by `>&-`
     width = shutil.get_terminal_size().columns if terminal else DEFAULT_WIDTH
     text = StringIO()
@@ -169,20 +122,41 @@ def table(
     return "\n".join(line.rstrip() for line in text.getvalue().rstrip().splitlines())
 
 
-def quantities(title: str, values: dict[str, str]) -> str:
+def _cell(value: object) -> Text:
+    from rich.text import Text
+
+    if isinstance(value, bool):
+        return Text("yes", "green") if value else Text("NO", "bold red")
+    if isinstance(value, list | tuple):
+        return Text(", ").join(map(_cell, value)) if value else Text("none")
+    if isinstance(value, float) and not math.isnan(value):
+        return Text(f"{value:.4g}")
+    return Text(str(value) if isinstance(value, str | int) else "–")
+
+
+def quantities(title: str, values: Mapping[str, object]) -> str:
     """Return the table of some quantities, one a row."""
-    return table(title, ["quantity"], ["value"], values.items())
+    return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
+
+
+def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
+    """Report the phases and the certificate of a plan."""
+    names = ("name", "step", "start", "end", "remark")
+    phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
+    record(title=title, phases=phases, certificate=certificate.to_dict())
+    tables = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
+    say(f"{title}\n{tables}" if title else tables)
 
 
 def phase_table(phases: Sequence[Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
-    last = ["remark"] if any(phase.remark for phase in phases) else []
-    rows = [
-        (p.name, p.step, *(f"{t:.3f} s" for t in (p.start, p.end, p.end - p.start)), p.remark)
-        for p in phases
-    ]
-    heads = ["step", "start", "end", "duration"]
-    return table("Phases", ["phase"], heads, [row[: 5 + len(last)] for row in rows], last)
+    rows = []
+    for p in phases:
+        times = {"start": p.start, "end": p.end, "duration": p.end - p.start}
+        cells = {name: f"{t:.3f} s" for name, t in times.items()}
+        remark = {"remark": p.remark} if p.remark else {}
+        rows.append({"phase": p.name, "step": p.step, **cells, **remark})
+    return table("Phases", rows)
 
 
 def certificate_table(certificate: Certificate) -> str:
@@ -191,17 +165,16 @@ def certificate_table(certificate: Certificate) -> str:
     Checks stand under the headings of their groups, and those closest to their limits are marked.
     What is reported without a limit has what it assumes of the vertices in that column.
     """
-    rows: list[Sequence[object]] = []
+    rows: list[dict[str, object]] = []
     closest = certificate.closest
     for heading, checks in certificate.groups.items():
-        rows.append((f"{heading}:",))
-        rows += [(*_check_row(check), "◂" if check in closest else "") for check in checks]
-    last = ("unit", "where", "when", "holds", "")
-    shown = table("Certificate", ["check"], ["worst", "limit"], rows, last)
+        rows.append({"check": f"{heading}:"})
+        rows += [{**_check_row(check), "": "◂" if check in closest else ""} for check in checks]
+    shown = table("Certificate", rows)
     return f"{shown}\n\n ◂ closest to its limit" if closest else shown
 
 
-def _check_row(check: Check) -> list[object]:
+def _check_row(check: Check) -> dict[str, object]:
     limit = f"{'≥' if check.sense == 'min' else '≤'} {number(check.limit)}"
     if check.limit is None:
         limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"
@@ -209,9 +182,15 @@ def _check_row(check: Check) -> list[object]:
     if len(check.where) > MAX_NAMES:
         where += f", and {len(check.where) - MAX_NAMES} more"
     timed = check.worst is not None and math.isfinite(check.time)
-    when = f"{check.time:.3f} s" if timed else ""
-    unit = "" if check.unit == "1" else check.unit
-    return [f"  {check.name}", number(check.worst), limit, unit, where, when, check.holds]
+    return {
+        "check": f"  {check.name}",
+        "worst": number(check.worst),
+        "limit": limit,
+        "unit": "" if check.unit == "1" else check.unit,
+        "where": where,
+        "when": f"{check.time:.3f} s" if timed else "",
+        "holds": check.holds,
+    }
 
 
 def number(value: float | None) -> str:
@@ -241,16 +220,10 @@ def done_of(message: str) -> tuple[float | None, float | None]:
 
 
 class LateProgress:
-    """Context manager and callback: shows a bar and the last message once ``delay`` is over.
+    """Context manager and callback: shows a bar and the last message once ``delay`` [s] is over.
 
-    The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage.
-
-    Parameters
-    ----------
-    message: first message.
-    limit: time limit [s], shown next to the elapsed time, or None.
-    stream: output stream, stderr by default; nothing is shown unless it is a terminal.
-    delay: time before the bar is shown [s].
+    The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage;
+    a time limit [s] is shown next to the elapsed time. A stream that is no terminal shows nothing.
     """
 
     def __init__(
@@ -261,18 +234,16 @@ class LateProgress:
         stream: TextIO | None = None,
         delay: float = DELAY,
     ) -> None:
-        self._stream = stream or sys.stderr
+        self._stream, self._message = stream or sys.stderr, message
         self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
-        self._message = message
         self._begun = self._next_line = time.monotonic()
-        self._quiet, self._verbose = output().quiet, output().verbose
+        self._verbose, self._lock = output().verbose, threading.Lock()
         self._bar: Progress | None = None
-        self._lock = threading.Lock()
         self._timer = threading.Timer(delay, self._show)
         self._timer.daemon = True
 
     def __enter__(self) -> LateProgress:
-        lines = self._quiet or self._verbose
+        lines = self._verbose or output().quiet
         if self._stream is not None and self._stream.isatty() and not lines:
             self._timer.start()
         self(self._message)
@@ -288,8 +259,7 @@ class LateProgress:
     def __call__(self, message: str) -> None:
         """Show a message about the current work."""
         with self._lock:
-            self._message = message
-            now = time.monotonic()
+            self._message, now = message, time.monotonic()
             if self._verbose and not ("%" in message and now < self._next_line):
                 echo(f"{now - self._begun:6.1f} s  {message}", err=True)
                 self._next_line = now + LINES
@@ -305,14 +275,12 @@ class LateProgress:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+        words = TextColumn("{task.description}", markup=False)
+        at_most = TextColumn(self._at_most, markup=False)
+        console = Console(file=self._stream)
         with self._lock:
             self._bar = Progress(
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TimeElapsedColumn(),
-                TextColumn(self._at_most, markup=False),
-                console=Console(file=self._stream),
-                transient=True,
+                words, BarColumn(), TimeElapsedColumn(), at_most, console=console, transient=True
             )
             self._bar.add_task(self._message, total=None)  # until there is a count
             self._fill()

@@ -16,7 +16,6 @@ from hitchopt.cli.planning import SUFFIXES, report_suggestions
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
-    from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.repair import Suggestion
     from hitchopt.plan import Plan
     from hitchopt.view.editing import Status
@@ -26,12 +25,9 @@ if TYPE_CHECKING:
 PROBLEM = "problem.yaml"
 """Name under which an edited problem is saved beside its plan."""
 
-PATIENCE = 3.0
-"""Time for which the processor is left to the browser, until it has loaded the page [s]."""
-
-DRAWING = 1.5
-"""Time for which it is left to it after that, to draw the first picture [s]: graphics cards are
-not everywhere."""
+PATIENCE, DRAWING = 3.0, 1.5
+"""Times for which the processor is left to the browser [s]: until it has loaded the page, and after
+that to draw the first picture, as graphics cards are not everywhere."""
 
 SEARCH = 60.0
 """Time limit of the search for changes that make a problem feasible [s]."""
@@ -57,8 +53,7 @@ def report(directory: Path) -> None:
     "path DIR|FILE",
     """
     --save FILE (path): Write a page, picture or film; do not serve.
-    --ghost PATH (path): Show another plan, or a simulated flight, at its side: its directory or
-        file.
+    --ghost PATH (path): Show another plan, or a simulated flight, at its side.
     --host TEXT ('127.0.0.1'): Address to listen on; by default this machine.
     --port INTEGER (8080): Port to listen on, or the next free one.
     --browser/--no-browser (True): Whether to open the browser.
@@ -69,17 +64,15 @@ def view(
 ) -> None:
     """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
 
-    Of a problem FILE (.yaml) the plan is made first; if it cannot be met, that of the smallest
-    change that makes it feasible is shown, and changes are offered. Vertices, edges and the hitch
-    can be dragged; the plan is made again in the background, and Save writes the problem file:
-    FILE, or DIR/problem.yaml.
+    Of a problem FILE (.yaml) the plan is made first, or that of the smallest change that makes it
+    feasible. What is dragged is planned again, and Save writes the problem file: FILE, or
+    DIR/problem.yaml.
 
-    With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the
-    summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
-
-    Of a simulated flight, DIR/simulation, the film is saved, and live it is the ghost of its plan.
+    With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the summary;
+    .mp4 and .gif are a film (needs imageio). Of a simulated flight, DIR/simulation, the film is
+    saved, and live it is the ghost of its plan.
     """
-    from hitchopt.storage.archive import PLAN, RECORDING
+    from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 
     recording = path / RECORDING if path.is_dir() and not (path / PLAN).exists() else path
     flown = recording.name == RECORDING and recording.is_file()
@@ -95,10 +88,15 @@ def view(
         return
     from hitchopt.view.server import open_server, server_address
 
-    planned = path.suffix in SUFFIXES
-    plan, status = shown_plan(path) if planned else (None, None)
-    if plan is None:
-        _refuse_damaged(plan_path(path))
+    plan, status = None, None
+    if path.suffix in SUFFIXES:
+        plan, status = shown_plan(path)
+    else:
+        file = plan_path(path)
+        try:  # before a page is opened for it
+            read_arrays(file, ("settings", "breaks", "drones"))
+        except BROKEN as error:
+            raise FileError(f"{file}: not a plan, or a damaged one: {error}") from error
     server = open_server(host, port)
     address = server_address(server)
     say(f"the plan is at {address}; Ctrl-C ends this")
@@ -125,15 +123,11 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
         save_flight_film(file, ghost_scene(recording, read_plan(flown)), read_title(flown))
         record(file=str(file))
         return
-    planned = path.suffix in SUFFIXES
-    try:
-        with LateProgress("certifying and drawing") as progress:
-            plan = _planned(path) if planned else load(plan_path(path).parent)
-            plan.view(file, progress=progress)
-    except InfeasibleError as error:
-        if _suggested(path, error)[1]:
-            say(f"nothing is written; hitchopt view {path} shows the first change", err=True)
-        unmet()
+    changes = f"nothing is written; hitchopt view {path} shows the first change"
+    plan = shown_plan(path, changes)[0] if path.suffix in SUFFIXES else None
+    with LateProgress("certifying and drawing") as progress:
+        plan = plan or load(plan_path(path).parent)
+        plan.view(file, progress=progress)
     record(file=str(file))
     say(f"wrote {file}")
 
@@ -146,18 +140,6 @@ def save_flight_film(path: Path, scene: Scene, title: str) -> None:
         words = f"{title} (simulated)".strip()
         save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))
     say(f"the film is {path}")
-
-
-def _refuse_damaged(file: Path) -> None:
-    """Raise FileError for a file that holds no plan, before a page is opened for it."""
-    from hitchopt.storage.archive import BROKEN, read_arrays
-
-    try:
-        read_arrays(file, ("settings", "breaks", "drones"))
-    except BROKEN:
-        from hitchopt.motion.plan_file import read_plan  # slow to import, and says what is wrong
-
-        read_plan(file)
 
 
 def _serve(
@@ -197,47 +179,33 @@ def _serve(
     return live
 
 
-def _planned(path: Path) -> Plan:
-    """Return the plan of a problem file, with its text."""
-    from hitchopt import api
-    from hitchopt.storage.yaml_file import read_text
-
-    text, _ = read_text(path)
-    with LateProgress("planning") as progress:
-        return replace(api.solve(path, progress), problem=text)
-
-
-def shown_plan(path: Path) -> tuple[Plan, Status | None]:
+def shown_plan(path: Path, instead: str = "") -> tuple[Plan, Status | None]:
     """Return what is shown of a problem file: its plan, or one with a change, and how they relate.
 
-    Exits where there is no plan, and no change was found.
+    Exits where there is no plan, and no change was found, or something is said ``instead``.
     """
-    try:
-        return _planned(path), None
-    except InfeasibleError as error:
-        problem, found = _suggested(path, error)
-        words = str(error)
-    if not found:
-        say(f"nothing to show: change {path} as the errors say, then view it again", err=True)
-        unmet()
     from hitchopt import api
+    from hitchopt.mission.loading import read_problem
+    from hitchopt.mission.problem import Problem
     from hitchopt.storage.yaml_file import read_text
     from hitchopt.view.editing import Stage, Status
 
+    problem, text = read_problem(path), read_text(path)[0]
+    try:
+        with LateProgress("planning") as progress:
+            return replace(api.solve(problem, progress), problem=text), None
+    except InfeasibleError as error:
+        complain(error)
+        words = str(error)
+        found: tuple[Suggestion, ...] = ()
+        if isinstance(problem, Problem):
+            found = report_suggestions(problem, error, SEARCH)[1]
+    if instead or not found:
+        nothing = f"nothing to show: change {path} as the errors say, then view it again"
+        say(instead if found else nothing, err=True)
+        unmet()
     say("the page shows the plan of the first change; a click on a change makes it")
     with LateProgress("planning the first change") as progress:
         plan = api.solve(found[0].change.problem, progress)
-    plan = replace(plan, title=problem.title, problem=read_text(path)[0])
+    plan = replace(plan, title=problem.title, problem=text)
     return plan, Status(Stage.SUGGESTED, words, found)
-
-
-def _suggested(path: Path, error: InfeasibleError) -> tuple[AnyProblem, tuple[Suggestion, ...]]:
-    """Report what binds, and return the problem with the changes that make it feasible."""
-    from hitchopt.mission.loading import read_problem
-    from hitchopt.mission.problem import Problem
-
-    complain(error)
-    problem = read_problem(path)
-    if not isinstance(problem, Problem):
-        return problem, ()
-    return problem, report_suggestions(problem, error, SEARCH)[1]

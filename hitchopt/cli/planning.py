@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import difflib
 import math
 import re
@@ -17,35 +16,27 @@ import click
 
 import hitchopt
 from hitchopt.cli.failures import complain, exit_code, unmet
-from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, hint, phase_table, record, say
+from hitchopt.cli.options import command, completing, plan_path
+from hitchopt.cli.output import LateProgress, output, record, say, show_plan, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
-    from hitchopt.checks.certificate import Certificate
     from hitchopt.live.lost import Lost
     from hitchopt.mission.loading import AnyProblem
     from hitchopt.mission.problem import Problem
     from hitchopt.mission.repair import Suggestion
-    from hitchopt.motion.motion import Motion
 
-MAX_ROWS = 5e8
-"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error."""
+MAX_ROWS, SUFFIXES = 5e8, {".yaml", ".yml"}
+"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error; and endings of the
+names of problem files."""
 
 MIN_SEARCH_TIME = 1e-3
 """Time limit of the search for changes [s] if no time is left: its end is then reported."""
 
-SUFFIXES = {".yaml", ".yml"}
-"""Endings of the names of problem files."""
-
 PACKAGE = Path(hitchopt.__file__).parent
-
-SCHEMA = PACKAGE / "mission" / "problem.schema.json"
-"""The schema with which editors complete and check problem files."""
-
-MODELINE = "# yaml-language-server: $schema="
-"""Beginning of the line that names the schema to editors."""
+SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="
+"""The schema with which editors complete and check problem files, and what names it to them."""
 
 
 @command(
@@ -55,8 +46,7 @@ MODELINE = "# yaml-language-server: $schema="
     --rate HZ (100.0): Setpoints per second and drone.
     --report: Write DIR/report.html as well.
     --verify: Prove the plan's limits by another method as well.
-    --repair/--no-repair (True): If there is no plan, search for the smallest change that makes it
-        feasible.
+    --repair/--no-repair (True): If there is no plan, search for the smallest change that helps.
     --limit SECONDS (600.0): Time limit, searches included.
     """,
 )
@@ -110,48 +100,31 @@ def _output(given: Path | None, file: Path) -> Path:
 def _plan(
     problem: AnyProblem, text: str, place: Path, rate: float, limit: float, *, report: bool
 ) -> None:
-    """Plan, show and write a problem."""
+    """Plan, show and write a problem, and say what to do next."""
     from hitchopt import api
     from hitchopt.exports.directory import SUMMARY, certificate_content
     from hitchopt.storage.archive import PLAN
 
-    _check_rows(rate, _least_duration(problem), problem)
     with LateProgress("planning", limit) as progress:
         plan = api.solve(problem, progress=progress, limit=limit)
     motion = plan.motion
+    samples = motion.duration * len(motion.team.drone_names)
+    if rate * samples > MAX_ROWS:
+        bound = f"at most {MAX_ROWS / samples:.3g} Hz for a plan of {motion.duration:g} s"
+        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
     show_plan(plan.title, motion, plan.certificate)
-    _check_rows(rate, motion.duration, problem)
     with LateProgress("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
     content = certificate_content(motion, plan.certificate, place / PLAN)
     record(directory=str(place), certificate=content)
     say(f"certified; the plan is in {place}")
-    name = shlex.quote(str(place))
-    hint(f"next: look at {place / SUMMARY}")
-    if motion.team.has_cables:
-        hint(f"      hitchopt simulate {name}")
     # Edges that bend around an object need more digits than fitted polynomials keep.
     chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
-    hint(f"      hitchopt export {name} --format {chosen}")
-
-
-def _least_duration(problem: AnyProblem) -> float:
-    """Return the sum of the steps' own durations [s], a lower bound of the plan's duration."""
-    from hitchopt.mission.problem import Problem
-
-    if not isinstance(problem, Problem):
-        return problem.duration or 0.0
-    return sum(step.given_duration or 0.0 for step in problem.mission)
-
-
-def _check_rows(rate: float, duration: float, problem: AnyProblem) -> None:
-    drones = len(problem.team.drone_names)
-    if (rows := rate * duration * drones) > MAX_ROWS:
-        bound = (
-            f"at most {MAX_ROWS / (duration * drones):.3g} Hz for a plan of {duration:g} s "
-            f"and {drones} drones (it would write {rows:.3g} rows)"
-        )
-        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
+    name = shlex.quote(str(place))
+    flown = [f"simulate {name}"] if motion.team.has_cables else []
+    commands = [f"      hitchopt {each}" for each in (*flown, f"export {name} --format {chosen}")]
+    if not (output().quiet or output().json):
+        say("\n".join([f"next: look at {place / SUMMARY}", *commands]), err=True)
 
 
 def _leave_diagnosis(
@@ -172,11 +145,11 @@ def _leave_diagnosis(
         error, found = report_suggestions(problem, error, left)
         save_diagnosis(place, error, found)
     record(directory=str(place), diagnosis=diagnosis_content(error, found))
-    last = ""
+    said = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
     if (kept := place / PREVIOUS).is_dir():
         record(previous=str(kept))
-        last = f"; the last certified plan is in {kept}"
-    say(f"no plan; the diagnosis is in {place / DIAGNOSIS}{last}", err=True)
+        said += f"; the last certified plan is in {kept}"
+    say(said, err=True)
     click.get_current_context().exit(exit_code(error))
 
 
@@ -207,25 +180,13 @@ def report_suggestions(
     return error, found
 
 
-def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
-    """Report the phases and the certificate of a plan."""
-    names = ("name", "step", "start", "end", "remark")
-    phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
-    record(title=title, phases=phases, certificate=certificate.to_dict())
-    if title:
-        say(title)
-    say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
-
-
 @command(
     "directory DIR",
     """
     --closest: Report the closest pairs of drones over time.
     --picture PNG (path): Draw the same to a file.
-    --gamma FLOAT (1.0): How many times farther than drones vertices may be off, for
-        tracking_radius.
-    --survivable: Report for how many losses of a drone there is a certified reaction; this takes a
-        while.
+    --gamma FLOAT (1.0): For tracking_radius: how many times farther than drones vertices may be.
+    --survivable: Report for how many losses of a drone there is a certified reaction (slow).
     """,
 )
 def check(
@@ -285,16 +246,17 @@ def _show_verified(path: Path) -> None:
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
-    for row in rows:
-        say(line(row))
     record(verified=[row._asdict() for row in rows])
-    say(verdict(rows))
+    say("\n".join([*map(line, rows), verdict(rows)]))
     if any(row.verdict != "proven" for row in rows):
         unmet()
 
 
-def _complete_example(_: click.Context, __: click.Parameter, begun: str) -> list[str]:
-    return [path.stem for path in example_files() if path.stem.startswith(begun)]
+def example_files() -> list[Path]:
+    """Return the examples: in the package where it is installed, else in the checkout."""
+    packed = PACKAGE / "examples"
+    place = packed if packed.is_dir() else PACKAGE.parent / "problems"
+    return sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
 
 
 @command(
@@ -304,7 +266,7 @@ def _complete_example(_: click.Context, __: click.Parameter, begun: str) -> list
     --list: List the examples.
     """,
     name={"type": str, "required": False},
-    example={"shell_complete": _complete_example},
+    example=completing(lambda: [path.stem for path in example_files()]),
     list={"name": "listing"},
 )
 def init(name: str | None, example: str | None, *, listing: bool) -> None:
@@ -312,13 +274,12 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
 
     NAME is problem.yaml by default, or the example's name.
     """
-    if listing:
-        found = {path.stem: _title(path) for path in example_files()}
-        record(examples=[{"name": stem, "title": title} for stem, title in found.items()])
-        width = max(map(len, found))
-        say("\n".join(f"{stem:{width}}  {found[stem]}" for stem in found))
-        return
     files = {path.stem: path for path in example_files()}
+    if listing:
+        rows = [{"name": stem, "title": _title(path)} for stem, path in files.items()]
+        record(examples=rows)
+        say(table("Examples", rows))
+        return
     if example is not None and example not in files:
         near = difflib.get_close_matches(example, files, 1)
         remedy = f"did you mean {near[0]}?" if near else "hitchopt init --list names them"
@@ -327,13 +288,6 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
     record(file=str(path))
     say(f"wrote {path}; try: hitchopt solve {path}")
-
-
-def example_files() -> list[Path]:
-    """Return the examples: in the package where it is installed, else in the checkout."""
-    packed = PACKAGE / "examples"
-    place = packed if packed.is_dir() else PACKAGE.parent / "problems"
-    return sorted([*place.glob("*.yaml"), *(place / "swarms").glob("*.yaml")])
 
 
 def _title(path: Path) -> str:
@@ -349,26 +303,15 @@ def problem_text(path: Path) -> str:
 
 
 def _write_new(name: str, text: str) -> Path:
-    """Write a problem file to ``name``, with the suffix .yaml, completely or not at all.
-
-    Raises
-    ------
-    FileError: the file exists, or its directory cannot be written to.
-    """
+    """Write a problem file to ``name``, with the suffix .yaml; refuse one that exists."""
     path = Path(name)
     if not path.name.strip("."):
         raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
     if path.suffix not in SUFFIXES:
         path = path.with_name(f"{path.name}.yaml")
     try:
-        with open(path, "x", encoding="utf-8") as file:
-            try:
-                file.write(text)
-                file.flush()
-            except BaseException:
-                with contextlib.suppress(OSError):
-                    path.unlink()
-                raise
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
     except FileExistsError:
         raise FileError(f"{path}: exists already; give another name, or remove it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the name

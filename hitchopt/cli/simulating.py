@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +14,7 @@ from hitchopt.cli.pictures import save_flight_film
 from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
-    from hitchopt.simulation.judgement import LossOutcome, Simulation, Spread
+    from hitchopt.simulation.judgement import Simulation, Spread
     from hitchopt.simulation.settings import Settings
     from hitchopt.simulation.task import Task
     from hitchopt.sweeps.campaign import Campaign
@@ -24,11 +23,14 @@ if TYPE_CHECKING:
 RESULTS = "simulation"
 """Default directory of the results, in DIR."""
 
-LYING = 0.05
-"""[m] A lost drone that is so low lies on the ground, perhaps on its cable."""
-
 INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
 """What stands in place of vertices' errors in flights of the fast preset."""
+
+SHOWN = ("name", "placed", "tilted", "turned", "lifted", "slipped", "free")
+"""What is shown of objects; simulation.json has more."""
+
+OF_VERTICES = ("vertex_error", "resting", "moving", "without_sag")
+"""Figures of a run that the fast preset does not know."""
 
 MOST_REASONS = 8
 """Reasons of a sweep's refusals that are listed."""
@@ -38,8 +40,7 @@ MOST_REASONS = 8
     "directory DIR",
     """
     -o, --output OUT (path): Results; else DIR/simulation.
-    --preset fast|accurate (fast): fast: whether it holds; accurate: with correct friction, five
-        times slower.
+    --preset fast|accurate (fast): Whether it holds; or with correct friction, five times slower.
     --drones rigid|point (rigid): Rigid bodies with an attitude, or point masses.
     --runs N (int): Simulate N flights, with seeds S, S+1, ….
     --seed S (0): Random seed.
@@ -60,18 +61,15 @@ MOST_REASONS = 8
     --object-mass X (float): Largest error of objects' masses.
     --object-friction X (float): Of their friction, relative.
     --object-place M (float): Of where they stand [m].
-    --stiffness N/M (float): Of position loops; by default the team's.
-    --integral/--no-integral (None): Integral action; by default the team's.
-    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added; by
-        default the team's.
+    --stiffness N/M (float): Of position loops; by default the team's, as the following four.
+    --integral/--no-integral (None): Integral action.
+    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added.
+    --friction MU (float): Cable friction.
+    --density KG/M (float): Cable density.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
-    --friction MU (float): Cable friction; by default the team's.
-    --density KG/M (float): Cable density; by default the team's.
-    --ground M (float): Height of the ground [m]; by default 0 or lower; where there are objects,
-        the arena's.
-    --lose DRONE@SECONDS (text): Stop a drone's motors then, such as q0@12.5; the others fly their
-        certified reaction.
-    --reaction/--no-reaction (True): Whether they do; else they fly on as if nothing had happened.
+    --ground M (float): Its height; by default 0 or lower, with objects the arena's.
+    --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
+    --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
     --film FILE (path): Film of a single flight, .gif or .mp4.
     """,
     drones={"name": "body"},
@@ -89,15 +87,12 @@ def simulate(
 ) -> None:
     """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
 
-    It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
-    and for the length that the bends of thick simulated ropes use up, which it prints.
-    Drones follow setpoints.csv and nothing else, unless --feedback corrects them: of the cables
-    they feed forward cable_x, cable_y and cable_z. Vertex errors are distances in three dimensions,
-    sag included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
-    not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
-    simulation leaves its valid range, which is reported as not simulated and says nothing about the
-    plan. With --lose it is 3 if a survivor touches anything, or if there is no reaction; no hitch
-    is judged then. The exit code of a campaign (--runs) is 0; it reports the rate of success.
+    Drones follow setpoints.csv, of the cables' forces too, and nothing else, unless --feedback
+    corrects them; vertices.csv tells the initial shape of the cables. Vertex errors are distances
+    in three dimensions, sag included. One flight ends with 3 if anything fails: drones touch, a
+    vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5°; or, as not
+    simulated, if the simulation leaves its valid range; with --lose if a survivor touches anything
+    or there is no reaction. A campaign (--runs) ends with 0 and reports the rate of success.
     """
     from hitchopt.simulation.judgement import warnings
     from hitchopt.simulation.settings import settings_of
@@ -133,13 +128,7 @@ def simulate(
 def _lost(
     directory: Path, settings: Settings, task: Task, text: str, *, react: bool
 ) -> tuple[Settings, Task]:
-    """Return settings and task of a flight in which a drone is lost.
-
-    Raises
-    ------
-    InputError: no such drone, or a time after the flight.
-    InfeasibleError: there is no reaction to its loss.
-    """
+    """Return settings and task of a flight in which a drone is lost, and say how others react."""
     from hitchopt.live.lost import Reactions, reacting
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.simulation.settings import Loss
@@ -173,13 +162,7 @@ def _simulate_one(
     with LateProgress("writing the results"):
         save_simulation(place, done, plan, title)
     record(directory=str(place), simulation=summary(done))
-    say(flight_tables(done))
-    say(f"{_verdict(done)}; results are in {place}")
-    if math.isfinite(done.run.vertex_error.mean):
-        error = f"{spread_text(done.run.vertex_error)} cm, mean ± σ (largest)"
-        say(f"vertex error in 3-D, sag included: {error if settings.preset.exact else INEXACT}")
-    else:
-        say("vertex error: none, the plan has no hitch or none was formed")
+    say(f"{flight_tables(done)}\n\n{_verdict(done)}; results are in {place}")
     for failure in done.outcome.failures:
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -205,127 +188,49 @@ def _verdict(done: Simulation) -> str:
 
 
 def flight_tables(simulation: Simulation) -> str:
-    """Return the tables of one flight's vertices, cables and drones."""
-    run = simulation.run
-    parts = [_vertex_table(simulation)] if simulation.outcome.clasps else []
-    if simulation.loss is not None:
-        parts.append(_loss_table(simulation.loss))
-    if simulation.outcome.objects:
-        parts.append(_object_table(simulation))
-    figures = {"vertices": INEXACT}
-    if simulation.settings.preset.exact:
-        figures = {
-            "vertices, sag included [cm]": spread_text(run.vertex_error),
-            "  while the plan stands still": spread_text(run.resting),
-            "  while it moves": spread_text(run.moving),
-            "vertices without sag (level part) [cm]": spread_text(run.without_sag),
-        }
+    """Return the tables of one flight's vertices, objects and figures."""
+    from hitchopt.simulation.judgement import effective_lengths
+    from hitchopt.simulation.report import summary
+
+    found, run, flight = summary(simulation), simulation.run, simulation.flight
+    exact, team = simulation.settings.preset.exact, flight.task.team
+    stated = all(map(math.isfinite, team.stiffness)) or simulation.settings.stiffness is not None
+    errors = {
+        "vertices, sag included [cm]": run.vertex_error,
+        "  while the plan stands still": run.resting,
+        "  while it moves": run.moving,
+        "vertices without sag (level part) [cm]": run.without_sag,
+    }
+    figures: dict[str, object] = {}
+    if exact:
+        figures = {name: spread_text(spread) for name, spread in errors.items()}
     figures |= {
         "drones to their setpoints [cm]": spread_text(run.tracking),
-        "largest tension": f"{run.peak_tension:.3f} N",
-        "largest thrust": f"{run.peak_thrust:.3f} N",
-        "thrust saturated": f"{run.saturated:.2%} of samples",
-        "pace": f"{run.pace:.2f} times real time, on one processor",
-    }
-    return "\n\n".join([*parts, quantities("Flight", figures), _conditions(simulation)]) + "\n"
-
-
-def _vertex_table(simulation: Simulation) -> str:
-    from hitchopt.simulation.judgement import Spread
-
-    errors, exact, rows = simulation.errors, simulation.settings.preset.exact, []
-    for c, clasp in enumerate(simulation.outcome.clasps):
-        heights = [100 * x for x in errors.offsets[:, c, 2] if math.isfinite(x)]  # not where lost
-        places: tuple[object, ...] = (
-            spread_text(Spread.of(errors.errors[:, c])),
-            f"{sum(heights) / len(heights):+.1f}" if heights else "",
-            spread_text(Spread.of(errors.without_sag[:, c])),
-        )
-        bears = f"{clasp.bearing:.3f} {'≥' if clasp.bears else '<'} {clasp.least_bearing:.3f}"
-        pulled = f"{100 * clasp.moved:.1f}" if math.isfinite(clasp.moved) else ""
-        held = (pulled, clasp.holds)
-        rows.append((clasp.name, clasp.linking, bears, *(places if exact else ()), *held))
-    title = (
-        "Vertices, in cm: distances to the plan's, mean ± standard deviation (largest); mean\n"
-        "height over the plan; movement under the pull test"
-    )
-    if not exact:
-        title = "Vertices; movement under the pull test in cm"
-    heads = ["linked", "bears [N]", *(["error", "height", "without sag"] if exact else [])]
-    return table(title, ["vertex"], [*heads, "pulled", "holds"], rows)
-
-
-def _loss_table(loss: LossOutcome) -> str:
-    """Return the table of what became of the others after the loss of a drone."""
-    pairs = ", ".join(f"{touch.first} and {touch.second}" for touch in loss.among)
-    others = ", ".join(f"{touch.first} and {touch.second}" for touch in loss.others)
-    where = f"{100 * loss.hangs:.0f} cm above the ground" if loss.hangs > LYING else "on the ground"
-    return quantities(
-        f"{loss.drone} is lost at t = {loss.time:.3f} s",
-        {
-            "survivors that touch each other": pairs or "none",
-            "survivors that touch a cable or the lost drone": others or "none",
-            "largest tension from then on": f"{loss.peak_tension:.3f} N",
-            "largest thrust of a survivor": f"{loss.peak_thrust:.3f} N",
-            "survivors from their setpoints": f"{100 * loss.moved:.0f} cm at most",
-            "the lost drone ends": f"{100 * loss.dropped:.0f} cm lower, {where}",
-            "clasps that are linked at the end": ", ".join(loss.linked) or "none",
-        },
-    )
-
-
-def _object_table(simulation: Simulation) -> str:
-    """Return the table of the objects at the end, and of how they were held."""
-    rows = [
-        (
-            state.name,
-            f"{100 * state.placed:.1f}",
-            f"{state.tilted:.1f}",
-            f"{state.turned:+.1f}",
-            f"{100 * state.lifted:+.1f}" if math.isfinite(state.lifted) else "",
-            f"{100 * state.slipped:.1f}" if math.isfinite(state.slipped) else "",
-            "yes" if state.free else "no",
-            state.well_placed,
-        )
-        for state in simulation.outcome.objects
-    ]
-    title = (
-        "Objects, in cm and degrees: from the plan's place, tilt, turn from the plan's yaw; while\n"
-        "carried, mean height over the plan's and slip relative to the hitch"
-    )
-    heads = ["placed", "tilted", "turned", "height", "slipped", "free", "well placed"]
-    return table(title, ["object"], heads, rows)
-
-
-def _conditions(simulation: Simulation) -> str:
-    """Return the table of how drones are controlled, and of what the simulation corrects."""
-    from hitchopt.simulation.judgement import effective_lengths
-
-    flight, preset = simulation.flight, simulation.settings.preset
-    team, gains = flight.task.team, flight.gains
-    stated = all(map(math.isfinite, team.stiffness)) or simulation.settings.stiffness is not None
-    values = {
-        "stiffness of position loops": f"{span_text(gains.stiffness, '.3g')} N/m",
+        "largest tension [N]": run.peak_tension,
+        "largest thrust [N]": run.peak_thrust,
+        "samples with saturated thrust": f"{run.saturated:.2%}",
+        "pace, times real time, on one processor": run.pace,
+        "stiffness of position loops [N/m]": span_text(flight.gains.stiffness, ".3g"),
         "  stated by": "team or option" if stated else "nobody: the simulator's own",
-        "cable forces of setpoints fed forward": _share(list(gains.feed_forward)),
-        "integral action": _share(list(gains.integral > 0.0)),
-        "ropes weigh": (
-            f"{1e3 * flight.density:g} g/m; the plan knows {1e3 * team.cable_density:g}"
-        ),
-        f"ropes of {1e3 * preset.diameter:g} mm longer for their bends": (
-            f"≤ {1e3 * flight.longer:.1f} mm"
-        ),
+        "ropes weigh [g/m]": 1e3 * flight.density,
+        "  as the plan knows": 1e3 * team.cable_density,
+        "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
     }
     off = 1e3 * (effective_lengths(flight) - team.cable_length)
     if all(map(math.isfinite, off)):  # there are none where no hitch is left
-        values["  their effective lengths are off by"] = f"{span_text(off, '+.1f')} mm"
-    return quantities("Control, and what is corrected", values)
-
-
-def _share(drones: Sequence[bool]) -> str:
-    """Return whether something is so for all drones, for none or for some of them."""
-    some = f"{sum(drones)} of {len(drones)}" if any(drones) else "no"
-    return "yes" if all(drones) else some
+        figures["  their effective lengths are off by [mm]"] = span_text(off, "+.1f")
+    parts = []
+    if found["clasps"]:
+        parts.append(table("Vertices after the flight [N, m]", map(dict, found["clasps"])))
+    if loss := found.get("loss"):
+        for name in ("among", "others"):
+            loss[name] = [f"{touch['first']} and {touch['second']}" for touch in loss[name]]
+        parts.append(quantities("Loss of a drone [s, N, m]", loss))
+    if found["objects"]:
+        rows = [{name: each[name] for name in SHOWN} for each in found["objects"]]
+        parts.append(table("Objects, to the plan's, and while carried [m, °]", rows))
+    parts.append(quantities("Flight, errors as mean ± deviation (largest)", figures))
+    return "\n\n".join(parts if exact else [*parts, f"vertex errors: {INEXACT}"])
 
 
 def spread_text(spread: Spread) -> str:
@@ -336,41 +241,26 @@ def spread_text(spread: Spread) -> str:
 
 
 def _campaign_tables(campaign: Campaign) -> str:
-    """Return the tables of a campaign: its success rate, errors and failures."""
+    """Return a campaign's success rate, the figures of its runs, and what failed first."""
     (low, high), runs = campaign.interval, campaign.runs
-    lost = campaign.not_simulated
-    note = f", {lost} could not be simulated and count as not succeeded" if lost else ""
-    head = (
-        f"{campaign.successes} of {len(runs)} flights succeeded{note}: "
+    exact, lost, rows = campaign.settings.preset.exact, campaign.not_simulated, []
+    for name in runs[0].figures:
+        known = [x for x in (run.figures[name] for run in runs) if math.isfinite(x)]
+        if known and (exact or not name.startswith(OF_VERTICES)):
+            row = {"mean": sum(known) / len(known), "largest": max(known)}
+            rows.append({"figure": name.replace("_", " "), **row})
+    parts = [
+        f"{campaign.successes} of {len(runs)} flights succeeded: "
         f"{campaign.successes / len(runs):.1%} ({low:.1%} to {high:.1%} at 95 %), "
-        f"seeds {runs[0].seed} to {runs[-1].seed}, preset {campaign.settings.preset.name}\n"
-    )
-    errors: dict[str, Iterable[float]] = {}
-    if campaign.settings.preset.exact:
-        errors = {
-            "mean vertex error, sag included": (run.vertex_error.mean for run in runs),
-            "  while the plan stands still": (run.resting.mean for run in runs),
-            "  while it moves": (run.moving.mean for run in runs),
-            "mean vertex error without sag": (run.without_sag.mean for run in runs),
-        }
-    else:
-        head += f"vertices: {INEXACT}\n"
-    errors |= {
-        "mean tracking error": (run.tracking.mean for run in runs),
-        "objects from their places": (run.placed for run in runs),
-        "objects slipped": (run.slipped for run in runs),
-    }
-    rows = []
-    for name, values in errors.items():
-        there = [100 * value for value in values if math.isfinite(value)]
-        if there:
-            rows.append((name, f"{sum(there) / len(there):.1f} cm", f"{max(there):.1f} cm"))
-    parts = [head, table("Runs, over all flights", ["quantity"], ["mean", "largest"], rows)]
+        f"seeds {runs[0].seed} to {runs[-1].seed}, preset {campaign.settings.preset.name}"
+    ]
+    if lost:
+        parts.append(f"{lost} could not be simulated and count as not succeeded")
+    parts += [] if exact else [f"vertices: {INEXACT}"]
+    parts.append(table("All flights [m, N, °]", rows))
     if campaign.failures:
-        counted = campaign.failures.most_common()
-        rows = [(kind, where, str(count)) for (kind, where), count in counted]
-        parts.append("\n" + table("First failures", ["kind", "where"], ["flights"], rows))
-    return "\n".join(parts) + "\n"
+        parts.append(table("First failures", campaign.to_dict()["first_failures"]))
+    return "\n\n".join(parts)
 
 
 @command(
@@ -436,12 +326,15 @@ def _draw(place: Path, x: str, y: str) -> None:
 
 def _sweep_tables(found: Summary) -> str:
     """Return what a sweep comes to."""
-    parts = []
-    if found.binding:
-        parts.append(table("What bound", ["limit"], ["rows"], found.binding[:MOST_REASONS]))
-    rows = [(name, *(f"{x:.4g}" for x in values)) for name, values in found.medians.items()]
-    parts.append(table("Figures", ["column"], ["median", "smallest", "largest"], rows))
-    last = f"{found.planned.rows} of {found.cases} rows; planned: {found.planned}"
+    binding = [{"limit": name, "rows": count} for name, count in found.binding[:MOST_REASONS]]
+    heads = ("median", "smallest", "largest")
+    medians = [
+        {"column": name, **dict(zip(heads, values, strict=True))}
+        for name, values in found.medians.items()
+    ]
+    parts = [table("What bound", binding)] if binding else []
+    parts.append(table("Figures", medians))
+    parts.append(f"{found.planned.rows} of {found.cases} rows; planned: {found.planned}")
     if found.succeeded is not None:
-        last += f"\nsimulated flights that succeeded: {found.succeeded}"
-    return "\n\n".join([*parts, last])
+        parts.append(f"simulated flights that succeeded: {found.succeeded}")
+    return "\n\n".join(parts)

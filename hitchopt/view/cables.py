@@ -33,26 +33,20 @@ POINTS = 2 * LEG + 2 * BEND + EDGE
 CLASPS = (LEG + BEND // 2, LEG + BEND + EDGE + BEND // 2)
 """The two points of a cable in the middles of its bends, nearest to the vertices."""
 
-REACH = 3.0
-"""Distance from a vertex, in bends' radii, from which on a cable is straight."""
-
 THICKNESS, THINNEST, THICKEST = 0.0035, 0.004, 0.03
 """Radius of a drawn cable as a share of the scene's extent, and its bounds [m]."""
 
-BEND_RADIUS = 2.2
-"""Radius of a bend in radii of the drawn cable: neighbours then clear each other."""
-
-LEG_SHARE = 0.2
-"""Largest radius of a bend as a share of the shortest leg or edge."""
+BEND_RADIUS, REACH, LEG_SHARE = 2.2, 3.0, 0.2
+"""Radius of a bend in radii of the drawn cable: neighbours then clear each other; distance from a
+vertex, in bends' radii, from which on a cable is straight; and largest radius of a bend as a share
+of the shortest leg or edge."""
 
 NO_SLACK = 1e-4
 """Share of its length by which a weightless cable may exceed its parts and still be straight."""
 
-SHORTEST = 1e-9
-"""Least length of a span [m]: a chain's ends have legs of none."""
-
-NO_TURN = 1e-6
-"""[rad] Edges around an object that turn by less are straight."""
+SHORTEST, NO_TURN = 1e-9, 1e-6
+"""Least length of a span [m], as a chain's ends have legs of none, and angle [rad] by which edges
+around an object turn at least: others are straight."""
 
 HOOKED = frozenset({CableState.TIGHTENING, CableState.HITCHED})
 
@@ -62,10 +56,7 @@ def cable_curves(
 ) -> tuple[Array, float]:
     """Return the cables of a plan (times, n, POINTS, 3) [m], from q to r, and their drawn radius.
 
-    Parameters
-    ----------
-    motion, states: the plan, and its states (times,).
-    thickness: radius of a drawn cable as a share of the scene's extent: it is chosen to be visible.
+    ``thickness`` is that radius as a share of the scene's extent: it is chosen to be visible.
     """
     n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
     radius = float(np.clip(thickness * extent, THINNEST, THICKEST))
@@ -106,38 +97,25 @@ def clasp_senses(motion: Motion) -> Array:
     return np.ones(len(layout.clasps))
 
 
-def wrapped_edges(first: Array, last: Array, contacts: Array, shares: Array) -> tuple[Array, Array]:
-    """Return lengths (…) [m] of edges around an object, and points on them (…, points, 3) [m].
+def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Array]:
+    """Return lengths (…) [m] of edges around an object, and points on them (…, EDGE, 3) [m].
 
-    An edge is a tangent, an arc and a tangent.
-
-    Parameters
-    ----------
-    first, last: (…, 3) [m], ends of the edges.
-    contacts: (…, 2, 3) [m], where they meet and leave what they are wrapped around.
-    shares: of their lengths, at which the points are (…, points).
+    An edge between ends (…, 3) is a tangent, an arc of a circle and a tangent; the points are its
+    ends and on its arc. At contacts (…, 2, 3) [m] it meets and leaves the object.
     """
     start, end = contacts[..., 0, :], contacts[..., 1, :]
     ahead, chord = unit(start - first), end - start
-    angle = np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))[..., None]
-    turns = angle > NO_TURN
-    # Along a circle the chord from its start has 2 R sin(φ/2), turned by φ/2 from the tangent.
-    bow = np.where(turns, 0.5 * angle / np.where(turns, np.sin(0.5 * angle), 1.0), 1.0)
-    whole = length(chord)[..., None]
-    parts = np.concatenate(
-        [length(start - first)[..., None], bow * whole, length(last - end)[..., None]], axis=-1
-    )
-    total = np.sum(parts, axis=-1, keepdims=True)
-    before = np.cumsum(parts, axis=-1) - parts
-    done = shares[..., None] * total[..., None] - before[..., None, :]
-    done = np.clip(done / np.maximum(parts, 1e-12)[..., None, :], 0.0, 1.0)
-    half = 0.5 * done[..., 1] * angle
-    size = np.where(turns, np.sin(half) / np.where(turns, np.sin(0.5 * angle), 1.0), done[..., 1])
+    half = 0.5 * np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))[..., None]
+    turns, share = half > NO_TURN, np.linspace(0.0, 1.0, EDGE - 2)
+    sine, done = np.where(turns, np.sin(half), 1.0), share * half
+    # The chord from an arc's start to a point on it, turned by ``done`` from the tangent.
+    size = np.where(turns, np.sin(done) / sine, share) * length(chord)[..., None]
     side = unit(chord - dot(chord, ahead)[..., None] * ahead)[..., None, :]
-    towards = np.cos(half)[..., None] * ahead[..., None, :] + np.sin(half)[..., None] * side
-    points = first[..., None, :] + done[..., :1] * (start - first)[..., None, :]
-    points = points + (size * whole)[..., None] * towards
-    return total[..., 0], points + done[..., 2:] * (last - end)[..., None, :]
+    toward = np.cos(done)[..., None] * ahead[..., None, :] + np.sin(done)[..., None] * side
+    arc = start[..., None, :] + size[..., None] * toward
+    bow = length(chord) * np.where(turns, half / sine, 1.0)[..., 0]
+    total = length(start - first) + bow + length(last - end)
+    return total, np.concatenate([first[..., None, :], arc, last[..., None, :]], axis=-2)
 
 
 def _at(curves: PiecewisePolynomial, t: Array) -> Array:
@@ -153,23 +131,20 @@ def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
     """
     times, hooked = t.copy(), np.zeros(len(t))
     runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
-    for i, run in enumerate(runs):
-        start, end, state = run[0].start, run[-1].end, run[0].state
-        here = (t >= start) & (t <= end)
+    spans = [(run[0].state, run[0].start, run[-1].end) for run in runs]
+    nothing = (CableState.NONE, 0.0, 0.0)
+    for before, (state, start, end), after in zip(
+        [nothing, *spans], spans, [*spans[1:], nothing], strict=False
+    ):
         if state in HOOKED:
-            hooked[here], times[here] = 1.0, t[here]
-        if state is not CableState.CLASPING:
-            continue
-        along = (t - start) / (end - start)
-        here &= hooked < 1.0
-        for j, share, vertices in (
-            (i + 1, 2.0 * along - 1.0, end),
-            (i - 1, 1.0 - 2.0 * along, start),
-        ):
-            if 0 <= j < len(runs) and runs[j][0].state in HOOKED:
-                x = np.clip(share[here], 0.0, 1.0)
-                hooked[here], times[here] = x * x * (3.0 - 2.0 * x), vertices
-    return times, hooked
+            rise, fall = (
+                max(0.5 * (b - a), SHORTEST) if other is CableState.CLASPING else SHORTEST
+                for other, a, b in (before, after)
+            )
+            share = np.clip(1.0 + np.minimum((t - start) / rise, (end - t) / fall), 0.0, 1.0)
+            more = share > hooked
+            hooked[more], times[more] = share[more], np.clip(t, start, end)[more]
+    return times, hooked**2 * (3.0 - 2.0 * hooked)
 
 
 def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
@@ -178,17 +153,14 @@ def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
     Their points are at shares of each cable, from 0 to 1, (POINTS,) or (times, n, POINTS).
     """
     q, r = drones[:, 0::2], drones[:, 1::2]
-    hung = _spread(Catenary.between(q, r, motion.team.cable_length))
-    return _sagging(q, r, hung, hung.place(share))
+    return _sagging(q, r, motion.team.cable_length, share, of_chord=False)
 
 
-def _spread(hung: Catenary) -> Catenary:
-    """Return cables (…) as (…, 1), for several places on each."""
-    return Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
-
-
-def _sagging(first: Array, second: Array, hung: Catenary, mu: Array) -> Array:
-    """Return the points (…, points, 3) at places μ (…, points) of cables between their ends."""
+def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord: bool) -> Array:
+    """Return points (…, points, 3) of cables of sizes (…) [m], at shares of chord or length."""
+    hung = Catenary.between(first, second, np.maximum(size, SHORTEST))
+    hung = Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
+    mu = np.clip(2.0 * share - 1.0, -1.0, 1.0) if of_chord else hung.place(share)
     along = 0.5 * (1.0 + mu)[..., None]
     points = (1.0 - along) * first[..., None, :] + along * second[..., None, :]
     points[..., 2] -= hung.depth(mu)
@@ -207,7 +179,7 @@ def _bent(
     corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
     chords = length(np.diff(corners, axis=2))
     if contacts is not None:
-        chords[..., 1] = wrapped_edges(a, b, contacts, np.zeros((*a.shape[:2], 1)))[0]
+        chords[..., 1] = wrapped_edges(a, b, contacts)[0]
     extra = team.cable_length - np.sum(chords, axis=-1)
     straight = NO_SLACK * team.cable_length if team.cable_density == 0.0 else 0.0
     extra = np.where(extra <= straight, 0.0, extra)
@@ -216,28 +188,20 @@ def _bent(
     trim, zero = REACH * radius / np.maximum(chords, SHORTEST), np.zeros(a.shape[:2])
     before, after = np.moveaxis(np.where(layout.has_leg, trim[..., 1:2], 0.0), -1, 0)
     cuts = ((zero, trim[..., 0]), (before, after), (trim[..., 2], zero))
-    parts = [
-        _cut_span(corners[:, :, i], corners[:, :, i + 1], lengths[..., i], cuts[i], count)
-        for i, count in enumerate((LEG, EDGE, LEG))
-    ]
+    parts = []
+    for i, count in enumerate((LEG, EDGE, LEG)):
+        first, last = cuts[i]
+        share = first[..., None] + (1.0 - first - last)[..., None] * np.linspace(0.0, 1.0, count)
+        ends = corners[:, :, i], corners[:, :, i + 1]
+        parts.append(_sagging(*ends, lengths[..., i], share, of_chord=True))
     if contacts is not None:
-        shares = before[..., None] + (1.0 - before - after)[..., None] * np.linspace(0, 1, EDGE)
-        around = wrapped_edges(a, b, contacts, shares)[1]
-        wrapped = np.any(contacts[..., 0, :] != 0.5 * (a + b), axis=-1)
+        start, end = contacts[..., 0, :], contacts[..., 1, :]
+        first, last = (p + REACH * radius * unit(c - p) for p, c in ((a, start), (b, end)))
+        around = wrapped_edges(first, last, contacts)[1]
+        wrapped = np.any(start != 0.5 * (a + b), axis=-1)
         parts[1] = np.where(wrapped[..., None, None], around, parts[1])
     q_side, r_side = _bends(motion, drones, vertices, radius)
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
-
-
-def _cut_span(
-    first: Array, second: Array, size: Array, cuts: tuple[Array, Array], count: int
-) -> Array:
-    """Return ``count`` points of hanging spans without shares of them, ``cuts``, at both ends."""
-    before, after = cuts
-    grid = np.linspace(0.0, 1.0, count)
-    share = before[..., None] + (1.0 - before - after)[..., None] * grid
-    hung = _spread(Catenary.between(first, second, np.maximum(size, SHORTEST)))
-    return _sagging(first, second, hung, np.clip(2.0 * share - 1.0, -1.0, 1.0))
 
 
 def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tuple[Array, Array]:

@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.values import Array
-from hitchopt.view.painter import Camera, Painter
+from hitchopt.view.painter import Camera, Painter, draw_painting
 from hitchopt.view.scene import Scene
-from hitchopt.view.style import draw_lines, facts
+from hitchopt.view.style import drafted, draw_lines, facts
 
 SIZE, DOTS = (12.8, 7.2), 100
 """Size of a frame [in], and its resolution [1/in]."""
@@ -28,30 +27,18 @@ RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
 AZIMUTH, ELEVATION = -115.0, 32.0
 """Where a film is seen from [deg]."""
 
-MARGIN, HEAD = 0.3, 0.09
-"""Margin around everything [m], and the part of a frame above it for words."""
-
-THIN, SMALL = 0.0022, 0.012
-"""Least half width of a cable and least reach of a drone, as shares of the frame's height."""
+MARGIN, HEAD, THIN, SMALL = 0.3, 0.09, 0.0022, 0.012
+"""Margin around everything [m]; as shares of a frame's height, the part above it for words, the
+least half width of a cable, and the least reach of a drone."""
 
 
 def save_film(
     path: Path, scene: Scene, title: str = "", progress: Callable[[float], None] | None = None
 ) -> None:
-    """Write the film of a scene, 1280 × 720.
+    """Write the film of a scene, 1280 × 720, with a title above it.
 
-    Parameters
-    ----------
-    path: ends in .gif or .mp4.
-    scene: a plan, or a simulated flight.
-    title: words above it.
-    progress: called with the fraction that is done.
-
-    Raises
-    ------
-    InputError: another ending.
-    UnsupportedError: a required package is not installed.
-    FileError: the file cannot be written.
+    ``path`` ends in .gif or .mp4; ``progress`` is called with the fraction that is done. Errors are
+    those of ``check_film``, and a FileError where it cannot be written.
     """
     check_film(path)
     import imageio.v2 as imageio
@@ -62,19 +49,13 @@ def save_film(
     if kind == ".gif":
         options = {"duration": 1000.0 / rate, "loop": 0}
     times = np.arange(int(np.ceil(scene.t[-1] * rate)) + 1) / rate
-    draft = path.with_name(f".{path.stem}.part{kind}")
-    try:
+    with drafted(path) as draft:
         made: Any = imageio.get_writer(draft, **options)
         with made as writer:
             for i, frame in enumerate(frames(scene, times, title)):
                 writer.append_data(frame)
                 if progress is not None:
                     progress((i + 1) / len(times))
-        draft.replace(path)
-    except OSError as error:
-        raise FileError(f"{path}: cannot be written: {error}; name another place") from error
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def check_film(path: Path) -> None:
@@ -111,9 +92,7 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     draw_lines(axes, camera.seen(_ground(scene))[..., :2], "0.9", 0.7, 1)
     size = max(1.0, SMALL * height / scene.motion.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, THIN * height), size)
-    # Edges of the faces' colour close the seams between them.
-    shapes: Any = PolyCollection([], linewidths=0.3, edgecolors="face", zorder=2)
-    axes.add_collection(shapes)
+    shapes: Any = draw_painting(axes, painter.painted(scene.at(0.0)))
     words: dict[str, Any] = {"fontsize": 13, "parse_math": False, "zorder": 3}
     figure.text(0.02, 0.945, f"{title}\n{facts(scene.motion)}".strip(), va="center", **words)
     clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
@@ -130,16 +109,10 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
 
 def _ground(scene: Scene) -> Array:
     """Return the lines (m, 2, 3) [m] of a grid on the ground, well beyond all paths."""
-    lower, upper = np.min(scene.drones, axis=(0, 1)), np.max(scene.drones, axis=(0, 1))
-    extent = float(np.max(upper - lower))
-    step = 10.0 ** np.round(np.log10(max(extent, 1.0) / 6.0))
-    (left, front), (right, back) = (
-        step * np.floor((lower[:2] - 3 * extent) / step),
-        step * np.ceil((upper[:2] + 3 * extent) / step),
-    )
-    floor = scene.motion.requirements.floor
-    lines = [[[x, front, floor], [x, back, floor]] for x in np.arange(left, right + step / 2, step)]
-    lines += [
-        [[left, y, floor], [right, y, floor]] for y in np.arange(front, back + step / 2, step)
-    ]
-    return np.array(lines)
+    lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
+    reach, floor = float(np.max(np.ptp(scene.drones, axis=(0, 1)))), scene.motion.requirements.floor
+    step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))
+    near, far = (lower - 3.0 * reach) // step * step, (upper + 3.0 * reach) // step * step + step
+    across, up = (np.arange(near[i], far[i] + step / 2, step) for i in range(2))
+    lines = [[[x, near[1], floor], [x, far[1], floor]] for x in across]
+    return np.array([*lines, *([[near[0], y, floor], [far[0], y, floor]] for y in up)])

@@ -17,47 +17,32 @@ from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
 from hitchopt.view.server import FIELD, HOST, PORT, open_server, server_address
 from hitchopt.view.style import facts, verdict
 
-FRAME = 1.0 / 30.0
-"""Time between two frames [s]."""
-
-STEP, DECIMALS = 0.001, 3
-"""Step of the time's slider [s], and its decimals."""
+FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
+"""Time between two frames [s]; step of the time's slider [s], and its decimals."""
 
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 QUIET = "gray"
 """Colour of buttons, but for that of the phase shown and those of checks that do not hold."""
 
-FROM = np.array([-0.35, -0.8, 0.5])
-"""Direction from which the scene is seen at first."""
-
-FILLED = 0.85
-"""Part of the picture that the paths fill."""
+FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
+"""Direction and shortest distance [m] from which the scene is seen at first."""
 
 ASPECT, NARROW_ASPECT = 1.1, 0.62
 """Width over height of what the panel leaves of a small window, and of what that for editing leaves
 as well."""
 
-NEAREST = 1.5
-"""Shortest distance from which the scene is seen at first [m]."""
-
 
 class LiveView:
-    """A plan in the browser, served until it is closed.
+    """A plan in the browser, served until it is closed; UnsupportedError where viser is missing.
 
     Parameters
     ----------
-    motion, title: the plan.
-    certificate: its certificate; None while it is being computed.
+    motion, certificate, title: the plan; no certificate while it is being computed.
     ghost: another scene that is shown beside it, pale.
     host, port: where the server listens; if the port is taken the next free one.
     server: of ``open_server``, which browsers may have opened already, in place of another one.
-    aspect: width over height of the part of the page in which the scene is seen; NARROW_ASPECT
-        where it is edited.
-
-    Raises
-    ------
-    UnsupportedError: viser is not installed.
+    aspect: width over height of where the scene is seen; NARROW_ASPECT where it is edited.
     """
 
     def __init__(
@@ -181,13 +166,11 @@ class LiveView:
         """Place the camera so that it sees all paths, in pages that are opened from now on."""
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
-        back = FROM / np.linalg.norm(FROM)
-        right = np.cross([0.0, 0.0, 1.0], back)
-        right /= np.linalg.norm(right)
-        seen = (drones - centre) @ np.stack([right, np.cross(back, right), back], axis=1)
-        sizes = np.tan(0.5 * FIELD) * FILLED * np.array([self._aspect, 1.0])
-        away = float(np.max(seen[:, 2] + np.max(np.abs(seen[:, :2]) / sizes, axis=1)))
-        self.server.initial_camera.position = tuple(centre + max(away, NEAREST) * back)
+        reach = float(np.max(np.linalg.norm(drones - centre, axis=1)))
+        half = np.arctan(np.tan(0.5 * FIELD) * min(1.0, self._aspect))
+        away = max(reach / np.sin(half), NEAREST)
+        position = centre + away * FROM / np.linalg.norm(FROM)
+        self.server.initial_camera.position = tuple(position)
         self.server.initial_camera.look_at = tuple(centre)
 
     def _add_panel(self) -> None:
@@ -281,13 +264,7 @@ class Buttons:
     """Buttons below one another, whose labels change with the plan; none is ever removed.
 
     Pages that draw slowly receive what is added and removed at once, and report updates of what
-    is not there as errors.
-
-    Parameters
-    ----------
-    gui: a viser server's panel.
-    place: its tab that they are added to.
-    clicked: called with the index of a button that is clicked.
+    is not there as errors. ``clicked`` is called with the index of a button of a tab ``place``.
     """
 
     def __init__(self, gui: Any, place: Any, clicked: Callable[[int], None]) -> None:

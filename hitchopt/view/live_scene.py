@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
-from hitchopt.view.scene import Concerned, Moment, Scene
+from hitchopt.view.scene import Concerned, Scene
 from hitchopt.view.shapes import SPAN, drone_faces, mesh, object_faces, slab_faces, sphere_faces
 from hitchopt.view.style import MARK_COLOUR, cable_colours, drone_colours, object_colours
 
@@ -22,26 +22,20 @@ NEWTON = 0.2
 MOST_NAMED = 40
 """Number of drones up to which all are named at first: more names hide the scene."""
 
-PALE = (150, 156, 162)
-"""Colour of a ghost."""
-
-GHOSTLY = 0.4
-"""Opacity of objects of a ghost, or of an old plan."""
+PALE, GHOSTLY = (150, 156, 162), 0.4
+"""Colour of a ghost, and opacity of its objects, or of an old plan's."""
 
 FADED, COLOUR_LEFT = (205, 208, 211), 0.2
 """Grey that old plans tend to, and the share of their own colour that is left."""
 
-PATH_TOLERANCE = 0.002
-"""Distance of a drawn path to the drone's [m] that its segments aim at: from 1.5 m a pixel is about
-as much, and browsers that draw by software are slow with many segments."""
+PATH_STEP, MOST_SEGMENTS = 0.1, 4000
+"""Time between the corners of drawn paths [s]: they are off by the acceleration times its square
+over 8, some millimetres. Browsers that draw by software are slow with more segments."""
 
-PATH_WIDTH = 1.2
-"""Width of a path [pixels]: thinner ones are drawn with gaps."""
+PATH_WIDTH, EDGE = 1.2, 0.006
+"""Width of a path [pixels], as thinner ones have gaps, and of the arena's edges [m]."""
 
 ARENA_COLOUR, KEEP_OUT_COLOUR = (203, 203, 203), (179, 38, 30)
-
-EDGE = 0.006
-"""Thickness of the arena's edges [m]."""
 
 SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
 
@@ -49,66 +43,31 @@ SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
 class LiveScene:
     """A scene in the browser.
 
-    Parameters
-    ----------
-    server: a viser server.
-    scene: what is drawn.
-    name: beginning of all names in the server's scene, ending in a slash.
-    ghost: whether it is drawn pale, without surroundings and switches.
+    All its names in the server's scene begin with ``name``, which ends in a slash. A ghost is drawn
+    pale, without surroundings and switches.
     """
 
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:
         self.scene, self._api, self._name, self._ghost = scene, server.scene, name, ghost
-        self._marked, self._pale = Concerned(), False
-        self.shown: dict[str, bool] = {}
-        team, separation = scene.motion.team, scene.motion.requirements.separation
-        self._moment = scene.at(0.0)
+        self._marked, self._pale, self._moment = Concerned(), False, scene.at(0.0)
+        team, few = scene.motion.team, len(scene.motion.team.drone_names) <= MOST_NAMED
+        self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
         self._cable_colours = _as_bytes(cable_colours(team.robots))
         if ghost:
-            self._cable_colours = np.tile(np.array(PALE, np.uint8), (team.robots, 1))
-        self._drones = self._add_drones(separation.radius)
+            self._cable_colours[:] = PALE
+        cables = _segments(self._moment.cables)
+        self._cables = self._lines("cables", cables, self._cable_colours, 2.0 * scene.radius)
+        self._drones, self._objects = self._add_drones(), self._add_objects()
         self._bright = [np.array(batch.batched_colors) for batch in self._drones]
-        self._cables = self._lines(
-            "cables", _segments(self._moment.cables), self._cable_colours, 2.0 * scene.radius
-        )
-        self._objects = self._add_objects()
         if not ghost:
-            axes = [separation.radius, separation.radius, separation.height]
-            self._shells = self._batch("ellipsoids", sphere_faces(axes), (42, 140, 130), 0.15)
-            reach = sphere_faces(1.5 * SPAN * separation.radius)
-            self._marks = self._batch("marks", reach, MARK_COLOUR, 0.5, count=1)
-            points = np.repeat(self._moment.drones[:, None], 2, axis=1)
-            self._arrows = {
-                kind: self._lines(
-                    kind, points, np.tile(np.array(colour, np.uint8), (len(points), 1))
-                )
-                for kind, colour in (("forces", (200, 65, 79)), ("thrusts", (11, 60, 93)))
-            }
-            ends, owners = path_segments(np.moveaxis(scene.drones, 1, 0), PATH_TOLERANCE)
-            pale = (0.5 * _as_bytes(drone_colours(team)) + 120.0).astype(np.uint8)
-            self._paths = self._lines("paths", ends, pale[owners], PATH_WIDTH, "screen")
-            self._labels = [
-                self._api.add_label(f"{name}names/{drone}", drone, position=tuple(place))
-                for drone, place in zip(team.drone_names, self._moment.drones, strict=True)
-            ]
+            self._add_switched()
             self._add_surroundings()
-            few = len(team.drone_names) <= MOST_NAMED
-            self.shown = {switch: few and switch in ("paths", "names") for switch in SWITCHES}
-        self.show(0.0)
+        self._draw()
 
     def show(self, time: float) -> None:
         """Draw the scene at a time [s]."""
-        self._moment = moment = self.scene.at(time)
-        turns = moment.quaternions / np.linalg.norm(moment.quaternions, axis=-1, keepdims=True)
-        for batch in self._drones:
-            batch.batched_positions, batch.batched_wxyzs = _single(moment.drones), _single(turns)
-        if self.scene.motion.team.has_cables:
-            self._cables.points = _segments(moment.cables)
-        for solid, pose in zip(self._objects, moment.objects, strict=True):
-            solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
-        if not self._ghost:
-            self._show_switched(moment)
-            self._show_marks(moment)
+        self._moment = self.scene.at(time)
+        self._draw()
 
     def remove(self) -> None:
         """Take it out of the browser's scene."""
@@ -117,66 +76,76 @@ class LiveScene:
     def switch(self, name: str, *, on: bool) -> None:
         """Show or hide paths, ellipsoids, forces, thrusts or names."""
         self.shown[name] = on
-        self._show_switched(self._moment)
+        self._draw()
 
     def mark(self, marked: Concerned) -> None:
         """Highlight drones, cables and vertices."""
         self._marked = marked
-        colours = faded(self._cable_colours) if self._pale else self._cable_colours.copy()
-        colours[list(marked.cables)] = MARK_COLOUR
-        if len(colours):
-            self._cables.colors = self._per_segment(colours, len(self._cables.points))
-        self._show_marks(self._moment)
+        self._paint()
 
     def fade(self, *, on: bool) -> None:
         """Draw drones and cables pale, without their paths, or as they are again."""
-        if on == self._pale:
-            return
-        self._pale = on
-        for batch, colours in zip(self._drones, self._bright, strict=True):
-            batch.batched_colors = faded(colours) if on else colours.copy()
-        for solid in self._objects:
-            solid.opacity = GHOSTLY if on else None
-        self.mark(self._marked)
-        self._show_switched(self._moment)
+        if on != self._pale:
+            self._pale = on
+            self._paint()
 
-    def _show_switched(self, moment: Moment) -> None:
-        self._shells.visible = self.shown["downwash ellipsoids"]
-        self._paths.visible = self.shown["paths"] and not self._pale
-        for label, place in zip(self._labels, moment.drones, strict=True):
-            label.visible = self.shown["names"]
-            if label.visible:
-                label.position = tuple(place)
+    def _paint(self) -> None:
+        """Give everything the colours that it has now."""
+        for batch, colours in zip(self._drones, self._bright, strict=True):
+            batch.batched_colors = faded(colours) if self._pale else colours.copy()
+        for solid in self._objects:
+            solid.opacity = GHOSTLY if self._pale else None
+        colours = faded(self._cable_colours) if self._pale else self._cable_colours.copy()
+        colours[list(self._marked.cables)] = MARK_COLOUR
+        if len(colours):
+            self._cables.colors = self._per_segment(colours, len(self._cables.points))
+        self._draw()
+
+    def _draw(self) -> None:
+        """Put everything to its place."""
+        moment, shown = self._moment, self.shown
+        turns = moment.quaternions / np.linalg.norm(moment.quaternions, axis=-1, keepdims=True)
+        for batch in self._drones:
+            batch.batched_positions, batch.batched_wxyzs = _single(moment.drones), _single(turns)
+        if self.scene.motion.team.has_cables:
+            self._cables.points = _segments(moment.cables)
+        for solid, pose in zip(self._objects, moment.objects, strict=True):
+            solid.position, solid.wxyz = pose[:3], pose[3:] / np.linalg.norm(pose[3:])
+        if self._ghost:
+            return
+        self._paths.visible = shown["paths"] and not self._pale
+        self._shells.visible = shown["downwash ellipsoids"]
         if self._shells.visible:
             self._shells.batched_positions = _single(moment.drones)
+        for label, place in zip(self._labels, moment.drones, strict=True):
+            label.visible = shown["names"]
+            if label.visible:
+                label.position = tuple(place)
         w, x, y, z = np.moveaxis(moment.quaternions, -1, 0)
         up = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
         vectors = {"forces": moment.cable_forces, "thrusts": moment.thrusts[:, None] * up}
         for name, vector in vectors.items():
-            arrow = self._arrows[name]
-            arrow.visible = self.shown[name]
-            if arrow.visible:
+            self._arrows[name].visible = shown[name]
+            if shown[name]:
                 ends = [moment.drones, moment.drones + NEWTON * vector]
-                arrow.points = _single(np.stack(ends, axis=1))
-
-    def _show_marks(self, moment: Moment) -> None:
-        """Draw a ball about every drone and every clasp that is marked."""
+                self._arrows[name].points = _single(np.stack(ends, axis=1))
         layout = self.scene.motion.team.layout
         clasps = moment.cables[layout.ahead, CLASPS[0]]
         marked = clasps[np.isin(layout.clasps, self._marked.vertices)]
-        points = np.concatenate([moment.drones[list(self._marked.drones)], marked])
-        self._marks.visible = len(points) > 0
-        if len(points):
-            self._marks.batched_positions = _single(points)
-            self._marks.batched_wxyzs = _upright(len(points))
+        balls = np.concatenate([moment.drones[list(self._marked.drones)], marked])
+        self._marks.visible = len(balls) > 0
+        if len(balls):
+            self._marks.batched_positions = _single(balls)
+            self._marks.batched_wxyzs = _upright(len(balls))
 
-    def _add_drones(self, radius: float) -> list[Any]:
-        team, (frame, rotors, rims) = self.scene.motion.team, drone_faces(radius)
+    def _add_drones(self) -> list[Any]:
+        motion = self.scene.motion
+        frame, rotors, rims = drone_faces(motion.requirements.separation.radius)
         if self._ghost:
             parts = (frame, rotors)
             return [self._batch(f"drones/{i}", part, PALE, 0.5) for i, part in enumerate(parts)]
-        colours = _in_linear_light(_as_bytes(drone_colours(team)))
-        hollow = np.array([name[0] == "r" for name in team.drone_names])[:, None]
+        colours = _in_linear_light(_as_bytes(drone_colours(motion.team)))
+        hollow = np.array([name[0] == "r" for name in motion.team.drone_names])[:, None]
         return [
             self._batch("drones/frame", frame, (43, 47, 51)),
             self._batch("drones/rotors", rotors, np.where(hollow, np.uint8(255), colours)),
@@ -184,8 +153,8 @@ class LiveScene:
         ]
 
     def _add_objects(self) -> list[Any]:
-        motion = self.scene.motion
-        colours = _as_bytes(object_colours(motion)).tolist()
+        bodies = self.scene.motion.requirements.objects
+        colours = _as_bytes(object_colours(self.scene.motion)).tolist()
         look: dict[str, Any] = {"flat_shading": True, "side": "double", "cast_shadow": False}
         if self._ghost:
             look["opacity"], colours = GHOSTLY, [PALE] * len(colours)
@@ -196,9 +165,31 @@ class LiveScene:
                 color=tuple(colour),
                 **look,
             )
-            for (name, body), colour in zip(
-                motion.requirements.objects.items(), colours, strict=True
-            )
+            for (name, body), colour in zip(bodies.items(), colours, strict=True)
+        ]
+
+    def _add_switched(self) -> None:
+        """Add what can be switched off, and the balls that mark."""
+        scene, team, drones = self.scene, self.scene.motion.team, self._moment.drones
+        separation = scene.motion.requirements.separation
+        axes = [separation.radius, separation.radius, separation.height]
+        self._shells = self._batch("ellipsoids", sphere_faces(axes), (42, 140, 130), 0.15)
+        reach = sphere_faces(1.5 * SPAN * separation.radius)
+        self._marks = self._batch("marks", reach, MARK_COLOUR, 0.5, count=1)
+        points = np.repeat(drones[:, None], 2, axis=1)
+        self._arrows = {
+            kind: self._lines(kind, points, np.tile(np.array(colour, np.uint8), (len(points), 1)))
+            for kind, colour in (("forces", (200, 65, 79)), ("thrusts", (11, 60, 93)))
+        }
+        most, end = max(2, MOST_SEGMENTS // len(drones)), scene.t[-1]
+        corners = np.linspace(0.0, end, int(np.clip(end / PATH_STEP, 2, most)))
+        rows = np.unique(np.searchsorted(scene.t, corners))
+        pale = (0.5 * _as_bytes(drone_colours(team)) + 120.0).astype(np.uint8)
+        paths = _segments(np.moveaxis(scene.drones[rows], 1, 0))
+        self._paths = self._lines("paths", paths, pale, PATH_WIDTH, "screen")
+        self._labels = [
+            self._api.add_label(f"{self._name}names/{drone}", drone, position=tuple(place))
+            for drone, place in zip(team.drone_names, drones, strict=True)
         ]
 
     def _add_surroundings(self) -> None:
@@ -251,26 +242,6 @@ class LiveScene:
         """Return colours (count, 2, 3), each for equally many segments."""
         each = count // max(len(colours), 1)
         return np.repeat(np.repeat(_in_linear_light(colours), each, axis=0)[:, None], 2, axis=1)
-
-
-def path_segments(curves: Array, tolerance: float) -> tuple[Array, NDArray[np.intp]]:
-    """Return segments along smooth curves (m, 2, 3) [m], and the curve that each belongs to (m,).
-
-    Over k equal steps a curve whose second differences are d is off its chord by k² d / 8, by which
-    its samples are chosen.
-
-    Parameters
-    ----------
-    curves: samples (n, points, 3) [m], at least two of each.
-    tolerance: distance of the curve to its segments [m].
-    """
-    bent = np.linalg.norm(np.diff(curves, n=2, axis=1), axis=-1)
-    passed = np.cumsum(np.sqrt(bent / (8.0 * tolerance)), axis=1)
-    chosen = np.ones(curves.shape[:2], np.bool_)
-    chosen[:, 1:-1] = np.diff(np.floor(passed), axis=1, prepend=0.0) > 0.0
-    owners, places = np.nonzero(chosen)
-    points, same = curves[owners, places], owners[1:] == owners[:-1]
-    return np.stack([points[:-1], points[1:]], axis=1)[same], owners[1:][same]
 
 
 def faded(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,62 +20,42 @@ from matplotlib.gridspec import SubplotSpec
 from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import unit
-from hitchopt.motion.motion import JOINT, CableState, Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view.scene import Moment, Scene, scene_at
 from hitchopt.view.shapes import SEGMENTS, drone_faces, normals, object_faces, split
 from hitchopt.view.style import cable_colours, draw_lines, drone_colours, object_colours
 
-CASING = 1.8
-"""Width of a cable with its pale edges over that without."""
-
-OVERLAP = 0.5
-"""Length by which a cable's segments overlap, in its radii: bends have no gaps."""
+CASING, OVERLAP = 1.8, 0.5
+"""Width of a cable with its pale edges over that without, and length by which its segments overlap,
+in its radii: bends have no gaps."""
 
 FRAME, OPEN, SHADOW = "#2b2f33", "#ffffff", "#e4e7ea"
 """Colours of drones' frames, of hollow rotors and of cables' edges, and of shadows."""
 
-FEWEST = 4
-"""Least number of a rotor's corners."""
-
-SPLITS = 3
-"""How often the sides of an object's faces are halved, so that near and far are told apart."""
+FEWEST, SPLITS = 4, 3
+"""Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
+that near and far are told apart."""
 
 LIGHT, DARKEST = unit(np.array([-0.35, -0.55, 1.0])), 0.62
 """Direction toward the light, and the brightness of a face that is turned away from it."""
 
-MOST = 9
-"""Largest number of panels; more would be too small to read."""
+MOST, FEW = 9, 3
+"""Largest number of panels; more would be too small to read. Below FEW another picture fits."""
 
-FEW = 3
-"""Number of panels up to which there is space for another picture below them."""
-
-MANY, BESIDE = 30, 1
-"""Number of robots beyond which there is a panel of a few cables, and theirs on either side."""
-
-STEPS = {12: 1, MANY: 2, 100: 4, math.inf: 8}
+STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
 """Step of the painter up to that number of robots: more are fewer pixels wide."""
 
-STILL = 1e-3
-"""Distance [m] that some drone is off its place in the panel before; else there is none."""
-
-LONGEST = 1e6
-"""Distance [m] beyond all that drones fly, by which some moments come before others."""
+STILL, LONGEST = 1e-3, 1e6
+"""Distance [m] that some drone is off its place in the panel before, else there is none; and one
+beyond all that drones fly, by which some moments come before others."""
 
 AZIMUTH, ELEVATION = -115.0, 38.0
 """Where panels are seen from [deg]."""
 
-THICKNESS = 0.011
-"""Radius of a drawn cable as a share of the extent: clasps show over and under in small panels."""
-
-NEAR_WIDTH = 0.5
-"""Share of the cables' drawn width that they have in the larger panel of a few cables."""
-
-MARGIN = 0.08
-"""Margin around everything as a share of a panel's height."""
-
-SMALL = 0.03
-"""Least reach of a drawn drone as a share of a panel's height, while there are few."""
+THICKNESS, MARGIN, SMALL = 0.011, 0.08, 0.03
+"""Radius of a drawn cable as a share of the extent: clasps show over and under in small panels; and
+margin around everything and least reach of a drone, as shares of a panel's height."""
 
 PATH_SAMPLES, PALE = 150, 0.45
 """Number of points of a drone's path, and its opacity."""
@@ -83,14 +63,9 @@ PATH_SAMPLES, PALE = 150, 0.45
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A direction from which a scene is seen, from far away.
+    """A direction from which a scene is seen, from far away."""
 
-    Attributes
-    ----------
-    axes: (3, 3), unit vectors to the right, upward, and toward the viewer, in world coordinates.
-    """
-
-    axes: Array
+    axes: Array  # (3, 3), units to the right, upward, and toward the viewer, in world coordinates
 
     @classmethod
     def toward(cls, azimuth: float, elevation: float) -> Camera:
@@ -105,43 +80,26 @@ class Camera:
         return np.asarray(points @ self.axes.T)
 
 
-@dataclass(frozen=True, eq=False)
-class Painting:
-    """Polygons in the order in which they are painted.
+class Painting(NamedTuple):
+    """Polygons in the order in which they are painted."""
 
-    Attributes
-    ----------
-    polygons: (m, 4, 2) [m], right and up; a triangle has its last corner twice.
-    colours: (m, 4), red, green, blue, opacity.
-    """
-
-    polygons: Array
-    colours: Array
+    polygons: Array  # (m, 4, 2) [m], right and up; a triangle has its last corner twice
+    colours: Array  # (m, 4), red, green, blue, opacity
 
 
 class Painter:
     """What draws the moments of one scene.
 
-    Parameters
-    ----------
-    scene: what is drawn.
-    camera: from where.
-    width: half of a cable's drawn width [m]; None for the scene's.
-    size: factor of the drones' drawn sizes.
-    step: by which rotors and cables have fewer corners: few are enough if they are small.
+    ``width`` is half of a cable's drawn width [m], 0 for the scene's; ``size`` a factor of the
+    drones' sizes; ``step`` that by which rotors and cables have fewer corners, as small ones may.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        camera: Camera,
-        width: float | None = None,
-        size: float = 1.0,
-        step: int = 1,
+        self, scene: Scene, camera: Camera, width: float = 0.0, size: float = 1.0, step: int = 1
     ) -> None:
         motion, team = scene.motion, scene.motion.team
         self.camera, self.step, self._floor = camera, step, motion.requirements.floor
-        self._width = scene.radius if width is None else width
+        self._width = width or scene.radius
         self.cables = to_rgba_array(cable_colours(team.robots))
         radius = size * motion.requirements.separation.radius
         frame, rotors, rims = drone_faces(radius, max(FEWEST, SEGMENTS // step))
@@ -150,19 +108,14 @@ class Painter:
         dark = np.broadcast_to(to_rgba_array(FRAME), own.shape)
         fills = np.where(hollow, to_rgba_array(OPEN), own)
         self._parts = ((frame, dark, True), (rotors, fills, False), (rims, own, False))
+        bodies = motion.requirements.objects.values()
+        fills = to_rgba_array(object_colours(motion))
         # Objects stand on tables, and lie on cables, which are drawn thicker than they are.
-        self._objects = [
-            (
-                split(object_faces(body), SPLITS),
-                fill,
-                body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width,
-            )
-            for body, fill in zip(
-                motion.requirements.objects.values(),
-                to_rgba_array(object_colours(motion)),
-                strict=True,
-            )
-        ]
+        backs = (
+            body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width for body in bodies
+        )
+        faces = (split(object_faces(body), SPLITS) for body in bodies)
+        self._objects = list(zip(faces, fills, backs, strict=True))
 
     def painted(self, moment: Moment) -> Painting:
         """Return a moment: shadows on the ground, then everything else, the farthest first."""
@@ -226,22 +179,12 @@ class Painter:
         return np.stack([first - aside, first + aside, last + aside, last - aside], axis=1)
 
 
-@dataclass(frozen=True)
-class Shot:
-    """A moment that has a panel.
-
-    Attributes
-    ----------
-    words: above the panel.
-    time: from the plan's start [s].
-    kept: whether it is shown however many there are, as far as MOST goes.
-    near: whether only a few cables are shown, those nearest to the viewer.
-    """
+class Shot(NamedTuple):
+    """A moment that has a panel, with words above it."""
 
     words: str
-    time: float
-    kept: bool = False
-    near: bool = False
+    time: float  # from the plan's start [s]
+    kept: bool = False  # whether it is shown however many there are, as far as MOST goes
 
 
 def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
@@ -267,12 +210,7 @@ def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
     moved = np.flatnonzero(gone > STILL)
     rank = gone[moved] + np.where([shots[i].kept for i in moved], LONGEST, 0.0)
     rank[-1] = np.inf
-    chosen = [shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MOST]])]
-    hitched = [phase.end for phase in motion.phases if phase.state is CableState.HITCHED]
-    if motion.team.robots > MANY and hitched:
-        at = sum(shot.time < hitched[-1] + JOINT for shot in chosen)
-        chosen.insert(at, Shot(f"{2 * BESIDE + 1} of the cables", hitched[-1], near=True))
-    return tuple(chosen)
+    return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MOST]]))
 
 
 def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> None:
@@ -286,15 +224,10 @@ def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Sho
 def draw_storyboard(
     place: SubplotSpec, scene: Scene, shots: Sequence[Shot], flown: tuple[Array, Array]
 ) -> None:
-    """Draw the panels of a scene.
+    """Draw the panels of a scene, at whose samples all shots' times are.
 
-    Parameters
-    ----------
-    place: part of a figure that they fill.
-    scene: samples at which all shots' times are.
-    shots: what is shown.
-    flown: times (samples,) [s], the shots' among them, and the drones there (samples, drones, 3)
-        [m]: the paths.
+    ``flown`` are the paths: times (samples,) [s], the shots' among them, and the drones then
+    (samples, drones, 3) [m].
     """
     team, radius = scene.motion.team, scene.motion.requirements.separation.radius
     count, drones = len(shots), scene.drones.shape[1]
@@ -306,55 +239,37 @@ def draw_storyboard(
     middles = 0.5 * (np.min(seen, axis=1) + np.max(seen, axis=1))
     half = np.max(np.abs(seen - middles[:, None]), axis=(0, 1)) * (1.0 + 2.0 * MARGIN) + radius
     size = max(1.0, SMALL * min(1.0, 4.0 / math.sqrt(drones)) / radius * 2.0 * half[1])
-    step = next(step for most, step in STEPS.items() if team.robots <= most)
-    painter = Painter(scene, camera, scene.radius, size, step)
-    closer = Painter(scene, camera, NEAR_WIDTH * scene.radius)
+    painter = Painter(scene, camera, scene.radius, size, few_corners(team.robots))
     paths = camera.seen(flown[1])[..., :2]
     reached = np.searchsorted(flown[0], scene.t[moments])
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Axes = grid.figure.add_subplot(grid[k // columns, k % columns])
-        moment, centre, reach = scene.at(float(scene.t[i])), middle, half
-        if shot.near:
-            centre, reach = _nearest(scene, camera.seen(moment.cables)[..., :2], half)
-        before = reached[k - 1] if k and not shot.near else reached[k]
-        lines = np.moveaxis(paths[before : reached[k] + 1], 1, 0)
+        lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
         draw_lines(axes, lines, drone_colours(team), 0.6, 1, alpha=PALE)
-        painting = (closer if shot.near else painter).painted(moment)
-        _draw_panel(axes, painting, centre, reach)
+        draw_painting(axes, painter.painted(scene.at(float(scene.t[i]))))
+        axes.set_aspect("equal")
+        axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
+        axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
+        axes.xaxis.set_visible(False)
+        axes.yaxis.set_visible(False)
+        axes.spines[:].set_color("0.85")
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
-        if shot.near or k == count - 1:
-            _draw_scale(axes, centre + reach * [1.0, -1.0], reach)
+    _draw_scale(axes, middle + half * [1.0, -1.0], half)
 
 
-def _draw_panel(axes: Axes, painting: Painting, centre: Array, reach: Array) -> None:
-    """Draw what of a painting is within a distance (2,) [m] of a point."""
-    apart = np.min(np.abs(painting.polygons - centre), axis=1)
-    inside = np.all(apart <= reach, axis=1)
-    polygons: Any = painting.polygons[inside]
-    fills: Any = painting.colours[inside]
-    shapes = PolyCollection(polygons, facecolors=fills, linewidths=0.2, edgecolors="face", zorder=2)
+def few_corners(robots: int) -> int:
+    """Return the painter's step for a team: what is small needs fewer corners."""
+    return next(step for most, step in STEPS.items() if robots <= most)
+
+
+def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
+    """Draw a painting; edges of the faces' colour close the seams between them."""
+    polygons: Any = painting.polygons
+    colours: Any = painting.colours
+    style: Any = {"facecolors": colours, "edgecolors": "face", "linewidths": 0.2, "zorder": 2}
+    shapes = PolyCollection(polygons, **style)
     axes.add_collection(shapes, autolim=False)
-    axes.set_aspect("equal")
-    axes.set_xlim(centre[0] - reach[0], centre[0] + reach[0])
-    axes.set_ylim(centre[1] - reach[1], centre[1] + reach[1])
-    axes.xaxis.set_visible(False)
-    axes.yaxis.set_visible(False)
-    for spine in axes.spines.values():
-        spine.set_color("0.85")
-
-
-def _nearest(scene: Scene, cables: Array, half: Array) -> tuple[Array, Array]:
-    """Return middle and half sizes (2,) [m] of the panel of the cables nearest to the viewer.
-
-    ``cables`` are as seen (n, points, 2) [m], ``half`` the half sizes of the other panels.
-    """
-    first, n = int(np.argmin(np.min(cables[..., 1], axis=1))), len(cables)
-    beside = np.arange(first - BESIDE, first + BESIDE + 1)
-    closed = scene.motion.team.layout.closed
-    shown = cables[beside % n if closed else np.clip(beside, 0, n - 1)]
-    lower, upper = np.min(shown, axis=(0, 1)), np.max(shown, axis=(0, 1))
-    scale = (1.0 + 2.0 * MARGIN) * float(np.max(0.5 * (upper - lower) / half))
-    return 0.5 * (lower + upper), scale * half
+    return shapes
 
 
 def _draw_scale(axes: Axes, corner: Array, half: Array) -> None:

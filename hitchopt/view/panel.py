@@ -19,30 +19,19 @@ from hitchopt.view.style import MARK_COLOUR
 WIDTH = 330
 """Width of the panel [pixels]."""
 
-SIZE = 0.04
-"""Radius of a handle [m]."""
-
-REACH = 0.35
-"""Length of the arrows of the handle that is chosen [m]."""
+SIZE, REACH = 0.04, 0.35
+"""Radius of a handle, and length of the arrows of the one that is chosen [m]."""
 
 IDLE_COLOUR = (90, 96, 102)
 """Colour of handles that are not chosen."""
 
-MOST = 80
-"""Number of handles of a step up to which all are drawn; a list has all of them."""
-
-DECIMALS = 4
-"""Decimals of what a handle is dragged by [m]; nobody drags more finely."""
+MOST, DECIMALS = 80, 4
+"""Number of handles of a step up to which all are drawn, while a list has all of them; and decimals
+of what one is dragged by [m]: nobody drags more finely."""
 
 
 class EditingPanel:
-    """Edits a problem in the live view.
-
-    Parameters
-    ----------
-    live: the view, showing the plan of the problem.
-    editing: the problem.
-    """
+    """Edits a problem in the live view, which shows its plan."""
 
     def __init__(self, live: LiveView, editing: Editing) -> None:
         self.live, self.editing = live, editing
@@ -89,8 +78,7 @@ class EditingPanel:
 
     def _tell(self, status: Status) -> None:
         """Show how the plan relates to the problem, and what is suggested."""
-        current = status.stage is Stage.CURRENT
-        self.live.note("" if current else str(status.stage))
+        self.live.note("" if status.stage is Stage.CURRENT else str(status.stage))
         disk = "saved" if self.editing.saved else "not saved"
         words = f"**{plain_words(str(status.stage))}** ({disk})"
         if status.suggestions:
@@ -102,11 +90,10 @@ class EditingPanel:
             self._offered = status.suggestions
             for button in self._buttons:
                 button.remove()
+            add, apply = self._button, self.editing.apply
             with self._tab:
-                self._buttons = [
-                    self._button(str(each.change), self.editing.apply, each, hint=str(each))
-                    for each in status.suggestions
-                ]
+                offered = [(str(each.change), each) for each in status.suggestions]
+                self._buttons = [add(name, apply, each, hint=str(each)) for name, each in offered]
 
     def _build(self) -> None:
         """Build what depends on the text and the step."""

@@ -9,7 +9,7 @@ import json
 import math
 import platform
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
 from importlib.resources import files
 from pathlib import Path
@@ -17,36 +17,37 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import FileError, InputError, Progress
+from hitchopt.errors import InputError, Progress
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, Motion
-from hitchopt.motion.states import States
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS, HOOKED, POINTS
-from hitchopt.view.pictures import Panel, draw_summary, panels, sampled_states
+from hitchopt.view.pictures import draw_summary, panels, sampled_states
 from hitchopt.view.scene import Scene, concerned, scene_of
 from hitchopt.view.shapes import mesh, object_faces
-from hitchopt.view.style import drone_colours, facts, object_colours, save_figure, verdict
+from hitchopt.view.style import (
+    drafted,
+    drone_colours,
+    facts,
+    object_colours,
+    save_figure,
+    verdict,
+)
 
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
 """Endings of files that a plan can be written to."""
 
 PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
-"""Packages whose versions a report states, besides hitchopt's."""
-
 DIGESTED = ("plan.npz", "setpoints.csv")
-"""Files of a plan whose digests a report states."""
+"""What a report states, besides hitchopt's version: of packages versions, of files digests."""
 
 SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
 """Parts of the page's script."""
 
-HEADROOM = 1.2
-"""Height of a plot over its largest value."""
-
-LEVELS = 65535
-"""Largest 16-bit number."""
+HEADROOM, LEVELS = 1.2, 65535
+"""Height of a plot over its largest value; largest 16-bit number."""
 
 
 def save_view(
@@ -59,44 +60,25 @@ def save_view(
 ) -> None:
     """Write a plan as a page, a picture or a film, by the ending of the file's name.
 
-    Parameters
-    ----------
-    path: file, replaced if there is one.
-    motion, certificate, title: the plan.
-    problem: the text of its problem file, if it is known.
-    progress: called with what is done of a film.
-
-    Raises
-    ------
-    InputError: another ending than those of PAGE, PICTURES and FILMS.
-    UnsupportedError: a film needs a package that is not installed.
-    FileError: the file cannot be written.
+    ``problem`` is the text of its file, ``progress`` is called with what is done of a film. Another
+    ending is an InputError; an UnsupportedError says what a film needs that is not installed, a
+    FileError that the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind in FILMS:
         from hitchopt.view.film import save_film
 
-        def share(done: float) -> None:
-            if progress is not None:
-                progress(f"drawing, {done:.0%}")
-
-        save_film(path, scene_of(motion), title, share)
+        tell = progress or (lambda _: None)
+        save_film(path, scene_of(motion), title, lambda done: tell(f"drawing, {done:.0%}"))
         return
     if kind not in (*PICTURES, PAGE):
         bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
         raise InputError("--save", str(path), bound, "such as plan.html")
-    draft = path.with_name(f".{path.stem}.part{kind}")
-    try:
+    with drafted(path) as draft:
         if kind == PAGE:
             write_report(draft, motion, certificate, title, problem, path.parent)
         else:
             save_figure(draw_summary(motion, certificate, title), draft)
-        draft.replace(path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise FileError(f"{path}: cannot be written: {reason}; name another place") from error
-    finally:
-        draft.unlink(missing_ok=True)
 
 
 def write_report(
@@ -105,17 +87,8 @@ def write_report(
 ) -> None:  # fmt: skip
     """Write the page of a plan: playback, plots and certificate.
 
-    Parameters
-    ----------
-    path: file, replaced if there is one.
-    motion, certificate, title: the plan.
-    problem: the text of its problem file, if it is known.
-    directory: that of the plan's files, whose digests the report states; by default that of
-        ``path``.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
+    ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
+    ``directory``, by default that of ``path``. A file that cannot be written is an OSError.
     """
     scene, name = scene_of(motion), title or "Plan"
     entries, samples = packed(
@@ -129,14 +102,17 @@ def write_report(
             "turns": scene.objects[..., 3:],
         }
     )
+    checks = certificate.to_dict()["checks"]
+    for check in checks:
+        check["concerned"] = concerned(motion, check["where"])._asdict()
     data = {
         "title": name,
         "facts": facts(motion),
         "verdict": verdict(certificate),
         "certified": certificate.certified,
         "arrays": entries,
-        "plots": _plots(motion, certificate),
-        "checks": [_check(motion, check) for check in certificate.checks],
+        "plots": list(_plots(motion, certificate)),
+        "checks": checks,
         "problem": problem,
         "origin": _origin(problem, directory or path.parent),
         **_described(scene),
@@ -161,12 +137,8 @@ def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
     """Return a description of arrays, ready for JSON, and their samples as text.
 
     The text is deflated second differences of 16 bits in base64, which ``page/samples.js`` decodes:
-    those of smooth motion are small, and pack to about a third. Every sample is off by at most half
-    of its axis's range over ``LEVELS``.
-
-    Parameters
-    ----------
-    arrays: by name, (times, …, axes); all values of an axis share one range.
+    those of smooth motion are small, and pack to about a third. Arrays are (times, …, axes); every
+    sample is off by at most half of its axis's range over ``LEVELS``.
     """
     entries, planes = [], []
     for name, array in arrays.items():
@@ -225,51 +197,41 @@ def _described(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _check(motion: Motion, check: Check) -> dict[str, Any]:
-    names = ("name", "holds", "worst", "limit", "sense", "unit", "time")
-    found: dict[str, Any] = {name: getattr(check, name) for name in names}
-    return {**found, "where": [*check.where], "concerned": vars(concerned(motion, check.where))}
-
-
-def _plots(motion: Motion, certificate: Certificate) -> list[dict[str, Any]]:
-    states = sampled_states(motion)
-    plots = [_plot(motion, states.t, panel, certificate) for panel in panels(motion, states)]
+def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:
+    """Yield what is limited over time, and the largest and smallest tension of the hitch."""
+    states, duration = sampled_states(motion), motion.duration
+    for panel in panels(motion, states):
+        bound = (np.array([0.0, duration]), np.full(2, panel.limit), f"limit {panel.limit:.4g}")
+        worst = panel.worst_of(certificate)
+        plot = _plot(panel.label, states.t, [panel.values], [bound], worst)
+        yield {**plot, "sense": RULE_OF[panel.name].sense}
     if motion.team.has_cables and np.any(states.formed):
-        plots.append(_tension_plot(motion, states))
-    return plots
+        least, most = np.min(states.tensions, axis=1), np.max(states.tensions, axis=1)
+        curves = [np.where(states.formed, values, np.nan) for values in (least, most)]
+        stated = stated_tensions(motion)
+        ends = np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)
+        steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
+        limits = [(steps, np.repeat(np.where(motion.formed, end, np.nan), 2), "") for end in ends]
+        plot = _plot("tension [N],\nas stated", states.t, curves, limits, None)
+        yield {**plot, "sense": "max"}
 
 
-def _plot(motion: Motion, t: Array, panel: Panel, certificate: Certificate) -> dict[str, Any]:
-    worst, limit = panel.worst_of(certificate), panel.limit
-    bound = {"t": [0.0, motion.duration], "values": 2 * [limit], "words": f"limit {limit:.4g}"}
+def _plot(
+    label: str,
+    t: Array,
+    curves: Sequence[Array],
+    limits: Sequence[tuple[Array, Array, str]],
+    worst: tuple[float, float] | None,
+) -> dict[str, Any]:
+    """Return what the page draws: limits are times, values and words, worst a time and a value."""
+    values = [*curves, *(values for _, values, _ in limits), np.array(worst[1:] if worst else [])]
     return {
-        "label": panel.label,
+        "label": label,
         "t": _rounded(t),
-        "curves": [_rounded(panel.values)],
-        "limits": [bound],
+        "curves": [_rounded(curve) for curve in curves],
+        "limits": [{"t": _rounded(a), "values": _rounded(b), "words": c} for a, b, c in limits],
         "worst": worst and {"time": worst[0], "value": worst[1]},
-        "sense": RULE_OF[panel.name].sense,
-        "top": HEADROOM * max(limit, float(np.max(panel.values)), worst[1] if worst else 0.0),
-    }
-
-
-def _tension_plot(motion: Motion, states: States) -> dict[str, Any]:
-    """Return the largest and the smallest tension while there is a hitch, and what is stated."""
-    tensions = np.where(states.formed[:, None], states.tensions, np.nan)
-    stated = stated_tensions(motion)
-    steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
-    limits = []
-    for bound in (np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)):
-        values = np.repeat(np.where(motion.formed, bound, np.nan), 2)
-        limits.append({"t": _rounded(steps), "values": _rounded(values), "words": ""})
-    return {
-        "label": "tension [N],\nas stated",
-        "t": _rounded(states.t),
-        "curves": [_rounded(np.min(tensions, axis=1)), _rounded(np.max(tensions, axis=1))],
-        "limits": limits,
-        "worst": None,
-        "sense": "max",
-        "top": HEADROOM * float(np.nanmax(np.concatenate([stated.ravel(), tensions.ravel()]))),
+        "top": HEADROOM * float(np.nanmax(np.concatenate(values))),
     }
 
 

@@ -9,17 +9,12 @@ from typing import Any
 
 from hitchopt.errors import UnsupportedError
 
-HOST = "127.0.0.1"
-"""Address that the server listens on unless told otherwise: this machine alone."""
+HOST, PORT = "127.0.0.1", 8080
+"""Where the server listens unless told otherwise: this machine alone; if the port is taken, the
+next free one."""
 
-PORT = 8080
-"""Port that it listens on unless told otherwise; if it is taken the next free one."""
-
-WIDTH = 380
-"""Width of the panel [pixels]."""
-
-FIELD = 0.6
-"""Vertical field of view [rad]."""
+WIDTH, FIELD = 380, 0.6
+"""Width of the panel [pixels], and vertical field of view [rad]."""
 
 SKY, GROUND, BRIGHTNESS = (255, 255, 255), (190, 190, 205), 1.8
 """Colours of the light from above and from below, and its intensity."""
@@ -32,12 +27,7 @@ SIDE, SIDE_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
 
 
 def open_server(host: str = HOST, port: int = PORT) -> Any:
-    """Return a viser server that serves an empty page.
-
-    Raises
-    ------
-    UnsupportedError: viser is not installed.
-    """
+    """Return a viser server that serves an empty page; without viser, raise UnsupportedError."""
     try:
         import viser
     except ImportError:

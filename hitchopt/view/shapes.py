@@ -10,27 +10,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.geometry.vectors import unit
-from hitchopt.objects import Section, Slab, SolidObject
+from hitchopt.objects import Slab, SolidObject
 from hitchopt.values import Array
 
 SPAN = 0.8
 """Reach of a drone's rotors as a share of its ellipsoid's radius."""
 
-SEGMENTS = 16
-"""Corners of a rotor; an even number."""
-
-ROUND = 32
-"""Corners of a drawn circle."""
+SEGMENTS, ROUND = 16, 32
+"""Corners of a rotor, an even number, and of a drawn circle."""
 
 PLATE = 0.012
 """Thickness of a drawn rim [m], below its height."""
 
 
 def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, Array]:
-    """Return frame, rotors and rims of a drone whose ellipsoid has that radius [m].
-
-    They are about its centre, the thrust along z, with ``segments`` corners a rotor.
-    """
+    """Return frame, rotors and rims about the centre of a drone of an ellipsoid's radius [m]."""
     size = SPAN * radius
     arm, rotor, above = 0.62 * size, 0.38 * size, 0.08 * size
     quarter = np.radians([45.0, 135.0, 225.0, 315.0])
@@ -59,14 +53,10 @@ def object_faces(body: SolidObject) -> Array:
 
 def slab_faces(slab: Slab) -> Array:
     """Return the faces of a section between two heights."""
-    return _prism(outline(slab.section), slab.lower, slab.upper)
-
-
-def outline(section: Section) -> Array:
-    """Return the corners of a section (m, 2) [m], counter-clockwise."""
+    section = slab.section
     if section.outline is None:
-        return section.rounding * _circle(ROUND)
-    return np.asarray(section.outline[::-1])
+        return _prism(section.rounding * _circle(ROUND), slab.lower, slab.upper)
+    return _prism(np.asarray(section.outline[::-1]), slab.lower, slab.upper)
 
 
 def sphere_faces(size: ArrayLike) -> Array:

@@ -7,13 +7,15 @@ from __future__ import annotations
 
 import textwrap
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate
+from hitchopt.errors import FileError
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array
@@ -34,19 +36,15 @@ TABLE_COLOUR, OBJECT_COLOUR = "#d3d8dd", "#e8d3a8"
 MARK_COLOUR = (232, 89, 12)
 """Colour of what a check concerns, as red, green and blue."""
 
-INK, LIMIT_COLOUR = "0.1", "#b3261e"
-
-DASHES = (0, (6, 2))
-"""Line style of limits: they differ from curves in grey as well."""
-
-RESOLUTION = 120
-"""Resolution of every picture [dots per inch]."""
+INK, LIMIT_COLOUR, DASHES = "0.1", "#b3261e", (0, (6, 2))
+"""Colours of curves and of limits, which are dashed and differ from curves in grey as well."""
 
 UNDATED: dict[str, dict[str, str | None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 """Kinds of drawings, and what would make their bytes depend on more than their content."""
 
-COMPRESSION = 1
-"""Level of zlib: PNG files are 5 to 12 % larger than with 6, in half to two thirds of the time."""
+RESOLUTION, COMPRESSION = 120, 1
+"""Resolution of every picture [dots per inch], and level of zlib: files are 5 to 12 % larger than
+with 6, in half to two thirds of the time."""
 
 
 def cable_colours(n: int) -> tuple[str, ...]:
@@ -101,38 +99,38 @@ def headline(figure: Figure, title: str, words: str) -> None:
     figure.suptitle(f"{name}\n{words}".strip(), fontsize="large", parse_math=False)
 
 
-def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a figure as SVG or PDF if its name ends so, else as PNG.
+def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int = RESOLUTION) -> None:
+    """Write a figure as SVG or PDF if the file's name ends so, else as PNG.
 
-    Its bytes depend on its content only.
-
-    Raises
-    ------
-    OSError: the file cannot be written.
+    Its bytes depend on its content only. A file that cannot be written is an OSError.
     """
     from matplotlib import rc_context
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
 
-    kind, layout = Path(path).suffix[1:].lower(), figure.get_layout_engine()
+    kind = Path(file).suffix[1:].lower() if isinstance(file, Path | str) else ""
+    options: dict[str, Any] = {"format": "png", "pil_kwargs": {"compress_level": COMPRESSION}}
+    if kind in UNDATED:
+        options = {"format": kind, "metadata": UNDATED[kind]}
     with warnings.catch_warnings(), rc_context({"svg.hashsalt": "hitchopt"}):
         # A title in a script that the font lacks is drawn with boxes.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        if layout is not None:  # savefig would draw all of it once more for that
-            layout.execute(figure)
-            figure.set_layout_engine(None)
-        try:
-            if kind in UNDATED:
-                figure.savefig(path, format=kind, dpi=RESOLUTION, metadata=UNDATED[kind])
-                return
-            canvas: Any = FigureCanvasAgg(figure)
-            canvas.draw()
-            size = (round(figure.bbox.width), round(figure.bbox.height))
-            # Without a channel of opacity, which takes a quarter of the time.
-            opaque = Image.frombuffer("RGBA", size, canvas.buffer_rgba()).convert("RGB")
-            opaque.save(path, "PNG", compress_level=COMPRESSION, dpi=(RESOLUTION, RESOLUTION))
-        finally:
-            figure.set_layout_engine(layout)
+        figure.savefig(file, dpi=dpi, **options)
+
+
+@contextmanager
+def drafted(path: Path) -> Iterator[Path]:
+    """Give a hidden file beside ``path`` to write, which takes its place at the end.
+
+    If it cannot be written, nothing is left of it, and a FileError says why.
+    """
+    draft = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        yield draft
+        draft.replace(path)
+    except OSError as error:
+        reason = error.strerror or error
+        raise FileError(f"{path}: cannot be written: {reason}; name another place") from error
+    finally:
+        draft.unlink(missing_ok=True)
 
 
 def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> Line2D:

@@ -57,7 +57,7 @@ def test_a_flight_as_planned_has_the_plans_lengths_and_no_errors(
     output, picture = tmp_path / "team.yaml", tmp_path / "flight.png"
     result = run("calibrate", table, "--plan", solved, "-o", output, "--picture", picture)
     assert result.exit_code == 0, result.output
-    for words in ("2.4000 m", "2.5000 m", "2.4500 m", "0.0 ± 0.0 (0.0)", "not determined"):
+    for words in (" 2.4 ", " 2.5 ", " 2.45 ", "0.0 ± 0.0 (0.0)", "not determined"):
         assert words in result.stdout
     assert "displaced by too little" in result.stdout
     assert picture.read_bytes()[:4] == b"\x89PNG"

@@ -49,7 +49,7 @@ mission:
 class Desk:
     """An editing of TEXT whose planner waits where a test tells it to."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.path = folder / "problem.yaml"
         self.path.write_text(TEXT)
         plan = ho.solve(self.path)
@@ -60,7 +60,9 @@ class Desk:
         self.planned: list[Problem] = []
         self.repairs: tuple[Suggestion, ...] = ()
         self.seen: list[Status] = []
-        self.editing = Editing(TEXT, self.path, self.first, self._plan, self._repair)
+        monkeypatch.setattr("hitchopt.view.editing.solve_problem", self._plan)
+        monkeypatch.setattr("hitchopt.view.editing.find_suggestions", self._repair)
+        self.editing = Editing(TEXT, self.path, self.first)
         self.editing.listener = lambda: self.seen.append(self.editing.status)
 
     def _plan(self, problem: Problem, progress: Progress) -> Certified:
@@ -71,7 +73,7 @@ class Desk:
         return solve_problem(problem, progress)
 
     def _repair(
-        self, problem: Problem, error: ho.InfeasibleError, progress: Progress
+        self, problem: Problem, error: ho.InfeasibleError, *, progress: Progress
     ) -> tuple[Suggestion, ...]:
         progress("looking")
         assert error.violations
@@ -80,8 +82,8 @@ class Desk:
 
 
 @pytest.fixture
-def desk(tmp_path: Path) -> Iterator[Desk]:
-    made = Desk(tmp_path)
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Desk]:
+    made = Desk(tmp_path, monkeypatch)
     yield made
     made.free.set()
     made.editing.close()
@@ -164,20 +166,17 @@ def test_what_is_no_problem_changes_nothing(desk: Desk) -> None:
 
 
 def test_what_binds_is_told_and_a_suggestion_can_be_taken(desk: Desk) -> None:
-    editing = desk.editing
-    editing.put(Edit("team.cable_length", 1.6))
-    assert editing.wait()
-    assert editing.status.stage is Stage.REFUSED
-    assert "no single change" in editing.status.words
-    assert editing.planned is desk.first
-    edit = Edit("team.cable_length", 2.4)
-    names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
-    found = Suggestion(Change(*names, desk.planned[-1], (edit,)), 2.0)
-    desk.repairs = (found,)
-    editing.put(Edit("team.cable_length", 1.61))
-    assert editing.wait()
-    assert editing.status.suggestions == (found,)
-    editing.apply(found)
+    editing, edit = desk.editing, Edit("team.cable_length", 2.4)
+    for length, told in ((1.6, "no single change"), (1.61, "")):
+        editing.put(Edit("team.cable_length", length))
+        assert editing.wait()
+        assert editing.status.stage is Stage.REFUSED
+        assert told in editing.status.words
+        assert editing.planned is desk.first
+        assert editing.status.suggestions == desk.repairs
+        names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
+        desk.repairs = (Suggestion(Change(*names, desk.planned[-1], (edit,)), 2.0),)
+    editing.apply(desk.repairs[0])
     assert editing.wait()
     assert editing.now()[1].stage is Stage.CURRENT
     assert editing.planned.certificate.certified
