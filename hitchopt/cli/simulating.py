@@ -26,7 +26,7 @@ RESULTS = "simulation"
 INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
 """What stands in place of vertices' errors in flights of the fast preset."""
 
-SHOWN = ("name", "placed", "tilted", "turned", "lifted", "slipped", "free")
+SHOWN = ("name", "placed", "tilted", "turned", "slipped", "free")
 """What is shown of objects; simulation.json has more."""
 
 OF_VERTICES = ("vertex_error", "resting", "moving", "without_sag")
@@ -42,7 +42,6 @@ MOST_REASONS = 8
     -o, --output OUT (path): Results; else DIR/simulation.
     --preset fast|accurate (fast): fast: whether it holds; accurate: with correct friction, five
         times slower.
-    --drones rigid|point (rigid): Rigid bodies with an attitude, or point masses.
     --runs N (int): Simulate N flights, with seeds S, S+1, ….
     --seed S (0): Random seed.
     --processes P (int): Processes; by default all processors.
@@ -64,19 +63,16 @@ MOST_REASONS = 8
     --object-place M (float): Of where they stand [m].
     --stiffness N/M (float): Of position loops; by default the team's.
     --integral/--no-integral (None): Integral action; by default the team's.
-    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added; by
+    --feed-forward/--no-feed-forward (None): Whether the setpoints' cable forces are added; by
         default the team's.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
     --friction MU (float): Cable friction; by default the team's.
     --density KG/M (float): Cable density; by default the team's.
-    --ground M (float): Height of the ground [m]; by default 0 or lower; where there are objects,
-        the arena's.
     --lose DRONE@SECONDS (text): Stop a drone's motors then, such as q0@12.5; the others fly their
         certified reaction.
     --reaction/--no-reaction (True): Whether they do; else they fly on as if nothing had happened.
     --film FILE (path): Film of a single flight, .gif or .mp4.
     """,
-    drones={"name": "body"},
 )
 def simulate(
     directory: Path,
@@ -89,13 +85,12 @@ def simulate(
     reaction: bool,
     **options: Any,
 ) -> None:
-    """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
+    """Simulate the plan in DIR with ropes and drones (needs mujoco).
 
-    It reads the plan's team, and vertices.csv for the initial shape of the cables, for comparison,
-    and for the length that the bends of thick simulated ropes use up, which it prints.
-    Drones follow setpoints.csv and nothing else, unless --feedback corrects them: of the cables
-    they feed forward cable_x, cable_y and cable_z. Vertex errors are distances in three dimensions,
-    sag included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
+    Drones follow the plan's setpoints at 100 Hz and nothing else, unless --feedback corrects them:
+    of the cables they feed forward the planned forces. The length that the bends of thick simulated
+    ropes use up is added to them, and printed. Vertex errors are distances in three dimensions, sag
+    included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
     not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
     simulation leaves its valid range, which is reported as not simulated and says nothing about the
     plan. With --lose it is 3 if a survivor touches anything, or if there is no reaction; no hitch
@@ -203,42 +198,39 @@ def _verdict(done: Simulation) -> str:
 
 def flight_tables(simulation: Simulation) -> str:
     """Return the tables of one flight's vertices, objects and figures."""
-    from hitchopt.simulation.judgement import effective_lengths
     from hitchopt.simulation.report import summary
 
-    found, run, flight = summary(simulation), simulation.run, simulation.flight
+    found, known, flight = summary(simulation), simulation.figures, simulation.flight
     exact, team = simulation.settings.preset.exact, flight.task.team
     stated = all(map(math.isfinite, team.stiffness)) or simulation.settings.stiffness is not None
+    spreads = simulation.spreads
     errors = {
-        "vertices, sag included [cm]": run.vertex_error,
-        "  while the plan stands still": run.resting,
-        "  while it moves": run.moving,
-        "vertices without sag (level part) [cm]": run.without_sag,
+        "vertices, sag included [cm]": spreads["vertex_error"],
+        "  while the plan stands still": spreads["resting"],
+        "  while it moves": spreads["moving"],
+        "vertices without sag (level part) [cm]": spreads["without_sag"],
     }
     figures: dict[str, object] = {}
     if exact:
         figures = {name: spread_text(spread) for name, spread in errors.items()}
     figures |= {
-        "drones to their setpoints [cm]": spread_text(run.tracking),
-        "largest tension [N]": run.peak_tension,
-        "largest thrust [N]": run.peak_thrust,
-        "samples with saturated thrust": f"{run.saturated:.2%}",
-        "pace, times real time, on one processor": run.pace,
+        "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
+        "largest tension [N]": known["peak_tension"],
+        "largest thrust [N]": known["peak_thrust"],
+        "samples with saturated thrust": f"{known['saturated']:.2%}",
+        "pace, times real time, on one processor": known["pace"],
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness, ".3g"),
         "  stated by": "team or option" if stated else "nobody: the simulator's own",
         "ropes weigh [g/m]": 1e3 * flight.density,
         "  as the plan knows": 1e3 * team.cable_density,
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
     }
-    off = 1e3 * (effective_lengths(flight) - team.cable_length)
-    if all(map(math.isfinite, off)):  # there are none where no hitch is left
-        figures["  their effective lengths are off by [mm]"] = span_text(off, "+.1f")
     parts = []
     if found["clasps"]:
         parts.append(table("Vertices after the flight [N, m]", map(dict, found["clasps"])))
     if loss := found.get("loss"):
         for name in ("among", "others"):
-            loss[name] = [f"{touch['first']} and {touch['second']}" for touch in loss[name]]
+            loss[name] = [" and ".join(pair) for pair in loss[name]]
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
     if found["objects"]:
         rows = [{name: each[name] for name in SHOWN} for each in found["objects"]]
@@ -258,8 +250,8 @@ def _campaign_tables(campaign: Campaign) -> str:
     """Return a campaign's success rate, the figures of its runs, and what failed first."""
     (low, high), runs = campaign.interval, campaign.runs
     exact, lost, rows = campaign.settings.preset.exact, campaign.not_simulated, []
-    for name in runs[0].figures:
-        known = [x for x in (run.figures[name] for run in runs) if math.isfinite(x)]
+    for name in max((run.figures for run in runs), key=len):  # none where it could not begin
+        known = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
         if known and (exact or not name.startswith(OF_VERTICES)):
             row = {"mean": sum(known) / len(known), "largest": max(known)}
             rows.append({"figure": name.replace("_", " "), **row})
@@ -313,7 +305,7 @@ def sweep(
                 place,
                 workers=workers,
                 scheduler=scheduler,
-                progress=lambda count: progress(str(count)),
+                progress=progress,
             )
     rows = load_sweep(place)
     found = summary(rows, len(read_study(place)["cases"]))

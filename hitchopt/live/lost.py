@@ -29,7 +29,7 @@ from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import States, sample_times, states_at
 from hitchopt.planners.forming.turns import straight
 from hitchopt.planners.timing.ramps import fastest_clock
-from hitchopt.simulation.task import SAME_TIME, Cargo, Setpoints, Task
+from hitchopt.simulation.task import SAME_TIME, Setpoints, Task
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, not_negative, positive
@@ -395,9 +395,8 @@ def reacting(task: Task, reaction: Reaction) -> Task:
     gone = np.clip((times - course.begins) / LETTING_GO, 0.0, 1.0)
     keeps = 1.0 - gone**2 * (3.0 - 2.0 * gone)
     names = [field.name for field in fields(Setpoints)]
-    values = {name: after(name) for name in names if name != "yaw"}
+    values = {name: after(name) for name in names}
     values["cable_forces"] *= keeps[:, None, None]
-    values["yaw"] = np.zeros(values["positions"].shape[:-1])
     whole = [np.concatenate([getattr(task.setpoints, name)[first], values[name]]) for name in names]
     formed = after("formed").astype(np.bool_)
     return Task(
@@ -409,9 +408,6 @@ def reacting(task: Task, reaction: Reaction) -> Task:
             [task.vertices[first], np.where(formed[:, None, None], after("vertices"), 0.0)]
         ),
         np.concatenate([task.tensions[first], np.where(formed[:, None], after("tensions"), 0.0)]),
-        task.digest,
-        None,
-        Cargo(),
     )
 
 

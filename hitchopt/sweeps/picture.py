@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.view.style import COLOURS, LIMIT_COLOUR, new_figure, save_figure
+from hitchopt.view.style import COLOURS, new_figure, save_figure
 
 if TYPE_CHECKING:
     import pandas
@@ -23,7 +22,7 @@ MOST_LINES = 6
 
 
 def draw_sweep(rows: pandas.DataFrame, x: str, y: str, title: str = "") -> Figure:
-    """Return the picture: a point a row, crosses where y has no value, a line through medians.
+    """Return the picture: a point a row, and a line through the medians.
 
     Where one other parameter varies, there is a line for each of its values.
 
@@ -35,33 +34,22 @@ def draw_sweep(rows: pandas.DataFrame, x: str, y: str, title: str = "") -> Figur
     """
     figure = new_figure(SIZE)
     axes = figure.subplots()
-    across = rows[x]
-    if across.dtype.kind not in "fiu":
-        names = list(dict.fromkeys(across.astype(str)))
-        across = across.astype(str).map({name: i for i, name in enumerate(names)})
-        axes.set_xticks(range(len(names)), names)
-    values, known = rows[y].astype(float), rows[y].notna()
+    rows = rows[rows[y].notna()]
+    numeric = rows[x].dtype.kind in "fiu"
+    across, values = rows[x] if numeric else rows[x].astype(str), rows[y].astype(float)
     others = [n for n in map(str, rows.columns) if n.startswith("parameter.") and n != x]
     others = [n for n in others if rows[n].nunique() > 1]
-    groups: list[tuple[str, Any, Any]]
-    groups = [("median" if known.sum() > across[known].nunique() else "", COLOURS[1], rows.index)]
-    if len(others) == 1 and (other := rows[others[0]]).dtype.kind in "fi":
-        shades, name = colormaps["viridis"], others[0].removeprefix("parameter.")
-        if other.nunique() <= MOST_LINES:  # dark to light, also in grey
-            groups = [
-                (f"{name} = {value:g}", shades(0.9 * i / (MOST_LINES - 1)), group.index)
-                for i, (value, group) in enumerate(rows.groupby(others[0]))
-            ]
+    groups: list[tuple[str, Any, Any]] = [("median", COLOURS[1], rows.index)]
+    if len(others) == 1 and rows[others[0]].nunique() <= MOST_LINES:  # dark to light, also in grey
+        name, shades = others[0].removeprefix("parameter."), colormaps["viridis"]
+        groups = [
+            (f"{name} = {value}", shades(0.9 * i / (MOST_LINES - 1)), group.index)
+            for i, (value, group) in enumerate(rows.groupby(others[0]))
+        ]
     for label, colour, index in groups:
         axes.plot(across[index], values[index], "o", color=colour, alpha=0.5, markersize=4)
-        medians = values[index].groupby(across[index]).median().dropna()
-        if label and len(medians) > 1:
-            axes.plot(medians.index, medians, "-", color=colour, label=label)
-    if not known.all():
-        axes.plot(
-            across[~known], np.ones((~known).sum()), "x", color=LIMIT_COLOUR, clip_on=False,
-            transform=axes.get_xaxis_transform(), label="no value",
-        )  # fmt: skip
+        medians = values[index].groupby(across[index], sort=numeric).median()
+        axes.plot(medians.index, medians, "-", color=colour, label=label)
     check = RULE_OF.get(y.removeprefix("check."))
     unit = check.unit if check is not None and check.unit != "ratio" else ""
     unit = "s" if y == "duration" or y.startswith("time.") else unit
@@ -69,8 +57,7 @@ def draw_sweep(rows: pandas.DataFrame, x: str, y: str, title: str = "") -> Figur
     axes.set(xlabel=x.removeprefix("parameter."), ylabel=f"{name} [{unit}]" if unit else name)
     axes.set_title(title)
     axes.grid(color="0.9")
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 

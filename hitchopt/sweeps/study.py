@@ -5,12 +5,12 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import re
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
+from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -22,13 +22,10 @@ from hitchopt.mission.keys import MAX_TITLE
 from hitchopt.mission.wording import translated
 from hitchopt.steps.step_keys import Keys, fault
 from hitchopt.steps.step_keys import key as option
-from hitchopt.storage.yaml_file import Plain, plain, read_yaml
+from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
-
-Section = dict[str, Plain]
-"""Keys of one section of a study file."""
 
 SECTIONS = ("simulate", "settle", "export")
 """Sections of a study file that say what is done with a plan."""
@@ -36,10 +33,8 @@ SECTIONS = ("simulate", "settle", "export")
 MAX_CASES, MAX_SAMPLES = 1_000_000, 100_000
 """Largest number of cases of one study, more are a typing error; and of samples."""
 
-LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
-"""Packages whose versions are part of every case's digest; mujoco's where flights are simulated."""
-
-_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]{1,6})\]")
+LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig", "mujoco")
+"""Packages whose versions are part of every case's digest."""
 
 
 class RangeKeys(Keys):
@@ -50,11 +45,18 @@ class RangeKeys(Keys):
     high: float = option("Upper end", alias="to", examples=[0.6])
     log: bool = option("Even in the logarithm", False)
 
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if not self.low < self.high:
+            raise fault("from below to", "exchange the two")
+        if self.log and self.low <= 0.0:
+            raise fault("from above 0 where log is true", "leave out log")
+        return self
+
     def at(self, shares: Any) -> list[float]:
         """Return the values at shares of the range, 0 to 1."""
         if self.log:
-            shares = np.interp(shares, [0.0, 1.0], np.log([self.low, self.high]))
-            return [float(x) for x in np.exp(shares)]
+            return [float(x) for x in self.low * (self.high / self.low) ** np.asarray(shares)]
         return [float(x) for x in np.interp(shares, [0.0, 1.0], [self.low, self.high])]
 
 
@@ -65,40 +67,25 @@ class GridKeys(RangeKeys):
 
 
 class ParameterKeys(Keys):
-    """What values a parameter takes: one of four keys."""
+    """What values a parameter takes: one of three keys."""
 
     values: list[Any] | None = option(
         "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
     )
     grid: GridKeys | None = option("Values at even distances", None)
     random: RangeKeys | None = option("Values drawn at random", None)
-    quasi_random: RangeKeys | None = option(
-        "Values of a Halton sequence, which fill the range evenly", None
-    )
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise fault("one of list, grid, random, quasi_random", "keep one of them")
-        span = self.grid or self.drawn
-        if span is not None and not span.low < span.high:
-            raise fault("from below to", "exchange the two")
-        if span is not None and span.log and span.low <= 0.0:
-            raise fault("from above 0 where log is true", "leave out log")
+        if (self.values, self.grid, self.random).count(None) != 2:
+            raise fault("one of list, grid, random", "keep one of them")
         return self
-
-    @property
-    def drawn(self) -> RangeKeys | None:
-        """The range that it is drawn from, one value a sample; None of listed values."""
-        return self.random or self.quasi_random
 
     @property
     def listed(self) -> list[Plain]:
         """The listed values, each of which is taken with every value of the others."""
-        if (grid := self.grid) is not None:
-            space = np.geomspace if grid.log else np.linspace
-            return [float(x) for x in space(grid.low, grid.high, grid.count)]
+        if self.grid is not None:
+            return list(self.grid.at(np.linspace(0.0, 1.0, self.grid.count)))
         return [plain(value) for value in self.values or ()]
 
 
@@ -116,44 +103,21 @@ def points(parameters: Mapping[str, ParameterKeys], samples: int, seed: int) -> 
     ------
     InputError: more than MAX_CASES points.
     """
-    from scipy.stats import qmc
-
-    drawn = {key: each.drawn for key, each in parameters.items() if each.drawn is not None}
+    drawn = {key: each.random for key, each in parameters.items() if each.random is not None}
     listed = {key: each.listed for key, each in parameters.items() if key not in drawn}
     samples = samples if drawn else 1
-    count = int(np.prod([len(values) for values in listed.values()])) * samples
+    count = prod(map(len, listed.values())) * samples
     if count > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
-    quasi = [key for key in drawn if parameters[key].random is None]
-    even = qmc.Halton(max(len(quasi), 1), scramble=True, seed=np.random.default_rng(seed))
-    shares = dict(zip(quasi, even.random(samples).T, strict=False))
-    chance = np.random.default_rng([seed, 1])
-    shares |= {key: chance.random(samples) for key in drawn if key not in quasi}
-    columns = [span.at(shares[key]) for key, span in drawn.items()]
-    rows = [dict(zip(drawn, row, strict=True)) for row in zip(*columns, strict=True)] or [{}]
+    chance = np.random.default_rng(seed)
+    columns = {key: span.at(chance.random(samples)) for key, span in drawn.items()}
     found: list[Point] = []
     for values in itertools.product(*listed.values()):
-        for row in rows:
-            chosen: Point = {**dict(zip(listed, values, strict=True)), **row}
+        chosen: Point = dict(zip(listed, values, strict=True))
+        for i in range(samples):
+            chosen = {**chosen, **{key: column[i] for key, column in columns.items()}}
             found.append({key: chosen[key] for key in parameters})
     return found
-
-
-def key_parts(key: str) -> list[str | int]:
-    """Return the parts of a key path: ``mission[0].hold`` is ``["mission", 0, "hold"]``.
-
-    Raises
-    ------
-    InputError: no key path.
-    """
-    parts: list[str | int] = []
-    for word in key.split("."):
-        found = _PART.findall(word)
-        if not found or "".join(name or f"[{index}]" for name, index in found) != word:
-            bound = "a key path such as team.tension or mission[0].form.altitude"
-            raise InputError("parameters", key, bound, "names with dots, places in brackets")
-        parts += [name or int(index) for name, index in found]
-    return parts
 
 
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
@@ -163,21 +127,24 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
 
     Raises
     ------
-    InputError: a path that leads through a value, or past the end of a list.
+    InputError: no key path, or one that leads through a value, or past the end of a list.
     """
     made: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
+        parts = split_key(key)
+        if not parts or key_path(parts) != key:
+            bound = "a key path such as team.tension or mission[0].form.altitude"
+            raise InputError("parameters", key, bound, "names with dots, places in brackets")
         inner: Any = made
-        parts = key_parts(key)
+        part: Any
         for part, following in itertools.zip_longest(parts, parts[1:]):
-            if isinstance(inner, list) and isinstance(part, int) and part >= len(inner):
+            if not isinstance(inner, list if isinstance(part, int) else dict):
+                bound = "a place in brackets in a list, the name of a key in a mapping"
+                remedy = f"what is there is of type {type(inner).__name__}"
+                raise InputError(f"parameters.{key}", part, bound, remedy)
+            if isinstance(part, int) and part >= len(inner):
                 bound = f"below {len(inner)}, the list's length"
                 raise InputError(f"parameters.{key}", f"[{part}]", bound, "count from 0")
-            if not isinstance(inner, {int: list, str: dict}[type(part)]):
-                kinds: dict[type, str] = {list: "a list", dict: "a mapping"}
-                kind = kinds.get(type(inner), "a value")
-                bound = "a place in brackets in a list, the name of a key in a mapping"
-                raise InputError(f"parameters.{key}", part, bound, f"what is there is {kind}")
             if following is None:
                 inner[part] = deepcopy(value)
             elif isinstance(inner, dict):
@@ -203,29 +170,29 @@ class Case:
     name: str
     point: Point
     problem: dict[str, Plain]
-    simulate: Section | None
-    settle: Section | None
-    export: Section | None
+    simulate: dict[str, Plain] | None
+    settle: dict[str, Plain] | None
+    export: dict[str, Plain] | None
     seed: int | None
     limit: float
 
     @property
     def digest(self) -> str:
         """SHA-256 of all that the case's row depends on, versions of the libraries among it."""
-        told = {**asdict(self), "versions": versions(self.simulate is not None)}
+        told = {**asdict(self), "versions": versions()}
         text = json.dumps(told, sort_keys=True, ensure_ascii=True, allow_nan=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def versions(simulated: bool) -> dict[str, str]:
+def versions() -> dict[str, str]:
     """Return the versions that a row depends on, by package; empty where it is not installed."""
-    found = {}
-    for name in (*LIBRARIES, "mujoco") if simulated else LIBRARIES:
+    found = dict.fromkeys(LIBRARIES, "")
+    for name in LIBRARIES:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
-            found[name] = ""
+            continue
     return found
 
 
@@ -235,7 +202,6 @@ class SimulateKeys(Keys):
     seeds: int = option("Flights of every plan", 1, ge=1, le=100_000)
     seed: int = option("Seed of the first of them", 0, ge=0)
     preset: Literal["fast", "accurate"] = option("Resolution of ropes", "fast")
-    drones: Literal["rigid", "point"] = option("Bodies of drones", "rigid")
     perturbed: bool = option("The usual perturbations", True)
     noise: float | None = option("Of measured positions [m]", None, ge=0)
     velocity_noise: float | None = option("Of velocities [m/s]", None, ge=0)
@@ -293,37 +259,32 @@ class Study(OneLine):
     Attributes
     ----------
     keys: of the study file.
-    problems: name of each, and its keys as in a problem file, with outlines in place of drawings:
-        workers elsewhere need no drawings then, and digests depend on what these show.
-    folder: where the study's own drawings are.
+    problems: name of each, its folder, where its drawings are, and its keys.
     """
 
     keys: StudyKeys
-    problems: tuple[tuple[str, dict[str, Plain]], ...]
-    folder: Path
+    problems: tuple[tuple[str, Path, dict[str, Plain]], ...]
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
         found = points(self.keys.parameters, self.keys.samples, self.keys.seed)
-        outlines: dict[Path, Plain] = {}
-        for name, problem in self.problems:
-            for point in found:
-                yield from self._cases_at(name, problem, point, outlines)
+        for name, point, problem, done in self._at(found):
+            seeds: list[int | None] = [None]
+            if (flown := done["simulate"]) is not None:
+                first = flown.pop("seed")
+                seeds = list(range(first, first + flown.pop("seeds")))
+            for seed in seeds:
+                yield Case(name, point, problem, **done, seed=seed, limit=self.keys.limit)
 
-    def _cases_at(
-        self, name: str, problem: dict[str, Plain], point: Point, outlines: dict[Path, Plain]
-    ) -> Iterator[Case]:
+    def _at(self, chosen: list[Point]) -> Iterator[tuple[str, Point, dict[str, Plain], Any]]:
+        """Yield name, point, keys of the problem, and what is done, at every chosen point."""
         sections = {key: getattr(self.keys, key) for key in SECTIONS}
         own = {key: keys.model_dump() for key, keys in sections.items() if keys is not None}
-        whole = with_values({**problem, **own}, point)
-        done: dict[str, Any] = {key: whole.pop(key, None) for key in SECTIONS}
-        whole = _with_outlines(whole, self.folder, outlines)
-        seeds: list[int | None] = [None]
-        if isinstance(flown := done["simulate"], dict):
-            seeds = list(range(flown["seed"], flown["seed"] + flown["seeds"]))
-            done["simulate"] = {k: v for k, v in flown.items() if k not in {"seed", "seeds"}}
-        for seed in seeds:
-            yield Case(name, point, whole, **done, seed=seed, limit=self.keys.limit)
+        outlines: dict[Path, Plain] = {}
+        for (name, folder, problem), point in itertools.product(self.problems, chosen):
+            whole = with_values({**problem, **own}, point)
+            done = {key: whole.pop(key, None) for key in SECTIONS}
+            yield name, point, _with_outlines(whole, folder, outlines), done
 
     def check(self) -> None:
         """Raise InputError for paths and values that no problem or section can have.
@@ -333,19 +294,16 @@ class Study(OneLine):
         from hitchopt.mission.loading import any_problem_from_dict
 
         first = points(self.keys.parameters, self.keys.samples, self.keys.seed)[0]
-        trials, outlines = [first], dict[Path, Plain]()
+        trials = [first]
         for key, each in self.keys.parameters.items():
             trials += [{**first, key: value} for value in each.listed[1:]]
-            section = str(key_parts(key)[0])
+            section = key.split(".")[0]
             if section in SECTIONS and getattr(self.keys, section) is None:
                 remedy = f"add {section}: to the study"
                 raise InputError(f"parameters.{key}", section, "a section of the study", remedy)
-        for _, problem in self.problems:
-            for point in trials:
-                case = next(self._cases_at("", problem, point, outlines))
-                any_problem_from_dict(case.problem)
-                done = {key: keys for key in SECTIONS if (keys := getattr(case, key)) is not None}
-                _checked({"problem": "", **done})
+        for _, _, problem, done in self._at(trials):
+            any_problem_from_dict(problem)
+            _checked({"problem": "", **{key: keys for key, keys in done.items() if keys}})
 
 
 def load_study(path: str | Path) -> Study:
@@ -363,18 +321,16 @@ def load_study(path: str | Path) -> Study:
 
 
 def study_from_dict(data: Mapping[str, object], directory: str | Path = ".") -> Study:
-    """Return the study that ``data`` describes with the keys of a study file.
-
-    Problem files are relative to ``directory``.
+    """Return the study that ``data`` describes, its files relative to ``directory``.
 
     Raises
     ------
     FileError, InputError: as ``load_study``.
     """
-    values, folder = plain(data), Path(directory)
+    values = plain(data)
     keys = _checked(values)
     assert isinstance(values, dict)
-    study = Study(keys, tuple(_problems(values["problem"], folder)), folder)
+    study = Study(keys, tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study
 
@@ -387,10 +343,10 @@ def _checked(values: Plain) -> StudyKeys:
         raise translated(error, StudyKeys) from None
 
 
-def _problems(given: Plain, directory: Path) -> Iterator[tuple[str, dict[str, Plain]]]:
-    """Yield the name and the mapping of every problem."""
+def _problems(given: Plain, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:
+    """Yield name, folder and mapping of every problem."""
     if isinstance(given, dict):
-        yield "problem", _with_outlines(given, directory, {})
+        yield "problem", directory, given
         return
     files = given if isinstance(given, list) else [given]
     if not files:
@@ -403,7 +359,7 @@ def _problems(given: Plain, directory: Path) -> Iterator[tuple[str, dict[str, Pl
         data = read_yaml(path)
         if not isinstance(data, dict):
             raise FileError(f"{path}: is no problem file")
-        yield path.stem, _with_outlines(data, path.parent, {})
+        yield path.stem, path.parent, data
 
 
 def _with_outlines(
@@ -411,18 +367,16 @@ def _with_outlines(
 ) -> dict[str, Plain]:
     """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
 
-    ``known`` are those that were read before, by path.
+    Workers elsewhere need no drawings then, and digests depend on what these show. ``known`` are
+    those that were read before, by path.
     """
     from hitchopt.geometry.drawings import object_outline  # heavy: readers of drawings
 
     objects = problem.get("objects")
-    if not isinstance(objects, dict):
-        return problem
-    inlined = dict(objects)
-    for name, each in objects.items():
+    for each in objects.values() if isinstance(objects, dict) else ():
         if isinstance(each, dict) and isinstance(file := each.get("file"), str):
-            if (path := folder / file) not in known:
-                known[path] = object_outline(path).tolist()
-            rest = {key: value for key, value in each.items() if key != "file"}
-            inlined[name] = rest | {"outline": known[path]}
-    return problem | {"objects": inlined}
+            path = folder / str(each.pop("file"))
+            if path not in known:
+                known[path] = object_outline(folder / file).tolist()
+            each["outline"] = known[path]
+    return problem

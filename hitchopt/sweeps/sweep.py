@@ -13,13 +13,13 @@ import difflib
 import json
 import os
 import shutil
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.sweeps.study import Study, load_study, study_from_dict
 from hitchopt.sweeps.work import FAILED, PLANNED, Outcome, Row, finished, first_columns, outcome_of
@@ -36,36 +36,8 @@ FORMAT = "hitchopt-sweep/1"
 MEASURED = ("time.", "memory.")
 """Beginnings of the columns that differ from run to run."""
 
-LEVEL = 0.95
-"""Confidence of Wilson's intervals."""
-
-
-@dataclass(frozen=True)
-class Count:
-    """How far a sweep has come.
-
-    Attributes
-    ----------
-    done, cases: number of rows there are, and that there will be.
-    computed: number of rows that this run has computed.
-    refused: number of these that are not planned.
-    left: estimate of the time left [s]; None before the first row.
-    """
-
-    done: int
-    cases: int
-    computed: int
-    refused: int
-    left: float | None
-
-    @property
-    def fraction(self) -> float:
-        """Share of the rows that are there."""
-        return self.done / max(self.cases, 1)
-
-    def __str__(self) -> str:
-        left = "" if self.left is None else f", about {self.left:.0f} s left"
-        return f"{self.done} of {self.cases} rows, {self.refused} without a plan{left}"
+FIGURES = ("duration", "check.", "simulate.", "settle.", "time.")
+"""Beginnings of the columns whose medians are told."""
 
 
 def run_sweep(
@@ -74,7 +46,7 @@ def run_sweep(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
-    progress: Callable[[Count], None] | None = None,
+    progress: Progress | None = None,
 ) -> pandas.DataFrame:
     """Compute the rows of a study that are missing in a directory; return all of them.
 
@@ -88,7 +60,7 @@ def run_sweep(
     directory: made if it is missing.
     workers: number of processes on this machine; None for one per processor.
     scheduler: address of a dask scheduler that has workers; None for a cluster of this machine.
-    progress: called after every row.
+    progress: called after every row, with the number of rows.
 
     Returns
     -------
@@ -112,18 +84,16 @@ def run_sweep(
     elif not isinstance(study, Study):
         raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
     cases = {case.digest: case for case in study.cases()}
-    parameters = list(study.keys.parameters)
-    told = {"format": FORMAT, "title": study.keys.title, "parameters": parameters}
-    content = {**told, "cases": list(cases)}
+    told = {"title": study.keys.title, "parameters": list(study.keys.parameters)}
+    content = {"format": FORMAT, **told, "cases": list(cases)}
     writers = {STUDY: lambda path: write_strict_json(path, content)}
     replace_files(place, writers, (STUDY,), seal=STUDY)
-    known = _read_rows(place)
+    known, refused = _read_rows(place), 0
     missing = {digest: case for digest, case in cases.items() if digest not in known}
-    begin, refused = time.monotonic(), 0
     width = min(workers or os.cpu_count() or 1, len(missing))
     tasks = {digest: (case, digest) for digest, case in missing.items()}
     with contextlib.closing(finished(outcome_of, tasks, width, scheduler)) as done:
-        for computed, (digest, future) in enumerate(done, 1):
+        for count, (digest, future) in enumerate(done, 1 + len(cases) - len(missing)):
             if future.status == "finished":
                 outcome: Outcome = future.result()
             else:  # a case that kills its workers, or has a bug, is a row
@@ -133,9 +103,7 @@ def run_sweep(
             write_outcome(place, outcome)
             refused += outcome.row["status"] != PLANNED
             if progress is not None:
-                left = (time.monotonic() - begin) / computed * (len(missing) - computed)
-                there = len(cases) - len(missing) + computed
-                progress(Count(there, len(cases), computed, refused, left))
+                progress(f"{count} of {len(cases)} rows, {refused} without a plan")
     return load_sweep(place)
 
 
@@ -145,7 +113,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     Columns are ``problem``, ``seed``, ``parameter.KEY`` of every parameter, ``status`` (planned,
     infeasible, time limit, failed or wrong), ``binding`` (name of the limit), ``message``,
     ``duration`` [s], ``check.NAME`` for the worst value of every check of the certificate,
-    ``simulate.…``, ``settle.…``, ``export.checked``, ``time.…`` (processor time [s]),
+    ``simulate.…``, ``settle.…``, ``export.position_error``, ``time.…`` (processor time [s]),
     ``memory.peak`` (largest memory of the worker so far [MiB]) and ``digest``.
 
     Parameters
@@ -168,9 +136,8 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
         return pandas.DataFrame({"digest": []})
     first = ["problem", "seed", *(f"parameter.{key}" for key in told["parameters"])]
     first += ["status", "binding", "message", "duration"]
-    names = sorted(map(str, table.columns))
-    last = [*(name for name in names if name.startswith(MEASURED)), "digest"]
-    middle = [name for name in names if name not in {*first, *last}]
+    last = [*(name for name in sorted(table.columns) if name.startswith(MEASURED)), "digest"]
+    middle = [name for name in sorted(table.columns) if name not in {*first, *last}]
     return table.reindex(columns=[*first, *middle, *last])
 
 
@@ -253,7 +220,7 @@ class Share:
         """Wilson's 95 % interval, which suits few rows too."""
         from scipy.stats import binomtest
 
-        found = binomtest(self.count, self.rows).proportion_ci(LEVEL, method="wilson")
+        found = binomtest(self.count, self.rows).proportion_ci(0.95, method="wilson")
         return float(found.low), float(found.high)
 
     def __str__(self) -> str:
@@ -283,25 +250,19 @@ class Summary:
 
 
 def summary(rows: pandas.DataFrame, cases: int) -> Summary:
-    """Return what the rows of a sweep come to.
-
-    Raises
-    ------
-    InputError: no rows.
-    """
+    """Return what the rows of a sweep come to; InputError without rows."""
     if not len(rows):
         raise InputError("rows", 0, "at least 1", "run the sweep first")
     planned, flown, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
-    if flown is not None and flown.notna().any():
-        share = Share(int((flown == True).sum()), int(flown.notna().sum()))  # noqa: E712
+    if flown is not None and len(flown := flown.dropna()):
+        share = Share(int(flown.astype(bool).sum()), len(flown))
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
-    medians = {}
-    for name in map(str, rows.columns):
-        known = rows[name].dropna()
-        figure = name == "duration" or name.startswith(("check.", "simulate.", "settle.", "time."))
-        if figure and known.dtype.kind == "f" and len(known):
-            medians[name] = (float(known.median()), float(known.min()), float(known.max()))
     binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
+    figures = rows[[name for name in rows.columns if name.startswith(FIGURES)]]
+    medians = {
+        str(name): (float(column.median()), float(column.min()), float(column.max()))
+        for name, column in figures.select_dtypes("float").dropna(axis=1, how="all").items()
+    }
     return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)
 
 

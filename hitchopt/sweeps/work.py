@@ -32,8 +32,8 @@ Row = dict[str, Any]
 PLANNED, INFEASIBLE, LATE, FAILED, WRONG = "planned", "infeasible", "time limit", "failed", "wrong"
 """Values of the column ``status``."""
 
-RATE = 100.0
-"""Setpoints per second that are simulated [Hz]."""
+STATUS = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
+"""Statuses of errors; that of all others is FAILED."""
 
 SETTINGS = {
     "distributed.scheduler.allowed-failures": 3,  # of workers with a task: it may kill them
@@ -43,11 +43,8 @@ SETTINGS = {
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-"""Settings of dask. Its profiler looks at all stacks a hundred times a second, which takes more
-than a tenth of a plan's time. Its workers would give freed memory back at once: a plan would fault
-ten thousand pages anew, a seventh of its time."""
-
-STAY = "rows that were written stay: run the same study again"
+"""Settings of dask. Its profiler takes more than a tenth of a plan's time, and workers that give
+freed memory back at once a seventh of it."""
 
 
 class SweepError(HitchoptError):
@@ -88,8 +85,7 @@ def outcome_of(case: Case, digest: str) -> Outcome:
                 row |= {f"{name}.{key}": value for key, value in told.items()}
                 row[f"time.{name}"] = time.process_time() - begin
     except HitchoptError as error:
-        kinds = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
-        status = next((word for kind, word in kinds.items() if isinstance(error, kind)), FAILED)
+        status = next((word for kind, word in STATUS.items() if isinstance(error, kind)), FAILED)
         row.setdefault("status", status)  # a plan stays one
         row["message"] = str(error)
         if isinstance(error, InfeasibleError) and error.violations:
@@ -116,13 +112,11 @@ def _settled(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
 
 def _simulated(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
     """Return figures of a simulated flight."""
-    from hitchopt.motion.states import sample_times
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import Task
 
-    task = Task.of(plan.motion, sample_times(plan.duration, RATE))
-    run = simulate(task, settings_of(body=keys.pop("drones"), **keys)).run
+    run = simulate(Task.of(plan.motion), settings_of(**keys)).run
     row: Row = {"verdict": run.verdict, "succeeded": run.succeeded}
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}
@@ -162,31 +156,26 @@ def finished(
     InputError: the scheduler cannot be reached.
     UnsupportedError: dask.distributed is not installed.
     """
-    try:
-        import distributed
-    except ImportError:
-        needed = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
-        raise UnsupportedError(needed) from None
     if not tasks:
         return
-    with _client(distributed, width, scheduler) as client:
+    with _client(width, scheduler) as (client, as_completed):
         columns = [list(column) for column in zip(*tasks.values(), strict=True)]
         if shared is not None:  # a task that dask computes again where workers die
             columns.append([client.submit(_itself, shared, pure=False)] * len(tasks))
+        lost, status = "", "finished"
         try:
-            pending = distributed.as_completed(
-                client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000),
-                loop=client.loop,
-                raise_errors=False,
-            )
-            del columns
-            for future in pending:
-                if future.status not in {"finished", "error"}:
-                    raise SweepError(f"the scheduler was lost (a task was {future.status}); {STAY}")
+            futures = client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000)
+            for future in as_completed(futures, loop=client.loop, raise_errors=False):
+                if (status := future.status) not in {"finished", "error"}:
+                    break
                 yield str(future.key), future
         except (OSError, TimeoutError) as error:
-            reason = error or type(error).__name__
-            raise SweepError(f"the scheduler was lost ({reason}); {STAY}") from error
+            lost = str(error) or type(error).__name__
+        if lost or status not in {"finished", "error"}:
+            raise SweepError(
+                f"the scheduler was lost ({lost or f'a task was {status}'}); rows that were "
+                "written stay: run the same study again"
+            )
 
 
 def _itself(value: object) -> object:
@@ -194,10 +183,14 @@ def _itself(value: object) -> object:
 
 
 @contextlib.contextmanager
-def _client(distributed: Any, width: int, scheduler: str | None) -> Iterator[Any]:
+def _client(width: int, scheduler: str | None) -> Iterator[Any]:
     """Yield a client of a scheduler's cluster, or of one of this machine that ends with it."""
-    import dask
-
+    try:
+        import dask
+        import distributed
+    except ImportError:
+        needed = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
+        raise UnsupportedError(needed) from None
     for name in ("distributed", "distributed.scheduler", "distributed.nanny", "distributed.worker"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:
@@ -213,4 +206,4 @@ def _client(distributed: Any, width: int, scheduler: str | None) -> Iterator[Any
         except (OSError, ValueError, TimeoutError) as error:
             remedy = "start `dask scheduler` and `dask worker ADDRESS`"
             raise InputError("scheduler", scheduler, f"reachable ({error})", remedy) from None
-        yield stack.enter_context(client)
+        yield stack.enter_context(client), distributed.as_completed

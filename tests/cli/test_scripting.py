@@ -60,7 +60,7 @@ def test_what_may_take_long_reports_progress() -> None:
     for words in (
         *("check out --closest", "verify out", "report out", "view out --save a.png", "lint files"),
         *("export out --format csv", "abort out --how hold", "statics out --samples 1"),
-        *("fit circle:0.15 --robots 3", "simulate out --drones point --seed 3"),
+        *("fit circle:0.15 --robots 3", "simulate out --seed 3"),
         "calibrate out/simulation --plan out",
     ):
         told = run(*words.split(), "-v").stderr

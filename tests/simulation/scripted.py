@@ -33,8 +33,7 @@ def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     velocities = np.gradient(positions, 1.0 / RATE, axis=0)
     accelerations = np.gradient(velocities, 1.0 / RATE, axis=0)
     jerks = np.gradient(accelerations, 1.0 / RATE, axis=0)
-    yaw = np.zeros(positions.shape[:2])
-    setpoints = Setpoints(positions, velocities, accelerations, jerks, yaw, cable_forces)
+    setpoints = Setpoints(positions, velocities, accelerations, jerks, cable_forces)
     vertices, tensions = np.zeros((len(t), team.layout.points, 3)), np.zeros((len(t), team.robots))
     return Task(team, t, setpoints, np.zeros(len(t), dtype=np.bool_), vertices, tensions)
 
@@ -127,18 +126,25 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
 
     They are fields of ``Record``, ``Film`` or ``Flight``.
     """
-    n, count = hitch.team.robots, len(t)
+    n, count, settings = hitch.team.robots, len(t), known.pop("settings", Settings())
     drones = np.repeat(hitch.drones[None], count, axis=0)
     ones, many = np.ones((count, n)), np.ones((count, 2 * n))
     vertices = np.repeat(hitch.vertices[None], count, axis=0)
-    no_poses = np.zeros((count, 0, 7))
-    places, others = (t, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
+    no_poses, index = np.zeros((count, 0, 7)), np.array([task.index(each) for each in t])
+    places, others = (t, index, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
     record = Record(*places, ones, ones, ones, many, many > 2.0, *others)
     film = Film(t, np.zeros((count, 4, 3)), np.array([0, 4]), no_poses)  # type: ignore[arg-type]
-    gains = PositionGains.of(hitch.team, Settings())
-    ended = (None, np.nan, np.nan, 0.01, np.full(n, 0.3), gains, 0.0, None)
-    parts = []
+    parts: list[Any] = []
     for part in (record, film):
         names = {each.name for each in fields(part)} & known.keys()
         parts.append(replace(part, **{name: known.pop(name) for name in names}))
-    return replace(Flight(task, parts[0], parts[1], (), *ended), **known)  # type: ignore[arg-type]
+    gains = PositionGains.of(hitch.team, settings)
+    ended: dict[str, Any] = {
+        "linking": None,
+        "rested": np.nan,
+        "pulled": np.nan,
+        "error": None,
+        "touches": {},
+    }
+    about = {"gains": gains, "density": 0.01, "longer": 0.0, "ground": 0.0, "drawn": {}}
+    return Flight(task, settings, *parts, **{**ended, **about, **known})

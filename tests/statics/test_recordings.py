@@ -118,9 +118,7 @@ def test_what_is_missing_is_named(solved: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
-    flown = run(
-        *("simulate", solved, "--drones", "point", "--stiffness", "6", "--density", "0.012")
-    )
+    flown = run("simulate", solved, "--stiffness", "6", "--density", "0.012")
     assert flown.exit_code == 0, flown.output
     result = run("calibrate", solved / "simulation")  # the plan is where the results lie
     assert result.exit_code == 0, result.output

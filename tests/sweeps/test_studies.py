@@ -11,31 +11,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hitchopt.errors import FileError, HitchoptError, InputError
-from hitchopt.storage.yaml_file import key_path
-from hitchopt.sweeps.study import ParameterKeys, key_parts, points, study_from_dict, with_values
+from hitchopt.sweeps.study import ParameterKeys, points, study_from_dict, with_values
 
 PROBLEM: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
     "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}},
     "mission": [{"morph": {"polygon": [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}],
 }
-NAMES = st.from_regex(r"[a-z_][a-z_0-9]{0,8}", fullmatch=True)
-
-
-@given(NAMES, st.lists(NAMES | st.integers(0, 999_999), max_size=5))
-def test_key_paths_are_those_of_messages(first: str, rest: list[str | int]) -> None:
-    assert key_parts(key_path([first, *rest])) == [first, *rest]
 
 
 @given(st.lists(st.integers(1, 4), max_size=3), st.integers(1, 5), st.integers(0, 99))
 def test_every_combination_occurs_once(sizes: list[int], samples: int, seed: int) -> None:
     spans: dict[str, Any] = {f"p{i}": {"list": list(range(n))} for i, n in enumerate(sizes)}
     spans["x"] = {"random": {"from": 1.0, "to": 100.0, "log": True}}
-    spans["y"] = {"quasi_random": {"from": -1.0, "to": 1.0}}
+    spans["y"] = {"random": {"from": -1.0, "to": 1.0}}
+    spans["z"] = {"grid": {"from": 1.0, "to": 4.0, "count": 3, "log": True}}
     parameters = {key: ParameterKeys.model_validate(each) for key, each in spans.items()}
     found = points(parameters, samples, seed)
     assert len({tuple(point.values()) for point in found}) == len(found)
-    assert len(found) == samples * int(np.prod(sizes))
+    assert len(found) == 3 * samples * int(np.prod(sizes))
+    assert {f"{point['z']:.9g}" for point in found} == {"1", "2", "4"}
     for name, low, high in (("x", 1.0, 100.0), ("y", -1.0, 1.0)):
         values = [point[name] for point in found]
         assert all(isinstance(v, float) and low <= v <= high for v in values)
@@ -49,7 +44,14 @@ def test_values_are_set_in_a_copy() -> None:
     assert "tension" not in PROBLEM["team"]
     assert "duration" not in PROBLEM["mission"][0]["morph"]
     assert with_values(PROBLEM, {"limits.speed": 2})["limits"] == {"speed": 2}
-    for key in ("mission[1].hold", "mission.morph", "team.robots.x", "team[0]"):
+    for key in (
+        "mission[1].hold",
+        "mission.morph",
+        "team.robots.x",
+        "team[0]",
+        "team..x",
+        "mission[0]x",
+    ):
         with pytest.raises(InputError, match="parameters"):
             with_values(PROBLEM, {key: 1})
 

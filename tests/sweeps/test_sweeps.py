@@ -55,17 +55,17 @@ def swept(
     tmp_path_factory: pytest.TempPathFactory, cluster: distributed.LocalCluster
 ) -> tuple[Path, pandas.DataFrame]:
     """A sweep one of whose workers is killed after the first row, and its rows."""
-    place, counts = tmp_path_factory.mktemp("sweep"), list[Any]()
+    place, told = tmp_path_factory.mktemp("sweep"), list[str]()
 
-    def progress(count: Any) -> None:
-        counts.append(count)
-        if count.done == 1:
+    def progress(words: str) -> None:
+        told.append(words)
+        if len(told) == 1:
             os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
 
     address = cluster.scheduler_address
     rows = ho.run_sweep(STUDY, place, scheduler=address, progress=progress)
-    assert [count.done for count in counts] == [1, 2, 3, 4, 5, 6]
-    assert counts[-1].fraction == 1.0
+    assert [words.partition(" rows")[0] for words in told] == [f"{i} of 6" for i in range(1, 7)]
+    assert told[-1] == "6 of 6 rows, 2 without a plan"
     return place, rows
 
 
@@ -119,7 +119,7 @@ def test_plans_are_settled_simulated_and_exported() -> None:
     study = {
         "problem": PROBLEM,
         "settle": {"samples": 2, "stiffness": 5.0},
-        "simulate": {"drones": "point", "perturbed": False, "density": 0.01},
+        "simulate": {"perturbed": False, "density": 0.01},
         "export": {"format": "json"},
     }
     case = next(iter(study_from_dict(study).cases()))
