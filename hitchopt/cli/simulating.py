@@ -286,7 +286,7 @@ def sweep(
     scheduler: str | None,
     plot: tuple[str, str] | None,
 ) -> None:
-    """Plan, simulate, settle or export every case of STUDY.yaml (needs dask.distributed).
+    """Plan, simulate or settle every case of STUDY.yaml (needs dask.distributed).
 
     Every result is a line of DIR/rows.jsonl, written as it arrives. The same command goes on where
     an earlier one has ended: only what is missing is computed. With --plot, STUDY is the DIR of a
@@ -317,15 +317,13 @@ def sweep(
 def _draw(place: Path, x: str, y: str) -> None:
     """Draw one column of a sweep over another."""
     from hitchopt.sweeps.picture import save_sweep_picture
-    from hitchopt.sweeps.sweep import column_of, load_sweep, read_study
+    from hitchopt.sweeps.sweep import load_sweep, read_study
 
     if not place.is_dir():
         raise InputError("STUDY", str(place), "the directory of a sweep with --plot", "name it")
     path = place / f"{y.rsplit('.', 1)[-1]}_over_{x.rsplit('.', 1)[-1]}.png"
     with LateProgress("drawing"):
-        rows = load_sweep(place)
-        columns = column_of(rows, x), column_of(rows, y)
-        save_sweep_picture(path, rows, *columns, read_study(place)["title"])
+        save_sweep_picture(path, load_sweep(place), x, y, read_study(place)["title"])
     record(file=str(path))
     say(f"the picture is {path}")
 

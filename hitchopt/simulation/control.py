@@ -157,12 +157,7 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     the thrust, in a Gaussian profile whose half-width grows by ``SPREADING`` per distance (Pope
     2000, section 5.1), starting from half of the drone's radius. A drone in it receives ``BLOCKED``
     times the momentum that meets its disk. Real wakes of four rotors differ near the drone. All
-    pairs are evaluated, which suits teams of some hundred drones.
-
-    Parameters
-    ----------
-    drones: positions (2n, 3) [m].
-    thrusts: (2n,) [N]
+    pairs of drones (2n, 3) [m] are evaluated, with their thrusts (2n,) [N].
     """
     offset = drones[:, None] - drones[None]  # [below, above]
     depth = -offset[..., 2]
@@ -196,10 +191,8 @@ class PositionGains:
     def of(cls, team: Team, settings: Settings) -> PositionGains:
         """Return the gains of a team's drones, the settings replacing what they state.
 
-        Raises
-        ------
-        InputError: a stiffness with which the errors of a drone grow: the characteristic polynomial
-            of its loop, lag and attitude included, has a root with a positive real part.
+        Raise InputError for a stiffness with which the errors of a drone grow: the characteristic
+        polynomial of its loop, lag and attitude included, has a root with a positive real part.
         """
         stated = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * team.mass)
         stiffness = np.broadcast_to(settings.stiffness or stated, team.mass.shape)
@@ -256,12 +249,7 @@ class Pilots:
     ) -> None:
         """Apply the forces that lead drones back to their setpoints for the next ``seconds``.
 
-        Parameters
-        ----------
-        setpoints: commands (2n, …).
-        positions, velocities: measured (2n, 3) [m], [m/s].
-        seconds: until the next command.
-        pull: additional force (2n, 3) [N].
+        Positions and velocities are measured (2n, 3) [m], [m/s]; ``pull`` is added (2n, 3) [N].
         """
         world, most, gains = self._world, self._max_thrust, self.gains
         error, rate = setpoints.positions - positions, setpoints.velocities - velocities
@@ -290,12 +278,9 @@ def turning_moments(
 ) -> Array:
     """Return the moments (2n, 3) [N m] about the bodies' axes that turn drones to their thrusts.
 
-    Parameters
-    ----------
-    desired, growth: thrusts and their rates (2n, 3) [N], [N/s].
-    attitudes: (2n, 3, 3), columns are the body's axes in the world.
-    rates: (2n, 3) [rad/s], about the body's axes.
-    inertia: (2n, 3) [kg m²]
+    Thrusts ``desired`` and their rates ``growth`` are (2n, 3) [N], [N/s]; columns of the attitudes
+    (2n, 3, 3) are the bodies' axes in the world; rates and inertia are about these (2n, 3) [rad/s],
+    [kg m²].
     """
     goals = desired_attitudes(desired)
     turning = np.einsum("iba,ib->ia", goals, growth / _sizes(desired))

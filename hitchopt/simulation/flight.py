@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import unit
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.contacts import (
     ClaspContacts,
     HungLoads,
@@ -141,7 +142,7 @@ class Flight:
     longer: largest length that a rope has more than its cable [m]; the bends of thick ropes use it
         up, so that the planned length is the effective one.
     ground: its height [m].
-    drawn: mass [kg], friction and place [m] of every object as it was flown with, by name.
+    objects: as they really were, by name.
     error: what ended the flight early, or None.
     """
 
@@ -157,7 +158,7 @@ class Flight:
     density: float
     longer: float
     ground: float
-    drawn: dict[str, dict[str, Any]]
+    objects: dict[str, SolidObject]
     error: InvalidRunError | None
 
 
@@ -168,12 +169,6 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     The plan's hitch also defines the correction for the ropes' thickness, whose size the flight
     states. Drones know their setpoints alone: the ropes' weight is not fed forward unless the
     setpoints' cable forces hold it.
-
-    Parameters
-    ----------
-    task: setpoints and planned hitch.
-    settings: settings of the simulation.
-    progress: called repeatedly with a description of the current work.
 
     Raises
     ------
@@ -190,7 +185,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
 
 
 class _Run:
-    """A flight in progress; parameters are those of ``fly``."""
+    """A flight in progress."""
 
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
         team, preset = task.team, settings.preset
@@ -282,15 +277,10 @@ class _Run:
         return times
 
     def _step(self, time: float, index: int, pull: float, offset: Array | float = 0.0) -> None:
-        """Command the drones and advance the world by one period.
+        """Command the drones by a setpoint, moved by an offset [m], and advance by one period.
 
-        Parameters
-        ----------
-        time: [s]
-        index: setpoint that applies.
-        pull: factor of the plan's tension. Less than 1 reduces what is fed forward while a hitch is
-            drawn tight; more than 1 is the force of the pull test, which every drone adds.
-        offset: from the setpoint's positions (2n, 3) [m].
+        ``pull`` is a factor of the plan's tension. Less than 1 reduces what is fed forward while a
+        hitch is drawn tight; more than 1 is the force of the pull test, which every drone adds.
         """
         world, disturbances, task, pilots = (
             self._world,
@@ -379,10 +369,6 @@ class _Run:
             self._sample(0.0, 0)
         t, nodes, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
         shapes = np.array(nodes, dtype=np.float32), world.cable_vertices
-        drawn = {  # what was perturbed of an object
-            name: {"mass": each.mass, "friction": each.friction, "stood_at": each.at.tolist()}
-            for name, each in world.objects.items()
-        }
         return Flight(
             self._task,
             self._settings,
@@ -392,12 +378,12 @@ class _Run:
             self._linking,
             self._rested,
             self._pulled,
-            self._pilots.gains,
-            world.ropes.density,
-            self._longer,
-            world.ground,
-            drawn,
-            error,
+            gains=self._pilots.gains,
+            density=world.ropes.density,
+            longer=self._longer,
+            ground=world.ground,
+            objects=world.objects,
+            error=error,
         )
 
 

@@ -80,11 +80,9 @@ class VertexErrors:
 
     Attributes
     ----------
-    t: (samples,) [s]
-    rows: samples of the flight's record (samples,).
+    t, rows: times [s] and places in the flight's record (samples,).
     planned: planned vertices (samples, clasps, 3) [m].
-    offsets: (samples, clasps, 3) [m], from the planned vertices; nan where cables do not bear on
-        each other.
+    offsets: (samples, clasps, 3) [m], from these; nan where cables do not bear on each other.
     moving: whether the plan moves any vertex or changes any tension (samples,): a hitch that is
         being drawn tight is not at rest yet.
     """
@@ -104,11 +102,6 @@ class VertexErrors:
     def without_sag(self) -> Array:
         """(samples, clasps) [m]: the level part of the distances."""
         return length(self.offsets[..., :2])
-
-    @property
-    def lost(self) -> float:
-        """Share of samples and vertices at which cables do not bear on each other."""
-        return float(np.mean(np.isnan(self.errors))) if self.errors.size else 0.0
 
 
 def vertex_errors(flight: Flight) -> VertexErrors:
@@ -140,16 +133,11 @@ def tracking_errors(flight: Flight) -> Array:
 
 @dataclass(frozen=True)
 class Failure:
-    """One failure.
+    """One failure at a time [s] from the flight's start, in words; ``where`` names things.
 
-    Attributes
-    ----------
-    kind: one of UNSIMULATED, which say nothing about the plan, or ``touch``, ``unlinked``,
-        ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the
-        pull test); of objects ``dropped``, ``misplaced`` or ``caught`` (not free at the end).
-    where: names of drones, cables, vertices or objects.
-    time: [s], from the flight's start.
-    words: description.
+    Kinds are those of UNSIMULATED, which say nothing about the plan; ``touch``, ``unlinked``,
+    ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the pull
+    test); of objects ``dropped``, ``misplaced`` and ``caught`` (not free at the end).
     """
 
     kind: str
@@ -167,8 +155,7 @@ class Clasp:
     name: p0, p1, ….
     linking: Gauss's linking number of its two cables, ±1 for a clasp. Cables that merely cross may
         have any of 0 and ±1: a clasp bears as well.
-    bearing: contact force at rest [N].
-    least_bearing: contact force from which on it bears [N].
+    bearing, least_bearing: contact force at rest, and that from which on it bears [N].
     moved: movement under the pull test [m]; nan without one.
     holds: whether it is linked once, bears and is held.
     bears: whether its cables press on each other as those of a clasp do.
@@ -191,8 +178,7 @@ class ObjectState:
     ----------
     name: of the object.
     placed: distance of its base from the plan's [m].
-    tilted: angle of its axis from the vertical [°].
-    turned: difference of its yaw from the plan's [°].
+    tilted, turned: angle of its axis from the vertical, and of its yaw from the plan's [°].
     slipped: largest movement relative to the hitch while that carries all of it [m]; nan if never.
     dropped: time at which it was first DROPPED below its plan while carried [s]; nan if never.
     free: whether no cable touches it.
@@ -217,14 +203,7 @@ class ObjectState:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a flight.
-
-    Attributes
-    ----------
-    clasps: vertices of a plan that ends with a hitch, once it has rested; else none.
-    failures: all failures, by time.
-    objects: those that can move.
-    """
+    """All failures by time, the movable objects, and the vertices of a plan that ends with some."""
 
     clasps: tuple[Clasp, ...]
     failures: tuple[Failure, ...]
@@ -233,10 +212,8 @@ class Outcome:
     @property
     def verdict(self) -> str:
         """SUCCEEDED, FAILED, or NOT_SIMULATED where nothing but the simulation failed."""
-        if self.succeeded:
-            return SUCCEEDED
         simulated = any(failure.kind not in UNSIMULATED for failure in self.failures)
-        return FAILED if simulated else NOT_SIMULATED
+        return FAILED if simulated else NOT_SIMULATED if self.failures else SUCCEEDED
 
     @property
     def succeeded(self) -> bool:
@@ -397,17 +374,14 @@ def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class LossOutcome(OneLine):
-    """What became of a team after a loss, in a simulated flight.
+    """What became of a team after the loss of a drone at a time [s].
 
     Attributes
     ----------
-    drone, time: the loss.
-    among: two survivors each that touch.
-    others: survivors that touch a cable or the lost drone, and which.
-    peak_tension: largest tension of any cable from the loss on [N].
-    moved: largest distance of a survivor from its setpoint from the loss on [m].
-    hangs: mean height of the lost drone over the ground at the end [m]; 0.005 m and less where it
-        lies there.
+    among, others: pairs of survivors that touch; survivors that touch a cable or the lost drone.
+    peak_tension, moved: largest tension of a cable [N], and distance of a survivor from its
+        setpoint [m], from the loss on.
+    hangs: mean height of the lost drone over the ground at the end [m]; about 0 where it lies.
     linked: clasps whose cables are linked at the end, by name.
     """
 
@@ -456,14 +430,9 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
 
 @dataclass(frozen=True)
 class Run(OneLine):
-    """What a campaign keeps of a flight.
+    """What a campaign keeps of a flight: seed, verdict, failures by time, and figures by name.
 
-    Attributes
-    ----------
-    seed: of its perturbations; the same seed gives the same flight.
-    verdict: that of its Outcome.
-    failures: all failures, by time.
-    figures: those of its ``Simulation``; none of a flight that could not begin.
+    A flight that could not begin has no figures. The same seed gives the same flight.
     """
 
     seed: int
@@ -479,15 +448,7 @@ class Run(OneLine):
 
 @dataclass(frozen=True, eq=False)
 class Simulation(OneLine):
-    """A judged flight.
-
-    Attributes
-    ----------
-    flight: records of the flight.
-    outcome: whether it succeeded.
-    errors: of its vertices.
-    processor: processor time [s].
-    """
+    """A judged flight, the errors of its vertices, and the processor time that it took [s]."""
 
     flight: Flight
     outcome: Outcome
@@ -530,24 +491,17 @@ class Simulation(OneLine):
         seconds per second of one processor.
         """
         record, times = self.flight.record, self.flight.film.t
-        spreads = {
-            f"{name}_{key}": value
-            for name, spread in self.spreads.items()
-            for key, value in vars(spread).items()
-        }
-        worst = {
-            name: float(np.fmax.reduce([np.nan, *(getattr(o, name) for o in self.outcome.objects)]))
-            for name in ("placed", "tilted", "slipped")
-        }
+        found: dict[str, float] = {}
+        for name, spread in self.spreads.items():
+            found |= {f"{name}_{key}": value for key, value in vars(spread).items()}
+        found["peak_tension"] = float(np.max(record.peak_tensions))
+        found["peak_thrust"] = float(np.max(record.thrusts))
+        found["saturated"] = float(np.mean(record.saturated))
+        for name in ("placed", "tilted", "slipped"):
+            values = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
+            found[name] = float(np.fmax.reduce(values))
         simulated = float(np.ptp(times)) if len(times) else 0.0  # settling included
-        return {
-            **spreads,
-            "peak_tension": float(np.max(record.peak_tensions)),
-            "peak_thrust": float(np.max(record.thrusts)),
-            "saturated": float(np.mean(record.saturated)),
-            **worst,
-            "pace": simulated / max(self.processor, 1e-9),
-        }
+        return found | {"pace": simulated / max(self.processor, 1e-9)}
 
     @property
     def run(self) -> Run:

@@ -132,6 +132,10 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     record, team, figures = flight.record, flight.task.team, simulation.figures
     spreads = {name: asdict(spread) for name, spread in simulation.spreads.items()}
     clasps = [team.point_names[p] for p in team.layout.clasps]
+    drawn = {  # what was perturbed
+        name: {"mass": body.mass, "friction": body.friction, "stood_at": body.at.tolist()}
+        for name, body in flight.objects.items()
+    }
     each = {name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)}
     means, peaks = np.mean(record.tensions, axis=0), np.max(record.peak_tensions, axis=0)
     return {
@@ -146,14 +150,13 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "hitched": outcome.hitched,
         "failures": [asdict(failure) for failure in outcome.failures],
         "clasps": [asdict(clasp) for clasp in outcome.clasps],
-        "objects": [asdict(each) | flight.drawn[each.name] for each in outcome.objects],
+        "objects": [asdict(each) | drawn[each.name] for each in outcome.objects],
         "vertex_error": {
             "all": spreads["vertex_error"],
             "resting": spreads["resting"],
             "moving": spreads["moving"],
             "all_without_sag": spreads["without_sag"],
             **each,
-            "lost_share": errors.lost,
         },
         "tension": [
             {"cable": k, "mean": mean, "peak": peak}

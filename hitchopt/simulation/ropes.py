@@ -120,14 +120,8 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
 
     They are chains of segments of exactly their length, n of (segments + 1, 3) [m]. At a clasp both
     cables bend toward each other and overlap like two links of a chain: cable k is level, cable k-1
-    upright within it, its leg below, or above where it rises more than the other one.
-
-    Parameters
-    ----------
-    ropes: n of them.
-    layout: defines which cables meet where.
-    drones: (2n, 3) [m]
-    vertices: (points, 3) [m]
+    upright within it, its leg below, or above where it rises more than the other one. Drones are
+    (2n, 3) [m], vertices (points, 3) [m].
     """
     lengths = ropes.segment_lengths
     gap = max(CLEARANCE * ropes.preset.diameter, CLEARANCE_SEGMENTS * float(np.max(lengths)))
@@ -188,13 +182,7 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
     """Return cables that hang between their drones, and lie on the ground where they reach it.
 
     They are chains of segments of exactly their length, n of (segments + 1, 3) [m], that end within
-    a segment of their drones: the settling draws these back.
-
-    Parameters
-    ----------
-    ropes: n of them.
-    drones: (2n, 3) [m]
-    ground: height of the ground [m].
+    a segment of their drones (2n, 3) [m]: the settling draws these back. ``ground`` is its height.
 
     Raises
     ------
@@ -227,12 +215,7 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
     length, is equal at both ends: at an arc s its slope is s / a. Where the cable is too long for
     any tension, a is one link, and the part on the floor meanders: its direction swings like a sine
     of amplitude w, which bends it least, and advances by the Bessel function J₀(w) of its length.
-
-    Parameters
-    ----------
-    q, r: positions of the drones (3,) [m].
-    count, size: number of links, and length of each [m].
-    floor: height of a cable on the floor [m].
+    There are ``count`` links of a ``size`` [m]; a cable on the floor is at a height ``floor`` [m].
     """
     offset, whole = r - q, count * size
     span = float(np.hypot(*offset[:2]))
@@ -267,16 +250,9 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
 def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     """Return (n,) [m]: the additional length with which thick cables take their bends.
 
-    It concerns the simulation alone, not the flight: without it ropes would be too short, and pull
-    harder than planned. It is what ``bend_lengths`` says of both clasps of a cable and, of one that
-    is wrapped around an object, half a diameter times the angle by which it turns there, seen from
-    above.
-
-    Parameters
-    ----------
-    task: the plan.
-    diameter: of the simulated cables [m].
-    segment: length of their segments [m].
+    Without it ropes would be too short, and pull harder than planned. It is what ``bend_lengths``
+    says of both clasps of a cable and, of one that is wrapped around an object, half a diameter
+    times the angle by which it turns there, seen from above.
     """
     layout = task.team.layout
     allowance = np.zeros(task.team.robots)
@@ -299,7 +275,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. The result
     is the mean over the time in which the plan has a hitch, or in which it carries what it grips,
     if it does: ropes that are too short then grip harder. It is zero where there is no hitch.
-    Parameters are those of ``thickness_allowance``.
+    Diameter and segment are those of the simulated cables [m].
     """
     layout = task.team.layout
     if not task.formed.any():
@@ -330,11 +306,8 @@ def linking_number(one: Array, other: Array) -> int:
     """Return Gauss's linking number of two closed polygons, with its sign.
 
     It is the sum over all pairs of edges of the solid angle that their directions span, over 4π
-    (Banchoff 1976; Klenin and Langowski 2000).
-
-    Parameters
-    ----------
-    one, other: (corners, 3) [m], the last joined to the first; apart from each other.
+    (Banchoff 1976; Klenin and Langowski 2000). Corners are (corners, 3) [m], the last joined to the
+    first; the polygons are apart from each other.
     """
     a, b = one[:, None], np.roll(one, -1, axis=0)[:, None]
     c, d = other[None], np.roll(other, -1, axis=0)[None]

@@ -12,8 +12,8 @@ from hitchopt.values import not_negative, positive
 
 EXACT_SEGMENT = 0.010  # Largest length of segments with which vertices are true to a centimetre [m]
 
-# Largest relative deviation of the cable lengths; more is most likely a percentage
-LARGEST_CABLE_ERROR = 0.1
+# Largest relative deviations; more is most likely a percentage
+LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
 
 DENSITY = 0.01  # Cable density where the team gives none [kg/m]: a cord of 4 mm
 
@@ -97,14 +97,9 @@ class Perturbations(OneLine):
 
     def __post_init__(self) -> None:
         _check(self, not_negative, *(name for name in vars(self) if name != "downwash"))
-        for name in ("object_mass", "object_friction"):
-            if getattr(self, name) >= 1.0:
-                remedy = "give the largest deviation as a fraction"
-                raise InputError(name, getattr(self, name), "less than 1", remedy)
-        if self.cable_error > LARGEST_CABLE_ERROR:
-            bound = f"at most {LARGEST_CABLE_ERROR}"
-            remedy = "give the standard deviation as a fraction of the length"
-            raise InputError("cable_error", self.cable_error, bound, remedy)
+        for name, most in LARGEST.items():
+            if getattr(self, name) > most:
+                raise InputError(name, getattr(self, name), f"at most {most}", "give a fraction")
 
 
 CALM = Perturbations()

@@ -162,14 +162,11 @@ class World:
         self._mujoco.mj_forward(self.model, self.data)
 
     def step(self, count: int = 1, *, loose: bool = False, finer: int = 1) -> None:
-        """Advance by ``count`` time steps of the preset, in smaller ones where loose ropes whip.
+        """Advance by ``count`` time steps of the preset, in smaller ones where ropes whip.
 
-        Ropes that are picked up from the ground, or drawn straight, do so.
-
-        Parameters
-        ----------
-        loose: whether the ropes are not drawn tight, such that none pulls much.
-        finer: least number of smaller steps for one of the preset's; ropes are firmer then as well.
+        ``loose`` ropes, which are not drawn tight, do so where they are picked up from the ground
+        or drawn straight. ``finer`` is the least number of smaller steps for one of the preset's;
+        ropes are firmer then as well.
         """
         turning = 0.0  # largest rate at which a link turns [rad/s]
         if loose:
@@ -235,13 +232,9 @@ def _imported_mujoco() -> Any:
 
 
 class InvalidRunError(HitchoptError):
-    """A simulation that has left the range in which it is meaningful.
+    """A simulation that has left the range in which it is meaningful, at a time [s].
 
-    Attributes
-    ----------
-    quantity: ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
-    time: [s], from the flight's start; negative while the cables settle.
-    where: names of cables.
+    The quantity is ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
     """
 
     def __init__(self, quantity: str, broken: str, time: float, where: str) -> None:
@@ -259,12 +252,7 @@ def tensions(world: World) -> Array:
 
 
 def check_valid(world: World, time: float) -> None:
-    """Check that the last step, until a time [s] of the flight, is meaningful.
-
-    Raises
-    ------
-    InvalidRunError: the state is not finite, or a limit is exceeded.
-    """
+    """Raise InvalidRunError unless the last step, until a time [s] of the flight, is meaningful."""
     data, ropes = world.data, world.ropes
     if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
         raise InvalidRunError("state", "its state is no longer finite", time, "all")

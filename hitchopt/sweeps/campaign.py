@@ -80,15 +80,9 @@ def run_campaign(
     processes: int | None = None,
     progress: Progress | None = None,
 ) -> Campaign:
-    """Return ``runs`` flights of a plan, with consecutive seeds from that of the settings on.
+    """Return so many flights of a plan, with consecutive seeds from that of the settings on.
 
-    Parameters
-    ----------
-    task: setpoints and planned hitch.
-    settings: settings of the simulation; their seed is the first one.
-    runs: number of flights, at least 1.
-    processes: number at a time; None: one per processor. One simulates in this process.
-    progress: called with the number of finished flights.
+    There are ``processes`` at a time; None: one per processor. One simulates in this process.
 
     Raises
     ------
@@ -118,15 +112,10 @@ def run_campaign(
 
 
 def one_run(settings: Settings, task: Task) -> Run:
-    """Return the figures of one flight; one that cannot begin is a failure, not an error.
-
-    Raises
-    ------
-    InputError, UnsupportedError: a reason that prevents every other flight as well.
-    """
+    """Return what is kept of one flight; one that cannot begin is a failure, not an error."""
     try:
         return simulate(task, settings).run
-    except (InputError, UnsupportedError):
+    except (InputError, UnsupportedError):  # which prevents every other flight as well
         raise
     except HitchoptError as error:
         return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),), {})
@@ -135,16 +124,19 @@ def one_run(settings: Settings, task: Task) -> Run:
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
     """Write the campaign's summary and a table of its runs; return the directory.
 
-    Raises
-    ------
-    FileError: the directory cannot be written to.
+    Raises FileError where the directory cannot be written to.
     """
 
     def write_runs(path: Path) -> None:
-        rows = [_row(run) for run in campaign.runs]
-        columns = max((list(row) for row in rows), key=len)
+        rows = []
+        for run in campaign.runs:
+            first = run.failures[0] if run.failures else Failure("", (), float("nan"), "")
+            told = {"failure": first.kind, "where": " ".join(first.where), "words": first.words}
+            figures = {"time": first.time, **run.figures}
+            known = {name: number(value, 6) for name, value in figures.items()}
+            rows.append({"seed": run.seed, "verdict": run.verdict, **told, **known})
         with path.open("w", encoding="utf-8", newline="") as file:
-            table = csv.DictWriter(file, columns, lineterminator="\n")
+            table = csv.DictWriter(file, max(map(list, rows), key=len), lineterminator="\n")
             table.writeheader()
             table.writerows(rows)
 
@@ -153,12 +145,3 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
         CAMPAIGN: lambda path: write_strict_json(path, campaign.to_dict()),
     }
     return replace_files(directory, writers, OWNED, seal=CAMPAIGN)
-
-
-def _row(run: Run) -> dict[str, object]:
-    """Return a run's row of the table, by column: its first failure, and its figures."""
-    first = run.failures[0] if run.failures else Failure("", (), float("nan"), "")
-    told = {"failure": first.kind, "where": " ".join(first.where), "words": first.words}
-    figures = {"time": first.time, **run.figures}
-    row = {"seed": run.seed, "verdict": run.verdict, **told}
-    return row | {name: number(value, 6) for name, value in figures.items()}

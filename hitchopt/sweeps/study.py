@@ -17,32 +17,31 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import BeforeValidator, ConfigDict, ValidationError, model_validator
 
-from hitchopt.errors import FileError, InputError, OneLine
+from hitchopt.errors import FileError, InputError, OneLine, short
 from hitchopt.mission.keys import MAX_TITLE
 from hitchopt.mission.wording import translated
-from hitchopt.steps.step_keys import Keys, fault
+from hitchopt.steps.step_keys import Keys, NotNegative, Positive, fault
 from hitchopt.steps.step_keys import key as option
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
 
-SECTIONS = ("simulate", "settle", "export")
-"""Sections of a study file that say what is done with a plan."""
+SECTIONS = ("simulate", "settle")  # Sections of a study file that say what is done with a plan
 
-MAX_CASES, MAX_SAMPLES = 1_000_000, 100_000
-"""Largest number of cases of one study, more are a typing error; and of samples."""
+MAX_CASES = 1_000_000  # Largest number of points of one study; more are a typing error
 
+# Packages whose versions are part of every case's digest
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig", "mujoco")
-"""Packages whose versions are part of every case's digest."""
 
 
-class RangeKeys(Keys):
-    """A range from which values are drawn."""
+class GridKeys(Keys):
+    """Values at even distances, the ends among them."""
 
     model_config = ConfigDict(populate_by_name=True)
     low: float = option("Lower end", alias="from", examples=[0.2])
     high: float = option("Upper end", alias="to", examples=[0.6])
+    count: int = option("Number of values", ge=2, le=MAX_CASES, examples=[4])
     log: bool = option("Even in the logarithm", False)
 
     @model_validator(mode="after")
@@ -53,71 +52,41 @@ class RangeKeys(Keys):
             raise fault("from above 0 where log is true", "leave out log")
         return self
 
-    def at(self, shares: Any) -> list[float]:
-        """Return the values at shares of the range, 0 to 1."""
-        if self.log:
-            return [float(x) for x in self.low * (self.high / self.low) ** np.asarray(shares)]
-        return [float(x) for x in np.interp(shares, [0.0, 1.0], [self.low, self.high])]
-
-
-class GridKeys(RangeKeys):
-    """Values at even distances, the ends among them."""
-
-    count: int = option("Number of values", ge=2, le=MAX_SAMPLES, examples=[4])
-
 
 class ParameterKeys(Keys):
-    """What values a parameter takes: one of three keys."""
+    """What values a parameter takes: one of two keys."""
 
     values: list[Any] | None = option(
         "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
     )
     grid: GridKeys | None = option("Values at even distances", None)
-    random: RangeKeys | None = option("Values drawn at random", None)
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
-        if (self.values, self.grid, self.random).count(None) != 2:
-            raise fault("one of list, grid, random", "keep one of them")
+        if (self.values is None) is (self.grid is None):
+            raise fault("one of list, grid", "keep one of them")
         return self
 
     @property
     def listed(self) -> list[Plain]:
-        """The listed values, each of which is taken with every value of the others."""
-        if self.grid is not None:
-            return list(self.grid.at(np.linspace(0.0, 1.0, self.grid.count)))
-        return [plain(value) for value in self.values or ()]
+        """The values in order."""
+        if (grid := self.grid) is None:
+            return [plain(value) for value in self.values or ()]
+        space = np.geomspace if grid.log else np.linspace
+        return [float(x) for x in space(grid.low, grid.high, grid.count)]
 
 
-def points(parameters: Mapping[str, ParameterKeys], samples: int, seed: int) -> list[Point]:
-    """Return every combination of the listed values, with every sample of the drawn ones.
-
-    Parameters
-    ----------
-    parameters: by key path, in the study's order, which is that of the points: the last listed one
-        changes first, samples before it.
-    samples: number of samples of the drawn ones; 1 counts where none is drawn.
-    seed: of the samples.
+def points(parameters: Mapping[str, ParameterKeys]) -> list[Point]:
+    """Return every combination of the parameters' values, the last one's changing first.
 
     Raises
     ------
     InputError: more than MAX_CASES points.
     """
-    drawn = {key: each.random for key, each in parameters.items() if each.random is not None}
-    listed = {key: each.listed for key, each in parameters.items() if key not in drawn}
-    samples = samples if drawn else 1
-    count = prod(map(len, listed.values())) * samples
-    if count > MAX_CASES:
+    listed = [each.listed for each in parameters.values()]
+    if (count := prod(map(len, listed))) > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
-    chance = np.random.default_rng(seed)
-    columns = {key: span.at(chance.random(samples)) for key, span in drawn.items()}
-    found: list[Point] = []
-    for values in itertools.product(*listed.values()):
-        chosen: Point = dict(zip(listed, values, strict=True))
-        for i in range(samples):
-            chosen = {**chosen, **{key: column[i] for key, column in columns.items()}}
-            found.append({key: chosen[key] for key in parameters})
-    return found
+    return [dict(zip(parameters, values, strict=True)) for values in itertools.product(*listed)]
 
 
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
@@ -131,25 +100,20 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
     """
     made: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
-        parts = split_key(key)
-        if not parts or key_path(parts) != key:
-            bound = "a key path such as team.tension or mission[0].form.altitude"
-            raise InputError("parameters", key, bound, "names with dots, places in brackets")
-        inner: Any = made
-        part: Any
-        for part, following in itertools.zip_longest(parts, parts[1:]):
-            if not isinstance(inner, list if isinstance(part, int) else dict):
-                bound = "a place in brackets in a list, the name of a key in a mapping"
-                remedy = f"what is there is of type {type(inner).__name__}"
-                raise InputError(f"parameters.{key}", part, bound, remedy)
-            if isinstance(part, int) and part >= len(inner):
-                bound = f"below {len(inner)}, the list's length"
-                raise InputError(f"parameters.{key}", f"[{part}]", bound, "count from 0")
-            if following is None:
-                inner[part] = deepcopy(value)
-            elif isinstance(inner, dict):
-                inner.setdefault(part, {} if isinstance(following, str) else [])
-            inner = inner[part]
+        parts: list[Any] = list(split_key(key))
+        inner: Any = made if key_path(parts) == key else None
+        holder: Any = None
+        try:
+            for part in parts:
+                holder = inner
+                if isinstance(part, int) is not isinstance(inner, list):
+                    raise TypeError
+                inner = inner[part] if isinstance(inner, list) else inner.setdefault(part, {})
+            holder[parts[-1]] = deepcopy(value)
+        except (TypeError, IndexError, AttributeError):
+            bound = "a path to a key of a mapping or a place in a list"
+            remedy = "write it as team.tension or mission[0].form.altitude"
+            raise InputError("parameters", key, bound, remedy) from None
     return made
 
 
@@ -162,7 +126,7 @@ class Case:
     name: of the problem.
     point: value of every parameter.
     problem: keys of the problem file.
-    simulate, settle, export: keys of what is done; None for nothing.
+    simulate, settle: keys of what is done; None for nothing.
     seed: of the simulated flight; None where there is none.
     limit: time limit of the plan [s].
     """
@@ -172,7 +136,6 @@ class Case:
     problem: dict[str, Plain]
     simulate: dict[str, Plain] | None
     settle: dict[str, Plain] | None
-    export: dict[str, Plain] | None
     seed: int | None
     limit: float
 
@@ -186,14 +149,9 @@ class Case:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions that a row depends on, by package; empty where it is not installed."""
-    found = dict.fromkeys(LIBRARIES, "")
-    for name in LIBRARIES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            continue
-    return found
+    """Return the versions that a row depends on, by package; those that are not installed lack."""
+    here = {each.name.lower() for each in metadata.distributions() if each.name}
+    return {name: metadata.version(name) for name in LIBRARIES if name in here}
 
 
 class SimulateKeys(Keys):
@@ -203,30 +161,24 @@ class SimulateKeys(Keys):
     seed: int = option("Seed of the first of them", 0, ge=0)
     preset: Literal["fast", "accurate"] = option("Resolution of ropes", "fast")
     perturbed: bool = option("The usual perturbations", True)
-    noise: float | None = option("Of measured positions [m]", None, ge=0)
-    velocity_noise: float | None = option("Of velocities [m/s]", None, ge=0)
-    wind: float | None = option("Force of gusts [N]", None, ge=0)
-    steady_wind: float | None = option("Constant level force [N]", None, ge=0)
-    cable_error: float | None = option("Of lengths, relative", None, ge=0)
-    start_error: float | None = option("Of starts, per axis [m]", None, ge=0)
-    friction: float | None = option("Replaces the team's", None, ge=0)
-    density: float | None = option("Replaces the team's [kg/m]", None, gt=0)
-    stiffness: float | None = option("Of position loops [N/m]", None, gt=0)
+    noise: NotNegative | None = option("Of measured positions [m]", None)
+    velocity_noise: NotNegative | None = option("Of velocities [m/s]", None)
+    wind: NotNegative | None = option("Force of gusts [N]", None)
+    steady_wind: NotNegative | None = option("Constant level force [N]", None)
+    cable_error: NotNegative | None = option("Of lengths, relative", None)
+    start_error: NotNegative | None = option("Of starts, per axis [m]", None)
+    friction: NotNegative | None = option("Replaces the team's", None)
+    density: Positive | None = option("Replaces the team's [kg/m]", None)
+    stiffness: Positive | None = option("Of position loops [N/m]", None)
 
 
 class SettleKeys(Keys):
     """Every plan's hitch is settled: where it rests, and with what tensions."""
 
     samples: int = option("Times over the taut hitch", 25, ge=1, le=1000)
-    cable_length: float | None = option("Real length [m]", None, gt=0)
-    cable_density: float | None = option("Real density [kg/m]", None, ge=0)
-    stiffness: float | None = option("Of position loops [N/m]", None, gt=0)
-
-
-class ExportKeys(Keys):
-    """Every plan is exported."""
-
-    format: str = option("Name of the format", examples=["skybrush"])
+    cable_length: Positive | None = option("Real length [m]", None)
+    cable_density: NotNegative | None = option("Real density [kg/m]", None)
+    stiffness: Positive | None = option("Of position loops [N/m]", None)
 
 
 def _as_list(value: object) -> object:
@@ -244,12 +196,9 @@ class StudyKeys(Keys):
         "What values a key takes; by its path in the problem file, or in this one",
         default_factory=dict,
     )
-    samples: int = option("Of what is drawn", 1, ge=1, le=MAX_SAMPLES)
-    seed: int = option("Seed of what is drawn", 0, ge=0)
-    limit: float = option("Time limit of a plan [s]", 600.0, gt=0)
+    limit: Positive = option("Time limit of a plan [s]", 600.0)
     simulate: SimulateKeys | None = option("Simulated flights", None)
     settle: SettleKeys | None = option("Statics", None)
-    export: ExportKeys | None = option("Files for fleets", None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,8 +216,7 @@ class Study(OneLine):
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
-        found = points(self.keys.parameters, self.keys.samples, self.keys.seed)
-        for name, point, problem, done in self._at(found):
+        for name, point, problem, done in self._at(points(self.keys.parameters)):
             seeds: list[int | None] = [None]
             if (flown := done["simulate"]) is not None:
                 first = flown.pop("seed")
@@ -289,11 +237,11 @@ class Study(OneLine):
     def check(self) -> None:
         """Raise InputError for paths and values that no problem or section can have.
 
-        Every listed value is tried by itself; drawn ones at their first sample.
+        Every value is tried by itself.
         """
         from hitchopt.mission.loading import any_problem_from_dict
 
-        first = points(self.keys.parameters, self.keys.samples, self.keys.seed)[0]
+        first = points(self.keys.parameters)[0]
         trials = [first]
         for key, each in self.keys.parameters.items():
             trials += [{**first, key: value} for value in each.listed[1:]]
@@ -306,30 +254,19 @@ class Study(OneLine):
             _checked({"problem": "", **{key: keys for key, keys in done.items() if keys}})
 
 
-def load_study(path: str | Path) -> Study:
-    """Return the study in the YAML file at ``path``; problem files are relative to it.
+def study_from_dict(data: object, directory: str | Path = ".") -> Study:
+    """Return the study that a mapping describes, its files relative to ``directory``.
 
     Raises
     ------
-    FileError: a file that cannot be read.
+    FileError: a problem file that cannot be read.
     InputError: keys, types or values that are wrong, or a problem that is.
     """
-    data = read_yaml(path)
-    if not isinstance(data, dict):
-        raise FileError(f"{path}: a study is a mapping with the keys problem and parameters")
-    return study_from_dict(data, Path(path).parent)
-
-
-def study_from_dict(data: Mapping[str, object], directory: str | Path = ".") -> Study:
-    """Return the study that ``data`` describes, its files relative to ``directory``.
-
-    Raises
-    ------
-    FileError, InputError: as ``load_study``.
-    """
     values = plain(data)
+    if not isinstance(values, dict):
+        bound = "a mapping with the keys problem and parameters"
+        raise InputError("study", short(values), bound, "see hitchopt sweep --help")
     keys = _checked(values)
-    assert isinstance(values, dict)
     study = Study(keys, tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study
@@ -343,19 +280,16 @@ def _checked(values: Plain) -> StudyKeys:
         raise translated(error, StudyKeys) from None
 
 
-def _problems(given: Plain, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:
+def _problems(given: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:
     """Yield name, folder and mapping of every problem."""
     if isinstance(given, dict):
         yield "problem", directory, given
         return
-    files = given if isinstance(given, list) else [given]
-    if not files:
-        raise InputError("problem", [], "at least one problem", "name a problem file")
-    for i, file in enumerate(files):
-        if not isinstance(file, str) or not file:
-            key = f"problem[{i}]" if isinstance(given, list) else "problem"
-            raise InputError(key, file, "the path of a problem file", "write triangle.yaml")
-        path = directory / file
+    files = [given] if isinstance(given, str) else given
+    if not (isinstance(files, list) and files and all(isinstance(x, str) and x for x in files)):
+        bound = "a problem, the path of its file, or several paths"
+        raise InputError("problem", given, bound, "write triangle.yaml")
+    for path in (directory / file for file in files):
         data = read_yaml(path)
         if not isinstance(data, dict):
             raise FileError(f"{path}: is no problem file")

@@ -1,7 +1,7 @@
 """Runs of a study and the rows that they write: what is missing is computed, row by row.
 
-A study's directory holds ``rows.jsonl``, one row a line, ``files/DIGEST/`` with what was exported,
-and ``study.json``: the digests of the study's cases, in order. Rows of other studies that were run
+A study's directory holds ``rows.jsonl``, one row a line, and ``study.json``: the digests of the
+study's cases, in order. Rows of other studies that were run
 in the same directory stay; what is computed already is not computed again. A row is appended by one
 write, so that whatever ends a run leaves at most one line that is not whole, which is passed over.
 """
@@ -9,10 +9,8 @@ write, so that whatever ends a run leaves at most one line that is not whole, wh
 from __future__ import annotations
 
 import contextlib
-import difflib
 import json
 import os
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,23 +19,21 @@ from typing import TYPE_CHECKING, Any
 from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.sweeps.study import Study, load_study, study_from_dict
-from hitchopt.sweeps.work import FAILED, PLANNED, Outcome, Row, finished, first_columns, outcome_of
+from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.sweeps.study import Study, study_from_dict
+from hitchopt.sweeps.work import FAILED, PLANNED, Row, finished, first_columns, row_of
 from hitchopt.values import path as as_path
 from hitchopt.values import text, whole
 
 if TYPE_CHECKING:
     import pandas
 
-ROWS, FILES, STUDY = "rows.jsonl", "files", "study.json"
+ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
 
-FORMAT = "hitchopt-sweep/1"
+MEASURED = "time."  # Beginning of the columns that differ from run to run
 
-MEASURED = ("time.", "memory.")
-"""Beginnings of the columns that differ from run to run."""
-
+# Beginnings of the columns whose medians are told
 FIGURES = ("duration", "check.", "simulate.", "settle.", "time.")
-"""Beginnings of the columns whose medians are told."""
 
 
 def run_sweep(
@@ -50,7 +46,7 @@ def run_sweep(
 ) -> pandas.DataFrame:
     """Compute the rows of a study that are missing in a directory; return all of them.
 
-    Every case is planned and certified, then simulated, settled or exported as the study says.
+    Every case is planned and certified, then settled or simulated as the study says.
     Every result is written as it arrives, keyed by a digest of problem, versions and seed: whatever
     ends a run, the same call goes on from there.
 
@@ -78,7 +74,7 @@ def run_sweep(
     if scheduler is not None:
         text("scheduler", scheduler)
     if isinstance(study, str | Path):
-        study = load_study(study)
+        study = study_from_dict(read_yaml(study), Path(study).parent)
     elif isinstance(study, Mapping):
         study = study_from_dict(study)
     elif not isinstance(study, Study):
@@ -92,16 +88,16 @@ def run_sweep(
     missing = {digest: case for digest, case in cases.items() if digest not in known}
     width = min(workers or os.cpu_count() or 1, len(missing))
     tasks = {digest: (case, digest) for digest, case in missing.items()}
-    with contextlib.closing(finished(outcome_of, tasks, width, scheduler)) as done:
+    with contextlib.closing(finished(row_of, tasks, width, scheduler)) as done:
         for count, (digest, future) in enumerate(done, 1 + len(cases) - len(missing)):
             if future.status == "finished":
-                outcome: Outcome = future.result()
+                row: Row = future.result()
             else:  # a case that kills its workers, or has a bug, is a row
                 error = future.exception()
                 words = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
-                outcome = Outcome(first_columns(missing[digest], digest) | words)
-            write_outcome(place, outcome)
-            refused += outcome.row["status"] != PLANNED
+                row = first_columns(missing[digest], digest) | words
+            write_row(place, row)
+            refused += row["status"] != PLANNED
             if progress is not None:
                 progress(f"{count} of {len(cases)} rows, {refused} without a plan")
     return load_sweep(place)
@@ -113,8 +109,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     Columns are ``problem``, ``seed``, ``parameter.KEY`` of every parameter, ``status`` (planned,
     infeasible, time limit, failed or wrong), ``binding`` (name of the limit), ``message``,
     ``duration`` [s], ``check.NAME`` for the worst value of every check of the certificate,
-    ``simulate.…``, ``settle.…``, ``export.position_error``, ``time.…`` (processor time [s]),
-    ``memory.peak`` (largest memory of the worker so far [MiB]) and ``digest``.
+    ``simulate.…``, ``settle.…``, ``time.…`` (processor time [s]) and ``digest``.
 
     Parameters
     ----------
@@ -136,9 +131,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
         return pandas.DataFrame({"digest": []})
     first = ["problem", "seed", *(f"parameter.{key}" for key in told["parameters"])]
     first += ["status", "binding", "message", "duration"]
-    last = [*(name for name in sorted(table.columns) if name.startswith(MEASURED)), "digest"]
-    middle = [name for name in sorted(table.columns) if name not in {*first, *last}]
-    return table.reindex(columns=[*first, *middle, *last])
+    return table.reindex(columns=[*first, *sorted(set(table.columns) - set(first))])
 
 
 def read_study(directory: Path) -> dict[str, Any]:
@@ -174,22 +167,11 @@ def _read_rows(directory: Path) -> dict[str, Row]:
     return found
 
 
-def write_outcome(directory: Path, outcome: Outcome) -> None:
-    """Write an outcome's files, then its row; the row is there only when all is.
-
-    Raises
-    ------
-    FileError: the disk is full, or cannot be written to.
-    """
-    row = {name: _scalar(name, value) for name, value in outcome.row.items()}
-    line = f"\n{json.dumps(row)}\n".encode()  # a line of its own after one that is not whole
+def write_row(directory: Path, row: Row) -> None:
+    """Append a row as one line; raises FileError where the disk is full or cannot be written to."""
+    values = {name: _scalar(name, value) for name, value in row.items()}
+    line = f"\n{json.dumps(values)}\n".encode()  # a line of its own after one that is not whole
     try:
-        if outcome.files:
-            place = directory / FILES / outcome.row["digest"]
-            shutil.rmtree(place, ignore_errors=True)
-            for name, content in outcome.files.items():
-                (place / name).parent.mkdir(parents=True, exist_ok=True)
-                (place / name).write_bytes(content)
         with (directory / ROWS).open("ab", buffering=0) as file:
             if file.write(line) != len(line):
                 raise OSError(0, "the disk is full")
@@ -264,17 +246,3 @@ def summary(rows: pandas.DataFrame, cases: int) -> Summary:
         for name, column in figures.select_dtypes("float").dropna(axis=1, how="all").items()
     }
     return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)
-
-
-def column_of(rows: pandas.DataFrame, name: str) -> str:
-    """Return the column that a name means: itself, or a parameter's, or a check's.
-
-    Raises
-    ------
-    InputError: no such column; the remedy names near ones.
-    """
-    for column in (name, f"parameter.{name}", f"check.{name}", f"simulate.{name}"):
-        if column in rows and rows[column].notna().any():
-            return column
-    near = difflib.get_close_matches(name, list(map(str, rows.columns)), n=3, cutoff=0.3)
-    raise InputError("--plot", name, "a column with values", f"such as {', '.join(near)}")

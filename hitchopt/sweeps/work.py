@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import resource
-import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,37 +47,28 @@ class SweepError(HitchoptError):
     """A sweep that ended early: rows that were written stay, the same call goes on from there."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What a worker returns: a case's row, and bytes of its exported files, by name."""
-
-    row: Row
-    files: dict[str, bytes] = field(default_factory=dict)
-
-
 def first_columns(case: Case, digest: str) -> Row:
     """Return the columns of a case's row that name it."""
     row: Row = {"digest": digest, "problem": case.name, "seed": case.seed}
     return row | {f"parameter.{key}": value for key, value in case.point.items()}
 
 
-def outcome_of(case: Case, digest: str) -> Outcome:
-    """Return the outcome of a case; errors that hitchopt raises on purpose become rows."""
+def row_of(case: Case, digest: str) -> Row:
+    """Return the row of a case; errors that hitchopt raises on purpose become rows."""
     from hitchopt.api import solve
     from hitchopt.mission.loading import any_problem_from_dict
 
-    found = Outcome(first_columns(case, digest))
-    row, begin = found.row, time.process_time()
+    row, begin = first_columns(case, digest), time.process_time()
     try:
         plan = solve(any_problem_from_dict(case.problem), limit=case.limit)
         row |= {"status": PLANNED, "duration": plan.duration}
         row |= {f"check.{check.name}": check.worst for check in plan.certificate.checks}
         row["time.plan"] = time.process_time() - begin
-        for name, act in (("settle", _settled), ("simulate", _simulated), ("export", _exported)):
+        for name, act in (("settle", _settled), ("simulate", _simulated)):
             if (keys := getattr(case, name)) is not None:
                 begin = time.process_time()
                 given = {key: value for key, value in keys.items() if value is not None}
-                told = act(plan, given | {"seed": case.seed or 0}, found.files)
+                told = act(plan, given | {"seed": case.seed or 0})
                 row |= {f"{name}.{key}": value for key, value in told.items()}
                 row[f"time.{name}"] = time.process_time() - begin
     except HitchoptError as error:
@@ -91,11 +78,10 @@ def outcome_of(case: Case, digest: str) -> Outcome:
         if isinstance(error, InfeasibleError) and error.violations:
             row["binding"] = error.violations[0].constraint
         row.setdefault("time.plan", time.process_time() - begin)
-    row["memory.peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return found
+    return row
 
 
-def _settled(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
+def _settled(plan: Plan, keys: dict[str, Any]) -> Row:
     """Return figures of where the hitch comes to rest over the plan."""
     from hitchopt.statics.settle import settle
     from hitchopt.statics.tolerance import taut_times
@@ -110,26 +96,18 @@ def _settled(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
     }
 
 
-def _simulated(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
+def _simulated(plan: Plan, keys: dict[str, Any]) -> Row:
     """Return figures of a simulated flight."""
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import Task
 
     run = simulate(Task.of(plan.motion), settings_of(**keys)).run
-    row: Row = {"verdict": run.verdict, "succeeded": run.succeeded}
+    row: Row = {"verdict": run.verdict, "succeeded": run.succeeded, **run.figures}
+    del row["pace"]  # which no other run has
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}
-    return row | run.figures
-
-
-def _exported(plan: Plan, keys: dict[str, Any], files: dict[str, bytes]) -> Row:
-    """Return how far the exported files are off; add these to ``files``."""
-    with tempfile.TemporaryDirectory() as place:
-        parts = plan.export(str(keys["format"]), place)
-        for path in sorted(p for p in Path(place).rglob("*") if p.is_file()):
-            files[path.relative_to(place).as_posix()] = path.read_bytes()
-    return {"position_error": max(part.verdict.position.worst for part in parts)}
+    return row
 
 
 def finished(

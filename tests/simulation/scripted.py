@@ -146,5 +146,5 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
         "error": None,
         "touches": {},
     }
-    about = {"gains": gains, "density": 0.01, "longer": 0.0, "ground": 0.0, "drawn": {}}
+    about = {"gains": gains, "density": 0.01, "longer": 0.0, "ground": 0.0, "objects": {}}
     return Flight(task, settings, *parts, **{**ended, **about, **known})

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 from scripted import flight_of, formed_where, regular_hitch, standing, unformed
@@ -148,7 +147,6 @@ def test_errors_are_distances_where_there_is_a_hitch() -> None:
     np.testing.assert_allclose(errors.t, t[10:-1])
     np.testing.assert_allclose(errors.errors[:-1], 0.05)
     np.testing.assert_array_equal(np.isnan(errors.errors[-1]), [False, True, False])
-    assert errors.lost == pytest.approx(1 / 33)
     np.testing.assert_allclose(errors.without_sag[0], 0.03)
     np.testing.assert_allclose(errors.offsets[0, :, 2], -0.04)
     assert not errors.moving.any()
@@ -174,7 +172,6 @@ def test_the_time_of_rest_counts_and_the_pull_test_does_not() -> None:
     free = unformed(task)
     flight = flight_of(free, hitch, task.t, drones=free.setpoints.positions + [0.03, 0.0, 0.04])
     assert vertex_errors(flight).errors.shape == (0, 3)
-    assert vertex_errors(flight).lost == 0.0
     np.testing.assert_allclose(tracking_errors(flight), 0.05)
 
 
