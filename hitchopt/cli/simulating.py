@@ -286,7 +286,7 @@ def sweep(
     scheduler: str | None,
     plot: tuple[str, str] | None,
 ) -> None:
-    """Plan, simulate or settle every case of STUDY.yaml (needs dask.distributed).
+    """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
 
     Every result is a line of DIR/rows.jsonl, written as it arrives. The same command goes on where
     an earlier one has ended: only what is missing is computed. With --plot, STUDY is the DIR of a

@@ -27,8 +27,6 @@ from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
 
-SECTIONS = ("simulate", "settle")  # Sections of a study file that say what is done with a plan
-
 MAX_CASES = 1_000_000  # Largest number of points of one study; more are a typing error
 
 # Packages whose versions are part of every case's digest
@@ -126,8 +124,7 @@ class Case:
     name: of the problem.
     point: value of every parameter.
     problem: keys of the problem file.
-    simulate, settle: keys of what is done; None for nothing.
-    seed: of the simulated flight; None where there is none.
+    simulate, seed: keys and seed of the simulated flight; None where there is none.
     limit: time limit of the plan [s].
     """
 
@@ -135,7 +132,6 @@ class Case:
     point: Point
     problem: dict[str, Plain]
     simulate: dict[str, Plain] | None
-    settle: dict[str, Plain] | None
     seed: int | None
     limit: float
 
@@ -172,15 +168,6 @@ class SimulateKeys(Keys):
     stiffness: Positive | None = option("Of position loops [N/m]", None)
 
 
-class SettleKeys(Keys):
-    """Every plan's hitch is settled: where it rests, and with what tensions."""
-
-    samples: int = option("Times over the taut hitch", 25, ge=1, le=1000)
-    cable_length: Positive | None = option("Real length [m]", None)
-    cable_density: NotNegative | None = option("Real density [kg/m]", None)
-    stiffness: Positive | None = option("Of position loops [N/m]", None)
-
-
 def _as_list(value: object) -> object:
     return {"list": value} if isinstance(value, list) else value
 
@@ -198,7 +185,6 @@ class StudyKeys(Keys):
     )
     limit: Positive = option("Time limit of a plan [s]", 600.0)
     simulate: SimulateKeys | None = option("Simulated flights", None)
-    settle: SettleKeys | None = option("Statics", None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,26 +202,25 @@ class Study(OneLine):
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
-        for name, point, problem, done in self._at(points(self.keys.parameters)):
-            seeds: list[int | None] = [None]
-            if (flown := done["simulate"]) is not None:
-                first = flown.pop("seed")
-                seeds = list(range(first, first + flown.pop("seeds")))
-            for seed in seeds:
-                yield Case(name, point, problem, **done, seed=seed, limit=self.keys.limit)
+        for name, point, problem, flown in self._at(points(self.keys.parameters)):
+            if flown is None:
+                yield Case(name, point, problem, None, None, self.keys.limit)
+                continue
+            first, count = flown.pop("seed"), flown.pop("seeds")
+            for seed in range(first, first + count):
+                yield Case(name, point, problem, flown, seed, self.keys.limit)
 
     def _at(self, chosen: list[Point]) -> Iterator[tuple[str, Point, dict[str, Plain], Any]]:
-        """Yield name, point, keys of the problem, and what is done, at every chosen point."""
-        sections = {key: getattr(self.keys, key) for key in SECTIONS}
-        own = {key: keys.model_dump() for key, keys in sections.items() if keys is not None}
+        """Yield name, point, keys of the problem, and of its flights, at every chosen point."""
+        flown = None if self.keys.simulate is None else self.keys.simulate.model_dump()
         outlines: dict[Path, Plain] = {}
         for (name, folder, problem), point in itertools.product(self.problems, chosen):
-            whole = with_values({**problem, **own}, point)
-            done = {key: whole.pop(key, None) for key in SECTIONS}
-            yield name, point, _with_outlines(whole, folder, outlines), done
+            whole = with_values(problem if flown is None else {**problem, "simulate": flown}, point)
+            simulate = whole.pop("simulate", None)
+            yield name, point, _with_outlines(whole, folder, outlines), simulate
 
     def check(self) -> None:
-        """Raise InputError for paths and values that no problem or section can have.
+        """Raise InputError for paths and values that no problem or flight can have.
 
         Every value is tried by itself.
         """
@@ -245,13 +230,12 @@ class Study(OneLine):
         trials = [first]
         for key, each in self.keys.parameters.items():
             trials += [{**first, key: value} for value in each.listed[1:]]
-            section = key.split(".")[0]
-            if section in SECTIONS and getattr(self.keys, section) is None:
-                remedy = f"add {section}: to the study"
-                raise InputError(f"parameters.{key}", section, "a section of the study", remedy)
-        for _, _, problem, done in self._at(trials):
+            if key.split(".")[0] == "simulate" and self.keys.simulate is None:
+                remedy = "add simulate: to the study"
+                raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
+        for _, _, problem, simulate in self._at(trials):
             any_problem_from_dict(problem)
-            _checked({"problem": "", **{key: keys for key, keys in done.items() if keys}})
+            _checked({"problem": "", "simulate": simulate})
 
 
 def study_from_dict(data: object, directory: str | Path = ".") -> Study:

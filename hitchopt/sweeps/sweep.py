@@ -33,7 +33,7 @@ ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
 MEASURED = "time."  # Beginning of the columns that differ from run to run
 
 # Beginnings of the columns whose medians are told
-FIGURES = ("duration", "check.", "simulate.", "settle.", "time.")
+FIGURES = ("duration", "check.", "simulate.", "time.")
 
 
 def run_sweep(
@@ -46,7 +46,7 @@ def run_sweep(
 ) -> pandas.DataFrame:
     """Compute the rows of a study that are missing in a directory; return all of them.
 
-    Every case is planned and certified, then settled or simulated as the study says.
+    Every case is planned and certified, then simulated if the study says so.
     Every result is written as it arrives, keyed by a digest of problem, versions and seed: whatever
     ends a run, the same call goes on from there.
 
@@ -109,7 +109,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     Columns are ``problem``, ``seed``, ``parameter.KEY`` of every parameter, ``status`` (planned,
     infeasible, time limit, failed or wrong), ``binding`` (name of the limit), ``message``,
     ``duration`` [s], ``check.NAME`` for the worst value of every check of the certificate,
-    ``simulate.…``, ``settle.…``, ``time.…`` (processor time [s]) and ``digest``.
+    ``simulate.…``, ``time.…`` (processor time [s]) and ``digest``.
 
     Parameters
     ----------

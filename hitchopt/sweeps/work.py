@@ -1,4 +1,4 @@
-"""What a worker does with a case: plan, fly, settle, export it; and the workers, on dask."""
+"""What a worker does with a case: plan and fly it; and the workers, on dask."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ import logging
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from hitchopt.errors import (
     HitchoptError,
@@ -64,13 +62,10 @@ def row_of(case: Case, digest: str) -> Row:
         row |= {"status": PLANNED, "duration": plan.duration}
         row |= {f"check.{check.name}": check.worst for check in plan.certificate.checks}
         row["time.plan"] = time.process_time() - begin
-        for name, act in (("settle", _settled), ("simulate", _simulated)):
-            if (keys := getattr(case, name)) is not None:
-                begin = time.process_time()
-                given = {key: value for key, value in keys.items() if value is not None}
-                told = act(plan, given | {"seed": case.seed or 0})
-                row |= {f"{name}.{key}": value for key, value in told.items()}
-                row[f"time.{name}"] = time.process_time() - begin
+        if case.simulate is not None:
+            begin = time.process_time()
+            row |= {f"simulate.{key}": value for key, value in _simulated(plan, case).items()}
+            row["time.simulate"] = time.process_time() - begin
     except HitchoptError as error:
         status = next((word for kind, word in STATUS.items() if isinstance(error, kind)), FAILED)
         row.setdefault("status", status)  # a plan stays one
@@ -81,27 +76,13 @@ def row_of(case: Case, digest: str) -> Row:
     return row
 
 
-def _settled(plan: Plan, keys: dict[str, Any]) -> Row:
-    """Return figures of where the hitch comes to rest over the plan."""
-    from hitchopt.statics.settle import settle
-    from hitchopt.statics.tolerance import taut_times
-
-    del keys["seed"]
-    settled = settle(plan, taut_times(plan.motion, keys.pop("samples")), **keys)
-    return {
-        "vertex_error": float(np.max(settled.displacements)),
-        "tension_min": float(np.min(settled.tensions)),
-        "tension_max": float(np.max(settled.tensions)),
-        "slack": ", ".join(settled.slack_cables),
-    }
-
-
-def _simulated(plan: Plan, keys: dict[str, Any]) -> Row:
+def _simulated(plan: Plan, case: Case) -> Row:
     """Return figures of a simulated flight."""
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import Task
 
+    keys: dict[str, Any] = {**(case.simulate or {}), "seed": case.seed}
     run = simulate(Task.of(plan.motion), settings_of(**keys)).run
     row: Row = {"verdict": run.verdict, "succeeded": run.succeeded, **run.figures}
     del row["pace"]  # which no other run has
