@@ -368,9 +368,8 @@ def simulate(
     perturbed: whether there are the usual disturbances of a flight indoors.
     perturbations: fields of ``Perturbations`` that differ from those, such as ``wind`` [N].
     progress: called with what is being done now.
-    settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``,
-        ``stiffness``, ``integral``, ``feed_forward``, ``pull_test``,
-        ``feedback``.
+    settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
+        ``pull_test``, ``feedback``.
 
     Raises
     ------

@@ -62,9 +62,6 @@ MOST_REASONS = 8
     --object-friction X (float): Of their friction, relative.
     --object-place M (float): Of where they stand [m].
     --stiffness N/M (float): Of position loops; by default the team's.
-    --integral/--no-integral (None): Integral action; by default the team's.
-    --feed-forward/--no-feed-forward (None): Whether the setpoints' cable forces are added; by
-        default the team's.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
     --friction MU (float): Cable friction; by default the team's.
     --density KG/M (float): Cable density; by default the team's.
@@ -217,8 +214,6 @@ def flight_tables(simulation: Simulation) -> str:
         "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
         "largest tension [N]": known["peak_tension"],
         "largest thrust [N]": known["peak_thrust"],
-        "samples with saturated thrust": f"{known['saturated']:.2%}",
-        "pace, times real time, on one processor": known["pace"],
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness, ".3g"),
         "  stated by": "team or option" if stated else "nobody: the simulator's own",
         "ropes weigh [g/m]": 1e3 * flight.density,

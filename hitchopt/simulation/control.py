@@ -189,7 +189,7 @@ class PositionGains:
 
     @classmethod
     def of(cls, team: Team, settings: Settings) -> PositionGains:
-        """Return the gains of a team's drones, the settings replacing what they state.
+        """Return the gains of a team's drones, the settings replacing their stiffness.
 
         Raise InputError for a stiffness with which the errors of a drone grow: the characteristic
         polynomial of its loop, lag and attitude included, has a root with a positive real part.
@@ -197,9 +197,7 @@ class PositionGains:
         stated = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * team.mass)
         stiffness = np.broadcast_to(settings.stiffness or stated, team.mass.shape)
         damping = VELOCITY_GAIN * np.sqrt(stiffness * team.mass / POSITION_GAIN)
-        winds = team.integral if settings.integral is None else settings.integral
-        feeds = team.feed_forward if settings.feed_forward is None else settings.feed_forward
-        integral = np.where(winds, stiffness / INTEGRAL_TIME, 0.0)
+        integral = np.where(team.integral, stiffness / INTEGRAL_TIME, 0.0)
         lag = [settings.perturbations.lag, 1.0, RATE_GAIN, ATTITUDE_GAIN]  # highest power first
         for mass, *gains in np.unique([team.mass, damping, stiffness, integral], axis=1).T:
             loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
@@ -209,7 +207,8 @@ class PositionGains:
                     "at this one it oscillates more and more"
                 )
                 raise InputError("stiffness", float(gains[1]), bound, "lower it")
-        return cls(stiffness, damping, integral, np.broadcast_to(feeds, stiffness.shape))
+        feeds = np.broadcast_to(team.feed_forward, stiffness.shape)
+        return cls(stiffness, damping, integral, feeds)
 
 
 class Pilots:
@@ -218,7 +217,6 @@ class Pilots:
     Attributes
     ----------
     gains: of the position loops.
-    saturated: whether the last command exceeded the thrust (2n,).
     thrusts: present thrusts (2n,) [N].
     """
 
@@ -228,7 +226,6 @@ class Pilots:
         self._max_thrust = np.array(team.max_thrust)
         self._wound: Array = np.zeros((team.drones, 3))  # force of the integral action so far
         self._state: Array | None = None
-        self.saturated = np.zeros(team.drones, dtype=np.bool_)
         self.thrusts = np.zeros(team.drones)
 
     def stop(self, drone: int) -> None:
@@ -264,7 +261,6 @@ class Pilots:
         turn = desired, world.masses[:, None] * setpoints.jerks, attitudes, rates, world.inertia
         moments = np.clip(turning_moments(*turn), -limit, limit)
         command = np.column_stack([np.clip(size, 0.0, most), moments])
-        self.saturated = (size > most) & (most > 0.0)
         remains = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
         before = command if self._state is None else self._state
         state = self._state = command + (before - command) * remains

@@ -88,7 +88,6 @@ class Record:
     tensions: means over each cable's length (samples, n) [N].
     peak_tensions: largest values over length and time since the last sample (samples, n) [N].
     thrusts: (samples, 2n) [N]
-    saturated: whether a drone's command exceeded its thrust (samples, 2n).
     poses: of the objects (samples, objects, 7): positions of their bases [m], and quaternions.
     touched: whether cables touch an object (samples, objects).
     """
@@ -102,7 +101,6 @@ class Record:
     tensions: Array
     peak_tensions: Array
     thrusts: Array
-    saturated: NDArray[np.bool_]
     poses: Array
     touched: NDArray[np.bool_]
 
@@ -351,13 +349,13 @@ class _Run:
 
     def _sample(self, time: float, index: int) -> None:
         """Record the state at ``time`` [s], until which setpoint ``index`` applied, and peaks."""
-        world, pilots = self._world, self._pilots
+        world = self._world
         commanded = self._task.setpoints.positions[index]
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
         contacts = self._contacts.collect(self._least_bearing[index])
         means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
-        state = (means, self._peaks.copy(), pilots.thrusts.copy(), pilots.saturated.copy())
+        state = (means, self._peaks.copy(), self._pilots.thrusts.copy())
         places = (time, self._task.index(time), world.drones, commanded)
         self._rows.append((*places, *contacts, *state, world.poses, self._objects.cables))
         self._peaks[:] = 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -448,12 +447,11 @@ class Run(OneLine):
 
 @dataclass(frozen=True, eq=False)
 class Simulation(OneLine):
-    """A judged flight, the errors of its vertices, and the processor time that it took [s]."""
+    """A judged flight, and the errors of its vertices."""
 
     flight: Flight
     outcome: Outcome
     errors: VertexErrors
-    processor: float
 
     @property
     def settings(self) -> Settings:
@@ -486,22 +484,18 @@ class Simulation(OneLine):
         """Figures by name, nan where there is none.
 
         They are the spreads as ``tracking_mean``, …; ``peak_tension`` and ``peak_thrust`` [N];
-        ``saturated``, the share of samples at which a drone's command exceeded its thrust; largest
-        ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects; and ``pace``, the simulated
-        seconds per second of one processor.
+        largest ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects.
         """
-        record, times = self.flight.record, self.flight.film.t
+        record = self.flight.record
         found: dict[str, float] = {}
         for name, spread in self.spreads.items():
             found |= {f"{name}_{key}": value for key, value in vars(spread).items()}
         found["peak_tension"] = float(np.max(record.peak_tensions))
         found["peak_thrust"] = float(np.max(record.thrusts))
-        found["saturated"] = float(np.mean(record.saturated))
         for name in ("placed", "tilted", "slipped"):
             values = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
             found[name] = float(np.fmax.reduce(values))
-        simulated = float(np.ptp(times)) if len(times) else 0.0  # settling included
-        return found | {"pace": simulated / max(self.processor, 1e-9)}
+        return found
 
     @property
     def run(self) -> Run:
@@ -516,7 +510,5 @@ def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
 
 def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
     """Return the judged flight of a task; parameters and errors are those of ``fly``."""
-    begin = time.process_time()
     flight = fly(task, settings, progress)
-    processor = time.process_time() - begin
-    return Simulation(flight, judge(flight), vertex_errors(flight), processor)
+    return Simulation(flight, judge(flight), vertex_errors(flight))

@@ -91,7 +91,6 @@ def save_simulation(
         }),
         DRONES: ("drone", team.drone_names, t, {
             "x,y,z": record.drones, "error": off, "thrust": record.thrusts,
-            "saturated": record.saturated,
         }),
         OBJECTS: ("object", cargo.names, t, {
             "x,y,z,qw,qx,qy,qz": record.poses, "touched": record.touched,
@@ -164,11 +163,8 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         ],
         "tracking_error": spreads["tracking"],
         "largest_thrust": figures["peak_thrust"],
-        "saturated_share": figures["saturated"],
         "duration": flight.task.duration,
         **({} if simulation.loss is None else {"loss": asdict(simulation.loss)}),
-        "processor_seconds": simulation.processor,
-        "pace": figures["pace"],
     }
 
 

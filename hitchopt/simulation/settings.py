@@ -165,8 +165,6 @@ class Settings(OneLine):
         forward what the setpoints hold, whatever the ropes weigh.
     stiffness: of the drones' position loops [N/m]; None: the team's, and that of POSITION_GAIN in
         ``control`` where the team's drones are rigid.
-    integral: whether controllers have integral action; None: as the team's.
-    feed_forward: whether controllers add the cable force of the setpoints; None: as the team's.
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
     lost: a drone whose motors stop; None: all fly on.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
@@ -178,8 +176,6 @@ class Settings(OneLine):
     friction: float | None = None
     density: float | None = None
     stiffness: float | None = None
-    integral: bool | None = None
-    feed_forward: bool | None = None
     pull_test: bool = True
     lost: Loss | None = None
     feedback: bool = False

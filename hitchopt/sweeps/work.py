@@ -23,12 +23,14 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 """A row of the results, by column; what is not known is None."""
 
+# Values of the column ``status``
 PLANNED, INFEASIBLE, LATE, FAILED, WRONG = "planned", "infeasible", "time limit", "failed", "wrong"
-"""Values of the column ``status``."""
 
+# Statuses of errors; that of all others is FAILED
 STATUS = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
-"""Statuses of errors; that of all others is FAILED."""
 
+# Settings of dask. Its profiler takes more than a tenth of a plan's time, and workers that give
+# freed memory back at once a seventh of it
 SETTINGS = {
     "distributed.scheduler.allowed-failures": 3,  # of workers with a task: it may kill them
     "distributed.comm.timeouts.connect": "5s",
@@ -37,8 +39,6 @@ SETTINGS = {
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-"""Settings of dask. Its profiler takes more than a tenth of a plan's time, and workers that give
-freed memory back at once a seventh of it."""
 
 
 class SweepError(HitchoptError):
@@ -85,7 +85,6 @@ def _simulated(plan: Plan, case: Case) -> Row:
     keys: dict[str, Any] = {**(case.simulate or {}), "seed": case.seed}
     run = simulate(Task.of(plan.motion), settings_of(**keys)).run
     row: Row = {"verdict": run.verdict, "succeeded": run.succeeded, **run.figures}
-    del row["pace"]  # which no other run has
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}
     return row

@@ -49,7 +49,6 @@ def test_one_flight_reports_that_it_holds_and_writes_files(
     result = run("simulate", solved, "--film", film, code=0)
     for words in (
         "hitched: every vertex is linked and held",
-        "times real time",
         "the fast preset is 1 to 2 cm off; take the accurate one",
         "drones to their setpoints [cm]",
         "nobody: the simulator's own",

@@ -18,19 +18,18 @@ from hitchopt.simulation.ropes import Ropes, clasped
 from hitchopt.simulation.settings import ACCURATE, Settings
 from hitchopt.simulation.world import World, check_valid, tensions
 
-LEG, SIDE = 0.4, 0.6
-"""Lengths of the cables' parts on both sides of the clasp [m]."""
+LEG, SIDE = 0.4, 0.6  # Lengths of the cables' parts on both sides of the clasp [m]
 
+# Of the cables [kg/m], and of the one that slides [m/s]; a higher one costs tension as segments
+# pass the bend
 DENSITY, SPEED = 0.01, 0.05
-"""Of the cables [kg/m], and of the one that slides [m/s]; a higher one costs tension as segments
-pass the bend."""
 
+# Times at which cables are tight and one begins to slide, and are perpendicular; and time of the
+# measurement [s]
 DRAWN, TURNED, MEASURED = 1.0, 0.9, 0.5
-"""Times at which cables are tight and one begins to slide, and are perpendicular; and time of the
-measurement [s]."""
 
+# Rate at which cables lose speed when they begin to be drawn tight [1/s]; zero once they are
 DAMPING = 40.0
-"""Rate at which cables lose speed when they begin to be drawn tight [1/s]; zero once they are."""
 
 
 @pytest.mark.slow

@@ -175,8 +175,8 @@ def test_the_time_of_rest_counts_and_the_pull_test_does_not() -> None:
     np.testing.assert_allclose(tracking_errors(flight), 0.05)
 
 
+# Time of the plan, and of the flight with rest and pull test [s]; points of a recorded rope
 SECONDS, END, NODES = 0.5, 1.5, 12
-"""Time of the plan, and of the flight with rest and pull test [s]; points of a recorded rope."""
 
 LINKED = np.ones((3, 3), dtype=np.int64) - np.eye(3, dtype=np.int64)
 
@@ -211,7 +211,7 @@ def flown(
         pulled=end if end > SECONDS else np.nan,
         settings=settings,
     )
-    return Simulation(flight, judge(flight), vertex_errors(flight), 1.0)
+    return Simulation(flight, judge(flight), vertex_errors(flight))
 
 
 def test_the_storyboard_ends_after_the_pull_test(tmp_path: Path) -> None:

@@ -75,8 +75,7 @@ def test_perturbed_objects_stay_within_their_bounds_and_tables_stand() -> None:
     assert all(calm[name].mass == each.mass for name, each in objects.items())
 
 
-FLOOR = -0.5
-"""Height of the ground [m]."""
+FLOOR = -0.5  # Height of the ground [m]
 
 
 def lifting(*, mass: float = MASS, planned: float = MASS, by: float = 0.2) -> Task:
