@@ -270,28 +270,17 @@ def _campaign_tables(campaign: Campaign) -> str:
     -o, --output DIR (path): Results; else ./ and the stem.
     --workers N (int): Processes; by default all processors.
     --scheduler ADDRESS (text): A dask scheduler, such as tcp://host:8786.
-    --plot X Y (text): Draw column Y over column X, such as team.tension duration, of a sweep's DIR.
     """,
-    plot={"nargs": 2},
 )
-def sweep(
-    study: Path,
-    output: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    plot: tuple[str, str] | None,
-) -> None:
+def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str | None) -> None:
     """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
 
     Every result is a line of DIR/rows.jsonl, written as it arrives. The same command goes on where
-    an earlier one has ended: only what is missing is computed. With --plot, STUDY is the DIR of a
-    sweep, and nothing is computed.
+    an earlier one has ended: only what is missing is computed. Where STUDY is the DIR of a sweep,
+    nothing is.
     """
     from hitchopt.sweeps.sweep import load_sweep, read_study, run_sweep, summary
 
-    if plot is not None:
-        _draw(study, *plot)
-        return
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with LateProgress("starting workers") as progress:
@@ -306,21 +295,7 @@ def sweep(
     found = summary(rows, len(read_study(place)["cases"]))
     record(directory=str(place), summary=asdict(found))
     say(_sweep_tables(found))
-    say(f"rows are in {place}; draw them: hitchopt sweep {place} --plot X Y")
-
-
-def _draw(place: Path, x: str, y: str) -> None:
-    """Draw one column of a sweep over another."""
-    from hitchopt.sweeps.picture import save_sweep_picture
-    from hitchopt.sweeps.sweep import load_sweep, read_study
-
-    if not place.is_dir():
-        raise InputError("STUDY", str(place), "the directory of a sweep with --plot", "name it")
-    path = place / f"{y.rsplit('.', 1)[-1]}_over_{x.rsplit('.', 1)[-1]}.png"
-    with LateProgress("drawing"):
-        save_sweep_picture(path, load_sweep(place), x, y, read_study(place)["title"])
-    record(file=str(path))
-    say(f"the picture is {path}")
+    say(f"rows are in {place}; ho.load_sweep returns them for pandas")
 
 
 def _sweep_tables(found: Summary) -> str:

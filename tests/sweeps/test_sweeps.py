@@ -19,7 +19,6 @@ from test_studies import PROBLEM
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
-from hitchopt.sweeps.picture import column_of
 from hitchopt.sweeps.study import study_from_dict
 from hitchopt.sweeps.sweep import MEASURED, ROWS, Share, load_sweep, summary, write_row
 from hitchopt.sweeps.work import SETTINGS, row_of
@@ -146,14 +145,10 @@ def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
     assert (low, high) == pytest.approx((middle - half, middle + half))
-    assert column_of(rows, "team.tension") == "parameter.team.tension"
-    assert column_of(rows, "thrust") == "check.thrust"
-    with pytest.raises(InputError, match=r"team\.tension"):
-        column_of(rows, "team.tensoin")
 
 
 @pytest.mark.slow
-def test_the_command_reports_draws_and_goes_on(
+def test_the_command_reports_and_goes_on(
     swept: tuple[Path, pandas.DataFrame], tmp_path: Path
 ) -> None:
     place, _ = swept
@@ -166,10 +161,7 @@ def test_the_command_reports_draws_and_goes_on(
 
     code, output = run(study, "-o", place)
     assert (code, "planned: 4 of 6" in output) == (0, True), output
-    assert run(place, "--plot", "team.tension", "duration")[0] == 0
-    assert (place / "duration_over_tension.png").stat().st_size > 5000
+    assert run(place) == (0, output)
     study.write_text(json.dumps({**STUDY, "paramters": {}}))
     code, output = run(study, "-o", place)
     assert (code, "did you mean parameters" in output) == (2, True)
-    code, output = run(place, "--plot", "team.tension", "durtion")
-    assert (code, "duration" in output) == (2, True)
