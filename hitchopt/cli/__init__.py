@@ -6,9 +6,6 @@ import click
 
 from hitchopt.cli.failures import SafeGroup
 
-HELP = {"help_option_names": ["-h", "--help"], "show_default": True}
-"""Settings of all commands' help texts."""
-
 MODULES = {
     "planning": ("solve", "check", "verify", "init"),
     "pictures": ("report", "view"),
@@ -19,31 +16,12 @@ MODULES = {
 """Where the commands are."""
 
 
-def _show_version(context: click.Context, _: click.Parameter, wanted: bool) -> None:
-    if wanted:
-        from importlib import metadata
-
-        try:
-            version = metadata.version("hitchopt")
-        except metadata.PackageNotFoundError:
-            version = "(not installed)"
-        click.echo(f"hitchopt, version {version}")
-        context.exit()
-
-
 @click.group(
     cls=SafeGroup,
     modules={name: module for module, names in MODULES.items() for name in names},
-    context_settings=HELP,
+    context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
-@click.option(
-    "--version",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_show_version,
-    help="Show the version and exit.",
-)
+@click.version_option(package_name="hitchopt", message="hitchopt, version %(version)s")
 def main() -> None:
     """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
 

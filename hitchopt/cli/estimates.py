@@ -19,6 +19,9 @@ USUAL = {"cable": "0.01", "position": "0.02"}
 """[m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
 motion capture."""
 
+KINDS = ("cable", "position", "force")
+"""Kinds of errors."""
+
 MAX_TIMES = 1000
 """Most times that one call settles."""
 
@@ -44,19 +47,10 @@ CIRCLE = "circle:"
     --force-error N (text): Error of the force feed-forward, likewise.
     """,
     at={"name": "times", "type": float, "multiple": True},
+    density={"name": "cable_density"},
 )
 def statics(
-    directory: Path,
-    times: tuple[float, ...],
-    samples: int,
-    cable_length: str | None,
-    density: float | None,
-    cable_error: str | None,
-    position_error: str | None,
-    force_error: str | None,
-    *,
-    tolerance: bool,
-    **given: Any,
+    directory: Path, times: tuple[float, ...], samples: int, *, tolerance: bool, **given: Any
 ) -> None:
     """Settle the hitch of the plan in DIR: where it rests, with what tensions, in which ranges.
 
@@ -70,16 +64,16 @@ def statics(
     from hitchopt.statics.tolerance import Errors, ErrorSize, taut_times, tolerance_of_motion
 
     path = plan_path(directory)
-    texts = {"cable": cable_error, "position": position_error, "force": force_error}
-    sizes = {name: text for name, text in texts.items() if text is not None}
+    chosen = {name: value for name, value in given.items() if value is not None}
+    sizes = {name: chosen.pop(f"{name}_error") for name in KINDS if f"{name}_error" in chosen}
     if tolerance and not sizes:
         sizes = USUAL
     parsed = {name: ErrorSize.parsed(f"--{name}-error", text) for name, text in sizes.items()}
+    if "cable_length" in chosen:
+        chosen["cable_length"] = _lengths(chosen["cable_length"])
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("--samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
-    chosen = {name: value for name, value in given.items() if value is not None}
-    lengths = None if cable_length is None else _lengths(cable_length)
-    conditions = Conditions(cable_length=lengths, cable_density=density, **chosen)
+    conditions = Conditions(**chosen)
     motion = read_plan(path)
     t = list(times) if times else taut_times(motion, samples)
     with LateProgress("settling"):
@@ -292,17 +286,13 @@ def _outline(text: str) -> object:
     """Return the outline that an argument names: a radius, points, or the path of a drawing."""
     from hitchopt.storage.files import parsed_json
 
-    if text.startswith(CIRCLE):
-        try:
-            return float(text.removeprefix(CIRCLE))
-        except ValueError:
-            raise InputError("OUTLINE", text, "circle:RADIUS", "write circle:0.2") from None
-    if text.lstrip().startswith("["):
-        try:
-            return parsed_json(text)
-        except ValueError:
-            raise InputError("OUTLINE", text, "[[x, y], …]", "write it as JSON") from None
-    return Path(text)
+    if not text.lstrip().startswith((CIRCLE, "[")):
+        return Path(text)
+    try:
+        return parsed_json(text.removeprefix(CIRCLE))
+    except ValueError:
+        bound = "circle:RADIUS, [[x, y], …] or a file"
+        raise InputError("OUTLINE", text, bound, "write circle:0.2") from None
 
 
 def _fit_tables(content: dict[str, Any]) -> Iterator[str]:

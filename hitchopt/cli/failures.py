@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -24,9 +23,7 @@ UNMET = 3
 class SafeGroup(click.Group):
     """A group of commands whose errors end in a message and an exit code.
 
-    Parameters
-    ----------
-    modules: of each command, the module in ``hitchopt.cli`` that registers it when it is imported.
+    ``modules`` names the module in ``hitchopt.cli`` that registers a command when it is imported.
     """
 
     def __init__(self, *args: Any, modules: Mapping[str, str] | None = None, **kwargs: Any) -> None:
@@ -48,7 +45,9 @@ class SafeGroup(click.Group):
         code = 0
         with ctx:
             try:
-                with ending_signals(), _units_on_stderr():
+                with ending_signals(), warnings.catch_warnings():
+                    warnings.simplefilter("once", UnitWarning)
+                    warnings.showwarning = _show_warning  # type: ignore[assignment]
                     super().invoke(ctx)
             except click.exceptions.Exit as end:
                 code = end.exit_code
@@ -71,23 +70,8 @@ class SafeGroup(click.Group):
             ctx.exit(code)
 
 
-@contextmanager
-def _units_on_stderr() -> Iterator[None]:
-    """Write every warning of a unit to stderr, once, as a line of its own."""
-    shown = warnings.showwarning
-    said: set[str] = set()
-
-    def show(message: Warning | str, *place: Any, **others: Any) -> None:
-        if not isinstance(message, UnitWarning):
-            shown(message, *place, **others)
-        elif str(message) not in said:
-            said.add(str(message))
-            say(f"warning: {message}", err=True)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UnitWarning)
-        warnings.showwarning = show
-        yield
+def _show_warning(message: Warning | str, *_: Any) -> None:
+    say(f"warning: {message}", err=True)
 
 
 def exit_code(error: HitchoptError) -> int:

@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, completing, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, record, say, span_text, table
+from hitchopt.cli.output import LateProgress, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.options import HOMES
 
@@ -40,21 +40,17 @@ PORT = {"json": 14600, "mavlink": 14580}
     "directory DIR",
     f"""
     --format NAME (text): One of {", ".join(HOMES)}.
-    -o, --output PATH (path): The folder to write, or the file where there is but one (plan.csv); by
-        default DIR's name, a dash and NAME, next to DIR.
+    -o, --output PATH (path): Folder, or the file where there is but one; else DIR-NAME.
     --frame FRAME (text): enu, nwu or ned; by default the format's usual.
-    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies in the file's frame: east, north,
-        up [m].
+    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin in the file's frame: east, north, up [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned there, counter-clockwise from above.
-    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://0/80/2M/E7E7E7E701, type:
-        cf21}}, …}}, or a crazyflies.yaml with a role for each robot.
+    --fleet FILE (path): YAML: drones: {{q0: {{name: cf1, uri: radio://…, type: cf21}}, …}}, or a
+        crazyflies.yaml with a role for each robot.
     --rate HZ (float): Samples per second, where it samples.
     --stretch FACTOR (1.0): Factor of all durations, from 1 on.
     --storage mcap|sqlite3 (mcap): Storage of a ros2bag.
-    --ros-distro humble|iron|jazzy (humble): The release that a ros2bag is for; later ones read bags
-        for earlier ones.
-    --hold-tension: Move set points outward, for controllers that do not feed the cable force
-        forward.
+    --ros-distro humble|iron|jazzy (humble): Release that a ros2bag is for; later ones read it too.
+    --hold-tension: Move set points outward, for controllers without feed-forward of cable forces.
     --stiffness N/M (float): Of these controllers; by default the team's.
     --damping N·S/M (float): Of these controllers; by default that of a damping ratio of 5/6.
     """,
@@ -72,10 +68,8 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     format_of(chosen.format)  # a wrong name before a long read
     path = plan_path(directory)
     if output is None:
-        folder = path.parent.resolve()
-        name = f"{folder.name or 'plan'}-{chosen.format}"
         parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
-        output = parent / name
+        output = parent / f"{path.parent.resolve().name or 'plan'}-{chosen.format}"
     with LateProgress("certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
     entries = []
@@ -122,70 +116,54 @@ def lint(path: Path, **limits: float | None) -> None:
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     with LateProgress("reading and checking"):
         reports = linted(path, rules)
-    record(reports=[_report_entry(report) for report in reports])
+    entries = []
     for report in reports:
+        entry = asdict(report)
+        entry |= {"path": str(report.path), "sound": report.sound, "drones": entry.pop("facts")}
+        entries.append(entry)
         _say_report(report)
+    record(reports=entries)
     if not all(report.sound for report in reports):
         unmet()
 
 
-def _report_entry(report: Report) -> dict[str, Any]:
-    """Return a report as ``--json`` prints it."""
-    flight = report.flight
-    return {
-        "path": str(report.path),
-        **{name: getattr(report, name) for name in ("kind", "frame", "sound")},
-        "drones": [vars(fact) for fact in report.facts],
-        "flight": {**vars(flight), "own": [vars(check) for check in flight.own]},
-        "findings": [vars(finding) for finding in report.findings],
-    }
-
-
 def _say_report(report: Report) -> None:
-    """Write the contents of the files, then the findings, then their number."""
+    """Write the figures of the files, then the findings, then their number."""
     from hitchopt.exports.format import ERROR, WARNING
     from hitchopt.exports.formats.compressed import BYTES
 
     facts, flight = report.facts, report.flight
+    figures: list[tuple[str, float | None, float | None]] = [
+        ("speed [m/s]", flight.speed, flight.speed_limit),
+        ("acceleration [m/s²]", flight.acceleration, flight.acceleration_limit),
+        *((f"{own.name} [{own.unit}], the show's own", own.bound, own.limit) for own in flight.own),
+        ("separation [ellipsoids]", flight.separation, 1.0),
+        ("reach from the origin [m]", flight.reach, None),
+        ("pieces of a drone", max(fact.pieces or 0 for fact in facts) or None, None),
+        ("bytes of a drone", max(fact.size or 0 for fact in facts) or None, BYTES),
+    ]
+    for size, unit in zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False):
+        figures.append((f"jump where pieces join [{unit}]", size, None))
     frame = f", frame {report.frame}" if report.frame else ""
-    drones = "drone" if len(facts) == 1 else "drones"
-    say(f"{report.path}: {report.kind}, {len(facts)} {drones}{frame}, {flight.duration:.3f} s")
-    jumps = zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False)
-    lines = {"speed": f"{_against(flight.speed, flight.speed_limit)} m/s"}
-    if pieces := [fact.pieces for fact in facts if fact.pieces]:
-        lines["pieces"] = f"{span_text(pieces, '.0f')} per drone"
-    if sizes := [fact.size for fact in facts if fact.size]:
-        lines["memory"] = f"{span_text(sizes, '.0f')} of {BYTES} bytes per drone"
-    if math.isfinite(flight.acceleration):
-        lines["acceleration"] = f"{_against(flight.acceleration, flight.acceleration_limit)} m/s²"
-    for own in flight.own:
-        lines[own.name] = f"{own.bound:.4g} of {own.limit:g} {own.unit}, the show's own"
-    if math.isfinite(flight.separation):
-        lines["separation"] = f"{flight.separation:.4g}, 1 where ellipsoids touch"
-    lines["jumps"] = ", ".join(f"{size:.2g} {unit}" for size, unit in jumps) + " where pieces join"
-    lines["reach"] = f"{flight.reach:.4g} m from the origin"
-    say("\n".join(f"  {name:<13} {words}" for name, words in lines.items()))
-    said: Counter[tuple[str, str]] = Counter()
+    title = f"{report.path}: {report.kind}, {len(facts)} drones{frame}, {flight.duration:.3f} s"
+    rows = [{"figure": name, "worst": worst, "limit": limit} for name, worst, limit in figures]
+    say(table(title, [row for row in rows if row["worst"] is not None]))
+    by_rule: dict[tuple[str, str], list[str]] = {}
     for finding in report.findings:
-        said[finding.level, finding.rule] += 1
-        if said[finding.level, finding.rule] <= MAX_SHOWN:
-            say(str(finding), err=finding.level == ERROR)
-    for (level, rule), count in said.items():
-        if count > MAX_SHOWN:
-            say(f"{level}: {rule}: and {count - MAX_SHOWN} more", err=level == ERROR)
+        by_rule.setdefault((finding.level, finding.rule), []).append(str(finding))
+    for (level, rule), found in by_rule.items():
+        if (more := len(found) - MAX_SHOWN) > 0:
+            found[MAX_SHOWN:] = [f"{level}: {rule}: and {more} more"]
+        say("\n".join(found), err=level == ERROR)
     levels = [finding.level for finding in report.findings]
     say(f"{levels.count(ERROR)} errors, {levels.count(WARNING)} warnings")
-
-
-def _against(value: float, limit: float) -> str:
-    return f"{value:.4g} of {limit:g}" if math.isfinite(limit) else f"{value:.4g}"
 
 
 @command(
     "directory DIR",
     f"""
-    --how {HOWS}: hold: stop and stay; back: fly backward until cables hang free; release_and_land:
-        untie and land; land: straight down. By default release_and_land, land without cables.
+    --how {HOWS}: Stop; fly back until cables hang free; untie and land;
+        straight down. By default release_and_land, land without cables.
     --every SECONDS (2.0): Distance of the entries.
     """,
 )
@@ -238,24 +216,19 @@ def _usual_abort(motion: Motion) -> str:
 @command(
     "directory DIR",
     """
-    --over json|mavlink|crazyflie: json: UDP datagrams; mavlink: offboard setpoints over UDP (needs
-        pymavlink); crazyflie: crazyflie_py of Crazyswarm2.
+    --over json|mavlink|crazyflie: UDP datagrams; offboard setpoints over UDP (needs pymavlink); or
+        crazyflie_py of Crazyswarm2.
     --to HOST:PORT: Address of all drones, or once for each; by default this machine, from port
         14600 (json) or 14580 (mavlink) on, one port for each drone.
-    --listen HOST:PORT ('127.0.0.1:0'): Where the stream comes from and measurements arrive; name
-        this machine's address on the drones' network.
-    --operator HOST:PORT (text): Listen there for the commands and heartbeats of another machine,
-        and require them.
+    --listen HOST:PORT ('127.0.0.1:0'): Where measurements arrive: this machine, as drones see it.
+    --operator HOST:PORT (text): Require commands and heartbeats of another machine, heard there.
     --fleet FILE (path): Names of the Crazyflies.
-    --origin X Y Z ((0.0, 0.0, 0.0)): Where the plan's origin lies for the drones: east, north, up
-        [m].
+    --origin X Y Z ((0.0, 0.0, 0.0)): The plan's origin for the drones: east, north, up [m].
     --yaw-deg DEG (0.0): Angle by which the plan is turned.
     --rate HZ (50.0): Setpoints per second and drone.
-    --how release_and_land|land: What key a does: by default what aborts.json in DIR does, else
-        release_and_land, land without cables.
+    --how release_and_land|land: What key a does: by default as aborts.json in DIR, else as abort.
     --patience SECONDS (5.0): From a lost link to landing.
-    --measurements/--no-measurements (True): Whether drones must be measured: a silence of 0.5 s is
-        a lost link.
+    --measurements/--no-measurements (True): Whether 0.5 s without measurements is a lost link.
     """,
     over={"required": True},
     to={"name": "targets", "multiple": True},
@@ -273,13 +246,12 @@ def fly(
     """Stream the setpoints of the plan in DIR to drones, steered by keys.
 
     The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
-    a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified: the clock's
-    changes, and the aborts: those that hitchopt abort has written to DIR, certified anew, and
-    others are planned first. A lost operator or lost measurements end in a
-    hold, then in a landing. Ends with 3 unless the drones have landed.
+    a abort, l land, q quit before the start; Ctrl-C lands. All of it is certified, the aborts of
+    DIR anew; others are planned first. A lost operator or lost measurements end in a hold, then in
+    a landing. Ends with 3 unless the drones have landed.
     """
     from hitchopt.live.fly import Course, Flight, Timing
-    from hitchopt.live.links import KEYS_HELP, OperatorLink, terminal_keys
+    from hitchopt.live.links import KEYS_HELP, Datagrams, OperatorLink, address, terminal_keys
     from hitchopt.plan import load
 
     timing = Timing(rate=rate, patience=patience)
@@ -291,8 +263,9 @@ def fly(
     reach = _outlet_of(motion.team, **options)
     tables = flown_aborts(place, motion, how)
     watched = motion.team.drone_names if measurements else ()
-    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, _listening(operator) as remote:
-        steering = OperatorLink(keys, remote)
+    with ThreadPoolExecutor(2) as workers, terminal_keys() as keys, ExitStack() as open_:
+        heard = operator and Datagrams(address("--operator", operator))
+        steering = OperatorLink(keys, open_.enter_context(closing(heard)) if heard else None)
         course = Course(motion, tables, workers.submit)
         outlet = reach()
         flight = Flight(course, outlet, steering, timing, watched, workers.submit, say)
@@ -308,19 +281,6 @@ def fly(
     say("landed" if flight.landed else "not landed", err=not flight.landed)
     if not flight.landed:
         unmet()
-
-
-@contextmanager
-def _listening(operator: str | None) -> Iterator[Any]:
-    """Give the socket for an operator on another machine, if there is one."""
-    from hitchopt.live.links import Datagrams, address
-
-    datagrams = None if operator is None else Datagrams(address("--operator", operator))
-    try:
-        yield datagrams
-    finally:
-        if datagrams is not None:
-            datagrams.close()
 
 
 def _outlet_of(

@@ -30,12 +30,7 @@ OUTPUT = """
 
 
 class GivenPath(click.Path):
-    """A path that is not empty: an unset shell variable must not mean this directory.
-
-    Raises
-    ------
-    InputError: the path is empty.
-    """
+    """A path; an empty one is an InputError: an unset shell variable is not this directory."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -57,12 +52,9 @@ def command(
 ) -> Callable[[Callable[..., None]], click.Command]:
     """Return the decorator that makes a function a command of the function's name.
 
-    Parameters
-    ----------
-    argument: the parameter's name and how usage calls it, ``directory DIR``; it is a path.
-    options: one after another, each as LINE has it; a value such as ``fast|accurate`` is a choice,
-        and an option without a value is a flag.
-    more: for parameters by name, what click's options are given besides, such as ``multiple``.
+    ``argument`` is the parameter's name and how usage calls it, ``directory DIR``: a path. Options
+    follow one another, each as LINE has it; a value such as ``fast|accurate`` is a choice, one
+    without a value a flag. ``more`` is what click is given besides, such as ``multiple``, by name.
     """
     name, metavar = argument.split()
     settings = {"type": GivenPath(), **more.pop(name, {})}

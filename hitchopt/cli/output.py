@@ -25,17 +25,12 @@ if TYPE_CHECKING:
 KEY = "hitchopt.output"
 """Key of a call's Output in click's contexts."""
 
-DEFAULT_WIDTH = 100
-"""Width of tables that are not written to a terminal [characters]."""
+DEFAULT_WIDTH, MAX_NAMES = 100, 4
+"""Width of tables that are not written to a terminal [characters], and number of drones, cables or
+vertices that are shown for one check."""
 
-MAX_NAMES = 4
-"""Number of drones, cables or vertices that are shown for one check."""
-
-DELAY = 2.0
-"""Time without a bar [s]."""
-
-LINES = 1.0
-"""Shortest time between lines of percentages [s]."""
+DELAY, LINES = 2.0, 1.0
+"""Time without a bar, and shortest time between lines of percentages [s]."""
 
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")
 """Count or percentage in a message."""
@@ -46,20 +41,12 @@ NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
 
 @dataclass
 class Output:
-    """How much a call prints, and its results so far.
+    """How much a call prints, and its results so far."""
 
-    Attributes
-    ----------
-    json: results go to stdout as one object, words do not.
-    quiet: neither results nor progress are printed; errors are.
-    verbose: every message of progress is a line on stderr.
-    content: the results, plain data.
-    """
-
-    json: bool = False
-    quiet: bool = False
-    verbose: bool = False
-    content: dict[str, Any] = field(default_factory=dict)
+    json: bool = False  # results go to stdout as one object, words do not
+    quiet: bool = False  # neither results nor progress are printed; errors are
+    verbose: bool = False  # every message of progress is a line on stderr
+    content: dict[str, Any] = field(default_factory=dict)  # the results, plain data
 
     def finish(self, command: str, code: int) -> None:
         """Print the object, if one was asked for, with the command's name and exit code."""
@@ -107,11 +94,8 @@ def echo(text: str, *, err: bool = False) -> None:
 def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """Return a table as lines of text that fit the terminal.
 
-    Parameters
-    ----------
-    title: above it.
-    rows: cells by their columns' heads, plain data: a bool is a verdict, None and nan are dashes,
-        numbers have four significant digits. A row of a single cell is a heading.
+    Rows are cells by their columns' heads, plain data: a bool is a verdict, None and nan are
+    dashes, numbers have four significant digits. A row of a single cell is a heading.
     """
     from io import StringIO
 
@@ -227,16 +211,10 @@ def done_of(message: str) -> tuple[float | None, float | None]:
 
 
 class LateProgress:
-    """Context manager and callback: shows a bar and the last message once ``delay`` is over.
+    """Context manager and callback: shows a bar and the last message once ``delay`` [s] is over.
 
-    The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage.
-
-    Parameters
-    ----------
-    message: first message.
-    limit: time limit [s], shown next to the elapsed time, or None.
-    stream: output stream, stderr by default; nothing is shown unless it is a terminal.
-    delay: time before the bar is shown [s].
+    The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage;
+    a time limit [s] is shown next to the elapsed time. A stream that is no terminal shows nothing.
     """
 
     def __init__(
@@ -247,18 +225,16 @@ class LateProgress:
         stream: TextIO | None = None,
         delay: float = DELAY,
     ) -> None:
-        self._stream = stream or sys.stderr
+        self._stream, self._message = stream or sys.stderr, message
         self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
-        self._message = message
         self._begun = self._next_line = time.monotonic()
-        self._quiet, self._verbose = output().quiet, output().verbose
+        self._verbose, self._lock = output().verbose, threading.Lock()
         self._bar: Progress | None = None
-        self._lock = threading.Lock()
         self._timer = threading.Timer(delay, self._show)
         self._timer.daemon = True
 
     def __enter__(self) -> LateProgress:
-        lines = self._quiet or self._verbose
+        lines = self._verbose or output().quiet
         if self._stream is not None and self._stream.isatty() and not lines:
             self._timer.start()
         self(self._message)
@@ -274,8 +250,7 @@ class LateProgress:
     def __call__(self, message: str) -> None:
         """Show a message about the current work."""
         with self._lock:
-            self._message = message
-            now = time.monotonic()
+            self._message, now = message, time.monotonic()
             if self._verbose and not ("%" in message and now < self._next_line):
                 echo(f"{now - self._begun:6.1f} s  {message}", err=True)
                 self._next_line = now + LINES

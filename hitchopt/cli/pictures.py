@@ -56,8 +56,7 @@ def report(directory: Path) -> None:
     "path DIR|FILE",
     """
     --save FILE (path): Write a page, picture or film; do not serve.
-    --ghost PATH (path): Show another plan, or a simulated flight, at its side: its directory or
-        file.
+    --ghost PATH (path): Show another plan, or a simulated flight, at its side.
     --host TEXT ('127.0.0.1'): Address to listen on; by default this machine.
     --port INTEGER (8080): Port to listen on, or the next free one.
     --browser/--no-browser (True): Whether to open the browser.
@@ -68,15 +67,13 @@ def view(
 ) -> None:
     """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
 
-    Of a problem FILE (.yaml) the plan is made first; if it cannot be met, that of the smallest
-    change that makes it feasible is shown, and changes are offered. Vertices, edges and the hitch
-    can be dragged; the plan is made again in the background, and Save writes the problem file:
-    FILE, or DIR/problem.yaml.
+    Of a problem FILE (.yaml) the plan is made first, or that of the smallest change that makes it
+    feasible. What is dragged is planned again, and Save writes the problem file: FILE, or
+    DIR/problem.yaml.
 
-    With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the
-    summary; .mp4 and .gif are a film in real time, 1280 × 720 (needs imageio).
-
-    Of a simulated flight, DIR/simulation, the film is saved, and live it is the ghost of its plan.
+    With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the summary;
+    .mp4 and .gif are a film (needs imageio). Of a simulated flight, DIR/simulation, the film is
+    saved, and live it is the ghost of its plan.
     """
     from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 

@@ -39,12 +39,8 @@ SUFFIXES = {".yaml", ".yml"}
 """Endings of the names of problem files."""
 
 PACKAGE = Path(hitchopt.__file__).parent
-
-SCHEMA = PACKAGE / "mission" / "problem.schema.json"
-"""The schema with which editors complete and check problem files."""
-
-MODELINE = "# yaml-language-server: $schema="
-"""Beginning of the line that names the schema to editors."""
+SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="
+"""The schema with which editors complete and check problem files, and what names it to them."""
 
 
 @command(
@@ -54,8 +50,7 @@ MODELINE = "# yaml-language-server: $schema="
     --rate HZ (100.0): Setpoints per second and drone.
     --report: Write DIR/report.html as well.
     --verify: Prove the plan's limits by another method as well.
-    --repair/--no-repair (True): If there is no plan, search for the smallest change that makes it
-        feasible.
+    --repair/--no-repair (True): If there is no plan, search for the smallest change that helps.
     --limit SECONDS (600.0): Time limit, searches included.
     """,
 )
@@ -111,7 +106,7 @@ def _plan(
 ) -> None:
     """Plan, show and write a problem, and say what to do next."""
     from hitchopt import api
-    from hitchopt.exports.directory import SUMMARY
+    from hitchopt.exports.directory import SUMMARY, certificate_content
     from hitchopt.storage.archive import PLAN
 
     with LateProgress("planning", limit) as progress:
@@ -121,21 +116,19 @@ def _plan(
     if rate * samples > MAX_ROWS:
         bound = f"at most {MAX_ROWS / samples:.3g} Hz for a plan of {motion.duration:g} s"
         raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
-    show_plan(plan.title, motion, plan.certificate)
+    _show_plan(plan.title, motion, plan.certificate)
     with LateProgress("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
-    _record_certificate(motion, plan.certificate, place / PLAN)
-    record(directory=str(place))
+    content = certificate_content(motion, plan.certificate, place / PLAN)
+    record(directory=str(place), certificate=content)
     say(f"certified; the plan is in {place}")
-    if output().quiet or output().json:
-        return
-    name = shlex.quote(str(place))
-    say(f"next: look at {place / SUMMARY}", err=True)
-    if motion.team.has_cables:
-        say(f"      hitchopt simulate {name}", err=True)
     # Edges that bend around an object need more digits than fitted polynomials keep.
     chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
-    say(f"      hitchopt export {name} --format {chosen}", err=True)
+    name = shlex.quote(str(place))
+    flown = [f"simulate {name}"] if motion.team.has_cables else []
+    commands = [f"      hitchopt {each}" for each in (*flown, f"export {name} --format {chosen}")]
+    if not (output().quiet or output().json):
+        say("\n".join([f"next: look at {place / SUMMARY}", *commands]), err=True)
 
 
 def _leave_diagnosis(
@@ -156,11 +149,11 @@ def _leave_diagnosis(
         error, found = report_suggestions(problem, error, left)
         save_diagnosis(place, error, found)
     record(directory=str(place), diagnosis=diagnosis_content(error, found))
-    last = ""
+    said = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
     if (kept := place / PREVIOUS).is_dir():
         record(previous=str(kept))
-        last = f"; the last certified plan is in {kept}"
-    say(f"no plan; the diagnosis is in {place / DIAGNOSIS}{last}", err=True)
+        said += f"; the last certified plan is in {kept}"
+    say(said, err=True)
     click.get_current_context().exit(exit_code(error))
 
 
@@ -191,21 +184,13 @@ def report_suggestions(
     return error, found
 
 
-def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
+def _show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
     """Report the phases and the certificate of a plan."""
     names = ("name", "step", "start", "end", "remark")
     phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
     record(title=title, phases=phases, certificate=certificate.to_dict())
-    if title:
-        say(title)
-    say(f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n")
-
-
-def _record_certificate(motion: Motion, certificate: Certificate, path: Path) -> None:
-    """Add what certificate.json says of the plan in a file."""
-    from hitchopt.exports.directory import certificate_content
-
-    record(certificate=certificate_content(motion, certificate, path))
+    tables = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
+    say(f"{title}\n{tables}" if title else tables)
 
 
 @command(
@@ -213,10 +198,8 @@ def _record_certificate(motion: Motion, certificate: Certificate, path: Path) ->
     """
     --closest: Report the closest pairs of drones over time.
     --picture PNG (path): Draw the same to a file.
-    --gamma FLOAT (1.0): How many times farther than drones vertices may be off, for
-        tracking_radius.
-    --survivable: Report for how many losses of a drone there is a certified reaction; this takes a
-        while.
+    --gamma FLOAT (1.0): For tracking_radius: how many times farther than drones vertices may be.
+    --survivable: Report for how many losses of a drone there is a certified reaction (slow).
     """,
 )
 def check(
@@ -224,6 +207,7 @@ def check(
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
     from hitchopt.checks import certify
+    from hitchopt.exports.directory import certificate_content
     from hitchopt.plan import Plan, read_asked_plan
     from hitchopt.plan import closest as closest_pairs
 
@@ -240,8 +224,8 @@ def check(
         certificate = replace(certificate, checks=(*certificate.checks, losses.check))
         without = losses.without
         record(without_reaction=[asdict(lost) for lost in without])
-    show_plan("", motion, certificate)
-    _record_certificate(motion, certificate, path)
+    _show_plan("", motion, certificate)
+    record(certificate=certificate_content(motion, certificate, path))
     for lost in without:
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:

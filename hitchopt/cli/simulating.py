@@ -40,8 +40,7 @@ MOST_REASONS = 8
     "directory DIR",
     """
     -o, --output OUT (path): Results; else DIR/simulation.
-    --preset fast|accurate (fast): fast: whether it holds; accurate: with correct friction, five
-        times slower.
+    --preset fast|accurate (fast): Whether it holds; or with correct friction, five times slower.
     --runs N (int): Simulate N flights, with seeds S, S+1, ….
     --seed S (0): Random seed.
     --processes P (int): Processes; by default all processors.
@@ -61,13 +60,12 @@ MOST_REASONS = 8
     --object-mass X (float): Largest error of objects' masses.
     --object-friction X (float): Of their friction, relative.
     --object-place M (float): Of where they stand [m].
-    --stiffness N/M (float): Of position loops; by default the team's.
+    --stiffness N/M (float): Of position loops; by default the team's, as the following two.
+    --friction MU (float): Cable friction.
+    --density KG/M (float): Cable density.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
-    --friction MU (float): Cable friction; by default the team's.
-    --density KG/M (float): Cable density; by default the team's.
-    --lose DRONE@SECONDS (text): Stop a drone's motors then, such as q0@12.5; the others fly their
-        certified reaction.
-    --reaction/--no-reaction (True): Whether they do; else they fly on as if nothing had happened.
+    --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
+    --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
     --film FILE (path): Film of a single flight, .gif or .mp4.
     """,
 )
@@ -84,14 +82,12 @@ def simulate(
 ) -> None:
     """Simulate the plan in DIR with ropes and drones (needs mujoco).
 
-    Drones follow the plan's setpoints at 100 Hz and nothing else, unless --feedback corrects them:
-    of the cables they feed forward the planned forces. The length that the bends of thick simulated
-    ropes use up is added to them, and printed. Vertex errors are distances in three dimensions, sag
-    included. The exit code of one flight is 3 if anything fails: drones touch, a vertex does
-    not hold, or an object is touched, dropped or not placed within 3 cm and 5°. It is also 3 if the
-    simulation leaves its valid range, which is reported as not simulated and says nothing about the
-    plan. With --lose it is 3 if a survivor touches anything, or if there is no reaction; no hitch
-    is judged then. The exit code of a campaign (--runs) is 0; it reports the rate of success.
+    Drones follow the plan's setpoints at 100 Hz, of the cables' forces too, and nothing else,
+    unless --feedback corrects them. Vertex errors are distances in three dimensions, sag included.
+    One flight ends with 3 if anything fails: drones touch, a vertex does not hold, an object is
+    touched, dropped or not placed within 3 cm and 5°; or, as not simulated, if the simulation
+    leaves its valid range; with --lose if a survivor touches anything or there is no reaction. A
+    campaign (--runs) ends with 0 and reports the rate of success.
     """
     from hitchopt.simulation.judgement import warnings
     from hitchopt.simulation.settings import settings_of
@@ -127,13 +123,7 @@ def simulate(
 def _lost(
     directory: Path, settings: Settings, task: Task, text: str, *, react: bool
 ) -> tuple[Settings, Task]:
-    """Return settings and task of a flight in which a drone is lost, and say how others react.
-
-    Raises
-    ------
-    InputError: no such drone, or a time after the flight.
-    InfeasibleError: there is no reaction to its loss.
-    """
+    """Return settings and task of a flight in which a drone is lost, and say how others react."""
     from hitchopt.live.lost import Reactions, reacting
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.simulation.settings import Loss

@@ -56,10 +56,7 @@ def cable_curves(
 ) -> tuple[Array, float]:
     """Return the cables of a plan (times, n, POINTS, 3) [m], from q to r, and their drawn radius.
 
-    Parameters
-    ----------
-    motion, states: the plan, and its states (times,).
-    thickness: radius of a drawn cable as a share of the scene's extent: it is chosen to be visible.
+    ``thickness`` is that radius as a share of the scene's extent: it is chosen to be visible.
     """
     n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
     radius = float(np.clip(thickness * extent, THINNEST, THICKEST))
@@ -103,12 +100,8 @@ def clasp_senses(motion: Motion) -> Array:
 def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Array]:
     """Return lengths (…) [m] of edges around an object, and points on them (…, EDGE, 3) [m].
 
-    An edge is a tangent, an arc of a circle and a tangent; the points are its ends and on its arc.
-
-    Parameters
-    ----------
-    first, last: (…, 3) [m], ends of the edges.
-    contacts: (…, 2, 3) [m], where they meet and leave what they are wrapped around.
+    An edge between ends (…, 3) is a tangent, an arc of a circle and a tangent; the points are its
+    ends and on its arc. At contacts (…, 2, 3) [m] it meets and leaves the object.
     """
     start, end = contacts[..., 0, :], contacts[..., 1, :]
     ahead, chord = unit(start - first), end - start
@@ -138,23 +131,20 @@ def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
     """
     times, hooked = t.copy(), np.zeros(len(t))
     runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
-    for i, run in enumerate(runs):
-        start, end, state = run[0].start, run[-1].end, run[0].state
-        here = (t >= start) & (t <= end)
+    spans = [(run[0].state, run[0].start, run[-1].end) for run in runs]
+    nothing = (CableState.NONE, 0.0, 0.0)
+    for before, (state, start, end), after in zip(
+        [nothing, *spans], spans, [*spans[1:], nothing], strict=False
+    ):
         if state in HOOKED:
-            hooked[here], times[here] = 1.0, t[here]
-        if state is not CableState.CLASPING:
-            continue
-        along = (t - start) / (end - start)
-        here &= hooked < 1.0
-        for j, share, vertices in (
-            (i + 1, 2.0 * along - 1.0, end),
-            (i - 1, 1.0 - 2.0 * along, start),
-        ):
-            if 0 <= j < len(runs) and runs[j][0].state in HOOKED:
-                x = np.clip(share[here], 0.0, 1.0)
-                hooked[here], times[here] = x * x * (3.0 - 2.0 * x), vertices
-    return times, hooked
+            rise, fall = (
+                max(0.5 * (b - a), SHORTEST) if other is CableState.CLASPING else SHORTEST
+                for other, a, b in (before, after)
+            )
+            share = np.clip(1.0 + np.minimum((t - start) / rise, (end - t) / fall), 0.0, 1.0)
+            more = share > hooked
+            hooked[more], times[more] = share[more], np.clip(t, start, end)[more]
+    return times, hooked**2 * (3.0 - 2.0 * hooked)
 
 
 def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
@@ -163,17 +153,14 @@ def _hanging(motion: Motion, drones: Array, share: Array) -> Array:
     Their points are at shares of each cable, from 0 to 1, (POINTS,) or (times, n, POINTS).
     """
     q, r = drones[:, 0::2], drones[:, 1::2]
-    hung = _spread(Catenary.between(q, r, motion.team.cable_length))
-    return _sagging(q, r, hung, hung.place(share))
+    return _sagging(q, r, motion.team.cable_length, share, of_chord=False)
 
 
-def _spread(hung: Catenary) -> Catenary:
-    """Return cables (…) as (…, 1), for several places on each."""
-    return Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
-
-
-def _sagging(first: Array, second: Array, hung: Catenary, mu: Array) -> Array:
-    """Return the points (…, points, 3) at places μ (…, points) of cables between their ends."""
+def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord: bool) -> Array:
+    """Return points (…, points, 3) of cables of sizes (…) [m], at shares of chord or length."""
+    hung = Catenary.between(first, second, np.maximum(size, SHORTEST))
+    hung = Catenary(*(np.asarray(part)[..., None] for part in vars(hung).values()))
+    mu = np.clip(2.0 * share - 1.0, -1.0, 1.0) if of_chord else hung.place(share)
     along = 0.5 * (1.0 + mu)[..., None]
     points = (1.0 - along) * first[..., None, :] + along * second[..., None, :]
     points[..., 2] -= hung.depth(mu)
@@ -201,10 +188,12 @@ def _bent(
     trim, zero = REACH * radius / np.maximum(chords, SHORTEST), np.zeros(a.shape[:2])
     before, after = np.moveaxis(np.where(layout.has_leg, trim[..., 1:2], 0.0), -1, 0)
     cuts = ((zero, trim[..., 0]), (before, after), (trim[..., 2], zero))
-    parts = [
-        _cut_span(corners[:, :, i], corners[:, :, i + 1], lengths[..., i], cuts[i], count)
-        for i, count in enumerate((LEG, EDGE, LEG))
-    ]
+    parts = []
+    for i, count in enumerate((LEG, EDGE, LEG)):
+        first, last = cuts[i]
+        share = first[..., None] + (1.0 - first - last)[..., None] * np.linspace(0.0, 1.0, count)
+        ends = corners[:, :, i], corners[:, :, i + 1]
+        parts.append(_sagging(*ends, lengths[..., i], share, of_chord=True))
     if contacts is not None:
         start, end = contacts[..., 0, :], contacts[..., 1, :]
         first, last = (p + REACH * radius * unit(c - p) for p, c in ((a, start), (b, end)))
@@ -213,17 +202,6 @@ def _bent(
         parts[1] = np.where(wrapped[..., None, None], around, parts[1])
     q_side, r_side = _bends(motion, drones, vertices, radius)
     return np.concatenate([parts[0], q_side, parts[1], r_side, parts[2]], axis=2)
-
-
-def _cut_span(
-    first: Array, second: Array, size: Array, cuts: tuple[Array, Array], count: int
-) -> Array:
-    """Return ``count`` points of hanging spans without shares of them, ``cuts``, at both ends."""
-    before, after = cuts
-    grid = np.linspace(0.0, 1.0, count)
-    share = before[..., None] + (1.0 - before - after)[..., None] * grid
-    hung = _spread(Catenary.between(first, second, np.maximum(size, SHORTEST)))
-    return _sagging(first, second, hung, np.clip(2.0 * share - 1.0, -1.0, 1.0))
 
 
 def _bends(motion: Motion, drones: Array, vertices: Array, radius: float) -> tuple[Array, Array]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -56,18 +57,11 @@ Number = tuple[tuple[str | int, ...], int]
 
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """A vertex, an edge, the whole hitch, an object or a drone that can be dragged.
+    """A vertex, an edge, the whole hitch, an object or a drone that can be dragged."""
 
-    Attributes
-    ----------
-    name: such as ``vertex 0``.
-    place: (3,) [m].
-    numbers: of the file, that go with it.
-    """
-
-    name: str
-    place: Array
-    numbers: tuple[Number, ...]
+    name: str  # such as ``vertex 0``
+    place: Array  # (3,) [m]
+    numbers: tuple[Number, ...]  # of the file, that go with it
 
     @property
     def vertical(self) -> bool:
@@ -85,52 +79,50 @@ class Handle:
 
 
 def handles(problem: Problem, data: Plain, index: int, height: float) -> Iterator[Handle]:
-    """Yield what can be dragged of the step of an index, or of the start.
+    """Yield what can be dragged of the step of an index, or of the start, in a file's data.
 
-    Parameters
-    ----------
-    problem, data: what a file describes, and what it holds.
-    index: of the step; START for the start.
-    height: of the hitch at the step's end [m], where the file does not tell.
+    ``height`` is that of the hitch at the step's end [m], where the file does not tell.
     """
     key = step_key(data, index)
     step = split_key(key)
     keys = value_at(data, step)
+    ends = key == "start.hitch" or key.endswith(".form")
+    if ends:
+        height = float(keys.get("altitude", HEIGHT))
 
-    def point(*path: str | int, axes: int = 2, first: int = 0) -> tuple[Number, ...]:
-        return tuple(((*step, *path, first + axis), axis) for axis in range(axes))
+    def handle(name: str, *points: tuple[str | int, ...], first: int = 0) -> Handle:
+        """Return what is in the middle of points, whose coordinates begin with the first."""
+        values = np.array([value_at(keys, point)[first:] for point in points], float)
+        place = np.append(np.mean(values, axis=0), height)[:3]
+        axes = range(values.shape[1])
+        numbers = (((*step, *point, first + axis), axis) for point in points for axis in axes)
+        return Handle(name, place, tuple(numbers))
 
     if key == "start.drones":
         for k, name in product(range(len(keys["q"])), ("q", "r")):
-            yield Handle(f"{name}[{k}]", np.array(keys[name][k], float), point(name, k, axes=3))
+            yield handle(f"{name}[{k}]", (name, k))
     elif "polygon" in keys:
-        ends = key == "start.hitch" or key.endswith(".form")
-        height = float(keys.get("altitude", HEIGHT)) if ends else height
-        n = len(keys["polygon"])
-        places = np.column_stack([np.array(keys["polygon"], float), np.full(n, height)])
-        corners = [point("polygon", k) for k in range(n)]
-        for k in range(n):
-            yield Handle(f"vertex {k}", places[k], corners[k])
-        for k in range(n if problem.team.topology == "closed" else n - 1):
-            j = (k + 1) % n
-            yield Handle(f"edge {k}", 0.5 * (places[k] + places[j]), corners[k] + corners[j])
-        altitude: tuple[Number, ...] = (((*step, "altitude"), 2),) if ends else ()
-        yield Handle("hitch", np.mean(places, axis=0), (*chain(*corners), *altitude))
+        n, closed = len(keys["polygon"]), problem.team.topology == "closed"
+        corners: list[tuple[str | int, ...]] = [("polygon", k) for k in range(n)]
+        yield from (handle(f"vertex {k}", corner) for k, corner in enumerate(corners))
+        for k in range(n if closed else n - 1):
+            yield handle(f"edge {k}", corners[k], corners[(k + 1) % n])
+        whole, altitude = handle("hitch", *corners), (((*step, "altitude"), 2),) if ends else ()
+        yield replace(whole, numbers=(*whole.numbers, *altitude))
     elif "path" in keys:
-        for j, (_, x, y) in enumerate(keys["path"]):
-            yield Handle(f"point {j}", np.array([x, y, height]), point("path", j, first=1))
+        yield from (handle(f"point {j}", ("path", j), first=1) for j in range(len(keys["path"])))
     elif "vertex" in keys or "edge" in keys:
-        after = outlines(problem)[index + 1]
         name = "vertex" if "vertex" in keys else "edge"
-        if after is not None:
-            k, n = keys[name], len(after.vertices)
-            moved = after.vertices[[k] if name == "vertex" else [k, (k + 1) % n]]
-            numbers = point("by" if "by" in keys else "to")
-            if name == "edge" and "to" in keys:
-                numbers = point("to", 0) + point("to", 1)
-            yield Handle(f"{name} {k}", np.append(np.mean(moved, axis=0), height), numbers)
+        moved = f"{name} {keys[name]}"
+        after = outlines(problem)[index + 1]
+        if "to" in keys:
+            yield handle(moved, *([("to", 0), ("to", 1)] if name == "edge" else [("to",)]))
+        elif after is not None:
+            corner = keys[name] + np.arange(1 if name == "vertex" else 2)
+            middle = np.mean(after.vertices[corner % len(after.vertices)], axis=0)
+            yield replace(handle(moved, ("by",)), place=np.append(middle, height))
     elif len(np.ravel(keys.get("to", 0.0))) == 3:
-        yield Handle(keys.get("object", "hitch"), np.array(keys["to"], float), point("to", axes=3))
+        yield handle(keys.get("object", "hitch"), ("to",))
 
 
 def step_key(data: Plain, index: int) -> str:
@@ -156,14 +148,9 @@ def height_after(motion: Motion, index: int) -> float:
 
 
 def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str, Plain]:
-    """Return a step to add after another one, as a file has it; it moves nothing where it may.
+    """Return a step of a kind to add after that of an index; it moves nothing where it may.
 
-    Parameters
-    ----------
-    problem: to which it is added.
-    index: of the step before; START for the first one.
-    kind: what the file calls it.
-    height: of the hitch there [m].
+    ``height`` is that of the hitch there [m].
     """
     outline = outlines(problem)[index + 1]
     vertices: Any = TRIANGLE if outline is None else np.round(outline.vertices, 6).tolist()
@@ -198,18 +185,11 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Status:
-    """What is known of the newest text.
+    """What is known of the newest text."""
 
-    Attributes
-    ----------
-    stage: how the plan that is there relates to it.
-    words: what is being done, or what binds.
-    suggestions: changes that make it feasible, verified.
-    """
-
-    stage: Stage
-    words: str = ""
-    suggestions: tuple[Suggestion, ...] = ()
+    stage: Stage  # how the plan that is there relates to it
+    words: str = ""  # what is being done, or what binds
+    suggestions: tuple[Suggestion, ...] = ()  # changes that make it feasible, verified
 
 
 class _StaleError(BaseException):
@@ -239,10 +219,10 @@ class Editing:
     ) -> None:
         self.path, self.planned = path, planned
         self.listener: Callable[[], None] = lambda: None
-        self._texts, self._place, self._version = [text], 0, 0
+        self._texts, self._place = [text], 0
+        self._version, self._answered, self._open = 0, 0, True
         self._on_disk = text if path.exists() else None
         self._changed = threading.Condition(threading.RLock())
-        self._open, self._idle = True, True
         self.problem = self._read(text)
         self.status = status or Status(Stage.CURRENT)
         self._worker = threading.Thread(target=self._work, daemon=True)
@@ -351,13 +331,12 @@ class Editing:
     def wait(self, seconds: float = 60.0) -> bool:
         """Wait until nothing is being computed; return whether that is so."""
         with self._changed:
-            return self._changed.wait_for(lambda: self._idle, seconds)
+            return self._changed.wait_for(lambda: self._answered == self._version, seconds)
 
     def close(self) -> None:
         """Stop planning."""
         with self._changed:
-            self._open = False
-            self._version += 1
+            self._open, self._version = False, -1
             self._changed.notify_all()
         self._worker.join()
 
@@ -370,25 +349,21 @@ class Editing:
     def _begin(self, problem: Problem) -> None:
         self.problem, self.status = problem, Status(Stage.PLANNING)
         self._version += 1
-        self._idle = False
         self._changed.notify_all()
 
     def _work(self) -> None:
         """Plan the newest text, again and again."""
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: not self._open or not self._idle)
+                self._changed.wait_for(lambda: self._version != self._answered)
                 if not self._open:
                     return
                 version, problem = self._version, self.problem
-            try:
+            with suppress(_StaleError):
                 self._answer(version, problem)
-            except _StaleError:
-                continue
             with self._changed:
-                if version == self._version:
-                    self._idle = True
-                    self._changed.notify_all()
+                self._answered = version
+                self._changed.notify_all()
 
     def _answer(self, version: int, problem: Problem) -> None:
         def tell(words: str) -> None:

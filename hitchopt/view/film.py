@@ -35,14 +35,9 @@ least half width of a cable, and the least reach of a drone."""
 def save_film(
     path: Path, scene: Scene, title: str = "", progress: Callable[[float], None] | None = None
 ) -> None:
-    """Write the film of a scene, 1280 × 720.
+    """Write the film of a scene, 1280 × 720, with a title above it.
 
-    Parameters
-    ----------
-    path: ends in .gif or .mp4.
-    scene: a plan, or a simulated flight.
-    title: words above it.
-    progress: called with the fraction that is done.
+    ``path`` ends in .gif or .mp4; ``progress`` is called with the fraction that is done.
 
     Raises
     ------

@@ -38,13 +38,11 @@ class LiveView:
 
     Parameters
     ----------
-    motion, title: the plan.
-    certificate: its certificate; None while it is being computed.
+    motion, certificate, title: the plan; no certificate while it is being computed.
     ghost: another scene that is shown beside it, pale.
     host, port: where the server listens; if the port is taken the next free one.
     server: of ``open_server``, which browsers may have opened already, in place of another one.
-    aspect: width over height of the part of the page in which the scene is seen; NARROW_ASPECT
-        where it is edited.
+    aspect: width over height of where the scene is seen; NARROW_ASPECT where it is edited.
 
     Raises
     ------
@@ -270,13 +268,7 @@ class Buttons:
     """Buttons below one another, whose labels change with the plan; none is ever removed.
 
     Pages that draw slowly receive what is added and removed at once, and report updates of what
-    is not there as errors.
-
-    Parameters
-    ----------
-    gui: a viser server's panel.
-    place: its tab that they are added to.
-    clicked: called with the index of a button that is clicked.
+    is not there as errors. ``clicked`` is called with the index of a button of a tab ``place``.
     """
 
     def __init__(self, gui: Any, place: Any, clicked: Callable[[int], None]) -> None:

@@ -43,12 +43,8 @@ SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
 class LiveScene:
     """A scene in the browser.
 
-    Parameters
-    ----------
-    server: a viser server.
-    scene: what is drawn.
-    name: beginning of all names in the server's scene, ending in a slash.
-    ghost: whether it is drawn pale, without surroundings and switches.
+    All its names in the server's scene begin with ``name``, which ends in a slash. A ghost is drawn
+    pale, without surroundings and switches.
     """
 
     def __init__(self, server: Server, scene: Scene, name: str, *, ghost: bool = False) -> None:

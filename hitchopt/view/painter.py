@@ -63,14 +63,9 @@ PATH_SAMPLES, PALE = 150, 0.45
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A direction from which a scene is seen, from far away.
+    """A direction from which a scene is seen, from far away."""
 
-    Attributes
-    ----------
-    axes: (3, 3), unit vectors to the right, upward, and toward the viewer, in world coordinates.
-    """
-
-    axes: Array
+    axes: Array  # (3, 3), units to the right, upward, and toward the viewer, in world coordinates
 
     @classmethod
     def toward(cls, azimuth: float, elevation: float) -> Camera:
@@ -86,16 +81,10 @@ class Camera:
 
 
 class Painting(NamedTuple):
-    """Polygons in the order in which they are painted.
+    """Polygons in the order in which they are painted."""
 
-    Attributes
-    ----------
-    polygons: (m, 4, 2) [m], right and up; a triangle has its last corner twice.
-    colours: (m, 4), red, green, blue, opacity.
-    """
-
-    polygons: Array
-    colours: Array
+    polygons: Array  # (m, 4, 2) [m], right and up; a triangle has its last corner twice
+    colours: Array  # (m, 4), red, green, blue, opacity
 
 
 class Painter:
@@ -105,22 +94,17 @@ class Painter:
     ----------
     scene: what is drawn.
     camera: from where.
-    width: half of a cable's drawn width [m]; None for the scene's.
+    width: half of a cable's drawn width [m]; 0 for the scene's.
     size: factor of the drones' drawn sizes.
     step: by which rotors and cables have fewer corners: few are enough if they are small.
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        camera: Camera,
-        width: float | None = None,
-        size: float = 1.0,
-        step: int = 1,
+        self, scene: Scene, camera: Camera, width: float = 0.0, size: float = 1.0, step: int = 1
     ) -> None:
         motion, team = scene.motion, scene.motion.team
         self.camera, self.step, self._floor = camera, step, motion.requirements.floor
-        self._width = scene.radius if width is None else width
+        self._width = width or scene.radius
         self.cables = to_rgba_array(cable_colours(team.robots))
         radius = size * motion.requirements.separation.radius
         frame, rotors, rims = drone_faces(radius, max(FEWEST, SEGMENTS // step))
@@ -201,18 +185,11 @@ class Painter:
 
 
 class Shot(NamedTuple):
-    """A moment that has a panel.
-
-    Attributes
-    ----------
-    words: above the panel.
-    time: from the plan's start [s].
-    kept: whether it is shown however many there are, as far as MOST goes.
-    """
+    """A moment that has a panel, with words above it."""
 
     words: str
-    time: float
-    kept: bool = False
+    time: float  # from the plan's start [s]
+    kept: bool = False  # whether it is shown however many there are, as far as MOST goes
 
 
 def chosen_shots(motion: Motion) -> tuple[Shot, ...]:
@@ -252,15 +229,10 @@ def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Sho
 def draw_storyboard(
     place: SubplotSpec, scene: Scene, shots: Sequence[Shot], flown: tuple[Array, Array]
 ) -> None:
-    """Draw the panels of a scene.
+    """Draw the panels of a scene, at whose samples all shots' times are.
 
-    Parameters
-    ----------
-    place: part of a figure that they fill.
-    scene: samples at which all shots' times are.
-    shots: what is shown.
-    flown: times (samples,) [s], the shots' among them, and the drones there (samples, drones, 3)
-        [m]: the paths.
+    ``flown`` are the paths: times (samples,) [s], the shots' among them, and the drones then
+    (samples, drones, 3) [m].
     """
     team, radius = scene.motion.team, scene.motion.requirements.separation.radius
     count, drones = len(shots), scene.drones.shape[1]

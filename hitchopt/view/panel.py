@@ -31,13 +31,7 @@ of what one is dragged by [m]: nobody drags more finely."""
 
 
 class EditingPanel:
-    """Edits a problem in the live view.
-
-    Parameters
-    ----------
-    live: the view, showing the plan of the problem.
-    editing: the problem.
-    """
+    """Edits a problem in the live view, which shows its plan."""
 
     def __init__(self, live: LiveView, editing: Editing) -> None:
         self.live, self.editing = live, editing

@@ -161,11 +161,7 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
 def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> Figure:
     """Return the picture: a storyboard, or single drones from above; what is limited over time.
 
-    Parameters
-    ----------
-    motion: the plan.
-    certificate: its certificate, whose worst values are marked.
-    title: the problem's title.
+    The certificate's worst values are marked.
     """
     figure = new_figure(SIZE)
     states = sampled_states(motion)
@@ -199,7 +195,8 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
         (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in motion.phases
     ]
     return (
-        f"<p><b>{escape(title or 'Plan')}</b>: {facts(motion)}</p>"
+        f"<p><b>{escape(title or 'Plan')}</b>: {len(motion.team.drone_names)} drones, "
+        f"{motion.duration:.4g} s</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
         f"{html_table(('phase', 'step', 'start', 'end', 'remark'), phases)}"
         f"{certificate._repr_html_()}"
@@ -217,12 +214,9 @@ def plot_from_above(motion: Motion, axes: Axes | None) -> Axes:
 
 
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
-    """Shade every other phase on all axes, and name the phases whose names fit on the first.
+    """Shade every other phase on all axes, and name those whose names fit on the first.
 
-    Parameters
-    ----------
-    axes: the plots' axes from top to bottom.
-    phases, duration: of the plan [s].
+    ``duration`` is the plan's [s].
     """
     for i, phase in enumerate(phases):
         for each in axes:
@@ -324,11 +318,7 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
 def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     """Draw a plan from above: start, paths and end, and what bounds them.
 
-    Parameters
-    ----------
-    axes: what to draw on; its aspect becomes equal.
-    motion: the plan.
-    gap: between the axes and the legend below, as a share of the axes' height.
+    ``gap`` is between the axes and the legend below, as a share of the axes' height.
     """
     team, requirements, cables = motion.team, motion.requirements, motion.team.has_cables
     radius, colours = requirements.separation.radius, drone_colours(team)

@@ -60,12 +60,7 @@ def save_view(
 ) -> None:
     """Write a plan as a page, a picture or a film, by the ending of the file's name.
 
-    Parameters
-    ----------
-    path: file, replaced if there is one.
-    motion, certificate, title: the plan.
-    problem: the text of its problem file, if it is known.
-    progress: called with what is done of a film.
+    ``problem`` is the text of its file, ``progress`` is called with what is done of a film.
 
     Raises
     ------
@@ -96,13 +91,8 @@ def write_report(
 ) -> None:  # fmt: skip
     """Write the page of a plan: playback, plots and certificate.
 
-    Parameters
-    ----------
-    path: file, replaced if there is one.
-    motion, certificate, title: the plan.
-    problem: the text of its problem file, if it is known.
-    directory: that of the plan's files, whose digests the report states; by default that of
-        ``path``.
+    ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
+    ``directory``, by default that of ``path``.
 
     Raises
     ------
@@ -128,7 +118,7 @@ def write_report(
         "arrays": entries,
         "plots": list(_plots(motion, certificate)),
         "checks": [
-            {**check, "concerned": vars(concerned(motion, check["where"]))}
+            {**check, "concerned": concerned(motion, check["where"])._asdict()}
             for check in certificate.to_dict()["checks"]
         ],
         "problem": problem,
@@ -155,12 +145,8 @@ def packed(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str]:
     """Return a description of arrays, ready for JSON, and their samples as text.
 
     The text is deflated second differences of 16 bits in base64, which ``page/samples.js`` decodes:
-    those of smooth motion are small, and pack to about a third. Every sample is off by at most half
-    of its axis's range over ``LEVELS``.
-
-    Parameters
-    ----------
-    arrays: by name, (times, …, axes); all values of an axis share one range.
+    those of smooth motion are small, and pack to about a third. Arrays are (times, …, axes); every
+    sample is off by at most half of its axis's range over ``LEVELS``.
     """
     entries, planes = [], []
     for name, array in arrays.items():

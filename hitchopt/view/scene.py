@@ -6,12 +6,11 @@ A ghost, beside a plan, is the scene of another plan or of a flight that was sim
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,46 +30,29 @@ ends of its phases, whatever that comes to; and most times a second [Hz]."""
 PER_DRONE = 11
 """Numbers that a scene has of a drone at a time."""
 
-CONCERNED = re.compile(r"(?:cable |[qr]-leg |edge |[cpqrd])(\d+)")
-"""Names in ``where`` of a check that stand for something in the scene."""
+OF_CABLES = ("cable ", "edge ", "c", "q-leg ", "r-leg ")
+"""Beginnings of names in ``where`` of a check that concern a cable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """What is seen at a time; at many of them if all arrays have the times before their axes.
+    """What is seen at a time; at many of them if all arrays have the times before their axes."""
 
-    Attributes
-    ----------
-    drones: positions (N, 3) [m].
-    quaternions: attitudes (N, 4), w, x, y, z.
-    thrusts: (N,) [N].
-    cable_forces: (N, 3) [N], on the drones.
-    cables: (n, POINTS, 3) [m].
-    objects: (objects, 7): places of their bases [m], and quaternions.
-    """
-
-    drones: Array
-    quaternions: Array
-    thrusts: Array
-    cable_forces: Array
-    cables: Array
-    objects: Array
+    drones: Array  # positions (N, 3) [m]
+    quaternions: Array  # attitudes (N, 4), w, x, y, z
+    thrusts: Array  # (N,) [N]
+    cable_forces: Array  # (N, 3) [N], on the drones
+    cables: Array  # (n, POINTS, 3) [m]
+    objects: Array  # (objects, 7): places of their bases [m], and quaternions
 
 
 @dataclass(frozen=True, eq=False)
 class Scene(Moment):
-    """Samples of a plan over time: the arrays of ``Moment`` (times, …).
+    """Samples of a plan over time: the arrays of ``Moment`` (times, …)."""
 
-    Attributes
-    ----------
-    motion: the plan, with limits, arena, keep-outs and objects.
-    t: (times,) [s], from its start; the ends of all phases among them.
-    radius: of drawn cables [m].
-    """
-
-    motion: Motion
-    t: Array
-    radius: float
+    motion: Motion  # the plan, with limits, arena, keep-outs and objects
+    t: Array  # (times,) [s], from its start; the ends of all phases among them
+    radius: float  # of drawn cables [m]
 
     def at(self, time: float) -> Moment:
         """Return the scene at a time [s], interpolated between its samples."""
@@ -133,10 +115,7 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
 def ghost_scene(path: Path, motion: Motion) -> Scene:
     """Return the scene of another plan, or of a simulated flight of ``motion``.
 
-    Parameters
-    ----------
-    path: a recording or a plan, or the directory of either.
-    motion: the plan at whose side it is shown.
+    ``path`` is a recording or a plan, or the directory of either.
 
     Raises
     ------
@@ -166,18 +145,14 @@ def recorded_scene(
 
     Parameters
     ----------
-    motion: the plan that was flown.
-    t: (frames,) [s]; negative ones, while cables settle, are left out.
+    motion, t: the plan that was flown; (frames,) [s], negative while cables settle.
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
     first: (n + 1,), first node of each cable, and the number of nodes.
     poses: of the objects (frames, objects, 7): places of their bases [m], and quaternions.
     """
     flown = t >= 0.0
-    cables = [
-        nodes[flown][:, np.linspace(start, end - 1, POINTS).round().astype(int)]
-        for start, end in pairwise(first)
-    ]
-    curves = np.stack(cables, axis=1).astype(np.float64)
+    places = [np.linspace(a, b - 1, POINTS).round().astype(int) for a, b in pairwise(first)]
+    curves = np.stack([nodes[flown][:, each] for each in places], axis=1).astype(np.float64)
     drones = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
     upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*drones.shape[:2], 4))
     thrusts, forces = np.zeros(drones.shape[:2]), np.zeros_like(drones)
@@ -185,9 +160,8 @@ def recorded_scene(
     return Scene(drones, upright, thrusts, forces, curves, objects, motion, t[flown], radius)
 
 
-@dataclass(frozen=True)
-class Concerned:
-    """Indices of what a check names: drones, cables and vertices."""
+class Concerned(NamedTuple):
+    """Indices of what a check names."""
 
     drones: tuple[int, ...] = ()
     cables: tuple[int, ...] = ()
@@ -196,19 +170,11 @@ class Concerned:
 
 def concerned(motion: Motion, where: Sequence[str]) -> Concerned:
     """Return what the names in ``where`` of a check stand for; others are ignored."""
-    index = {name: i for i, name in enumerate(motion.team.drone_names)}
-    drones, cables, vertices = set[int](), set[int](), set[int]()
-    for name in where:
-        match = CONCERNED.fullmatch(name)
-        if match is None:
-            continue
-        k = int(match[1])
-        if name in index:
-            drones.add(index[name])
-        elif name.startswith("p"):
-            vertices.add(k)
-        else:
-            cables.add(k)
-            if "-leg" in name:
-                drones.add(index[f"{name[0]}{k}"])
-    return Concerned(*(tuple(sorted(found)) for found in (drones, cables, vertices)))
+    team, named = motion.team, set(where)
+    legs = ((i, f"{name[0]}-leg {name[1:]}", name) for i, name in enumerate(team.drone_names))
+    cables = ({f"{part}{k}" for part in OF_CABLES} for k in range(team.robots))
+    return Concerned(
+        tuple(i for i, *names in legs if named.intersection(names)),
+        tuple(k for k, names in enumerate(cables) if named & names),
+        tuple(k for k, name in enumerate(team.point_names) if name in named),
+    )

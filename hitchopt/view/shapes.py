@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.geometry.vectors import unit
-from hitchopt.objects import Section, Slab, SolidObject
+from hitchopt.objects import Slab, SolidObject
 from hitchopt.values import Array
 
 SPAN = 0.8
@@ -56,14 +56,10 @@ def object_faces(body: SolidObject) -> Array:
 
 def slab_faces(slab: Slab) -> Array:
     """Return the faces of a section between two heights."""
-    return _prism(outline(slab.section), slab.lower, slab.upper)
-
-
-def outline(section: Section) -> Array:
-    """Return the corners of a section (m, 2) [m], counter-clockwise."""
+    section = slab.section
     if section.outline is None:
-        return section.rounding * _circle(ROUND)
-    return np.asarray(section.outline[::-1])
+        return _prism(section.rounding * _circle(ROUND), slab.lower, slab.upper)
+    return _prism(np.asarray(section.outline[::-1]), slab.lower, slab.upper)
 
 
 def sphere_faces(size: ArrayLike) -> Array:

@@ -36,19 +36,15 @@ TABLE_COLOUR, OBJECT_COLOUR = "#d3d8dd", "#e8d3a8"
 MARK_COLOUR = (232, 89, 12)
 """Colour of what a check concerns, as red, green and blue."""
 
-INK, LIMIT_COLOUR = "0.1", "#b3261e"
-
-DASHES = (0, (6, 2))
-"""Line style of limits: they differ from curves in grey as well."""
-
-RESOLUTION = 120
-"""Resolution of every picture [dots per inch]."""
+INK, LIMIT_COLOUR, DASHES = "0.1", "#b3261e", (0, (6, 2))
+"""Colours of curves and of limits, which are dashed and differ from curves in grey as well."""
 
 UNDATED: dict[str, dict[str, str | None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 """Kinds of drawings, and what would make their bytes depend on more than their content."""
 
-COMPRESSION = 1
-"""Level of zlib: PNG files are 5 to 12 % larger than with 6, in half to two thirds of the time."""
+RESOLUTION, COMPRESSION = 120, 1
+"""Resolution of every picture [dots per inch], and level of zlib: files are 5 to 12 % larger than
+with 6, in half to two thirds of the time."""
 
 
 def cable_colours(n: int) -> tuple[str, ...]:

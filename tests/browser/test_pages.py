@@ -56,16 +56,14 @@ def tied_plan() -> ho.Plan:
 
 
 def projected(point: Any, eye: Any, target: Any, view: float, size: tuple[float, float]) -> Array:
-    """Return where a point (3,) is seen (2,) [pixels], from the upper left corner.
+    """Return where a camera sees a point (3,), (2,) [pixels] from the upper left corner.
 
-    ``eye`` and ``target`` are those of the camera (3,) [m], z is up; ``view`` is its vertical field
-    of view [rad], ``size`` the picture's width and height [pixels].
+    ``view`` is its vertical field of view [rad], ``size`` the picture's width and height [pixels].
     """
-    eye, target = np.asarray(eye), np.asarray(target)
-    forward = (target - eye) / np.linalg.norm(target - eye)
+    forward, away = np.subtract(target, eye), np.subtract(point, eye)
+    forward /= np.linalg.norm(forward)
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
-    away = np.asarray(point) - eye
     scale = 0.5 * size[1] / np.tan(0.5 * view) / (away @ forward)
     seen = np.array([away @ right, -away @ np.cross(right, forward)])
     place: Array = 0.5 * np.array(size) + scale * seen
@@ -98,14 +96,10 @@ def waited(page: Any, holds: Callable[[], bool]) -> None:
 def settled(page: Any) -> None:
     """Wait until a page has shown the same picture three times; busy machines draw late."""
     page.wait_for_timeout(SETTLE)
-    last, same = b"", 0
-    for _ in range(30):
-        picture = page.screenshot()
-        same = same + 1 if picture == last else 0
-        if same == 2:
-            return
-        last = picture
+    shown = [b"", page.screenshot()]
+    while len(set(shown[-3:])) > 1 and len(shown) < 30:
         page.wait_for_timeout(300)
+        shown.append(page.screenshot())
 
 
 def opened(page: Any, address: str, words: str) -> None:
@@ -120,7 +114,6 @@ def opened(page: Any, address: str, words: str) -> None:
         return float(np.mean(spread > 0.2)) > 0.002
 
     waited(page, coloured)
-    page.wait_for_timeout(SETTLE)
     settled(page)
 
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -48,3 +51,15 @@ def strict(*arguments: str | Path) -> Any:
         raise AssertionError(f"{word} is no JSON")
 
     return json.loads(run(*arguments, "--json").stdout, parse_constant=refuse)
+
+
+def started(*arguments: str, **options: str) -> subprocess.CompletedProcess[str]:
+    """What Python says in a process of its own, with variables of the environment."""
+    return subprocess.run(
+        [sys.executable, *arguments],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **options},
+        timeout=60,
+        check=False,
+    )

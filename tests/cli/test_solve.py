@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from baseline import SWARMS, differences
 from plans import planned
@@ -18,7 +17,6 @@ from hitchopt.api import solve
 from hitchopt.checks import Certificate
 from hitchopt.checks.certificate import Check
 from hitchopt.plan import Plan
-from hitchopt.storage.yaml_file import read_yaml
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -34,27 +32,6 @@ def solved(path: Path = TRIANGLE, *options: str) -> set[str]:
 def diagnosis() -> Any:
     assert [file.name for file in Path("out").iterdir()] == ["diagnosis.json"]
     return json.loads(Path("out/diagnosis.json").read_text())
-
-
-def least_duration(path: Path) -> float:
-    """How long the vertices need at their speed limit, from the file alone [s]."""
-    if "# Lasts: " in path.read_text(encoding="utf-8"):
-        return float(header(path, "Lasts"))
-    data: Any = read_yaml(path)
-    speed = data.get("limits", {}).get("vertex_speed", 0.5)
-    polygon = np.array(data["start"]["hitch"]["polygon"])
-    total = 0.0
-    for step in data["mission"]:
-        if "hold" in step:
-            total += step["hold"]["seconds"]
-        elif "follow_vertex" in step:
-            total += step["follow_vertex"]["path"][-1][0]
-        else:
-            end = np.array(step["morph"]["polygon"])
-            way = np.max(np.linalg.norm(end - polygon, axis=1))
-            total += max(way / speed, step["morph"].get("duration", 0.0))
-            polygon = end
-    return float(total)
 
 
 LONG = {
@@ -74,8 +51,6 @@ LONG = {
 def test_good_problems_are_certified(path: Path) -> None:
     certificate = planned(path.stem).certificate
     assert certificate.certified
-    least = least_duration(path)
-    assert least <= certificate.duration < 3.0 * least + 1.0
     assert not differences(certificate.to_dict(), path)
 
 
@@ -133,31 +108,11 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert (place / "out-csv").is_dir()
 
 
-def test_an_overstretched_start_is_refused_before_any_search(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def searched(*_: object) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr("hitchopt.planners.forming.approach.assigned", searched)
-    monkeypatch.setattr("hitchopt.steps.tying.Form.plan", searched)
-    path = CLOSE.with_name("overstretched_start.yaml")
-    told = refused("solve", path, "-o", "out", "--no-repair", code=3)
-    assert told.splitlines()[0] == (
-        "error: span: 1.125 is above the limit of 1 at robot 0, q0, r0 (2.7 m apart on a cable of "
-        "2.4 m) at the start (t = 0); move q0 and r0 of start.drones closer together, or use a "
-        "longer cable"
-    )
-
-
-def test_a_limit_ends_the_solve_with_a_diagnosis() -> None:
+def test_a_limit_ends_solve_and_search_with_a_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
     told = run("solve", TRIANGLE, "-o", "out", "--limit", "1e-9", code=3).stderr
     assert "s is above the limit of 1e-09 s (last: " in told
     (violation,) = diagnosis()["violations"]
     assert (violation["constraint"], violation["limit"]) == ("time limit", 1e-9)
-
-
-def test_a_limit_ends_the_search_for_changes_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hitchopt.cli.planning.MIN_SEARCH_TIME", 1e-9)
     reads = iter([0.0])  # then the time is up
     clock = SimpleNamespace(monotonic=lambda: next(reads, 1e9))
