@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
 from hitchopt.errors import FileError, InputError, OneLine, short
 from hitchopt.mission.keys import MAX_TITLE
 from hitchopt.mission.wording import translated
-from hitchopt.steps.step_keys import Keys, NotNegative, Positive, fault
+from hitchopt.steps.step_keys import Keys, NotNegative, OneOrEach, Positive, fault
 from hitchopt.steps.step_keys import key as option
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 
@@ -52,39 +52,33 @@ class GridKeys(Keys):
 
 
 class ParameterKeys(Keys):
-    """What values a parameter takes: one of two keys."""
+    """What values a parameter takes, if they are not listed."""
 
-    values: list[Any] | None = option(
-        "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
-    )
-    grid: GridKeys | None = option("Values at even distances", None)
-
-    @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        if (self.values is None) is (self.grid is None):
-            raise fault("one of list, grid", "keep one of them")
-        return self
-
-    @property
-    def listed(self) -> list[Plain]:
-        """The values in order."""
-        if (grid := self.grid) is None:
-            return [plain(value) for value in self.values or ()]
-        space = np.geomspace if grid.log else np.linspace
-        return [float(x) for x in space(grid.low, grid.high, grid.count)]
+    grid: GridKeys = option("Values at even distances")
 
 
-def points(parameters: Mapping[str, ParameterKeys]) -> list[Point]:
+Parameter = OneOrEach[ParameterKeys, Annotated[list[Any], Field(min_length=1)]]
+Values = ParameterKeys | list[Any]
+
+
+def listed(given: Values) -> list[Plain]:
+    """Return the values of a parameter in order."""
+    if isinstance(given, list):
+        return [plain(value) for value in given]
+    grid = given.grid
+    space = np.geomspace if grid.log else np.linspace
+    return [float(x) for x in space(grid.low, grid.high, grid.count)]
+
+
+def points(parameters: Mapping[str, Values]) -> list[Point]:
     """Return every combination of the parameters' values, the last one's changing first.
 
-    Raises
-    ------
-    InputError: more than MAX_CASES points.
+    Raise InputError for more than MAX_CASES points.
     """
-    listed = [each.listed for each in parameters.values()]
-    if (count := prod(map(len, listed))) > MAX_CASES:
+    found = [listed(each) for each in parameters.values()]
+    if (count := prod(map(len, found))) > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
-    return [dict(zip(parameters, values, strict=True)) for values in itertools.product(*listed)]
+    return [dict(zip(parameters, values, strict=True)) for values in itertools.product(*found)]
 
 
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
@@ -168,10 +162,6 @@ class SimulateKeys(Keys):
     stiffness: Positive | None = option("Of position loops [N/m]", None)
 
 
-def _as_list(value: object) -> object:
-    return {"list": value} if isinstance(value, list) else value
-
-
 class StudyKeys(Keys):
     """A study: problems, parameters, and what is done with each of their combinations."""
 
@@ -179,8 +169,8 @@ class StudyKeys(Keys):
     problem: Any = option(
         "Path of a problem file, a list of paths, or a problem itself", examples=["triangle.yaml"]
     )
-    parameters: dict[str, Annotated[ParameterKeys, BeforeValidator(_as_list)]] = option(
-        "What values a key takes; by its path in the problem file, or in this one",
+    parameters: dict[str, Parameter] = option(
+        "A list or a grid of values, by a key path in the problem file, or in this one",
         default_factory=dict,
     )
     limit: Positive = option("Time limit of a plan [s]", 600.0)
@@ -229,7 +219,7 @@ class Study(OneLine):
         first = points(self.keys.parameters)[0]
         trials = [first]
         for key, each in self.keys.parameters.items():
-            trials += [{**first, key: value} for value in each.listed[1:]]
+            trials += [{**first, key: value} for value in listed(each)[1:]]
             if key.split(".")[0] == "simulate" and self.keys.simulate is None:
                 remedy = "add simulate: to the study"
                 raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
