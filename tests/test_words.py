@@ -41,6 +41,7 @@ HOOKS = frozenset(
 METHODS = frozenset(
     {
         "abort",
+        "displacements",
         "from_dict",
         "mirrored",
         "pause",

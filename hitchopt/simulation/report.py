@@ -35,14 +35,9 @@ from hitchopt.view.style import (
 
 FORMAT = "hitchopt-simulation/1"
 
-SUMMARY = "simulation.json"
-VERTICES = "vertices.csv"
-CABLES = "cables.csv"
-DRONES = "drones.csv"
-OBJECTS = "objects.csv"
-PICTURE = "simulation.png"
-CAMPAIGN = "campaign.json"
-RUNS = "runs.csv"
+SUMMARY, PICTURE = "simulation.json", "simulation.png"
+VERTICES, CABLES, DRONES = "vertices.csv", "cables.csv", "drones.csv"
+OBJECTS, CAMPAIGN, RUNS = "objects.csv", "campaign.json", "runs.csv"
 
 # Names that belong to hitchopt in the directory of results; other files are never touched
 OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIGN, RUNS)

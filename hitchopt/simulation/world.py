@@ -23,58 +23,46 @@ from hitchopt.values import Array
 
 Index = NDArray[np.intp]
 
-# Collision groups of the ground, and of objects, which meet ropes, drones and others' feet
-GROUND, OBJECTS = 2, 4
-
-# Least number of feet in a ring below and on top of an object, and the rings' sizes over that of
-# its outline. Objects stand on the ground and on each other by these small balls: between
-# cylinders and meshes that merely touch, MuJoCo at times finds contacts as deep as the bodies,
-# and a cylinder that has been tilted rolls along the edge of its floor for ever, a degree or more
-# a second
-FEET, RINGS = 8, (0.98, 0.4)
-
-FOOT = 0.002  # Radius of a foot [m]; it does not protrude
-PREFIX = "object "  # What a body's name begins with, before that of its object
-RIM = 0.01  # Thickness of a rim, above its height [m]: ropes pass through a sheet
-RIGHT = 1e-9  # Cosine of an angle that counts as a right one
+# Collision groups: ropes meet ropes and the ground, drones the ground and objects, the ropes' nodes
+# objects, and objects the feet of others
+ROPES, GROUND, OBJECTS = 1, 2, 4
 
 # Stiffness of contacts; MuJoCo's defaults are softer, and let ropes pass
 CONTACT_SOLVER = 'solref="0.002 1" solimp="0.99 0.999 0.001"'
-
-BODY_RADIUS, BODY_HALF_HEIGHT = 0.07, 0.03  # Half-axes of the ellipsoid that a drone occupies [m]
-
-# Time constant [s] and impedances of the constraints on the ropes' lengths
-EDGE_TIME, EDGE_IMPEDANCE = 0.002, 'solimp="0.999 0.9999 0.0005"'
-
-# Least time constant of the lengths in time steps; also what it is where there are objects: ropes
-# that hold them pull harder, and short segments would yield by a per cent
-EDGE_STEPS = 2.5
-
-# Collision group besides GROUND and OBJECTS: ropes meet ropes and the ground, drones the ground
-# and objects, the ropes' nodes objects
-ROPES = 1
 
 # Ratio of frictional to normal stiffness where there are objects: held ones creep by 7 mm/s at 1,
 # by 0.1 mm/s at 100 (measured at half of the grip's capacity)
 FIRM = 100
 
 LEAST_GROUND_FRICTION = 0.3  # Friction coefficient of the ground where the cables' is less
-
-# Inertia of bodies that only slide [kg m²]: MuJoCo requires one, nothing turns
-TINY_INERTIA = "1e-9 1e-9 1e-9"
-
-# Joints of a body that slides in x, y and z
-SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+BODY_RADIUS, BODY_HALF_HEIGHT = 0.07, 0.03  # Half-axes of the ellipsoid that a drone occupies [m]
 
 # Radii of gyration of a drone about its axes, over its radius: four motors on arms, and the
 # remaining mass in the middle
 RADII_OF_GYRATION = (0.5, 0.5, 0.65)
 
-# Angle by which a link may turn within the time constant of the constraint on its length: links
-# that turn at a rate ω are strained by ``(ω t)²``, t that constant
-TURNED = 0.07
+# Joints of a body that slides in x, y and z, and the inertia [kg m²] that MuJoCo requires of it
+SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+TINY_INERTIA = "1e-9 1e-9 1e-9"
 
-LEAST_EDGE_TIME = 0.06  # Least time constant, over that of links which hardly turn
+PREFIX = "object "  # What a body's name begins with, before that of its object
+RIM = 0.01  # Thickness of a rim, above its height [m]: ropes pass through a sheet
+RIGHT = 1e-9  # Cosine of an angle that counts as a right one
+
+# Objects stand on the ground and on each other by small balls of a radius [m] that do not protrude,
+# at least FEET in rings below and on top, whose sizes are over those of the outline: between
+# cylinders and meshes that merely touch, MuJoCo at times finds contacts as deep as the bodies, and
+# a cylinder that has been tilted rolls along the edge of its floor for ever
+FOOT, FEET, RINGS = 0.002, 8, (0.98, 0.4)
+
+# Time constant [s] and impedances of the constraints on the ropes' lengths; and its least value in
+# time steps, which it also has where there are objects: ropes that hold them pull harder, and short
+# segments would yield by a per cent
+EDGE_TIME, EDGE_IMPEDANCE, EDGE_STEPS = 0.002, 'solimp="0.999 0.9999 0.0005"', 2.5
+
+# Angle by which a link may turn within that time constant t: links that turn at a rate ω are
+# strained by ``(ω t)²``. And the least constant over that of links which hardly turn
+TURNED, LEAST_EDGE_TIME = 0.07, 0.06
 
 # Factors by which the time constant changes at most at once, the last one where ropes are taut:
 # they yield a little, and would jerk
@@ -84,11 +72,9 @@ TIGHTER, LOOSER, LOOSER_TAUT = 0.8, 1.05, 1.002
 # factor by which it falls at most at once: what ropes have yielded pulls by its square
 FIRM_STEPS, FIRMER = 2.2, 0.95
 
-# Largest relative change of a segment's length; beyond it the time step is too long
-MOST_STRAIN = 0.02
-
-# Largest penetration over the diameter; ropes that press deeper are about to pass each other
-MOST_PENETRATION = 0.3
+# Largest relative change of a segment's length, beyond which the time step is too long; and largest
+# penetration over the diameter: ropes that press deeper are about to pass each other
+MOST_STRAIN, MOST_PENETRATION = 0.02, 0.3
 
 
 class World:
