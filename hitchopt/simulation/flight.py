@@ -280,13 +280,8 @@ class _Run:
         ``pull`` is a factor of the plan's tension. Less than 1 reduces what is fed forward while a
         hitch is drawn tight; more than 1 is the force of the pull test, which every drone adds.
         """
-        world, disturbances, task, pilots = (
-            self._world,
-            self._disturbances,
-            self._task,
-            self._pilots,
-        )
-        fine, period = 1, self._period
+        world, task, period, fine = self._world, self._task, self._period, 1
+        disturbances, pilots = self._disturbances, self._pilots
         if self._lost is not None and time >= self._lost[1]:
             pilots.stop(self._lost[0])
             fine = self._fine if time < self._lost[1] + FALLING else 1

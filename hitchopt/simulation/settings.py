@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -140,14 +140,9 @@ class Loss(OneLine):
     @classmethod
     def parsed(cls, text: str) -> Loss:
         """Return the loss that ``DRONE@SECONDS`` names; InputError where it is none."""
-        drone, _, seconds = text.partition("@")
-        try:
-            time = float(seconds)
-        except ValueError:
-            time = math.nan
-        if not drone or not math.isfinite(time):
+        if (found := re.fullmatch(r"(\w+)@(\d+(?:\.\d*)?)", text)) is None:
             raise InputError("--lose", text, "DRONE@SECONDS", "write q0@12.5")
-        return cls(drone, time)
+        return cls(found[1], float(found[2]))
 
 
 @dataclass(frozen=True)
