@@ -143,7 +143,8 @@ def main() -> None:
         settings = {"pull_test": False, **(exact if given.loads else {})}
         runs = fly(plan, given.runs, given.seed, given.preset, given.processes, **settings)
         errors = (
-            centimetres([getattr(run, name) for run in runs]) for name in ("placed", "slipped")
+            centimetres([run.figures.get(name, np.nan) for run in runs])
+            for name in ("placed", "slipped")
         )
         table.row(case, 1e3 * mass, *success(runs), *errors)
 

@@ -100,7 +100,8 @@ def centimetres(values: Sequence[float]) -> str:
 def errors(runs: Sequence[Run]) -> tuple[str, str]:
     """Return mean vertex errors while a vertex moves, and at rest [cm]."""
     return tuple(
-        centimetres([getattr(run, name).mean for run in runs]) for name in ("moving", "resting")
+        centimetres([run.figures.get(f"{name}_mean", np.nan) for run in runs])
+        for name in ("moving", "resting")
     )  # type: ignore[return-value]
 
 

@@ -19,8 +19,8 @@ import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.control import Disturbances
-from hitchopt.simulation.flight import CONTROL, SETTLE
-from hitchopt.simulation.judgement import Simulation, effective_lengths
+from hitchopt.simulation.flight import CONTROL, SETTLE, Flight
+from hitchopt.simulation.judgement import Simulation
 from hitchopt.simulation.ropes import bend_lengths
 from hitchopt.simulation.settings import ACCURATE
 from problems.random_morph import random_convex_polygon
@@ -63,7 +63,7 @@ def settled(seed: int) -> tuple[object, ...]:
     team = plan.motion.team
     done = ho.simulate(
         plan, preset="accurate", perturbations=dict(SHAKEN), seed=seed, friction=0.0,
-        stiffness=stiffness, body="point", pull_test=False,
+        stiffness=stiffness, pull_test=False,
     )  # fmt: skip
     record = done.flight.record
     rows = (record.t > plan.duration - REST) & (record.t <= plan.duration)
@@ -83,6 +83,20 @@ def settled(seed: int) -> tuple[object, ...]:
     density = float(np.mean(team.cable_density))
     errors = (100.0 * tension, 1e3 * float(np.max(away)), 1e3 * float(np.mean(away)))
     return seed, team.robots, 1e3 * density, stiffness, *errors
+
+
+def effective_lengths(flight: Flight) -> Array:
+    """Return (n,) [m]: legs, edges and the arcs of their sag, between vertices at rest."""
+    record, layout = flight.record, flight.task.team.layout
+    rows = (record.t > flight.task.duration + 1e-5) & (record.t <= flight.rested)
+    drones, vertices = np.mean(record.drones[rows], axis=0), np.empty((layout.points, 3))
+    vertices[layout.anchors] = drones  # a chain's ends; clasps follow
+    vertices[layout.clasps] = np.mean(record.vertices[rows], axis=0)
+    corners = drones[0::2], vertices[layout.starts], vertices[layout.ends], drones[1::2]
+    chords = np.diff(np.stack(corners, axis=1), axis=1)
+    sizes, level = (np.linalg.norm(chords[..., :axes], axis=-1) for axes in (3, 2))
+    slack = 9.81 * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]
+    return np.asarray(np.sum(sizes + slack**2 * sizes * level**2 / 24.0, axis=-1))
 
 
 def passing(plan: ho.Plan) -> Array:

@@ -35,8 +35,8 @@ UNCOUNTED = 4
 
 def study(plans: int) -> dict[str, Any]:
     """Return a study of so many triangles, all different."""
-    drawn = {"random": {"from": 0.2, "to": 0.8}}
-    return {"problem": PROBLEM, "parameters": {"team.tension": drawn}, "samples": plans}
+    tensions = {"grid": {"from": 0.2, "to": 0.8, "count": plans}}
+    return {"problem": PROBLEM, "parameters": {"team.tension": tensions}}
 
 
 def swept(plans: int, workers: int) -> float:

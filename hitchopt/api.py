@@ -9,7 +9,6 @@ steps' records; ``__init__.pyi`` lists them for type checkers and completion.
 from __future__ import annotations
 
 import inspect
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, replace
 from pathlib import Path
@@ -297,9 +296,8 @@ def simulate(
     perturbed: whether there are the usual disturbances of a flight indoors.
     perturbations: fields of ``Perturbations`` that differ from those, such as ``wind`` [N].
     progress: called with what is being done now.
-    settings: further fields of ``Settings``: ``body``, ``seed``, ``friction``, ``density``,
-        ``stiffness``, ``integral``, ``feed_forward``, ``ground``, ``pull_test``,
-        ``feedback``.
+    settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
+        ``pull_test``, ``feedback``.
 
     Raises
     ------
@@ -309,7 +307,7 @@ def simulate(
     """
     from hitchopt.simulation.judgement import simulate as simulated
     from hitchopt.simulation.settings import CALM, PRESETS, Settings, settings_of
-    from hitchopt.simulation.task import read_task
+    from hitchopt.simulation.task import Task, read_task
 
     if text("preset", preset) not in PRESETS:
         raise InputError("preset", preset, " or ".join(PRESETS), "write fast")
@@ -320,9 +318,8 @@ def simulate(
     if isinstance(plan, str | Path):
         return simulated(read_task(Path(plan)), chosen, progress)
     instance("plan", plan, Plan)
-    with tempfile.TemporaryDirectory() as place:
-        task = read_task(plan.save(Path(place) / "plan"))
-    return simulated(task, chosen, progress)
+    plan.certificate.raise_if_violated()
+    return simulated(Task.of(plan.motion), chosen, progress)
 
 
 def _known(key: str, given: dict[str, Any], names: dict[str, Any]) -> dict[str, Any]:

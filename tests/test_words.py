@@ -31,7 +31,17 @@ CALLED = frozenset(
     ["compute_constraint_params", "convert", "field_title_should_be_set", "invoke"]
     + ["reducer_override"]
     # by users: methods of Certificate, Plan and the outlines
-    + ["abort", "from_dict", "mirrored", "pause", "renumbered", "retarget", "resume", "rotated"]
+    + [
+        "abort",
+        "displacements",
+        "from_dict",
+        "mirrored",
+        "pause",
+        "renumbered",
+        "retarget",
+        "resume",
+        "rotated",
+    ]
     + ["to_dataframe"]
 )
 """Methods that the package itself does not call."""

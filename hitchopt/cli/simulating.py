@@ -26,7 +26,7 @@ RESULTS = "simulation"
 INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
 """What stands in place of vertices' errors in flights of the fast preset."""
 
-SHOWN = ("name", "placed", "tilted", "turned", "lifted", "slipped", "free")
+SHOWN = ("name", "placed", "tilted", "turned", "slipped", "free")
 """What is shown of objects; simulation.json has more."""
 
 OF_VERTICES = ("vertex_error", "resting", "moving", "without_sag")
@@ -41,7 +41,6 @@ MOST_REASONS = 8
     """
     -o, --output OUT (path): Results; else DIR/simulation.
     --preset fast|accurate (fast): Whether it holds; or with correct friction, five times slower.
-    --drones rigid|point (rigid): Rigid bodies with an attitude, or point masses.
     --runs N (int): Simulate N flights, with seeds S, S+1, ….
     --seed S (0): Random seed.
     --processes P (int): Processes; by default all processors.
@@ -61,18 +60,14 @@ MOST_REASONS = 8
     --object-mass X (float): Largest error of objects' masses.
     --object-friction X (float): Of their friction, relative.
     --object-place M (float): Of where they stand [m].
-    --stiffness N/M (float): Of position loops; by default the team's, as the following four.
-    --integral/--no-integral (None): Integral action.
-    --feed-forward/--no-feed-forward (None): Whether the cable forces of setpoints.csv are added.
+    --stiffness N/M (float): Of position loops; by default the team's, as the following two.
     --friction MU (float): Cable friction.
     --density KG/M (float): Cable density.
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
-    --ground M (float): Its height; by default 0 or lower, with objects the arena's.
     --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
     --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
     --film FILE (path): Film of a single flight, .gif or .mp4.
     """,
-    drones={"name": "body"},
 )
 def simulate(
     directory: Path,
@@ -85,14 +80,14 @@ def simulate(
     reaction: bool,
     **options: Any,
 ) -> None:
-    """Simulate the setpoints in DIR with ropes and drones (needs mujoco).
+    """Simulate the plan in DIR with ropes and drones (needs mujoco).
 
-    Drones follow setpoints.csv, of the cables' forces too, and nothing else, unless --feedback
-    corrects them; vertices.csv tells the initial shape of the cables. Vertex errors are distances
-    in three dimensions, sag included. One flight ends with 3 if anything fails: drones touch, a
-    vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5°; or, as not
-    simulated, if the simulation leaves its valid range; with --lose if a survivor touches anything
-    or there is no reaction. A campaign (--runs) ends with 0 and reports the rate of success.
+    Drones follow the plan's setpoints at 100 Hz, of the cables' forces too, and nothing else,
+    unless --feedback corrects them. Vertex errors are distances in three dimensions, sag included.
+    One flight ends with 3 if anything fails: drones touch, a vertex does not hold, an object is
+    touched, dropped or not placed within 3 cm and 5°; or, as not simulated, if the simulation
+    leaves its valid range; with --lose if a survivor touches anything or there is no reaction. A
+    campaign (--runs) ends with 0 and reports the rate of success.
     """
     from hitchopt.simulation.judgement import warnings
     from hitchopt.simulation.settings import settings_of
@@ -189,42 +184,37 @@ def _verdict(done: Simulation) -> str:
 
 def flight_tables(simulation: Simulation) -> str:
     """Return the tables of one flight's vertices, objects and figures."""
-    from hitchopt.simulation.judgement import effective_lengths
     from hitchopt.simulation.report import summary
 
-    found, run, flight = summary(simulation), simulation.run, simulation.flight
+    found, known, flight = summary(simulation), simulation.figures, simulation.flight
     exact, team = simulation.settings.preset.exact, flight.task.team
     stated = all(map(math.isfinite, team.stiffness)) or simulation.settings.stiffness is not None
+    spreads = simulation.spreads
     errors = {
-        "vertices, sag included [cm]": run.vertex_error,
-        "  while the plan stands still": run.resting,
-        "  while it moves": run.moving,
-        "vertices without sag (level part) [cm]": run.without_sag,
+        "vertices, sag included [cm]": spreads["vertex_error"],
+        "  while the plan stands still": spreads["resting"],
+        "  while it moves": spreads["moving"],
+        "vertices without sag (level part) [cm]": spreads["without_sag"],
     }
     figures: dict[str, object] = {}
     if exact:
         figures = {name: spread_text(spread) for name, spread in errors.items()}
     figures |= {
-        "drones to their setpoints [cm]": spread_text(run.tracking),
-        "largest tension [N]": run.peak_tension,
-        "largest thrust [N]": run.peak_thrust,
-        "samples with saturated thrust": f"{run.saturated:.2%}",
-        "pace, times real time, on one processor": run.pace,
+        "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
+        "largest tension [N]": known["peak_tension"],
+        "largest thrust [N]": known["peak_thrust"],
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness, ".3g"),
         "  stated by": "team or option" if stated else "nobody: the simulator's own",
         "ropes weigh [g/m]": 1e3 * flight.density,
         "  as the plan knows": 1e3 * team.cable_density,
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
     }
-    off = 1e3 * (effective_lengths(flight) - team.cable_length)
-    if all(map(math.isfinite, off)):  # there are none where no hitch is left
-        figures["  their effective lengths are off by [mm]"] = span_text(off, "+.1f")
     parts = []
     if found["clasps"]:
         parts.append(table("Vertices after the flight [N, m]", map(dict, found["clasps"])))
     if loss := found.get("loss"):
         for name in ("among", "others"):
-            loss[name] = [f"{touch['first']} and {touch['second']}" for touch in loss[name]]
+            loss[name] = [" and ".join(pair) for pair in loss[name]]
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
     if found["objects"]:
         rows = [{name: each[name] for name in SHOWN} for each in found["objects"]]
@@ -244,8 +234,8 @@ def _campaign_tables(campaign: Campaign) -> str:
     """Return a campaign's success rate, the figures of its runs, and what failed first."""
     (low, high), runs = campaign.interval, campaign.runs
     exact, lost, rows = campaign.settings.preset.exact, campaign.not_simulated, []
-    for name in runs[0].figures:
-        known = [x for x in (run.figures[name] for run in runs) if math.isfinite(x)]
+    for name in max((run.figures for run in runs), key=len):  # none where it could not begin
+        known = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
         if known and (exact or not name.startswith(OF_VERTICES)):
             row = {"mean": sum(known) / len(known), "largest": max(known)}
             rows.append({"figure": name.replace("_", " "), **row})
@@ -269,28 +259,17 @@ def _campaign_tables(campaign: Campaign) -> str:
     -o, --output DIR (path): Results; else ./ and the stem.
     --workers N (int): Processes; by default all processors.
     --scheduler ADDRESS (text): A dask scheduler, such as tcp://host:8786.
-    --plot X Y (text): Draw column Y over column X, such as team.tension duration, of a sweep's DIR.
     """,
-    plot={"nargs": 2},
 )
-def sweep(
-    study: Path,
-    output: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-    plot: tuple[str, str] | None,
-) -> None:
-    """Plan, simulate, settle or export every case of STUDY.yaml (needs dask.distributed).
+def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str | None) -> None:
+    """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
 
     Every result is a line of DIR/rows.jsonl, written as it arrives. The same command goes on where
-    an earlier one has ended: only what is missing is computed. With --plot, STUDY is the DIR of a
-    sweep, and nothing is computed.
+    an earlier one has ended: only what is missing is computed. Where STUDY is the DIR of a sweep,
+    nothing is.
     """
     from hitchopt.sweeps.sweep import load_sweep, read_study, run_sweep, summary
 
-    if plot is not None:
-        _draw(study, *plot)
-        return
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with LateProgress("starting workers") as progress:
@@ -299,29 +278,13 @@ def sweep(
                 place,
                 workers=workers,
                 scheduler=scheduler,
-                progress=lambda count: progress(str(count)),
+                progress=progress,
             )
     rows = load_sweep(place)
     found = summary(rows, len(read_study(place)["cases"]))
     record(directory=str(place), summary=asdict(found))
     say(_sweep_tables(found))
-    say(f"rows are in {place}; draw them: hitchopt sweep {place} --plot X Y")
-
-
-def _draw(place: Path, x: str, y: str) -> None:
-    """Draw one column of a sweep over another."""
-    from hitchopt.sweeps.picture import save_sweep_picture
-    from hitchopt.sweeps.sweep import column_of, load_sweep, read_study
-
-    if not place.is_dir():
-        raise InputError("STUDY", str(place), "the directory of a sweep with --plot", "name it")
-    path = place / f"{y.rsplit('.', 1)[-1]}_over_{x.rsplit('.', 1)[-1]}.png"
-    with LateProgress("drawing"):
-        rows = load_sweep(place)
-        columns = column_of(rows, x), column_of(rows, y)
-        save_sweep_picture(path, rows, *columns, read_study(place)["title"])
-    record(file=str(path))
-    say(f"the picture is {path}")
+    say(f"rows are in {place}; ho.load_sweep returns them for pandas")
 
 
 def _sweep_tables(found: Summary) -> str:

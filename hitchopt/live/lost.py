@@ -23,7 +23,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed
-from hitchopt.motion.states import States, sample_times, states_at
+from hitchopt.motion.states import States, states_at
 from hitchopt.planners.forming.turns import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.simulation.task import Task
@@ -264,13 +264,12 @@ def _sunk(motion: Motion) -> Motion:
 
 def reacting(task: Task, reaction: Reaction) -> Task:
     """Return a plan's task until the survivors react, then what they fly, to the ground."""
-    t = sample_times(reaction.motion.duration, RATE)
-    found = Task.of(reaction.motion, t)
-    gone = np.clip((t - reaction.begins) / LETTING_GO, 0.0, 1.0)[:, None, None]
+    found = Task.of(reaction.motion)
+    gone = np.clip((found.t - reaction.begins) / LETTING_GO, 0.0, 1.0)[:, None, None]
     forces = found.setpoints.cable_forces * (1.0 - gone**2 * (3.0 - 2.0 * gone))
     setpoints = replace(found.setpoints, cable_forces=forces)
-    parts = task.team, task.t[0] + t, setpoints, found.formed, found.vertices, found.tensions
-    return Task(*parts, task.digest)
+    parts = task.team, task.t[0] + found.t, setpoints, found.formed, found.vertices, found.tensions
+    return Task(*parts)
 
 
 @dataclass(frozen=True)

@@ -15,25 +15,21 @@ from hitchopt.simulation.task import Cargo, Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, World
 from hitchopt.values import Array
 
+# Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
+# and by the drones' deviations, and Gauss's integral counts some of them as linked, since the
+# lines that close them cross there too
 BEARING_SHARE = 0.3
-"""Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
-and by the drones' deviations, and Gauss's integral counts some of them as linked, since the lines
-that close them cross there too."""
 
+# Time constant with which a load passes from nodes to others as contacts come and go [s]
 SMOOTHING = 0.05
-"""Time constant with which a load passes from nodes to others as contacts come and go [s]."""
 
-LEAST_FORCE = 1e-9
-"""Normal force below which cables do not touch [N]."""
+LEAST_FORCE = 1e-9  # Normal force below which cables do not touch [N]
 
+# Part of its own cable that a drone cannot touch, next to the drone, over the drone's radius
 OWN = 2.0
-"""Part of its own cable that a drone cannot touch, next to the drone, over the drone's radius."""
 
-LANDED = 0.2
-"""Height above the ground [m] below which a drone may stand beside its own cable."""
-
-GROUND, DRONE, CABLE, OBJECT = range(4)
-"""Kinds of things in contact."""
+LANDED = 0.2  # Height above the ground [m] below which a drone may stand beside its own cable
+GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of things in contact
 
 
 def least_bearing(task: Task) -> Array:
@@ -54,8 +50,7 @@ class ClaspContacts:
     """Contact forces between neighbouring cables and their centres, gathered over some steps."""
 
     def __init__(self, world: World, team: Team) -> None:
-        self._world = world
-        layout = team.layout
+        self._world, layout = world, team.layout
         ranks = np.arange(len(layout.clasps))
         self._clasp = np.full((team.robots, team.robots), -1)
         self._clasp[layout.behind, layout.ahead] = ranks
@@ -84,9 +79,7 @@ class ClaspContacts:
     def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
         """Return vertices and forces since the last call, and start again.
 
-        Parameters
-        ----------
-        least: (clasps,) [N]; cables that press less do not bear on each other.
+        Cables that press less than ``least`` (clasps,) [N] do not bear on each other.
 
         Returns
         -------
@@ -167,13 +160,15 @@ class ObjectContacts:
     def __init__(self, world: World, cargo: Cargo) -> None:
         self._world, self._cargo, self._aloft = world, cargo, cargo.aloft
         model, cables = world.model, np.arange(len(world.ropes.lengths))
-        kind_of = np.full(model.nbody, GROUND)
-        rank_of = np.zeros(model.nbody, dtype=np.intp)
-        kind_of[model.flex_vertbodyid] = CABLE
-        rank_of[model.flex_vertbodyid] = np.repeat(cables, np.diff(world.cable_vertices))
-        for kind, bodies in ((DRONE, world.drone_bodies), (OBJECT, world.object_bodies)):
-            kind_of[bodies], rank_of[bodies] = kind, np.arange(len(bodies))
-        self._kind, self._rank = kind_of[model.geom_bodyid], rank_of[model.geom_bodyid]
+        vertex_cables = np.repeat(cables, np.diff(world.cable_vertices))
+        kind, rank = np.full(model.nbody, GROUND), np.zeros(model.nbody, dtype=np.intp)
+        for each, bodies, ranks in (
+            (CABLE, model.flex_vertbodyid, vertex_cables),
+            (DRONE, world.drone_bodies, np.arange(len(world.drone_bodies))),
+            (OBJECT, world.object_bodies, np.arange(len(world.object_bodies))),
+        ):
+            kind[bodies], rank[bodies] = each, ranks
+        self._kind, self._rank = kind[model.geom_bodyid], rank[model.geom_bodyid]
         names = [f"cable {k}" for k in cables]
         self._names = (["the ground"], world.drone_names, names, cargo.names)
 
@@ -183,31 +178,28 @@ class ObjectContacts:
         Cables may touch the objects that the plan holds; objects that are aloft touch nothing else;
         drones touch nothing.
         """
-        kinds, ranks = self._pairs()
-        if not len(kinds):
+        thing, kind, other = self._pairs()
+        if not len(thing):
             return []
-        thing, other = ranks[:, 0], ranks[:, 1]
         held, aloft = self._cargo.held[index], self._aloft[index]
-        above = aloft[thing] | ((kinds[:, 1] == OBJECT) & aloft[np.minimum(other, len(aloft) - 1)])
-        cable = kinds[:, 1] == CABLE
-        chosen = np.where(cable, ~held[thing], (kinds[:, 1] == DRONE) | above)
-        found = np.unique(np.column_stack([kinds[:, 1], other, thing])[chosen], axis=0)
+        above = aloft[thing] | ((kind == OBJECT) & aloft[np.minimum(other, len(aloft) - 1)])
+        chosen = np.where(kind == CABLE, ~held[thing], (kind == DRONE) | above)
+        found = np.unique(np.column_stack([kind, other, thing])[chosen], axis=0)
         return [(self._names[k][j], self._names[OBJECT][i]) for k, j, i in found]
 
     @property
     def cables(self) -> NDArray[np.bool_]:
         """Whether cables touch an object (objects,)."""
         touched = np.zeros(len(self._cargo.objects), dtype=np.bool_)
-        kinds, ranks = self._pairs()
-        touched[ranks[kinds[:, 1] == CABLE, 0]] = True
+        thing, kind, _ = self._pairs()
+        touched[thing[kind == CABLE]] = True
         return touched
 
-    def _pairs(self) -> tuple[Index, Index]:
-        """Return kinds and ranks (contacts, 2) of the objects in contact, and what touches them."""
+    def _pairs(self) -> tuple[Index, Index, Index]:
+        """Return the objects (contacts,) in contact, and kind and rank of what touches them."""
         contact = self._world.data.contact
         geoms = contact.geom[np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)]
         kinds, ranks = self._kind[geoms], self._rank[geoms]
-        with_objects = np.any(kinds == OBJECT, axis=1)
-        kinds, ranks = kinds[with_objects], ranks[with_objects]
-        order = np.argsort(kinds != OBJECT, axis=1, kind="stable")  # the object first
-        return np.take_along_axis(kinds, order, 1), np.take_along_axis(ranks, order, 1)
+        chosen = np.flatnonzero(np.any(kinds == OBJECT, axis=1))
+        own = np.argmax(kinds[chosen] == OBJECT, axis=1)  # the object, or the first of two
+        return ranks[chosen, own], kinds[chosen, 1 - own], ranks[chosen, 1 - own]

@@ -3,10 +3,8 @@
 The controller is the geometric one of T. Lee, M. Leok and N. H. McClamroch, "Geometric tracking
 control of a quadrotor UAV on SE(3)", CDC 2010, adapted to a hitch in two respects: the cable's
 force that the setpoints hold is fed forward, and nothing else; and the position loop is soft, since
-a stiff one turns every centimetre of error into tension.
-
-A ``rigid`` drone has an attitude loop (some 60 ms of delay) and motors (first order, 20 ms) between
-the desired force and the actual one; a ``point`` drone has one lag of 80 ms.
+a stiff one turns every centimetre of error into tension. An attitude loop (some 60 ms of delay) and
+motors (first order, 20 ms) stand between the desired force and the actual one.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.live.feedback import Feedback
 from hitchopt.objects import SolidObject
@@ -28,53 +27,45 @@ from hitchopt.simulation.task import Setpoints, Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World
 from hitchopt.values import Array
 
+# Correlation times of errors of measured positions and velocities, and of gusts [s]
 NOISE_TIME, VELOCITY_NOISE_TIME, GUST_TIME = 0.3, 0.1, 1.0
-"""Correlation times of errors of measured positions and velocities, and of gusts [s]."""
 
-AIR_DENSITY = 1.2
-"""Density of air [kg/m³]."""
+# Density of air [kg/m³]; drag coefficient of a cylinder in cross-flow at a cord's Reynolds
+# numbers
+AIR_DENSITY, DRAG_COEFFICIENT = 1.2, 1.2
 
-DRAG_COEFFICIENT = 1.2
-"""Drag coefficient of a cylinder in cross-flow at the Reynolds numbers of a cord."""
-
+# Half-width of a turbulent round jet per distance (Pope, Turbulent Flows, 2000, table 5.1)
 SPREADING = 0.094
-"""Half-width of a turbulent round jet per distance (Pope, Turbulent Flows, 2000, table 5.1)."""
 
-BLOCKED = 0.5
-"""Share of the downward momentum through a drone's disk that becomes force on it."""
+BLOCKED = 0.5  # Share of the downward momentum through a drone's disk that becomes force on it
 
+# Gains of the position loop where the team states no stiffness [1/s²], [1/s]: 4.75 N/m at 132 g.
+# Another stiffness has the same damping ratio
 POSITION_GAIN, VELOCITY_GAIN = 36.0, 10.0
-"""Gains of the position loop where the team states no stiffness [1/s²], [1/s]: 4.75 N/m at 132 g.
-Another stiffness has the same damping ratio."""
 
+# Time after which the integral of a constant error answers as much as the error itself [s]
 INTEGRAL_TIME = 2.0
-"""Time after which the integral of a constant error answers as much as the error itself [s]."""
 
+# Gains of the attitude loop [1/s²], [1/s], whose delay is some 60 ms
 ATTITUDE_GAIN, RATE_GAIN = 900.0, 54.0
-"""Gains of the attitude loop [1/s²], [1/s], whose delay is some 60 ms."""
 
-LEAST_FORCE = 1e-9
-"""Thrust below which it has no direction [N]."""
+LEAST_FORCE = 1e-9  # Thrust below which it has no direction [N]
 
+# Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius
 ARM = 0.5
-"""Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius."""
 
+# Largest roll, pitch and yaw moment over the largest roll moment: propellers' drag is small
 MOMENT_SHARES = np.array([1.0, 1.0, 0.2])
-"""Largest roll, pitch and yaw moment over the largest roll moment: propellers' drag is small."""
 
+# Period of the measurements of vertices, and rounding of sums of periods [s]
 MEASURED, ROUNDING = 0.01, 1e-9
-"""Period of the measurements of vertices, and rounding of sums of periods [s]."""
 
 
 class Drift:
     """Ornstein-Uhlenbeck process: a random walk that is drawn back to zero, with exact steps.
 
-    Parameters
-    ----------
-    spread: standard deviation at every time, whatever the step.
-    memory: correlation time [s].
-    shape: shape of the values.
-    random: source of random numbers.
+    Its values of a shape have the standard deviation ``spread`` at every time, whatever the step,
+    and the correlation time ``memory`` [s].
     """
 
     def __init__(
@@ -92,13 +83,9 @@ class Drift:
 
 
 class Disturbances:
-    """Disturbances of one flight.
+    """Disturbances of one flight of n robots.
 
-    Parameters
-    ----------
-    perturbations: magnitudes.
-    robots: number n of catenary robots.
-    seed: every quantity has a stream of its own, thus disabling one does not change the others.
+    Every quantity has a random stream of its own, thus disabling one does not change the others.
 
     Attributes
     ----------
@@ -157,9 +144,8 @@ def drag(world: World, damping: float = 0.0) -> Array:
     """
     velocities, ropes = world.data.qvel[world.node_dofs], world.ropes
     segments = np.repeat(ropes.segment_lengths, ropes.segments - 1)
-    speed = np.linalg.norm(velocities, axis=-1)
     area, mass = ropes.preset.diameter * segments, ropes.density * segments
-    rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * speed + damping * mass
+    rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * length(velocities) + damping * mass
     forces: Array = -rate[:, None] * velocities
     return forces
 
@@ -171,12 +157,7 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     the thrust, in a Gaussian profile whose half-width grows by ``SPREADING`` per distance (Pope
     2000, section 5.1), starting from half of the drone's radius. A drone in it receives ``BLOCKED``
     times the momentum that meets its disk. Real wakes of four rotors differ near the drone. All
-    pairs are evaluated, which suits teams of some hundred drones.
-
-    Parameters
-    ----------
-    drones: positions (2n, 3) [m].
-    thrusts: (2n,) [N]
+    pairs of drones (2n, 3) [m] are evaluated, with their thrusts (2n,) [N].
     """
     offset = drones[:, None] - drones[None]  # [below, above]
     depth = -offset[..., 2]
@@ -208,117 +189,119 @@ class PositionGains:
 
     @classmethod
     def of(cls, team: Team, settings: Settings) -> PositionGains:
-        """Return the gains of a team's drones, the settings replacing what they state.
+        """Return the gains of a team's drones, the settings replacing their stiffness.
 
-        Raises
-        ------
-        InputError: a stiffness with which a drone oscillates more and more.
+        Raise InputError for a stiffness with which the errors of a drone grow: the characteristic
+        polynomial of its loop, lag and attitude included, has a root with a positive real part.
         """
-        own, given = POSITION_GAIN * team.mass, settings.stiffness
-        stated = np.where(np.isfinite(team.stiffness), team.stiffness, own)
-        stiffness = stated if given is None else np.full(team.drones, given)
+        stated = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * team.mass)
+        stiffness = np.broadcast_to(settings.stiffness or stated, team.mass.shape)
         damping = VELOCITY_GAIN * np.sqrt(stiffness * team.mass / POSITION_GAIN)
-        winds = team.integral if settings.integral is None else settings.integral
-        feeds = team.feed_forward if settings.feed_forward is None else settings.feed_forward
-        integral = np.where(winds, stiffness / INTEGRAL_TIME, 0.0)
-        gains = cls(stiffness, damping, integral, np.broadcast_to(feeds, stiffness.shape))
-        gains._check_stable(team.mass, settings)
-        return gains
-
-    def _check_stable(self, masses: Array, settings: Settings) -> None:
-        """Check that errors decay: the loop's characteristic polynomial has no growing root.
-
-        Raises
-        ------
-        InputError: a drone whose errors grow.
-        """
-        delay = np.array([settings.lag, 1.0])  # denominator of the delay, highest power first
-        if settings.body == "rigid":
-            delay = np.array([settings.lag, 1.0, RATE_GAIN, ATTITUDE_GAIN]) / ATTITUDE_GAIN
-        for mass, *gains in np.unique(
-            np.column_stack([masses, self.damping, self.stiffness, self.integral]), axis=0
-        ):
-            order = 3 if gains[2] > 0.0 else 2
-            inertia = np.polymul(delay, mass * np.eye(order + 1)[0])
-            growth = np.max(np.roots(np.polyadd(inertia, gains[:order])).real)
-            if growth >= 0.0:
-                raise InputError(
-                    "stiffness",
-                    float(gains[1]),
+        integral = np.where(team.integral, stiffness / INTEGRAL_TIME, 0.0)
+        lag = [settings.perturbations.lag, 1.0, RATE_GAIN, ATTITUDE_GAIN]  # highest power first
+        for mass, *gains in np.unique([team.mass, damping, stiffness, integral], axis=1).T:
+            loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
+            if np.any(np.roots(loop).real > 0.0):
+                bound = (
                     f"low enough for a drone of {mass:g} kg whose thrust lags behind its command; "
-                    "at this one it oscillates more and more",
-                    "lower it, or take --drones point with a shorter --lag",
+                    "at this one it oscillates more and more"
                 )
+                raise InputError("stiffness", float(gains[1]), bound, "lower it")
+        feeds = np.broadcast_to(team.feed_forward, stiffness.shape)
+        return cls(stiffness, damping, integral, feeds)
 
 
-def desired_thrusts(
-    setpoints: Setpoints,
-    masses: Array,
-    gains: PositionGains,
-    positions: Array,
-    velocities: Array,
-    wound: Array | float = 0.0,
-) -> Array:
-    """Return the thrust (2n, 3) [N] that leads drones back to their setpoints.
+class Pilots:
+    """The drones' controllers and motors, which apply their forces to a world.
 
-    Parameters
+    Attributes
     ----------
-    setpoints: commands (2n, …).
-    masses: (2n,) [kg]
     gains: of the position loops.
-    positions, velocities: measured (2n, 3) [m], [m/s].
-    wound: force of the integral action so far (2n, 3) [N].
+    thrusts: present thrusts (2n,) [N].
     """
-    error, rate = setpoints.positions - positions, setpoints.velocities - velocities
-    forces: Array = masses[:, None] * (setpoints.accelerations + [0.0, 0.0, GRAVITY])
-    forces += gains.stiffness[:, None] * error + gains.damping[:, None] * rate + wound
-    forces -= gains.feed_forward[:, None] * setpoints.cable_forces
-    return forces
+
+    def __init__(self, world: World, team: Team, settings: Settings) -> None:
+        self.gains = PositionGains.of(team, settings)
+        self._world, self._lag = world, settings.perturbations.lag
+        self._max_thrust = np.array(team.max_thrust)
+        self._wound: Array = np.zeros((team.drones, 3))  # force of the integral action so far
+        self._state: Array | None = None
+        self.thrusts = np.zeros(team.drones)
+
+    def stop(self, drone: int) -> None:
+        """Stop the motors of a drone, whose thrust fades with their lag."""
+        self._max_thrust[drone] = 0.0
+
+    def wind(self, errors: Array, seconds: float) -> None:
+        """Let position errors (2n, 3) [m] act on the integral for some time."""
+        self._wound += seconds * self.gains.integral[:, None] * errors
+
+    def command(
+        self,
+        setpoints: Setpoints,
+        positions: Array,
+        velocities: Array,
+        seconds: float,
+        pull: Array | float = 0.0,
+    ) -> None:
+        """Apply the forces that lead drones back to their setpoints for the next ``seconds``.
+
+        Positions and velocities are measured (2n, 3) [m], [m/s]; ``pull`` is added (2n, 3) [N].
+        """
+        world, most, gains = self._world, self._max_thrust, self.gains
+        error, rate = setpoints.positions - positions, setpoints.velocities - velocities
+        desired: Array = world.masses[:, None] * (setpoints.accelerations + [0.0, 0.0, GRAVITY])
+        desired += gains.stiffness[:, None] * error + gains.damping[:, None] * rate + self._wound
+        desired -= gains.feed_forward[:, None] * setpoints.cable_forces
+        desired += pull
+        attitudes = world.data.xmat[world.drone_bodies].reshape(-1, 3, 3)
+        rates = world.data.qvel[world.drone_dofs + 3]
+        size = np.einsum("ia,ia->i", desired, attitudes[:, :, 2])
+        limit = ARM * BODY_RADIUS * most[:, None] * MOMENT_SHARES
+        turn = desired, world.masses[:, None] * setpoints.jerks, attitudes, rates, world.inertia
+        moments = np.clip(turning_moments(*turn), -limit, limit)
+        command = np.column_stack([np.clip(size, 0.0, most), moments])
+        remains = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
+        before = command if self._state is None else self._state
+        state = self._state = command + (before - command) * remains
+        self.thrusts, applied = state[:, 0], world.data.xfrc_applied
+        applied[world.drone_bodies, :3] = self.thrusts[:, None] * attitudes[:, :, 2]
+        applied[world.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, state[:, 1:])
 
 
-def attitude_command(
-    setpoints: Setpoints,
-    desired: Array,
-    attitudes: Array,
-    rates: Array,
-    masses: Array,
-    inertia: Array,
-) -> tuple[Array, Array]:
-    """Return the thrust along each drone's axis and the moment that turns it to the desired one.
+def turning_moments(
+    desired: Array, growth: Array, attitudes: Array, rates: Array, inertia: Array
+) -> Array:
+    """Return the moments (2n, 3) [N m] about the bodies' axes that turn drones to their thrusts.
 
-    Parameters
-    ----------
-    setpoints: their jerks and yaws are used.
-    desired: thrust (2n, 3) [N].
-    attitudes: (2n, 3, 3), columns are the body's axes in the world.
-    rates: (2n, 3) [rad/s], about the body's axes.
-    masses, inertia: (2n,) [kg], (2n, 3) [kg m²]
-
-    Returns
-    -------
-    thrusts (2n,) [N], moments (2n, 3) [N m] about the body's axes; before any limit.
+    Thrusts ``desired`` and their rates ``growth`` are (2n, 3) [N], [N/s]; columns of the attitudes
+    (2n, 3, 3) are the bodies' axes in the world; rates and inertia are about these (2n, 3) [rad/s],
+    [kg m²].
     """
-    goals = desired_attitudes(desired, setpoints.yaw)
-    size = np.maximum(np.linalg.norm(desired, axis=-1, keepdims=True), LEAST_FORCE)
-    turning = np.einsum("iba,ib->ia", goals, masses[:, None] * setpoints.jerks / size)
+    goals = desired_attitudes(desired)
+    turning = np.einsum("iba,ib->ia", goals, growth / _sizes(desired))
     goal_rates = np.stack([-turning[:, 1], turning[:, 0], np.zeros(len(turning))], axis=-1)
     across = np.einsum("iba,ibc->iac", goals, attitudes)  # R_d^T R
     skew = 0.5 * (across - across.transpose(0, 2, 1))
     error = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
     carried = np.einsum("iba,ib->ia", across, goal_rates)  # R^T R_d omega_d
     answer = -ATTITUDE_GAIN * error - RATE_GAIN * (rates - carried)
-    moments = inertia * answer + _cross(rates, inertia * rates)
-    return np.einsum("ia,ia->i", desired, attitudes[:, :, 2]), moments
+    moments: Array = inertia * answer + _cross(rates, inertia * rates)
+    return moments
 
 
-def desired_attitudes(desired: Array, yaw: Array) -> Array:
-    """Return (2n, 3, 3): the third axis along the desired thrust, the first toward the yaw."""
-    third = desired / np.maximum(np.linalg.norm(desired, axis=-1, keepdims=True), LEAST_FORCE)
-    heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
-    second = _cross(third, heading)
-    second /= np.maximum(np.linalg.norm(second, axis=-1, keepdims=True), LEAST_FORCE)
+def desired_attitudes(desired: Array) -> Array:
+    """Return (2n, 3, 3): the third axis along the desired thrust, the first toward x."""
+    third = desired / _sizes(desired)
+    second = _cross(third, np.broadcast_to([1.0, 0.0, 0.0], third.shape))
+    second /= _sizes(second)
     attitudes: Array = np.stack([_cross(second, third), second, third], axis=-1)
     return attitudes
+
+
+def _sizes(vectors: Array) -> Array:
+    """Return the sizes (2n, 1) of vectors, none of them zero."""
+    return np.maximum(length(vectors)[:, None], LEAST_FORCE)
 
 
 def _cross(a: Array, b: Array) -> Array:
@@ -327,99 +310,23 @@ def _cross(a: Array, b: Array) -> Array:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
 
 
-class Motors:
-    """Motors with limits and a lag, which apply their forces to the drones of a world.
-
-    Parameters
-    ----------
-    world: simulated world.
-    max_thrust: (2n,) [N]
-    lag: time constant [s].
-
-    Attributes
-    ----------
-    saturated: whether the last command exceeded the thrust (2n,).
-    thrusts: present thrusts (2n,) [N].
-    """
-
-    def __init__(self, world: World, max_thrust: Array, lag: float) -> None:
-        self._world, self._max_thrust, self._lag = world, np.array(max_thrust), lag
-        self._state: Array | None = None
-        self.saturated = np.zeros(len(max_thrust), dtype=np.bool_)
-        self.thrusts = np.zeros(len(max_thrust))
-
-    def stop(self, drone: int) -> None:
-        """Stop the motors of a drone, whose thrust fades with their lag."""
-        self._max_thrust[drone] = 0.0
-
-    def apply(self, desired: Array, setpoints: Setpoints, seconds: float) -> None:
-        """Apply forces to the world's drones for the next ``seconds``, until the next command.
-
-        Parameters
-        ----------
-        desired: thrust (2n, 3) [N].
-        setpoints: define the yaw, and how the attitude is to turn.
-        seconds: time until the next command.
-        """
-        world, most = self._world, self._max_thrust
-        attitudes = world.data.xmat[world.drone_bodies].reshape(-1, 3, 3)
-        if world.rigid:  # along the axis, and moments (2n, 4)
-            rates = world.data.qvel[world.drone_dofs + 3]
-            drones = (attitudes, rates, world.masses, world.inertia)
-            size, moments = attitude_command(setpoints, desired, *drones)
-            limit = ARM * BODY_RADIUS * most[:, None] * MOMENT_SHARES
-            command = np.column_stack([np.clip(size, 0.0, most), np.clip(moments, -limit, limit)])
-        else:  # the desired force (2n, 3), within its limit
-            size = np.linalg.norm(desired, axis=-1)
-            command = desired * np.minimum(1.0, most / np.maximum(size, LEAST_FORCE))[:, None]
-        self.saturated = (size > most) & (most > 0.0)
-        remains = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
-        before = command if self._state is None else self._state
-        state = self._state = command + (before - command) * remains
-        applied = world.data.xfrc_applied
-        if world.rigid:
-            self.thrusts = state[:, 0]
-            applied[world.drone_bodies, :3] = self.thrusts[:, None] * attitudes[:, :, 2]
-            applied[world.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, state[:, 1:])
-        else:
-            self.thrusts = np.linalg.norm(state, axis=-1)
-            applied[world.drone_bodies, :3] = state
-
-
 class VertexFeedback:
     """The feedback of a flight: vertices measured with noise and delay, setpoints corrected.
 
-    Parameters
-    ----------
-    task, settings, world, disturbances: of the flight.
-    stiffness: (2n,) of the drones' position loops [N/m].
-
-    Raises
-    ------
-    InputError: a task without its plan.
+    Raises InputError for a task without its plan. ``stiffness`` (2n,) [N/m] is that of the drones'
+    position loops; ``offsets`` (2n, 3) [m] are the corrections in force.
     """
 
     def __init__(
-        self,
-        task: Task,
-        settings: Settings,
-        world: World,
-        disturbances: Disturbances,
-        stiffness: Array,
+        self, task: Task, world: World, delay: float, disturbances: Disturbances, stiffness: Array
     ) -> None:
         if task.motion is None:
             raise InputError("feedback", True, "with a plan", "give the plan's directory")
-        self._delay = settings.perturbations.vertex_delay
-        self._feedback = Feedback(task.motion, delay=self._delay, stiffness=stiffness)
-        self._start = float(task.t[0])
-        self._contacts, self._disturbances = ClaspContacts(world, task.team), disturbances
+        self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness)
+        self._start, self._delay, self._disturbances = float(task.t[0]), delay, disturbances
+        self._contacts, self._measured = ClaspContacts(world, task.team), 0.0
         self._waiting: deque[tuple[float, Array]] = deque()
-        self._measured = 0.0
-
-    @property
-    def offsets(self) -> Array:
-        """(2n, 3) [m]: corrections of the setpoints in force."""
-        return self._feedback.offsets
+        self.offsets = self._feedback.offsets
 
     def corrected(
         self, setpoints: Setpoints, time: float, seconds: float, drones: Array
@@ -428,16 +335,15 @@ class VertexFeedback:
 
         ``seconds`` have passed since the last call; ``drones`` are as measured (2n, 3) [m].
         """
-        told = None
+        seen, told = None, None
         while self._waiting and self._waiting[0][0] <= time - self._delay + ROUNDING:
-            told = self._waiting.popleft()
-        given = (None, None) if told is None else (told[1], self._start + told[0])
-        self._feedback.step(self._start + time, seconds, given[0], drones, measured=given[1])
-        return replace(
-            setpoints,
-            positions=setpoints.positions + self._feedback.offsets,
-            velocities=setpoints.velocities + self._feedback.velocities,
-        )
+            seen, told = self._waiting.popleft()
+        measured = None if seen is None else self._start + seen
+        self._feedback.step(self._start + time, seconds, told, drones, measured=measured)
+        self.offsets = self._feedback.offsets
+        positions = setpoints.positions + self.offsets
+        velocities = setpoints.velocities + self._feedback.velocities
+        return replace(setpoints, positions=positions, velocities=velocities)
 
     def observe(self, time: float, least_bearing: Array) -> None:
         """Measure the vertices, where it is time to, after a step until a time [s]."""

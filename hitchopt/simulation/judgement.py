@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,56 +10,50 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import GRAVITY
-from hitchopt.simulation.flight import Flight, Progress, Touch, fly
-from hitchopt.simulation.settings import Loss, Settings
+from hitchopt.simulation.contacts import least_bearing
+from hitchopt.simulation.flight import Flight, Progress, fly
+from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.values import Array
 
+# Largest movement from one sample to the next of a vertex that is at rest [m], and largest change
+# of a tension that is steady, over the team's
 STILL = 1e-6
-"""Largest movement from one sample to the next of a vertex that is at rest [m], and largest change
-of a tension that is steady, over the team's."""
 
+# Least tension over the team's at which a vertex counts; a hitch that is being drawn tight has
+# ill-defined vertices
 TIGHT = 0.5
-"""Least tension over the team's at which a vertex counts; a hitch that is being drawn tight has
-ill-defined vertices."""
 
-SAMPLE_SLACK, SAME_SAMPLE = 5.1e-3, 1e-5
-"""Largest delay of a sample after its setpoint [s], which is taken at the first command after it;
-and rounding of sample times [s]."""
+ROUNDING = 1e-5  # Rounding of sample times [s]
+HELD = 0.10  # Largest movement under the pull test of a vertex that is held [m]
 
-HELD = 0.10
-"""Largest movement under the pull test of a vertex that is held [m]."""
-
+# Time over which places and forces are averaged before they are judged: the last second of the
+# rest, and of the pull test [s]
 JUDGED = 1.0
-"""Time over which places and forces are averaged before they are judged: the last second of the
-rest, and of the pull test [s]."""
 
+# Largest distance [m] of an object from where the plan puts it down, and largest angle [°] to its
+# planned attitude
 PLACED, TILTED = 0.03, 5.0
-"""Largest distance [m] of an object from where the plan puts it down, and largest angle [°] to its
-planned attitude."""
 
-DROPPED = 0.05
-"""Depth below its planned height from which on a carried object is dropped [m]."""
+DROPPED = 0.05  # Depth below its planned height from which on a carried object is dropped [m]
 
+# Time at the end of the rest in which no cable may touch an object that is to be free [s]
 RELEASED = 0.2
-"""Time at the end of the rest in which no cable may touch an object that is to be free [s]."""
 
-SETTLED = 0.5
-"""Time at the end of a flight over which it is judged where a lost drone hangs [s]."""
+SETTLED = 0.5  # Time at the end of a flight over which it is judged where a lost drone hangs [s]
 
+# Warning of a flight whose cables slide freely
 NO_FRICTION = (
     "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
     "state team.cable_friction, or give --friction"
 )
-"""Warning of a flight whose cables slide freely."""
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
 
+# Failures of the simulation itself: it could not begin, or left its valid range
 START, INVALID = "start", "invalid"
 UNSIMULATED = (START, INVALID)
-"""Failures of the simulation itself: it could not begin, or left its valid range."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +79,9 @@ class VertexErrors:
 
     Attributes
     ----------
-    t: (samples,) [s]
-    rows: samples of the flight's record (samples,).
+    t, rows: times [s] and places in the flight's record (samples,).
     planned: planned vertices (samples, clasps, 3) [m].
-    offsets: (samples, clasps, 3) [m], from the planned vertices; nan where cables do not bear on
-        each other.
+    offsets: (samples, clasps, 3) [m], from these; nan where cables do not bear on each other.
     moving: whether the plan moves any vertex or changes any tension (samples,): a hitch that is
         being drawn tight is not at rest yet.
     """
@@ -111,11 +102,6 @@ class VertexErrors:
         """(samples, clasps) [m]: the level part of the distances."""
         return length(self.offsets[..., :2])
 
-    @property
-    def lost(self) -> float:
-        """Share of samples and vertices at which cables do not bear on each other."""
-        return float(np.mean(np.isnan(self.errors))) if self.errors.size else 0.0
-
 
 def vertex_errors(flight: Flight) -> VertexErrors:
     """Return the errors at the samples of a flight at which its plan has a hitch, drawn tight.
@@ -124,67 +110,33 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     stands still; the time of rest counts, the pull test does not.
     """
     task, record = flight.task, flight.record
-    clasps, formed = task.team.layout.clasps, np.flatnonzero(task.formed)
-    times, vertices = task.t[formed], task.vertices[formed]
-    end = np.fmax(task.duration, flight.rested) + SAME_SAMPLE
-    rows = np.flatnonzero((record.t > SAME_SAMPLE) & (record.t <= end))
-    asked = task.t[0] + np.minimum(record.t[rows], task.duration)
-    nearest = np.searchsorted(0.5 * (times[1:] + times[:-1]), asked)
-    near = np.zeros(len(rows), dtype=np.bool_)
-    if formed.size:
-        near = np.abs(times[nearest] - asked) <= SAMPLE_SLACK
-        near &= np.all(task.tensions[formed[nearest]] >= TIGHT * task.team.tension, axis=-1)
-    rows, place = rows[near], nearest[near]
-    step = np.zeros(len(formed))
-    shifts = length(np.diff(vertices, axis=0))
-    changes = np.abs(np.diff(task.tensions[formed], axis=0)) / task.team.tension
-    step[1:] = np.max(np.concatenate([shifts, changes], axis=-1), axis=-1, initial=0.0)
-    planned = vertices[place][:, clasps]
-    moving = (step[place] > STILL) & (record.t[rows] <= task.duration + SAME_SAMPLE)
-    return VertexErrors(record.t[rows], rows, planned, record.vertices[rows] - planned, moving)
-
-
-def effective_lengths(flight: Flight) -> Array:
-    """Return (n,) [m]: legs, edges and the arcs of their sag, between vertices at rest.
-
-    It is how long the cables are for the hitch; nan where the flight did not rest in a hitch, or
-    lost a drone.
-    """
-    record, team = flight.record, flight.task.team
-    rows = (record.t > flight.task.duration + SAME_SAMPLE) & (record.t <= flight.rested)
-    if not rows.any() or not flight.task.formed[-1] or flight.lost is not None:
-        return np.full(team.robots, np.nan)
-    layout, drones = team.layout, np.mean(record.drones[rows], axis=0)
-    vertices = np.empty((layout.points, 3))
-    vertices[layout.anchors] = drones  # a chain's ends; clasps follow
-    vertices[layout.clasps] = np.mean(record.vertices[rows], axis=0)
-    corners = drones[0::2], vertices[layout.starts], vertices[layout.ends], drones[1::2]
-    chords = np.diff(np.stack(corners, axis=1), axis=1)
-    sizes, level = length(chords), length(chords[..., :2])
-    slack = GRAVITY * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]
-    found: Array = np.sum(sizes + slack**2 * sizes * level**2 / 24.0, axis=-1)
-    return found
+    tight = task.formed & np.all(task.tensions >= TIGHT * task.team.tension, axis=-1)
+    shifts = length(np.diff(task.vertices, axis=0))
+    changes = np.abs(np.diff(task.tensions, axis=0)) / task.team.tension
+    still = np.all(np.concatenate([shifts, changes], axis=-1) <= STILL, axis=-1)
+    moves = np.append(False, ~still & task.formed[1:] & task.formed[:-1])
+    end = np.fmax(task.duration, flight.rested) + ROUNDING
+    rows = np.flatnonzero((record.t > ROUNDING) & (record.t <= end) & tight[record.index])
+    t, index = record.t[rows], record.index[rows]
+    planned = task.vertices[index][:, task.team.layout.clasps]
+    moving = moves[index] & (t <= task.duration + ROUNDING)
+    return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
 
 
 def tracking_errors(flight: Flight) -> Array:
     """Return (samples, 2n) [m]: distances of drones from their commands, until the flight's end."""
     record = flight.record
-    during = record.t <= flight.task.duration + SAME_SAMPLE
+    during = record.t <= flight.task.duration + ROUNDING
     return length(record.drones[during] - record.commanded[during])
 
 
 @dataclass(frozen=True)
 class Failure:
-    """One failure.
+    """One failure at a time [s] from the flight's start, in words; ``where`` names things.
 
-    Attributes
-    ----------
-    kind: one of UNSIMULATED, which say nothing about the plan, or ``touch``, ``unlinked``,
-        ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the
-        pull test); of objects ``dropped``, ``misplaced`` or ``caught`` (not free at the end).
-    where: names of drones, cables, vertices or objects.
-    time: [s], from the flight's start.
-    words: description.
+    Kinds are those of UNSIMULATED, which say nothing about the plan; ``touch``, ``unlinked``,
+    ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the pull
+    test); of objects ``dropped``, ``misplaced`` and ``caught`` (not free at the end).
     """
 
     kind: str
@@ -202,8 +154,7 @@ class Clasp:
     name: p0, p1, ….
     linking: Gauss's linking number of its two cables, ±1 for a clasp. Cables that merely cross may
         have any of 0 and ±1: a clasp bears as well.
-    bearing: contact force at rest [N].
-    least_bearing: contact force from which on it bears [N].
+    bearing, least_bearing: contact force at rest, and that from which on it bears [N].
     moved: movement under the pull test [m]; nan without one.
     holds: whether it is linked once, bears and is held.
     bears: whether its cables press on each other as those of a clasp do.
@@ -226,9 +177,7 @@ class ObjectState:
     ----------
     name: of the object.
     placed: distance of its base from the plan's [m].
-    tilted: angle of its axis from the vertical [°].
-    turned: difference of its yaw from the plan's [°].
-    lifted: mean height over the plan's while the hitch carries all of it [m]; nan if never.
+    tilted, turned: angle of its axis from the vertical, and of its yaw from the plan's [°].
     slipped: largest movement relative to the hitch while that carries all of it [m]; nan if never.
     dropped: time at which it was first DROPPED below its plan while carried [s]; nan if never.
     free: whether no cable touches it.
@@ -239,11 +188,10 @@ class ObjectState:
     placed: float
     tilted: float
     turned: float
-    lifted: float
     slipped: float
     dropped: float
     free: bool
-    round: bool = False
+    round: bool
 
     @property
     def well_placed(self) -> bool:
@@ -254,14 +202,7 @@ class ObjectState:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a flight.
-
-    Attributes
-    ----------
-    clasps: vertices of a plan that ends with a hitch, once it has rested; else none.
-    failures: all failures, by time.
-    objects: those that can move.
-    """
+    """All failures by time, the movable objects, and the vertices of a plan that ends with some."""
 
     clasps: tuple[Clasp, ...]
     failures: tuple[Failure, ...]
@@ -270,10 +211,8 @@ class Outcome:
     @property
     def verdict(self) -> str:
         """SUCCEEDED, FAILED, or NOT_SIMULATED where nothing but the simulation failed."""
-        if self.succeeded:
-            return SUCCEEDED
         simulated = any(failure.kind not in UNSIMULATED for failure in self.failures)
-        return FAILED if simulated else NOT_SIMULATED
+        return FAILED if simulated else NOT_SIMULATED if self.failures else SUCCEEDED
 
     @property
     def succeeded(self) -> bool:
@@ -293,12 +232,11 @@ def judge(flight: Flight) -> Outcome:
     other. Objects must be where the plan puts them, and free unless it ends holding them.
     After the loss of a drone nothing is judged but contacts of survivors.
     """
-    lost, names = flight.lost, set(flight.task.team.drone_names)
-    survivors = names if lost is None else names - {lost.drone}
+    lost, names = flight.settings.lost, set(flight.task.team.drone_names)
     failures = [
-        Failure("touch", (e.first, e.second), e.time, f"{e.first} touches {e.second}")
-        for e in flight.touches
-        if lost is None or e.time < lost.time or {e.first, e.second} & survivors
+        Failure("touch", pair, time, f"{pair[0]} touches {pair[1]}")
+        for pair, time in flight.touches.items()
+        if lost is None or time < lost.time or set(pair) & (names - {lost.drone})
     ]
     if (error := flight.error) is not None:
         failures.append(Failure(INVALID, (error.where,), error.time, str(error)))
@@ -315,12 +253,11 @@ def judge(flight: Flight) -> Outcome:
 
 def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
     """Return the state of every vertex."""
-    team, least = flight.task.team, flight.least_bearing
-    layout = team.layout
+    team, layout = flight.task.team, flight.task.team.layout
     before, bearing = _means(flight, flight.rested)
     moved = length(_means(flight, flight.pulled)[0] - before)
     held = (moved <= HELD) | np.isnan(flight.pulled)  # without a pull test both are nan
-    linking = links[layout.behind, layout.ahead]
+    linking, least = links[layout.behind, layout.ahead], least_bearing(flight.task)[-1]
     bears = (bearing >= least) & (least > 0.0)
     holds = (np.abs(linking) == 1) & bears & held & (flight.error is None)
     names = [team.point_names[point] for point in layout.clasps]
@@ -342,30 +279,30 @@ def _means(flight: Flight, end: float) -> tuple[Array, Array]:
 
 def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]) -> list[Failure]:
     """Return cables that are not linked as the plan's end requires, and clasps that do not hold."""
-    at = {}  # the name of the vertex where a pair of cables is to be linked
-    if flight.task.formed[-1]:
-        layout, names = flight.task.team.layout, flight.task.team.point_names
-        pairs = zip(layout.behind.tolist(), layout.ahead.tolist(), strict=True)
-        at = {frozenset(pair): names[p] for pair, p in zip(pairs, layout.clasps, strict=True)}
-    failures = []
+    layout, failures = flight.task.team.layout, []
+    pairs = zip(layout.behind.tolist(), layout.ahead.tolist(), strict=True)
+    at = dict(zip(map(frozenset, pairs), clasps, strict=False))  # none without a hitch
     for i, j in np.argwhere(np.triu(np.ones_like(linking), 1)).tolist():
-        name, words = at.get(frozenset((i, j))), f"cables {i} and {j} are linked {linking[i, j]}"
-        if name is not None and abs(linking[i, j]) != 1:
-            told = f"{name}: {words} times, not once"
-            failures.append(Failure("unlinked", (name,), flight.rested, told))
-        elif name is None and linking[i, j]:
-            where, told = (f"cable {i}", f"cable {j}"), f"{words} times, and should not be"
-            failures.append(Failure("tangled", where, flight.rested, told))
-    for clasp in clasps:
-        if abs(clasp.linking) == 1 and not clasp.bears:
+        if frozenset((i, j)) not in at and linking[i, j]:
+            words = f"cables {i} and {j} are linked {linking[i, j]} times, and should not be"
+            where = f"cable {i}", f"cable {j}"
+            failures.append(Failure("tangled", where, flight.rested, words))
+    for pair, clasp in at.items():
+        (i, j), name, kind, when = sorted(pair), clasp.name, "", flight.rested
+        if abs(clasp.linking) != 1:
+            kind = "unlinked"
+            words = f"cables {i} and {j} are linked {clasp.linking} times, not once"
+        elif not clasp.bears:
+            kind = "lost"
             words = (
-                f"{clasp.name}: its cables press with {clasp.bearing:.3f} N, less than the "
+                f"its cables press with {clasp.bearing:.3f} N, less than the "
                 f"{clasp.least_bearing:.3f} N from which on a clasp bears: they merely cross"
             )
-            failures.append(Failure("lost", (clasp.name,), flight.rested, words))
-        elif abs(clasp.linking) == 1 and clasp.moved > HELD:
-            words = f"{clasp.name}: moves {clasp.moved:.3f} m under the pull test, more than {HELD}"
-            failures.append(Failure("slipped", (clasp.name,), flight.pulled, f"{words} m"))
+        elif clasp.moved > HELD:
+            kind, when = "slipped", flight.pulled
+            words = f"moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
+        if kind:
+            failures.append(Failure(kind, (name,), when, f"{name}: {words}"))
     return failures
 
 
@@ -397,10 +334,9 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     rested = bool(np.isfinite(flight.rested))
     end = flight.rested if rested else record.t[-1]
     t = record.t[: np.searchsorted(record.t, end + 1e-9, side="right")]
-    rows = np.array([task.index(at) for at in t], dtype=np.intp)
-    poses, plan = record.poses[: len(t)], cargo.poses[rows]
+    rows, poses = record.index[: len(t)], record.poses[: len(t)]
+    plan, clasps = cargo.poses[rows], task.team.layout.clasps
     offsets = poses[..., :3] - plan[..., :3]
-    clasps = task.team.layout.clasps
     hitch = np.mean(record.vertices[: len(t)] - task.vertices[rows][:, clasps], axis=1)
     resting = t > end - JUDGED if rested else t == end
     found = []
@@ -409,18 +345,16 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
         axes = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean().as_matrix()
         yaw = np.arctan2(axes[1, 0], axes[0, 0]) - np.arctan2(plan[-1, i, 4], plan[-1, i, 3])
         low = np.flatnonzero(carried & (offsets[:, i, 2] < -DROPPED))
-        sections = [body.section] if body.rim is None else [body.section, body.rim.section]
         found.append(
             ObjectState(
                 cargo.names[i],
                 placed=float(length(np.mean(offsets[resting, i], axis=0))),
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
                 turned=float(np.degrees(np.arctan2(np.sin(yaw), np.cos(yaw)))),
-                lifted=float(np.mean(offsets[carried, i, 2])) if carried.any() else np.nan,
                 slipped=_slipped(offsets[:, i] - hitch, carried),
                 dropped=float(t[low[0]]) if low.size else np.nan,
                 free=not bool(record.touched[: len(t)][t > end - RELEASED, i].any()),
-                round=all(each.radius is not None for each in sections),
+                round=all(slab.section.radius is not None for slab in body.slabs),
             )
         )
     return tuple(found)
@@ -439,29 +373,23 @@ def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class LossOutcome(OneLine):
-    """What became of a team after a loss, in a simulated flight.
+    """What became of a team after the loss of a drone at a time [s].
 
     Attributes
     ----------
-    drone, time: the loss.
-    among: contacts of two survivors.
-    others: contacts of survivors with cables or with the lost drone.
-    peak_tension: largest tension of any cable from the loss on [N].
-    peak_thrust: largest thrust of a survivor from the loss on [N].
-    moved: largest distance of a survivor from its setpoint from the loss on [m].
-    dropped: height by which the lost drone is lower at the end than when it was lost [m].
-    hangs: its mean height over the ground at the end [m]; 0.005 m and less where it lies there.
+    among, others: pairs of survivors that touch; survivors that touch a cable or the lost drone.
+    peak_tension, moved: largest tension of a cable [N], and distance of a survivor from its
+        setpoint [m], from the loss on.
+    hangs: mean height of the lost drone over the ground at the end [m]; about 0 where it lies.
     linked: clasps whose cables are linked at the end, by name.
     """
 
     drone: str
     time: float
-    among: tuple[Touch, ...]
-    others: tuple[Touch, ...]
+    among: tuple[tuple[str, str], ...]
+    others: tuple[tuple[str, str], ...]
     peak_tension: float
-    peak_thrust: float
     moved: float
-    dropped: float
     hangs: float
     linked: tuple[str, ...]
 
@@ -471,17 +399,17 @@ class LossOutcome(OneLine):
         return not self.among
 
 
-def loss_outcome(flight: Flight, loss: Loss) -> LossOutcome:
-    """Return what became of a flight's team after a loss."""
-    record, team = flight.record, flight.task.team
-    lost = team.drone_names.index(loss.drone)
+def loss_outcome(flight: Flight) -> LossOutcome | None:
+    """Return what became of a flight's team after the loss of a drone; None without one."""
+    record, team, loss = flight.record, flight.task.team, flight.settings.lost
+    if loss is None:
+        return None
     after = record.t >= loss.time - 1e-9
     after[-1] = True
-    survivors = np.arange(team.drones) != lost
+    survivors = np.array(team.drone_names) != loss.drone
     names = set(team.drone_names) - {loss.drone}
-    late = [e for e in flight.touches if e.time >= loss.time - 1e-9 and {e.first, e.second} & names]
-    heights = record.drones[:, lost, 2]
-    end = heights[record.t > record.t[-1] - SETTLED]
+    late = [p for p, t in flight.touches.items() if t >= loss.time - 1e-9 and set(p) & names]
+    end = record.drones[record.t > record.t[-1] - SETTLED][:, ~survivors, 2]
     linked: tuple[str, ...] = ()
     if flight.linking is not None:
         layout = team.layout
@@ -490,12 +418,10 @@ def loss_outcome(flight: Flight, loss: Loss) -> LossOutcome:
     return LossOutcome(
         loss.drone,
         loss.time,
-        tuple(e for e in late if {e.first, e.second} <= names),
-        tuple(e for e in late if not {e.first, e.second} <= names),
+        tuple(pair for pair in late if set(pair) <= names),
+        tuple(pair for pair in late if not set(pair) <= names),
         float(np.max(record.peak_tensions[after])),
-        float(np.max(record.thrusts[after][:, survivors])),
         float(np.max(length(record.drones - record.commanded)[after][:, survivors])),
-        float(heights[np.flatnonzero(after)[0]] - end[-1]),
         float(np.mean(end)) - flight.ground - BODY_HALF_HEIGHT,
         linked,
     )
@@ -503,108 +429,78 @@ def loss_outcome(flight: Flight, loss: Loss) -> LossOutcome:
 
 @dataclass(frozen=True)
 class Run(OneLine):
-    """Figures of one flight; nan where it could not begin.
+    """What a campaign keeps of a flight: seed, verdict, failures by time, and figures by name.
 
-    Attributes
-    ----------
-    seed: of its perturbations; the same seed gives the same flight.
-    verdict: that of its Outcome.
-    failures: all failures, by time.
-    vertex_error: distances of vertices from the plan's in three dimensions, sag included, over
-        vertices and time [m].
-    resting, moving: the same while the plan stands still, and while it moves a vertex; nan where it
-        does not.
-    without_sag: level part of vertex_error [m].
-    tracking: distances of drones from their commands [m].
-    peak_tension, peak_thrust: [N]
-    saturated: share of samples at which a drone's command exceeded its thrust.
-    pace: simulated seconds per second of one processor.
-    placed, tilted, slipped: largest of the objects' distances from their places at the end [m],
-        angles from the vertical [°], and movements relative to the hitch that carries them [m].
+    A flight that could not begin has no figures. The same seed gives the same flight.
     """
 
     seed: int
     verdict: str
     failures: tuple[Failure, ...]
-    vertex_error: Spread = Spread()
-    resting: Spread = Spread()
-    moving: Spread = Spread()
-    without_sag: Spread = Spread()
-    tracking: Spread = Spread()
-    peak_tension: float = np.nan
-    peak_thrust: float = np.nan
-    saturated: float = np.nan
-    pace: float = np.nan
-    placed: float = np.nan
-    tilted: float = np.nan
-    slipped: float = np.nan
+    figures: dict[str, float]
 
     @property
     def succeeded(self) -> bool:
         """Whether nothing failed."""
         return self.verdict == SUCCEEDED
 
-    @property
-    def figures(self) -> dict[str, float]:
-        """All figures but the pace by name, such as ``tracking_mean``."""
-        found: dict[str, float] = {}
-        for name, value in vars(self).items():
-            if isinstance(value, Spread):
-                found |= {f"{name}_{key}": each for key, each in vars(value).items()}
-            elif isinstance(value, float) and name != "pace":
-                found[name] = value
-        return found
-
 
 @dataclass(frozen=True, eq=False)
 class Simulation(OneLine):
-    """A flight, its outcome and its settings.
+    """A judged flight, and the errors of its vertices."""
 
-    Attributes
-    ----------
-    settings: settings of the simulation.
-    flight: records of the flight.
-    outcome: whether it succeeded.
-    errors: of its vertices.
-    processor: processor time [s].
-    """
-
-    settings: Settings
     flight: Flight
     outcome: Outcome
     errors: VertexErrors
-    processor: float
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the flight."""
+        return self.flight.settings
 
     @property
     def loss(self) -> LossOutcome | None:
         """What became of the others after the loss of a drone; None where none was lost."""
-        lost = self.flight.lost
-        return None if lost is None else loss_outcome(self.flight, lost)
+        return loss_outcome(self.flight)
+
+    @property
+    def spreads(self) -> dict[str, Spread]:
+        """Spreads [m] of the vertices' errors, and of drones' distances from their commands.
+
+        ``vertex_error`` is over vertices and time in three dimensions, sag included; ``resting``
+        while the plan stands still, ``moving`` while it moves; ``without_sag`` its level part.
+        """
+        errors = self.errors
+        return {
+            "vertex_error": Spread.of(errors.errors),
+            "resting": Spread.of(errors.errors[~errors.moving]),
+            "moving": Spread.of(errors.errors[errors.moving]),
+            "without_sag": Spread.of(errors.without_sag),
+            "tracking": Spread.of(tracking_errors(self.flight)),
+        }
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Figures by name, nan where there is none.
+
+        They are the spreads as ``tracking_mean``, …; ``peak_tension`` and ``peak_thrust`` [N];
+        largest ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects.
+        """
+        record = self.flight.record
+        found: dict[str, float] = {}
+        for name, spread in self.spreads.items():
+            found |= {f"{name}_{key}": value for key, value in vars(spread).items()}
+        found["peak_tension"] = float(np.max(record.peak_tensions))
+        found["peak_thrust"] = float(np.max(record.thrusts))
+        for name in ("placed", "tilted", "slipped"):
+            values = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
+            found[name] = float(np.fmax.reduce(values))
+        return found
 
     @property
     def run(self) -> Run:
-        """Figures of the flight."""
-        record, errors, times = self.flight.record, self.errors, self.flight.film.t
-        simulated = float(times[-1] - times[0]) if len(times) else 0.0  # settling included
-        worst = {
-            name: float(np.fmax.reduce([np.nan, *(getattr(o, name) for o in self.outcome.objects)]))
-            for name in ("placed", "tilted", "slipped")
-        }
-        return Run(
-            self.settings.seed,
-            self.outcome.verdict,
-            self.outcome.failures,
-            Spread.of(errors.errors),
-            Spread.of(errors.errors[~errors.moving]),
-            Spread.of(errors.errors[errors.moving]),
-            Spread.of(errors.without_sag),
-            Spread.of(tracking_errors(self.flight)),
-            float(np.max(record.peak_tensions)),
-            float(np.max(record.thrusts)),
-            float(np.mean(record.saturated)),
-            simulated / max(self.processor, 1e-9),
-            **worst,
-        )
+        """What a campaign keeps of it."""
+        return Run(self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures)
 
 
 def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
@@ -613,21 +509,6 @@ def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
 
 
 def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
-    """Return the judged flight of a task.
-
-    Parameters
-    ----------
-    task: setpoints and planned hitch.
-    settings: settings of the simulation.
-    progress: called repeatedly with a description of the current work.
-
-    Raises
-    ------
-    InputError: a preset that cannot bear the team's tension, or an unstable position loop.
-    ShapeError: cables that cannot hang between the first setpoints.
-    UnsupportedError: mujoco is not installed.
-    """
-    begin = time.process_time()
+    """Return the judged flight of a task; parameters and errors are those of ``fly``."""
     flight = fly(task, settings, progress)
-    processor = time.process_time() - begin
-    return Simulation(settings, flight, judge(flight), vertex_errors(flight), processor)
+    return Simulation(flight, judge(flight), vertex_errors(flight))

@@ -6,25 +6,56 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import brentq, root
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.special import j0
 
 from hitchopt.errors import HitchoptError, InputError
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
 from hitchopt.simulation.settings import DENSITY, Preset, Settings
 from hitchopt.simulation.task import Task
-from hitchopt.values import Array, not_negative, per_robot, positive
+from hitchopt.values import Array
 
+# Largest ratio of the time step to the time in which a transverse wave passes a segment
 COURANT = 0.7
-"""Largest ratio of the time step to the time in which a transverse wave passes a segment."""
 
-RESERVE = 2.0
-"""Tension that a simulation must bear, over the team's; the pull test takes 1.5."""
+RESERVE = 2.0  # Tension that a simulation must bear, over the plan's; the pull test takes 1.5
+ROUNDING = 1e-9  # Tolerance of a count of segments: 2.4 m are 96 of 0.025 m in spite of rounding
 
-ROUNDING = 1e-9
-"""Tolerance of a count of segments: 2.4 m are 96 of 0.025 m in spite of rounding."""
+# Least distance of the two bends of a clasp that is not yet drawn tight, in diameters and in
+# segments: a bend must consist of several
+CLEARANCE, CLEARANCE_SEGMENTS = 3.5, 1.7
+
+REACH = 2.0  # Distance from a clasp, over that of its bends, from which on a cable follows the plan
+
+# Corners of a bend: along the direction in which it opens, and across it
+BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+
+SAME_RISE = 1e-6  # Difference of the legs' slopes up to which they rise alike
+BEYOND = 0.5  # Length by which a cable's line continues beyond its drone, for its last segments [m]
+
+# Radius of the bends of a cable that lies on the ground, being longer than its place [m]
+LYING_RADIUS = 0.02
+
+# Range of the angle by which a lying cable swings to either side [rad]; beyond it ends recede
+SMALL_SWING, MOST_SWING = 0.1, 2.6
+
+# Length that coarse segments use up in a bend of 180°, over the square of a segment's length over
+# the diameter: within 1 mm at a clasp for regular hitches of n = 3, 6, 12 with segments of 30 mm,
+# and n = 3, 6 with 10 mm (12 mm thick, 10 g/m at 0.5 N)
+COARSENESS = 0.15
+
+# Least length of a normal [m²]: edges in one plane have none, and span no solid angle
+TINY = 1e-300
+
+UP = np.array([0.0, 0.0, 1.0])  # Direction opposite to gravity
+
+
+class ShapeError(HitchoptError):
+    """Two drones that are farther apart than their cable is long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +75,12 @@ class Ropes:
     friction: float
     preset: Preset
 
-    def __post_init__(self) -> None:
-        lengths = per_robot("lengths", self.lengths, len(self.lengths))
-        object.__setattr__(self, "lengths", lengths)
-        object.__setattr__(self, "density", positive("density", self.density))
-        object.__setattr__(self, "friction", not_negative("friction", self.friction))
+    @classmethod
+    def of(cls, team: Team, settings: Settings, lengths: Array) -> Ropes:
+        """Return ropes of some lengths (n,) [m]; density and friction are a team's, or given."""
+        density = settings.density or team.cable_density or DENSITY
+        friction = team.cable_friction if settings.friction is None else settings.friction
+        return cls(lengths, density, friction, settings.preset)
 
     @property
     def segments(self) -> NDArray[np.intp]:
@@ -69,12 +101,7 @@ class Ropes:
         return self.density * wave**2
 
     def check_tension(self, tension: float) -> None:
-        """Check that the time step suits cables of a given tension [N].
-
-        Raises
-        ------
-        InputError: a time step that is too long.
-        """
+        """Raise InputError where the time step is too long for a plan's largest tension [N]."""
         needed = RESERVE * tension
         if self.largest_tension < needed:
             shortest = float(np.min(self.segment_lengths))
@@ -88,86 +115,13 @@ class Ropes:
             )
 
 
-def ropes_of(team: Team, settings: Settings, lengths: ArrayLike | None = None) -> Ropes:
-    """Return the ropes of a team's cables.
-
-    Parameters
-    ----------
-    team: supplies what the settings leave open.
-    settings: resolution; density and friction where they replace the team's.
-    lengths: (n,) [m]; None: the team's.
-
-    Raises
-    ------
-    InputError: a resolution that cannot bear the team's tension.
-    """
-    ropes = Ropes(
-        team.cable_length if lengths is None else np.asarray(lengths),
-        settings.density or team.cable_density or DENSITY,
-        team.cable_friction if settings.friction is None else settings.friction,
-        settings.preset,
-    )
-    ropes.check_tension(float(np.max(team.tension)))
-    return ropes
-
-
-CLEARANCE = 3.5
-"""Least distance of the two bends of a clasp that is not yet drawn tight, in diameters."""
-
-CLEARANCE_SEGMENTS = 1.7
-"""Least distance of the two bends in segments: a bend must consist of several."""
-
-REACH = 2.0
-"""Distance from a clasp, over that of its bends, from which on a cable follows the plan."""
-
-BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
-"""Corners of a bend: along the direction in which it opens, and across it."""
-
-SAME_RISE = 1e-6
-"""Difference of the legs' slopes up to which they rise alike."""
-
-BEYOND = 0.5
-"""Length by which a cable's line continues beyond its drone, for its last segments [m]."""
-
-LYING_RADIUS = 0.02
-"""Radius of the bends of a cable that lies on the ground, being longer than its place [m]."""
-
-SMALL_SWING, MOST_SWING = 0.1, 2.6
-"""Range of the angle by which a lying cable swings to either side [rad]; beyond it ends recede."""
-
-LEAST_PULL, MOST_PULL = 1e-3, 1e3
-"""Range of the tension along the floor, in weights of a link and of the cable: from ends that hang
-straight down to a cable that is all but taut."""
-
-COARSENESS = 0.15
-"""Length that coarse segments use up in a bend of 180°, over the square of a segment's length over
-the diameter: within 1 mm at a clasp for regular hitches of n = 3, 6, 12 with segments of 30 mm, and
-n = 3, 6 with 10 mm (12 mm thick, 10 g/m at 0.5 N)."""
-
-TINY = 1e-300
-"""Least length of a normal [m²]: edges in one plane have none, and span no solid angle."""
-
-UP = np.array([0.0, 0.0, 1.0])
-"""Direction opposite to gravity."""
-
-
-class ShapeError(HitchoptError):
-    """Two drones that are farther apart than their cable is long."""
-
-
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
     """Return the cables of a formed hitch, loosely interlaced; drones are placed slightly inward.
 
     They are chains of segments of exactly their length, n of (segments + 1, 3) [m]. At a clasp both
     cables bend toward each other and overlap like two links of a chain: cable k is level, cable k-1
-    upright within it, its leg below, or above where it rises more than the other one.
-
-    Parameters
-    ----------
-    ropes: n of them.
-    layout: defines which cables meet where.
-    drones: (2n, 3) [m]
-    vertices: (points, 3) [m]
+    upright within it, its leg below, or above where it rises more than the other one. Drones are
+    (2n, 3) [m], vertices (points, 3) [m].
     """
     lengths = ropes.segment_lengths
     gap = max(CLEARANCE * ropes.preset.diameter, CLEARANCE_SEGMENTS * float(np.max(lengths)))
@@ -198,27 +152,27 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
             r[j] + BEYOND * r_hat[c],
         ]
     chains = []
-    for k, (count, length) in enumerate(zip(ropes.segments, lengths, strict=True)):
+    for k, (count, size) in enumerate(zip(ropes.segments, lengths, strict=True)):
         corners = np.array([*starts[k], *ends[k]])  # built from its middle outward
         middle = len(corners) // 2
         centre = 0.5 * (corners[middle - 1] + corners[middle])
         onward, back = (
-            _steps(np.vstack([centre, part]), int(count) // 2, float(length))
+            _steps(np.vstack([centre, part]), int(count) // 2, float(size))
             for part in (corners[middle:], corners[:middle][::-1])
         )
         chains.append(np.vstack([back[:0:-1], onward]))
     return chains
 
 
-def _steps(corners: Array, count: int, length: float) -> Array:
-    """Return points (count + 1, 3) on the line, each at ``length`` from the previous one."""
+def _steps(corners: Array, count: int, size: float) -> Array:
+    """Return points (count + 1, 3) on the line, each at a distance ``size`` from the last one."""
     points, here, leg = [corners[0]], corners[0], 0
     for _ in range(count):
-        while leg < len(corners) - 2 and np.linalg.norm(corners[leg + 1] - here) < length:
+        while leg < len(corners) - 2 and np.linalg.norm(corners[leg + 1] - here) < size:
             leg += 1
         start, along = corners[leg], unit(corners[leg + 1] - corners[leg])
         offset = start - here
-        b, c = float(offset @ along), float(offset @ offset) - length**2
+        b, c = float(offset @ along), float(offset @ offset) - size**2
         here = start + (np.sqrt(max(b * b - c, 0.0)) - b) * along
         points.append(here)
     return np.array(points)
@@ -227,177 +181,78 @@ def _steps(corners: Array, count: int, length: float) -> Array:
 def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
     """Return cables that hang between their drones, and lie on the ground where they reach it.
 
-    They are chains of segments of exactly their length, n of (segments + 1, 3) [m].
-
-    Parameters
-    ----------
-    ropes: n of them.
-    drones: (2n, 3) [m]
-    ground: height of the ground [m].
+    They are chains of segments of exactly their length, n of (segments + 1, 3) [m], that end within
+    a segment of their drones (2n, 3) [m]: the settling draws these back. ``ground`` is its height.
 
     Raises
     ------
     ShapeError: drones farther apart than their cable is long.
     """
-    found = []
-    floor = ground + 0.5 * ropes.preset.diameter
-    for k, (count, length) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
-        q, r = drones[2 * k], drones[2 * k + 1]
-        if np.linalg.norm(r - q) > count * length * (1.0 + 1e-6):
+    found, floor = [], ground + 0.5 * ropes.preset.diameter
+    for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
+        q, r, whole = drones[2 * k], drones[2 * k + 1], float(count * size)
+        if (apart := float(np.linalg.norm(r - q))) > whole * (1.0 + 1e-6):
             raise ShapeError(
-                f"cable {k}: its drones start {np.linalg.norm(r - q):.4g} m apart, more than its "
-                f"{count * length:.4g} m; lengthen it, or start closer"
+                f"cable {k}: its drones start {apart:.4g} m apart, more than its "
+                f"{whole:.4g} m; lengthen it, or start closer"
             )
-        chain = _hanging_chain(q, r, int(count), float(length))
-        if np.min(chain[:, 2]) < floor:
-            lying = _lying_chain(q, r, int(count), float(length), floor)
-            chain = chain if lying is None else lying
+        curve = hanging_cable(q, r, max(whole, apart), int(count) + 1)
+        along, lies = unit(np.diff(curve, axis=0), fallback=-UP), np.min(curve[:, 2]) < floor
+        if lies:
+            along = _lying(q, r, int(count), float(size), floor)
+        chain = size * np.vstack([np.zeros(3), np.cumsum(along, axis=0)])
+        chain += 0.5 * (q + r - chain[-1])  # what is left over is shared by both ends
+        if lies:
+            chain[:, 2] += floor - np.min(chain[:, 2])
         found.append(chain)
     return found
 
 
-def _hanging_chain(q: Array, r: Array, count: int, length: float) -> Array:
-    """Return the chain of equal links in equilibrium between q and r: a discrete catenary.
+def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
+    """Return the directions (count, 3) of links that hang from q to the floor and rise to r.
 
-    Where q is straight above r it may end up to a link's length from r, because only whole links
-    hang down.
+    From the floor a cable rises as a catenary whose parameter a, its tension over its weight per
+    length, is equal at both ends: at an arc s its slope is s / a. Where the cable is too long for
+    any tension, a is one link, and the part on the floor meanders: its direction swings like a sine
+    of amplitude w, which bends it least, and advances by the Bessel function J₀(w) of its length.
+    There are ``count`` links of a ``size`` [m]; a cable on the floor is at a height ``floor`` [m].
     """
-    across = r - q
-    level, span = _level(across)
-    rank = np.arange(count) - 0.5 * (count - 1)
+    offset, whole = r - q, count * size
+    span = float(np.hypot(*offset[:2]))
+    forward = np.array([*offset[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
+    heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0)
 
-    def links(unknown: Array) -> tuple[Array, Array]:
-        pull, steep = np.exp(unknown[0]), rank + unknown[1]  # in units of one link's weight
-        size = np.hypot(pull, steep)
-        return length * pull / size, length * steep / size
+    def surplus(a: float) -> float:
+        """Return the length [m] on the floor, less the distance that it has to bridge there."""
+        arcs = np.sqrt(heights * (heights + 2.0 * a))
+        return float(whole - span - np.sum(arcs - a * np.arcsinh(arcs / a)))
 
-    def gap(unknown: Array) -> Array:
-        x, z = links(unknown)
-        return np.array([np.sum(x) - span, np.sum(z) - across[2]]) / (count * length)
-
-    slack = max(1.0 - float(np.linalg.norm(across)) / (count * length), 1e-9)
-    for guess in (np.log(count / (5.0 * np.sqrt(slack))), np.log(0.05 * count), 8.0, 0.0):
-        found = root(gap, np.array([guess, 0.0]), tol=1e-13)
-        if np.max(np.abs(gap(found.x))) < 1e-8:
-            break
-    x, z = links(found.x)
-    return np.vstack([q, q + np.cumsum(x[:, None] * level + z[:, None] * UP, axis=0)])
-
-
-def _lying_chain(q: Array, r: Array, count: int, length: float, floor: float) -> Array | None:
-    """Return the chain that hangs from q down to the floor, lies on it, and rises to r.
-
-    The result is None where no whole link lies: the cable just touches the floor.
-
-    The tension along the floor is equal at both ends. Where the cable is too long for any tension,
-    the two ends hang down, and the part between them meanders.
-
-    Parameters
-    ----------
-    q, r: positions of the drones (3,) [m].
-    count, length: number of links, and length of each [m].
-    floor: height of a cable on the floor [m].
-    """
-    level, span = _level(r - q)
-    heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0) / length
-
-    def ends(log_pull: float) -> list[tuple[Array, Array]]:
-        return [_risen(float(np.exp(log_pull)), height) for height in heights]
-
-    def surplus(log_pull: float) -> float:
-        """Return the number of links on the floor, less those that fit between the two ends."""
-        used = sum(len(x) - float(np.sum(x)) for x, _ in ends(log_pull))
-        return count - used - span / length
-
-    log_pull, tightest = np.log(LEAST_PULL), np.log(MOST_PULL * count)
-    if surplus(log_pull) < 0.0 < surplus(tightest):
-        log_pull = brentq(surplus, log_pull, tightest)
-    (x_q, z_q), (x_r, z_r) = ends(log_pull)
-    lying = count - len(x_q) - len(x_r)
-    if lying < 0:
-        return None
-    aside, forward = _meander(lying, span / length - float(np.sum(x_q) + np.sum(x_r)), length)
-    x = np.concatenate([x_q[::-1], forward, x_r])
-    z = np.concatenate([-z_q[::-1], np.zeros(lying), z_r])
-    y = np.concatenate([np.zeros(len(x_q)), aside, np.zeros(len(x_r))])
-    steps = np.column_stack([x, y, z]) @ np.array([level, np.cross(UP, level), UP])
-    start = np.array([*q[:2], floor + length * heights[0]])
-    return np.vstack([start, start + length * np.cumsum(steps, axis=0)])
-
-
-def _meander(count: int, reach: float, length: float) -> tuple[Array, Array]:
-    """Return the parts across and along (count,) of links that meander on the floor.
-
-    Their direction swings like a sine along the cable, which bends it least: a cable in folds as
-    narrow as its links would turn these so fast, when it is picked up, that they stretch. They
-    advance by ``reach`` links in all, each of a length [m].
-    """
-    if count < 2:
-        return np.zeros(count), np.ones(count)
-
-    def swing(phases: Array) -> float:
-        """Return the largest angle with which links advance by their share."""
-
-        def missing(angle: float) -> float:
-            return float(np.mean(np.cos(angle * np.sin(phases)))) - reach / count
-
-        if missing(0.0) <= 0.0:
-            return 0.0
-        return brentq(missing, 0.0, MOST_SWING) if missing(MOST_SWING) < 0.0 else MOST_SWING
-
-    wide = max(swing(np.linspace(0.0, 2.0 * np.pi, 65)[:-1]), SMALL_SWING)
-    periods = round(count * length / (2.0 * np.pi * LYING_RADIUS * wide))
-    periods = min(max(periods, 1), max(count // 4, 1))
-    phases = 2.0 * np.pi * periods * (np.arange(count) + 0.5) / count
-    turned = swing(phases) * np.sin(phases)
-    return np.sin(turned), np.cos(turned)
-
-
-def _risen(pull: float, height: float) -> tuple[Array, Array]:
-    """Return the links above the floor, lowest first: their level and upward parts, (links,) each.
-
-    The lowest of them carries part of a link's weight, each of the others a whole link more.
-
-    Parameters
-    ----------
-    pull: tension along the floor, in weights of a link.
-    height: height of the end, in links.
-    """
-    if height <= 0.0:
-        return np.zeros(0), np.zeros(0)
-    whole = np.arange(1.0, np.ceil(height + np.sqrt(2.0 * pull * height)) + 2.0)
-    reached = np.cumsum(whole / np.hypot(pull, whole))
-    rank = np.arange(int(np.searchsorted(reached, height)) + 1)
-
-    def missing(part: float) -> float:
-        return float(np.sum((rank + part) / np.hypot(pull, rank + part))) - height
-
-    carried = rank + brentq(missing, 0.0, 1.0)
-    size = np.hypot(pull, carried)
-    return pull / size, carried / size
-
-
-def _level(across: Array) -> tuple[Array, float]:
-    """Return the horizontal direction (3,) of an offset and its length [m]; x if it is vertical."""
-    span = float(np.hypot(across[0], across[1]))
-    level = np.array([*across[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
-    return level, span
+    a, tightest = size, 1e3 * whole
+    if surplus(a) < 0.0 < surplus(tightest):
+        a = brentq(surplus, a, tightest)
+    arcs = np.sqrt(heights * (heights + 2.0 * a))
+    lying = max(whole - float(np.sum(arcs)), size)
+    share = 1.0 - max(surplus(a), 0.0) / lying
+    swing = MOST_SWING
+    if share > j0(MOST_SWING):
+        swing = brentq(lambda w: j0(w) - min(share, 1.0), 0.0, MOST_SWING) if share < 1.0 else 0.0
+    waves = round(lying / (2.0 * np.pi * LYING_RADIUS * max(swing, SMALL_SWING)))
+    waves = min(max(waves, 1), max(int(lying / size) // 4, 1))
+    place = size * (np.arange(count) + 0.5)
+    slope = np.maximum(place - whole + arcs[1], 0.0) - np.maximum(arcs[0] - place, 0.0)
+    flat = np.clip((place - arcs[0]) / lying, 0.0, 1.0)
+    turned = swing * np.sin(2.0 * np.pi * waves * flat)
+    aside = np.cross(UP, forward)
+    level = np.cos(turned)[:, None] * forward + np.sin(turned)[:, None] * aside
+    return unit(level + (slope / a)[:, None] * UP)
 
 
 def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     """Return (n,) [m]: the additional length with which thick cables take their bends.
 
-    It concerns the simulation alone, not the flight. Where a cable goes around another, its centre
-    line keeps one diameter from the other's, whose far side is half a diameter from the vertex: the
-    bend takes length, without which ropes would be too short, and pull harder than planned. It is
-    what ``bend_lengths`` says of both clasps of a cable and, of one that is wrapped around an
-    object, half a diameter times the angle by which it turns there, seen from above.
-
-    Parameters
-    ----------
-    task: the plan.
-    diameter: of the simulated cables [m].
-    segment: length of their segments [m].
+    Without it ropes would be too short, and pull harder than planned. It is what ``bend_lengths``
+    says of both clasps of a cable and, of one that is wrapped around an object, half a diameter
+    times the angle by which it turns there, seen from above.
     """
     layout = task.team.layout
     allowance = np.zeros(task.team.robots)
@@ -405,8 +260,9 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     np.add.at(allowance, layout.ahead, longer)
     np.add.at(allowance, layout.behind, longer)
     if task.motion is not None and task.motion.contacts is not None:
-        level = (unit(each * [1.0, 1.0, 0.0]) for each in _edge_ends(task))
-        allowance += 0.5 * diameter * np.mean(_angles(*level), axis=0)
+        leaving, arriving = (unit(each * [1.0, 1.0, 0.0]) for each in _edge_ends(task))
+        turns = np.arccos(np.clip(dot(leaving, arriving), -1.0, 1.0))
+        allowance += 0.5 * diameter * np.mean(turns, axis=0)
     return allowance
 
 
@@ -419,13 +275,14 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. The result
     is the mean over the time in which the plan has a hitch, or in which it carries what it grips,
     if it does: ropes that are too short then grip harder. It is zero where there is no hitch.
-    Parameters are those of ``thickness_allowance``.
+    Diameter and segment are those of the simulated cables [m].
     """
     layout = task.team.layout
     if not task.formed.any():
         return np.zeros(len(layout.clasps))
     leaving, arriving = _edge_ends(task)
-    turn = _angles(leaving[:, layout.ahead], arriving[:, layout.behind])
+    cosine = dot(leaving[:, layout.ahead], arriving[:, layout.behind])
+    turn = np.arccos(np.clip(cosine, -1.0, 1.0))
     half = np.cos(0.5 * turn)
     bends = diameter * (np.pi - turn - half) + COARSENESS * segment**2 / diameter * half
     longer: Array = np.mean(bends, axis=0)
@@ -445,31 +302,20 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
 
-def _angles(first: Array, second: Array) -> Array:
-    """Return the angles (…) [rad] between unit vectors (…, 3)."""
-    return np.asarray(np.arccos(np.clip(np.sum(first * second, axis=-1), -1.0, 1.0)))
-
-
 def linking_number(one: Array, other: Array) -> int:
     """Return Gauss's linking number of two closed polygons, with its sign.
 
     It is the sum over all pairs of edges of the solid angle that their directions span, over 4π
-    (Banchoff 1976; Klenin and Langowski 2000).
-
-    Parameters
-    ----------
-    one, other: (corners, 3) [m], the last joined to the first; apart from each other.
+    (Banchoff 1976; Klenin and Langowski 2000). Corners are (corners, 3) [m], the last joined to the
+    first; the polygons are apart from each other.
     """
     a, b = one[:, None], np.roll(one, -1, axis=0)[:, None]
     c, d = other[None], np.roll(other, -1, axis=0)[None]
     ac, ad, bc, bd = c - a, d - a, c - b, d - b
     normals = [np.cross(ac, ad), np.cross(ad, bd), np.cross(bd, bc), np.cross(bc, ac)]
-    units = [n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), TINY) for n in normals]
-    angles = sum(
-        np.arcsin(np.clip(np.sum(units[i] * units[(i + 1) % 4], axis=-1), -1.0, 1.0))
-        for i in range(4)
-    )
-    signs = np.sign(np.sum(np.cross(d - c, b - a) * ac, axis=-1))
+    units = [n / np.maximum(length(n)[..., None], TINY) for n in normals]
+    angles = sum(np.arcsin(np.clip(dot(units[i - 1], units[i]), -1.0, 1.0)) for i in range(4))
+    signs = np.sign(dot(np.cross(d - c, b - a), ac))
     return round(float(np.sum(angles * signs)) / (4.0 * np.pi))
 
 
@@ -479,8 +325,7 @@ def linking_matrix(cables: list[Array]) -> NDArray[np.int64]:
     Each cable is closed by the straight line between its drones. That is meaningful with the drones
     at the hitch or before it is formed, where these lines stay clear of the other cables; in
     between a line may pass through a cable, which changes the number although no cable passes
-    another. Pairs whose boxes do not meet are not linked: the number of the others grows with n
-    alone where cables reach their neighbours only.
+    another. Pairs whose boxes do not meet are not linked.
     """
     n = len(cables)
     lower, upper = (np.array([end(cable, axis=0) for cable in cables]) for end in (np.min, np.max))

@@ -1,40 +1,25 @@
-"""Settings of a simulated flight: its resolution, its drones and everything that disturbs it."""
+"""Settings of a simulated flight: the resolution of its ropes, and everything that disturbs it."""
 
 from __future__ import annotations
 
-import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import finite, not_negative, positive
+from hitchopt.values import not_negative, positive
 
-BODIES = ("rigid", "point")
+EXACT_SEGMENT = 0.010  # Largest length of segments with which vertices are true to a centimetre [m]
 
-EXACT_SEGMENT = 0.010
-"""Largest length of segments with which vertices are true to a centimetre [m]."""
+# Largest relative deviations; more is most likely a percentage
+LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
 
-LARGEST_CABLE_ERROR = 0.1
-"""Largest relative deviation of the cable lengths; more is most likely a percentage."""
-
-MOTOR_LAG = 0.02
-"""Time constant of a rigid drone's motors [s]; its attitude loop adds another 60 ms."""
-
-FORCE_LAG = 0.08
-"""Time constant from a point mass's command to its force [s]."""
-
-DENSITY = 0.01
-"""Cable density where the team gives none [kg/m]: a cord of 4 mm."""
+DENSITY = 0.01  # Cable density where the team gives none [kg/m]: a cord of 4 mm
 
 
 def _check(record: object, checked: Callable[[str, object], float], *names: str) -> None:
-    """Replace the named values of a frozen record by checked ones; None stays.
-
-    Raises
-    ------
-    InputError: a value out of its range.
-    """
+    """Replace the named values of a frozen record by checked ones; None stays."""
     for name in names:
         if (value := getattr(record, name)) is not None:
             object.__setattr__(record, name, checked(name, value))
@@ -66,11 +51,11 @@ class Preset:
         return self.segment <= EXACT_SEGMENT
 
 
+# Preset for topology: whether a hitch holds. Its bends have too few segments for friction
 FAST = Preset("fast", 0.030, 0.012, 0.001)
-"""Preset for topology: whether a hitch holds. Its bends have too few segments for friction."""
 
+# Preset for friction: the tension ratio of a clasp is that of a capstan
 ACCURATE = Preset("accurate", EXACT_SEGMENT, 0.012, 0.0004)
-"""Preset for friction: the tension ratio of a clasp is that of a capstan."""
 
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
@@ -85,8 +70,7 @@ class Perturbations(OneLine):
     velocity_noise: standard deviation per axis of the error of the measured velocities [m/s].
     wind: root mean square of the gust force on a drone [N].
     steady_wind: constant level force on every drone, in one direction that the seed gives [N].
-    lag: time constant of the thrust [s]; None: MOTOR_LAG for a rigid body, FORCE_LAG for a point
-        mass, which has no attitude to turn first.
+    lag: time constant of the motors' thrust [s]; the attitude loop adds another 60 ms.
     cable_error: standard deviation of the cable lengths, relative.
     start_error: standard deviation per axis of the drones' start positions [m].
     downwash: whether drones push down those below them.
@@ -101,7 +85,7 @@ class Perturbations(OneLine):
     velocity_noise: float = 0.0
     wind: float = 0.0
     steady_wind: float = 0.0
-    lag: float | None = None
+    lag: float = 0.02
     cable_error: float = 0.0
     start_error: float = 0.0
     downwash: bool = False
@@ -113,18 +97,14 @@ class Perturbations(OneLine):
 
     def __post_init__(self) -> None:
         _check(self, not_negative, *(name for name in vars(self) if name != "downwash"))
-        for name in ("object_mass", "object_friction"):
-            if getattr(self, name) >= 1.0:
-                remedy = "give the largest deviation as a fraction"
-                raise InputError(name, getattr(self, name), "less than 1", remedy)
-        if self.cable_error > LARGEST_CABLE_ERROR:
-            bound = f"at most {LARGEST_CABLE_ERROR}"
-            remedy = "give the standard deviation as a fraction of the length"
-            raise InputError("cable_error", self.cable_error, bound, remedy)
+        for name, most in LARGEST.items():
+            if getattr(self, name) > most:
+                raise InputError(name, getattr(self, name), f"at most {most}", "give a fraction")
 
 
 CALM = Perturbations()
 
+# Perturbations of a flight indoors, besides the lag of the thrust and the team's friction
 USUAL = Perturbations(
     noise=0.01,
     velocity_noise=0.03,
@@ -139,7 +119,6 @@ USUAL = Perturbations(
     object_friction=0.2,
     object_place=0.02,
 )
-"""Perturbations of a flight indoors, besides the lag of the thrust and the team's friction."""
 
 
 @dataclass(frozen=True)
@@ -150,10 +129,6 @@ class Loss(OneLine):
     ----------
     drone: its name.
     time: of the flight, at which its motors stop [s].
-
-    Raises
-    ------
-    InputError: a time that is negative or not finite.
     """
 
     drone: str
@@ -164,20 +139,10 @@ class Loss(OneLine):
 
     @classmethod
     def parsed(cls, text: str) -> Loss:
-        """Return the loss that ``DRONE@SECONDS`` names, such as ``q0@12.5``.
-
-        Raises
-        ------
-        InputError: it is none.
-        """
-        drone, _, seconds = text.partition("@")
-        try:
-            time = float(seconds)
-        except ValueError:
-            time = math.nan
-        if not drone or not math.isfinite(time):
+        """Return the loss that ``DRONE@SECONDS`` names; InputError where it is none."""
+        if (found := re.fullmatch(r"(\w+)@(\d+(?:\.\d*)?)", text)) is None:
             raise InputError("--lose", text, "DRONE@SECONDS", "write q0@12.5")
-        return cls(drone, time)
+        return cls(found[1], float(found[2]))
 
 
 @dataclass(frozen=True)
@@ -187,53 +152,34 @@ class Settings(OneLine):
     Parameters
     ----------
     preset: resolution of the ropes.
-    body: ``rigid`` bodies with an attitude, or ``point`` masses.
     perturbations: disturbances.
     seed: seed of all random numbers.
     friction: coefficient at the clasps that replaces the team's; None: the team's.
     density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where the
         team's cables have no weight, because a rope without mass cannot be simulated. Drones feed
-        forward what setpoints.csv holds, whatever the ropes weigh.
+        forward what the setpoints hold, whatever the ropes weigh.
     stiffness: of the drones' position loops [N/m]; None: the team's, and that of POSITION_GAIN in
         ``control`` where the team's drones are rigid.
-    integral: whether controllers have integral action; None: as the team's.
-    feed_forward: whether controllers add the cable force of the setpoints; None: as the team's.
-    ground: height of the ground [m]; None: 0, or lower where setpoints are lower, such that drones
-        stand on it; the arena's floor where there are objects, which stand on that.
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
     lost: a drone whose motors stop; None: all fly on.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
     """
 
     preset: Preset = FAST
-    body: str = "rigid"
     perturbations: Perturbations = CALM
     seed: int = 0
     friction: float | None = None
     density: float | None = None
     stiffness: float | None = None
-    integral: bool | None = None
-    feed_forward: bool | None = None
-    ground: float | None = None
     pull_test: bool = True
     lost: Loss | None = None
     feedback: bool = False
 
     def __post_init__(self) -> None:
-        if self.body not in BODIES:
-            raise InputError("body", self.body, " or ".join(BODIES), "write rigid")
         if isinstance(self.seed, bool) or self.seed < 0:
             raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
         _check(self, not_negative, "friction")
         _check(self, positive, "density", "stiffness")
-        _check(self, finite, "ground")
-
-    @property
-    def lag(self) -> float:
-        """Time constant from the command to the force [s]; along the axis of a rigid drone."""
-        if self.perturbations.lag is not None:
-            return self.perturbations.lag
-        return MOTOR_LAG if self.body == "rigid" else FORCE_LAG
 
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:

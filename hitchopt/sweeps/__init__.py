@@ -1,1 +1,1 @@
-"""Sweeps: many plans, simulated flights and statics, on one machine or a cluster."""
+"""Sweeps: many plans and simulated flights, on one machine or a cluster."""

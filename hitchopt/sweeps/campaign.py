@@ -7,21 +7,19 @@ import csv
 import os
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.simulation.flight import Progress
 from hitchopt.simulation.judgement import NOT_SIMULATED, START, Failure, Run, simulate
-from hitchopt.simulation.report import CAMPAIGN, OWNED, RUNS, number, settings_summary
+from hitchopt.simulation.report import CAMPAIGN, OWNED, RUNS, number
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.sweeps.sweep import Share
 from hitchopt.sweeps.work import finished
-
-FORMAT = "hitchopt-campaign/1"
 
 
 @dataclass(frozen=True)
@@ -32,12 +30,10 @@ class Campaign:
     ----------
     settings: settings of all of them, with the first one's seed.
     runs: figures of every flight, by seed.
-    digest: SHA-256 of setpoints.csv.
     """
 
     settings: Settings
     runs: tuple[Run, ...]
-    digest: str
 
     @property
     def successes(self) -> int:
@@ -63,9 +59,8 @@ class Campaign:
     def to_dict(self) -> dict[str, Any]:
         """Return the campaign, ready for JSON."""
         return {
-            "format": FORMAT,
-            "setpoints_sha256": self.digest,
-            "settings": settings_summary(self.settings),
+            "format": "hitchopt-campaign/1",
+            "settings": asdict(self.settings),
             "runs": len(self.runs),
             "successes": self.successes,
             "not_simulated": self.not_simulated,
@@ -85,15 +80,9 @@ def run_campaign(
     processes: int | None = None,
     progress: Progress | None = None,
 ) -> Campaign:
-    """Return ``runs`` flights of a plan, with consecutive seeds from that of the settings on.
+    """Return so many flights of a plan, with consecutive seeds from that of the settings on.
 
-    Parameters
-    ----------
-    task: setpoints and planned hitch.
-    settings: settings of the simulation; their seed is the first one.
-    runs: number of flights, at least 1.
-    processes: number at a time; None: one per processor. One simulates in this process.
-    progress: called with the number of finished flights.
+    There are ``processes`` at a time; None: one per processor. One simulates in this process.
 
     Raises
     ------
@@ -111,45 +100,43 @@ def run_campaign(
         flown: Iterable[Run] = (one_run(each, task) for each in given)
         if width > 1:
             tasks = {f"flight-{each.seed}": (each,) for each in given}
-            done = stack.enter_context(
-                contextlib.closing(finished(one_run, tasks, width, shared=task))
-            )
+            done = finished(one_run, tasks, width, shared=task)
+            stack.enter_context(contextlib.closing(done))
             flown = (future.result() for _, future in done)
         for run in flown:
             found.append(run)
             if progress is not None:
                 succeeded = sum(run.succeeded for run in found)
                 progress(f"{len(found)} of {runs} flown, {succeeded} succeeded")
-    return Campaign(settings, tuple(sorted(found, key=lambda run: run.seed)), task.digest)
+    return Campaign(settings, tuple(sorted(found, key=lambda run: run.seed)))
 
 
 def one_run(settings: Settings, task: Task) -> Run:
-    """Return the figures of one flight; one that cannot begin is a failure, not an error.
-
-    Raises
-    ------
-    InputError, UnsupportedError: a reason that prevents every other flight as well.
-    """
+    """Return what is kept of one flight; one that cannot begin is a failure, not an error."""
     try:
         return simulate(task, settings).run
-    except (InputError, UnsupportedError):
+    except (InputError, UnsupportedError):  # which prevents every other flight as well
         raise
     except HitchoptError as error:
-        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),))
+        return Run(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),), {})
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
     """Write the campaign's summary and a table of its runs; return the directory.
 
-    Raises
-    ------
-    FileError: the directory cannot be written to.
+    Raises FileError where the directory cannot be written to.
     """
-    rows = [_row(run) for run in campaign.runs]
 
     def write_runs(path: Path) -> None:
+        rows = []
+        for run in campaign.runs:
+            first = run.failures[0] if run.failures else Failure("", (), float("nan"), "")
+            told = {"failure": first.kind, "where": " ".join(first.where), "words": first.words}
+            figures = {"time": first.time, **run.figures}
+            known = {name: number(value, 6) for name, value in figures.items()}
+            rows.append({"seed": run.seed, "verdict": run.verdict, **told, **known})
         with path.open("w", encoding="utf-8", newline="") as file:
-            table = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+            table = csv.DictWriter(file, max(map(list, rows), key=len), lineterminator="\n")
             table.writeheader()
             table.writerows(rows)
 
@@ -158,19 +145,3 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
         CAMPAIGN: lambda path: write_strict_json(path, campaign.to_dict()),
     }
     return replace_files(directory, writers, OWNED, seal=CAMPAIGN)
-
-
-def _row(run: Run) -> dict[str, object]:
-    """Return a run's row of the table, by column."""
-    row: dict[str, object] = {
-        "seed": run.seed,
-        "verdict": run.verdict,
-        "succeeded": int(run.succeeded),
-        **dict.fromkeys(("failure", "where", "time", "words"), ""),
-    }
-    if run.failures:
-        first = run.failures[0]
-        row |= {"failure": first.kind, "where": " ".join(first.where)}
-        row |= {"time": f"{first.time:.3f}", "words": first.words}
-    figures = run.figures | {"pace": run.pace}
-    return row | {name: number(value, 6) for name, value in figures.items()}

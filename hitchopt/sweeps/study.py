@@ -5,155 +5,80 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-import re
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import metadata
+from math import prod
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BeforeValidator, ConfigDict, ValidationError, model_validator
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 
-from hitchopt.errors import FileError, InputError, OneLine
+from hitchopt.errors import FileError, InputError, OneLine, short
 from hitchopt.mission.keys import MAX_TITLE
 from hitchopt.mission.wording import translated
-from hitchopt.steps.step_keys import Keys, fault
+from hitchopt.steps.step_keys import Keys, NotNegative, OneOrEach, Positive, fault
 from hitchopt.steps.step_keys import key as option
-from hitchopt.storage.yaml_file import Plain, plain, read_yaml
+from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
 
-Section = dict[str, Plain]
-"""Keys of one section of a study file."""
+MAX_CASES = 1_000_000  # Largest number of points of one study; more are a typing error
 
-SECTIONS = ("simulate", "settle", "export")
-"""Sections of a study file that say what is done with a plan."""
-
-MAX_CASES, MAX_SAMPLES = 1_000_000, 100_000
-"""Largest number of cases of one study, more are a typing error; and of samples."""
-
-LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
-"""Packages whose versions are part of every case's digest; mujoco's where flights are simulated."""
-
-_PART = re.compile(r"([A-Za-z_][A-Za-z_0-9]*)|\[([0-9]{1,6})\]")
+# Packages whose versions are part of every case's digest
+LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig", "mujoco")
 
 
-class RangeKeys(Keys):
-    """A range from which values are drawn."""
+class GridKeys(Keys):
+    """Values at even distances, the ends among them."""
 
     model_config = ConfigDict(populate_by_name=True)
     low: float = option("Lower end", alias="from", examples=[0.2])
     high: float = option("Upper end", alias="to", examples=[0.6])
+    count: int = option("Number of values", ge=2, le=MAX_CASES, examples=[4])
     log: bool = option("Even in the logarithm", False)
 
-    def at(self, shares: Any) -> list[float]:
-        """Return the values at shares of the range, 0 to 1."""
-        if self.log:
-            shares = np.interp(shares, [0.0, 1.0], np.log([self.low, self.high]))
-            return [float(x) for x in np.exp(shares)]
-        return [float(x) for x in np.interp(shares, [0.0, 1.0], [self.low, self.high])]
-
-
-class GridKeys(RangeKeys):
-    """Values at even distances, the ends among them."""
-
-    count: int = option("Number of values", ge=2, le=MAX_SAMPLES, examples=[4])
-
-
-class ParameterKeys(Keys):
-    """What values a parameter takes: one of four keys."""
-
-    values: list[Any] | None = option(
-        "Given values", None, alias="list", min_length=1, examples=[[0.3, 0.4]]
-    )
-    grid: GridKeys | None = option("Values at even distances", None)
-    random: RangeKeys | None = option("Values drawn at random", None)
-    quasi_random: RangeKeys | None = option(
-        "Values of a Halton sequence, which fill the range evenly", None
-    )
-
     @model_validator(mode="after")
-    def _exactly_one(self) -> Self:
-        given = [name for name in type(self).model_fields if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise fault("one of list, grid, random, quasi_random", "keep one of them")
-        span = self.grid or self.drawn
-        if span is not None and not span.low < span.high:
+    def _in_order(self) -> Self:
+        if not self.low < self.high:
             raise fault("from below to", "exchange the two")
-        if span is not None and span.log and span.low <= 0.0:
+        if self.log and self.low <= 0.0:
             raise fault("from above 0 where log is true", "leave out log")
         return self
 
-    @property
-    def drawn(self) -> RangeKeys | None:
-        """The range that it is drawn from, one value a sample; None of listed values."""
-        return self.random or self.quasi_random
 
-    @property
-    def listed(self) -> list[Plain]:
-        """The listed values, each of which is taken with every value of the others."""
-        if (grid := self.grid) is not None:
-            space = np.geomspace if grid.log else np.linspace
-            return [float(x) for x in space(grid.low, grid.high, grid.count)]
-        return [plain(value) for value in self.values or ()]
+class ParameterKeys(Keys):
+    """What values a parameter takes, if they are not listed."""
+
+    grid: GridKeys = option("Values at even distances")
 
 
-def points(parameters: Mapping[str, ParameterKeys], samples: int, seed: int) -> list[Point]:
-    """Return every combination of the listed values, with every sample of the drawn ones.
+Parameter = OneOrEach[ParameterKeys, Annotated[list[Any], Field(min_length=1)]]
+Values = ParameterKeys | list[Any]
 
-    Parameters
-    ----------
-    parameters: by key path, in the study's order, which is that of the points: the last listed one
-        changes first, samples before it.
-    samples: number of samples of the drawn ones; 1 counts where none is drawn.
-    seed: of the samples.
 
-    Raises
-    ------
-    InputError: more than MAX_CASES points.
+def listed(given: Values) -> list[Plain]:
+    """Return the values of a parameter in order."""
+    if isinstance(given, list):
+        return [plain(value) for value in given]
+    grid = given.grid
+    space = np.geomspace if grid.log else np.linspace
+    return [float(x) for x in space(grid.low, grid.high, grid.count)]
+
+
+def points(parameters: Mapping[str, Values]) -> list[Point]:
+    """Return every combination of the parameters' values, the last one's changing first.
+
+    Raise InputError for more than MAX_CASES points.
     """
-    from scipy.stats import qmc
-
-    drawn = {key: each.drawn for key, each in parameters.items() if each.drawn is not None}
-    listed = {key: each.listed for key, each in parameters.items() if key not in drawn}
-    samples = samples if drawn else 1
-    count = int(np.prod([len(values) for values in listed.values()])) * samples
-    if count > MAX_CASES:
+    found = [listed(each) for each in parameters.values()]
+    if (count := prod(map(len, found))) > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
-    quasi = [key for key in drawn if parameters[key].random is None]
-    even = qmc.Halton(max(len(quasi), 1), scramble=True, seed=np.random.default_rng(seed))
-    shares = dict(zip(quasi, even.random(samples).T, strict=False))
-    chance = np.random.default_rng([seed, 1])
-    shares |= {key: chance.random(samples) for key in drawn if key not in quasi}
-    columns = [span.at(shares[key]) for key, span in drawn.items()]
-    rows = [dict(zip(drawn, row, strict=True)) for row in zip(*columns, strict=True)] or [{}]
-    found: list[Point] = []
-    for values in itertools.product(*listed.values()):
-        for row in rows:
-            chosen: Point = {**dict(zip(listed, values, strict=True)), **row}
-            found.append({key: chosen[key] for key in parameters})
-    return found
-
-
-def key_parts(key: str) -> list[str | int]:
-    """Return the parts of a key path: ``mission[0].hold`` is ``["mission", 0, "hold"]``.
-
-    Raises
-    ------
-    InputError: no key path.
-    """
-    parts: list[str | int] = []
-    for word in key.split("."):
-        found = _PART.findall(word)
-        if not found or "".join(name or f"[{index}]" for name, index in found) != word:
-            bound = "a key path such as team.tension or mission[0].form.altitude"
-            raise InputError("parameters", key, bound, "names with dots, places in brackets")
-        parts += [name or int(index) for name, index in found]
-    return parts
+    return [dict(zip(parameters, values, strict=True)) for values in itertools.product(*found)]
 
 
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
@@ -163,26 +88,24 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
 
     Raises
     ------
-    InputError: a path that leads through a value, or past the end of a list.
+    InputError: no key path, or one that leads through a value, or past the end of a list.
     """
     made: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
-        inner: Any = made
-        parts = key_parts(key)
-        for part, following in itertools.zip_longest(parts, parts[1:]):
-            if isinstance(inner, list) and isinstance(part, int) and part >= len(inner):
-                bound = f"below {len(inner)}, the list's length"
-                raise InputError(f"parameters.{key}", f"[{part}]", bound, "count from 0")
-            if not isinstance(inner, {int: list, str: dict}[type(part)]):
-                kinds: dict[type, str] = {list: "a list", dict: "a mapping"}
-                kind = kinds.get(type(inner), "a value")
-                bound = "a place in brackets in a list, the name of a key in a mapping"
-                raise InputError(f"parameters.{key}", part, bound, f"what is there is {kind}")
-            if following is None:
-                inner[part] = deepcopy(value)
-            elif isinstance(inner, dict):
-                inner.setdefault(part, {} if isinstance(following, str) else [])
-            inner = inner[part]
+        parts: list[Any] = list(split_key(key))
+        inner: Any = made if key_path(parts) == key else None
+        holder: Any = None
+        try:
+            for part in parts:
+                holder = inner
+                if isinstance(part, int) is not isinstance(inner, list):
+                    raise TypeError
+                inner = inner[part] if isinstance(inner, list) else inner.setdefault(part, {})
+            holder[parts[-1]] = deepcopy(value)
+        except (TypeError, IndexError, AttributeError):
+            bound = "a path to a key of a mapping or a place in a list"
+            remedy = "write it as team.tension or mission[0].form.altitude"
+            raise InputError("parameters", key, bound, remedy) from None
     return made
 
 
@@ -195,38 +118,30 @@ class Case:
     name: of the problem.
     point: value of every parameter.
     problem: keys of the problem file.
-    simulate, settle, export: keys of what is done; None for nothing.
-    seed: of the simulated flight; None where there is none.
+    simulate, seed: keys and seed of the simulated flight; None where there is none.
     limit: time limit of the plan [s].
     """
 
     name: str
     point: Point
     problem: dict[str, Plain]
-    simulate: Section | None
-    settle: Section | None
-    export: Section | None
+    simulate: dict[str, Plain] | None
     seed: int | None
     limit: float
 
     @property
     def digest(self) -> str:
         """SHA-256 of all that the case's row depends on, versions of the libraries among it."""
-        told = {**asdict(self), "versions": versions(self.simulate is not None)}
+        told = {**asdict(self), "versions": versions()}
         text = json.dumps(told, sort_keys=True, ensure_ascii=True, allow_nan=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
 
 @cache
-def versions(simulated: bool) -> dict[str, str]:
-    """Return the versions that a row depends on, by package; empty where it is not installed."""
-    found = {}
-    for name in (*LIBRARIES, "mujoco") if simulated else LIBRARIES:
-        try:
-            found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            found[name] = ""
-    return found
+def versions() -> dict[str, str]:
+    """Return the versions that a row depends on, by package; those that are not installed lack."""
+    here = {each.name.lower() for each in metadata.distributions() if each.name}
+    return {name: metadata.version(name) for name in LIBRARIES if name in here}
 
 
 class SimulateKeys(Keys):
@@ -235,36 +150,16 @@ class SimulateKeys(Keys):
     seeds: int = option("Flights of every plan", 1, ge=1, le=100_000)
     seed: int = option("Seed of the first of them", 0, ge=0)
     preset: Literal["fast", "accurate"] = option("Resolution of ropes", "fast")
-    drones: Literal["rigid", "point"] = option("Bodies of drones", "rigid")
     perturbed: bool = option("The usual perturbations", True)
-    noise: float | None = option("Of measured positions [m]", None, ge=0)
-    velocity_noise: float | None = option("Of velocities [m/s]", None, ge=0)
-    wind: float | None = option("Force of gusts [N]", None, ge=0)
-    steady_wind: float | None = option("Constant level force [N]", None, ge=0)
-    cable_error: float | None = option("Of lengths, relative", None, ge=0)
-    start_error: float | None = option("Of starts, per axis [m]", None, ge=0)
-    friction: float | None = option("Replaces the team's", None, ge=0)
-    density: float | None = option("Replaces the team's [kg/m]", None, gt=0)
-    stiffness: float | None = option("Of position loops [N/m]", None, gt=0)
-
-
-class SettleKeys(Keys):
-    """Every plan's hitch is settled: where it rests, and with what tensions."""
-
-    samples: int = option("Times over the taut hitch", 25, ge=1, le=1000)
-    cable_length: float | None = option("Real length [m]", None, gt=0)
-    cable_density: float | None = option("Real density [kg/m]", None, ge=0)
-    stiffness: float | None = option("Of position loops [N/m]", None, gt=0)
-
-
-class ExportKeys(Keys):
-    """Every plan is exported."""
-
-    format: str = option("Name of the format", examples=["skybrush"])
-
-
-def _as_list(value: object) -> object:
-    return {"list": value} if isinstance(value, list) else value
+    noise: NotNegative | None = option("Of measured positions [m]", None)
+    velocity_noise: NotNegative | None = option("Of velocities [m/s]", None)
+    wind: NotNegative | None = option("Force of gusts [N]", None)
+    steady_wind: NotNegative | None = option("Constant level force [N]", None)
+    cable_error: NotNegative | None = option("Of lengths, relative", None)
+    start_error: NotNegative | None = option("Of starts, per axis [m]", None)
+    friction: NotNegative | None = option("Replaces the team's", None)
+    density: Positive | None = option("Replaces the team's [kg/m]", None)
+    stiffness: Positive | None = option("Of position loops [N/m]", None)
 
 
 class StudyKeys(Keys):
@@ -274,16 +169,12 @@ class StudyKeys(Keys):
     problem: Any = option(
         "Path of a problem file, a list of paths, or a problem itself", examples=["triangle.yaml"]
     )
-    parameters: dict[str, Annotated[ParameterKeys, BeforeValidator(_as_list)]] = option(
-        "What values a key takes; by its path in the problem file, or in this one",
+    parameters: dict[str, Parameter] = option(
+        "A list or a grid of values, by a key path in the problem file, or in this one",
         default_factory=dict,
     )
-    samples: int = option("Of what is drawn", 1, ge=1, le=MAX_SAMPLES)
-    seed: int = option("Seed of what is drawn", 0, ge=0)
-    limit: float = option("Time limit of a plan [s]", 600.0, gt=0)
+    limit: Positive = option("Time limit of a plan [s]", 600.0)
     simulate: SimulateKeys | None = option("Simulated flights", None)
-    settle: SettleKeys | None = option("Statics", None)
-    export: ExportKeys | None = option("Files for fleets", None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,88 +184,64 @@ class Study(OneLine):
     Attributes
     ----------
     keys: of the study file.
-    problems: name of each, and its keys as in a problem file, with outlines in place of drawings:
-        workers elsewhere need no drawings then, and digests depend on what these show.
-    folder: where the study's own drawings are.
+    problems: name of each, its folder, where its drawings are, and its keys.
     """
 
     keys: StudyKeys
-    problems: tuple[tuple[str, dict[str, Plain]], ...]
-    folder: Path
+    problems: tuple[tuple[str, Path, dict[str, Plain]], ...]
 
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
-        found = points(self.keys.parameters, self.keys.samples, self.keys.seed)
-        outlines: dict[Path, Plain] = {}
-        for name, problem in self.problems:
-            for point in found:
-                yield from self._cases_at(name, problem, point, outlines)
+        for name, point, problem, flown in self._at(points(self.keys.parameters)):
+            if flown is None:
+                yield Case(name, point, problem, None, None, self.keys.limit)
+                continue
+            first, count = flown.pop("seed"), flown.pop("seeds")
+            for seed in range(first, first + count):
+                yield Case(name, point, problem, flown, seed, self.keys.limit)
 
-    def _cases_at(
-        self, name: str, problem: dict[str, Plain], point: Point, outlines: dict[Path, Plain]
-    ) -> Iterator[Case]:
-        sections = {key: getattr(self.keys, key) for key in SECTIONS}
-        own = {key: keys.model_dump() for key, keys in sections.items() if keys is not None}
-        whole = with_values({**problem, **own}, point)
-        done: dict[str, Any] = {key: whole.pop(key, None) for key in SECTIONS}
-        whole = _with_outlines(whole, self.folder, outlines)
-        seeds: list[int | None] = [None]
-        if isinstance(flown := done["simulate"], dict):
-            seeds = list(range(flown["seed"], flown["seed"] + flown["seeds"]))
-            done["simulate"] = {k: v for k, v in flown.items() if k not in {"seed", "seeds"}}
-        for seed in seeds:
-            yield Case(name, point, whole, **done, seed=seed, limit=self.keys.limit)
+    def _at(self, chosen: list[Point]) -> Iterator[tuple[str, Point, dict[str, Plain], Any]]:
+        """Yield name, point, keys of the problem, and of its flights, at every chosen point."""
+        flown = None if self.keys.simulate is None else self.keys.simulate.model_dump()
+        outlines: dict[Path, Plain] = {}
+        for (name, folder, problem), point in itertools.product(self.problems, chosen):
+            whole = with_values(problem if flown is None else {**problem, "simulate": flown}, point)
+            simulate = whole.pop("simulate", None)
+            yield name, point, _with_outlines(whole, folder, outlines), simulate
 
     def check(self) -> None:
-        """Raise InputError for paths and values that no problem or section can have.
+        """Raise InputError for paths and values that no problem or flight can have.
 
-        Every listed value is tried by itself; drawn ones at their first sample.
+        Every value is tried by itself.
         """
         from hitchopt.mission.loading import any_problem_from_dict
 
-        first = points(self.keys.parameters, self.keys.samples, self.keys.seed)[0]
-        trials, outlines = [first], dict[Path, Plain]()
+        first = points(self.keys.parameters)[0]
+        trials = [first]
         for key, each in self.keys.parameters.items():
-            trials += [{**first, key: value} for value in each.listed[1:]]
-            section = str(key_parts(key)[0])
-            if section in SECTIONS and getattr(self.keys, section) is None:
-                remedy = f"add {section}: to the study"
-                raise InputError(f"parameters.{key}", section, "a section of the study", remedy)
-        for _, problem in self.problems:
-            for point in trials:
-                case = next(self._cases_at("", problem, point, outlines))
-                any_problem_from_dict(case.problem)
-                done = {key: keys for key in SECTIONS if (keys := getattr(case, key)) is not None}
-                _checked({"problem": "", **done})
+            trials += [{**first, key: value} for value in listed(each)[1:]]
+            if key.split(".")[0] == "simulate" and self.keys.simulate is None:
+                remedy = "add simulate: to the study"
+                raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
+        for _, _, problem, simulate in self._at(trials):
+            any_problem_from_dict(problem)
+            _checked({"problem": "", "simulate": simulate})
 
 
-def load_study(path: str | Path) -> Study:
-    """Return the study in the YAML file at ``path``; problem files are relative to it.
+def study_from_dict(data: object, directory: str | Path = ".") -> Study:
+    """Return the study that a mapping describes, its files relative to ``directory``.
 
     Raises
     ------
-    FileError: a file that cannot be read.
+    FileError: a problem file that cannot be read.
     InputError: keys, types or values that are wrong, or a problem that is.
     """
-    data = read_yaml(path)
-    if not isinstance(data, dict):
-        raise FileError(f"{path}: a study is a mapping with the keys problem and parameters")
-    return study_from_dict(data, Path(path).parent)
-
-
-def study_from_dict(data: Mapping[str, object], directory: str | Path = ".") -> Study:
-    """Return the study that ``data`` describes with the keys of a study file.
-
-    Problem files are relative to ``directory``.
-
-    Raises
-    ------
-    FileError, InputError: as ``load_study``.
-    """
-    values, folder = plain(data), Path(directory)
+    values = plain(data)
+    if not isinstance(values, dict):
+        bound = "a mapping with the keys problem and parameters"
+        raise InputError("study", short(values), bound, "see hitchopt sweep --help")
     keys = _checked(values)
-    assert isinstance(values, dict)
-    study = Study(keys, tuple(_problems(values["problem"], folder)), folder)
+    study = Study(keys, tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study
 
@@ -387,23 +254,20 @@ def _checked(values: Plain) -> StudyKeys:
         raise translated(error, StudyKeys) from None
 
 
-def _problems(given: Plain, directory: Path) -> Iterator[tuple[str, dict[str, Plain]]]:
-    """Yield the name and the mapping of every problem."""
+def _problems(given: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str, Plain]]]:
+    """Yield name, folder and mapping of every problem."""
     if isinstance(given, dict):
-        yield "problem", _with_outlines(given, directory, {})
+        yield "problem", directory, given
         return
-    files = given if isinstance(given, list) else [given]
-    if not files:
-        raise InputError("problem", [], "at least one problem", "name a problem file")
-    for i, file in enumerate(files):
-        if not isinstance(file, str) or not file:
-            key = f"problem[{i}]" if isinstance(given, list) else "problem"
-            raise InputError(key, file, "the path of a problem file", "write triangle.yaml")
-        path = directory / file
+    files = [given] if isinstance(given, str) else given
+    if not (isinstance(files, list) and files and all(isinstance(x, str) and x for x in files)):
+        bound = "a problem, the path of its file, or several paths"
+        raise InputError("problem", given, bound, "write triangle.yaml")
+    for path in (directory / file for file in files):
         data = read_yaml(path)
         if not isinstance(data, dict):
             raise FileError(f"{path}: is no problem file")
-        yield path.stem, _with_outlines(data, path.parent, {})
+        yield path.stem, path.parent, data
 
 
 def _with_outlines(
@@ -411,18 +275,16 @@ def _with_outlines(
 ) -> dict[str, Plain]:
     """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
 
-    ``known`` are those that were read before, by path.
+    Workers elsewhere need no drawings then, and digests depend on what these show. ``known`` are
+    those that were read before, by path.
     """
     from hitchopt.geometry.drawings import object_outline  # heavy: readers of drawings
 
     objects = problem.get("objects")
-    if not isinstance(objects, dict):
-        return problem
-    inlined = dict(objects)
-    for name, each in objects.items():
+    for each in objects.values() if isinstance(objects, dict) else ():
         if isinstance(each, dict) and isinstance(file := each.get("file"), str):
-            if (path := folder / file) not in known:
-                known[path] = object_outline(path).tolist()
-            rest = {key: value for key, value in each.items() if key != "file"}
-            inlined[name] = rest | {"outline": known[path]}
-    return problem | {"objects": inlined}
+            path = folder / str(each.pop("file"))
+            if path not in known:
+                known[path] = object_outline(folder / file).tolist()
+            each["outline"] = known[path]
+    return problem

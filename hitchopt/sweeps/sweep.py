@@ -1,7 +1,7 @@
 """Runs of a study and the rows that they write: what is missing is computed, row by row.
 
-A study's directory holds ``rows.jsonl``, one row a line, ``files/DIGEST/`` with what was exported,
-and ``study.json``: the digests of the study's cases, in order. Rows of other studies that were run
+A study's directory holds ``rows.jsonl``, one row a line, and ``study.json``: the digests of the
+study's cases, in order. Rows of other studies that were run
 in the same directory stay; what is computed already is not computed again. A row is appended by one
 write, so that whatever ends a run leaves at most one line that is not whole, which is passed over.
 """
@@ -9,63 +9,31 @@ write, so that whatever ends a run leaves at most one line that is not whole, wh
 from __future__ import annotations
 
 import contextlib
-import difflib
 import json
 import os
-import shutil
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.simulation.flight import Progress
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.sweeps.study import Study, load_study, study_from_dict
-from hitchopt.sweeps.work import FAILED, PLANNED, Outcome, Row, finished, first_columns, outcome_of
+from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.sweeps.study import Study, study_from_dict
+from hitchopt.sweeps.work import FAILED, PLANNED, Row, finished, first_columns, row_of
 from hitchopt.values import path as as_path
 from hitchopt.values import text, whole
 
 if TYPE_CHECKING:
     import pandas
 
-ROWS, FILES, STUDY = "rows.jsonl", "files", "study.json"
+ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
 
-FORMAT = "hitchopt-sweep/1"
+MEASURED = "time."  # Beginning of the columns that differ from run to run
 
-MEASURED = ("time.", "memory.")
-"""Beginnings of the columns that differ from run to run."""
-
-LEVEL = 0.95
-"""Confidence of Wilson's intervals."""
-
-
-@dataclass(frozen=True)
-class Count:
-    """How far a sweep has come.
-
-    Attributes
-    ----------
-    done, cases: number of rows there are, and that there will be.
-    computed: number of rows that this run has computed.
-    refused: number of these that are not planned.
-    left: estimate of the time left [s]; None before the first row.
-    """
-
-    done: int
-    cases: int
-    computed: int
-    refused: int
-    left: float | None
-
-    @property
-    def fraction(self) -> float:
-        """Share of the rows that are there."""
-        return self.done / max(self.cases, 1)
-
-    def __str__(self) -> str:
-        left = "" if self.left is None else f", about {self.left:.0f} s left"
-        return f"{self.done} of {self.cases} rows, {self.refused} without a plan{left}"
+# Beginnings of the columns whose medians are told
+FIGURES = ("duration", "check.", "simulate.", "time.")
 
 
 def run_sweep(
@@ -74,11 +42,11 @@ def run_sweep(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
-    progress: Callable[[Count], None] | None = None,
+    progress: Progress | None = None,
 ) -> pandas.DataFrame:
     """Compute the rows of a study that are missing in a directory; return all of them.
 
-    Every case is planned and certified, then simulated, settled or exported as the study says.
+    Every case is planned and certified, then simulated if the study says so.
     Every result is written as it arrives, keyed by a digest of problem, versions and seed: whatever
     ends a run, the same call goes on from there.
 
@@ -88,7 +56,7 @@ def run_sweep(
     directory: made if it is missing.
     workers: number of processes on this machine; None for one per processor.
     scheduler: address of a dask scheduler that has workers; None for a cluster of this machine.
-    progress: called after every row.
+    progress: called after every row, with the number of rows.
 
     Returns
     -------
@@ -106,36 +74,32 @@ def run_sweep(
     if scheduler is not None:
         text("scheduler", scheduler)
     if isinstance(study, str | Path):
-        study = load_study(study)
+        study = study_from_dict(read_yaml(study), Path(study).parent)
     elif isinstance(study, Mapping):
         study = study_from_dict(study)
     elif not isinstance(study, Study):
         raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
     cases = {case.digest: case for case in study.cases()}
-    parameters = list(study.keys.parameters)
-    told = {"format": FORMAT, "title": study.keys.title, "parameters": parameters}
-    content = {**told, "cases": list(cases)}
+    told = {"title": study.keys.title, "parameters": list(study.keys.parameters)}
+    content = {"format": FORMAT, **told, "cases": list(cases)}
     writers = {STUDY: lambda path: write_strict_json(path, content)}
     replace_files(place, writers, (STUDY,), seal=STUDY)
-    known = _read_rows(place)
+    known, refused = _read_rows(place), 0
     missing = {digest: case for digest, case in cases.items() if digest not in known}
-    begin, refused = time.monotonic(), 0
     width = min(workers or os.cpu_count() or 1, len(missing))
     tasks = {digest: (case, digest) for digest, case in missing.items()}
-    with contextlib.closing(finished(outcome_of, tasks, width, scheduler)) as done:
-        for computed, (digest, future) in enumerate(done, 1):
+    with contextlib.closing(finished(row_of, tasks, width, scheduler)) as done:
+        for count, (digest, future) in enumerate(done, 1 + len(cases) - len(missing)):
             if future.status == "finished":
-                outcome: Outcome = future.result()
+                row: Row = future.result()
             else:  # a case that kills its workers, or has a bug, is a row
                 error = future.exception()
                 words = {"status": FAILED, "message": f"{type(error).__name__}: {error}"}
-                outcome = Outcome(first_columns(missing[digest], digest) | words)
-            write_outcome(place, outcome)
-            refused += outcome.row["status"] != PLANNED
+                row = first_columns(missing[digest], digest) | words
+            write_row(place, row)
+            refused += row["status"] != PLANNED
             if progress is not None:
-                left = (time.monotonic() - begin) / computed * (len(missing) - computed)
-                there = len(cases) - len(missing) + computed
-                progress(Count(there, len(cases), computed, refused, left))
+                progress(f"{count} of {len(cases)} rows, {refused} without a plan")
     return load_sweep(place)
 
 
@@ -145,8 +109,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
     Columns are ``problem``, ``seed``, ``parameter.KEY`` of every parameter, ``status`` (planned,
     infeasible, time limit, failed or wrong), ``binding`` (name of the limit), ``message``,
     ``duration`` [s], ``check.NAME`` for the worst value of every check of the certificate,
-    ``simulate.…``, ``settle.…``, ``export.checked``, ``time.…`` (processor time [s]),
-    ``memory.peak`` (largest memory of the worker so far [MiB]) and ``digest``.
+    ``simulate.…``, ``time.…`` (processor time [s]) and ``digest``.
 
     Parameters
     ----------
@@ -168,10 +131,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
         return pandas.DataFrame({"digest": []})
     first = ["problem", "seed", *(f"parameter.{key}" for key in told["parameters"])]
     first += ["status", "binding", "message", "duration"]
-    names = sorted(map(str, table.columns))
-    last = [*(name for name in names if name.startswith(MEASURED)), "digest"]
-    middle = [name for name in names if name not in {*first, *last}]
-    return table.reindex(columns=[*first, *middle, *last])
+    return table.reindex(columns=[*first, *sorted(set(table.columns) - set(first))])
 
 
 def read_study(directory: Path) -> dict[str, Any]:
@@ -207,22 +167,11 @@ def _read_rows(directory: Path) -> dict[str, Row]:
     return found
 
 
-def write_outcome(directory: Path, outcome: Outcome) -> None:
-    """Write an outcome's files, then its row; the row is there only when all is.
-
-    Raises
-    ------
-    FileError: the disk is full, or cannot be written to.
-    """
-    row = {name: _scalar(name, value) for name, value in outcome.row.items()}
-    line = f"\n{json.dumps(row)}\n".encode()  # a line of its own after one that is not whole
+def write_row(directory: Path, row: Row) -> None:
+    """Append a row as one line; raises FileError where the disk is full or cannot be written to."""
+    values = {name: _scalar(name, value) for name, value in row.items()}
+    line = f"\n{json.dumps(values)}\n".encode()  # a line of its own after one that is not whole
     try:
-        if outcome.files:
-            place = directory / FILES / outcome.row["digest"]
-            shutil.rmtree(place, ignore_errors=True)
-            for name, content in outcome.files.items():
-                (place / name).parent.mkdir(parents=True, exist_ok=True)
-                (place / name).write_bytes(content)
         with (directory / ROWS).open("ab", buffering=0) as file:
             if file.write(line) != len(line):
                 raise OSError(0, "the disk is full")
@@ -253,7 +202,7 @@ class Share:
         """Wilson's 95 % interval, which suits few rows too."""
         from scipy.stats import binomtest
 
-        found = binomtest(self.count, self.rows).proportion_ci(LEVEL, method="wilson")
+        found = binomtest(self.count, self.rows).proportion_ci(0.95, method="wilson")
         return float(found.low), float(found.high)
 
     def __str__(self) -> str:
@@ -283,37 +232,17 @@ class Summary:
 
 
 def summary(rows: pandas.DataFrame, cases: int) -> Summary:
-    """Return what the rows of a sweep come to.
-
-    Raises
-    ------
-    InputError: no rows.
-    """
+    """Return what the rows of a sweep come to; InputError without rows."""
     if not len(rows):
         raise InputError("rows", 0, "at least 1", "run the sweep first")
     planned, flown, share = rows["status"] == PLANNED, rows.get("simulate.succeeded"), None
-    if flown is not None and flown.notna().any():
-        share = Share(int((flown == True).sum()), int(flown.notna().sum()))  # noqa: E712
+    if flown is not None and len(flown := flown.dropna()):
+        share = Share(int(flown.astype(bool).sum()), len(flown))
     reasons = rows.loc[~planned, "binding"].fillna(rows.loc[~planned, "status"])
-    medians = {}
-    for name in map(str, rows.columns):
-        known = rows[name].dropna()
-        figure = name == "duration" or name.startswith(("check.", "simulate.", "settle.", "time."))
-        if figure and known.dtype.kind == "f" and len(known):
-            medians[name] = (float(known.median()), float(known.min()), float(known.max()))
     binding = tuple((str(name), int(count)) for name, count in reasons.value_counts().items())
+    figures = rows[[name for name in rows.columns if name.startswith(FIGURES)]]
+    medians = {
+        str(name): (float(column.median()), float(column.min()), float(column.max()))
+        for name, column in figures.select_dtypes("float").dropna(axis=1, how="all").items()
+    }
     return Summary(cases, Share(int(planned.sum()), len(rows)), share, binding, medians)
-
-
-def column_of(rows: pandas.DataFrame, name: str) -> str:
-    """Return the column that a name means: itself, or a parameter's, or a check's.
-
-    Raises
-    ------
-    InputError: no such column; the remedy names near ones.
-    """
-    for column in (name, f"parameter.{name}", f"check.{name}", f"simulate.{name}"):
-        if column in rows and rows[column].notna().any():
-            return column
-    near = difflib.get_close_matches(name, list(map(str, rows.columns)), n=3, cutoff=0.3)
-    raise InputError("--plot", name, "a column with values", f"such as {', '.join(near)}")

@@ -1,18 +1,12 @@
-"""What a worker does with a case: plan, fly, settle, export it; and the workers, on dask."""
+"""What a worker does with a case: plan and fly it; and the workers, on dask."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-import resource
-import tempfile
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from hitchopt.errors import (
     HitchoptError,
@@ -29,12 +23,14 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 """A row of the results, by column; what is not known is None."""
 
+# Values of the column ``status``
 PLANNED, INFEASIBLE, LATE, FAILED, WRONG = "planned", "infeasible", "time limit", "failed", "wrong"
-"""Values of the column ``status``."""
 
-RATE = 100.0
-"""Setpoints per second that are simulated [Hz]."""
+# Statuses of errors; that of all others is FAILED
+STATUS = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
 
+# Settings of dask. Its profiler takes more than a tenth of a plan's time, and workers that give
+# freed memory back at once a seventh of it
 SETTINGS = {
     "distributed.scheduler.allowed-failures": 3,  # of workers with a task: it may kill them
     "distributed.comm.timeouts.connect": "5s",
@@ -43,23 +39,10 @@ SETTINGS = {
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
 }
-"""Settings of dask. Its profiler looks at all stacks a hundred times a second, which takes more
-than a tenth of a plan's time. Its workers would give freed memory back at once: a plan would fault
-ten thousand pages anew, a seventh of its time."""
-
-STAY = "rows that were written stay: run the same study again"
 
 
 class SweepError(HitchoptError):
     """A sweep that ended early: rows that were written stay, the same call goes on from there."""
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a worker returns: a case's row, and bytes of its exported files, by name."""
-
-    row: Row
-    files: dict[str, bytes] = field(default_factory=dict)
 
 
 def first_columns(case: Case, digest: str) -> Row:
@@ -68,74 +51,43 @@ def first_columns(case: Case, digest: str) -> Row:
     return row | {f"parameter.{key}": value for key, value in case.point.items()}
 
 
-def outcome_of(case: Case, digest: str) -> Outcome:
-    """Return the outcome of a case; errors that hitchopt raises on purpose become rows."""
+def row_of(case: Case, digest: str) -> Row:
+    """Return the row of a case; errors that hitchopt raises on purpose become rows."""
     from hitchopt.api import solve
     from hitchopt.mission.loading import any_problem_from_dict
 
-    found = Outcome(first_columns(case, digest))
-    row, begin = found.row, time.process_time()
+    row, begin = first_columns(case, digest), time.process_time()
     try:
         plan = solve(any_problem_from_dict(case.problem), limit=case.limit)
         row |= {"status": PLANNED, "duration": plan.duration}
         row |= {f"check.{check.name}": check.worst for check in plan.certificate.checks}
         row["time.plan"] = time.process_time() - begin
-        for name, act in (("settle", _settled), ("simulate", _simulated), ("export", _exported)):
-            if (keys := getattr(case, name)) is not None:
-                begin = time.process_time()
-                given = {key: value for key, value in keys.items() if value is not None}
-                told = act(plan, given | {"seed": case.seed or 0}, found.files)
-                row |= {f"{name}.{key}": value for key, value in told.items()}
-                row[f"time.{name}"] = time.process_time() - begin
+        if case.simulate is not None:
+            begin = time.process_time()
+            row |= {f"simulate.{key}": value for key, value in _simulated(plan, case).items()}
+            row["time.simulate"] = time.process_time() - begin
     except HitchoptError as error:
-        kinds = {TimeLimitError: LATE, InfeasibleError: INFEASIBLE, InputError: WRONG}
-        status = next((word for kind, word in kinds.items() if isinstance(error, kind)), FAILED)
+        status = next((word for kind, word in STATUS.items() if isinstance(error, kind)), FAILED)
         row.setdefault("status", status)  # a plan stays one
         row["message"] = str(error)
         if isinstance(error, InfeasibleError) and error.violations:
             row["binding"] = error.violations[0].constraint
         row.setdefault("time.plan", time.process_time() - begin)
-    row["memory.peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return found
+    return row
 
 
-def _settled(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
-    """Return figures of where the hitch comes to rest over the plan."""
-    from hitchopt.statics.settle import settle
-    from hitchopt.statics.tolerance import taut_times
-
-    del keys["seed"]
-    settled = settle(plan, taut_times(plan.motion, keys.pop("samples")), **keys)
-    return {
-        "vertex_error": float(np.max(settled.displacements)),
-        "tension_min": float(np.min(settled.tensions)),
-        "tension_max": float(np.max(settled.tensions)),
-        "slack": ", ".join(settled.slack_cables),
-    }
-
-
-def _simulated(plan: Plan, keys: dict[str, Any], _files: dict[str, bytes]) -> Row:
+def _simulated(plan: Plan, case: Case) -> Row:
     """Return figures of a simulated flight."""
-    from hitchopt.motion.states import sample_times
     from hitchopt.simulation.judgement import simulate
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import Task
 
-    task = Task.of(plan.motion, sample_times(plan.duration, RATE))
-    run = simulate(task, settings_of(body=keys.pop("drones"), **keys)).run
-    row: Row = {"verdict": run.verdict, "succeeded": run.succeeded}
+    keys: dict[str, Any] = {**(case.simulate or {}), "seed": case.seed}
+    run = simulate(Task.of(plan.motion), settings_of(**keys)).run
+    row: Row = {"verdict": run.verdict, "succeeded": run.succeeded, **run.figures}
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}
-    return row | run.figures
-
-
-def _exported(plan: Plan, keys: dict[str, Any], files: dict[str, bytes]) -> Row:
-    """Return how far the exported files are off; add these to ``files``."""
-    with tempfile.TemporaryDirectory() as place:
-        parts = plan.export(str(keys["format"]), place)
-        for path in sorted(p for p in Path(place).rglob("*") if p.is_file()):
-            files[path.relative_to(place).as_posix()] = path.read_bytes()
-    return {"position_error": max(part.verdict.position.worst for part in parts)}
+    return row
 
 
 def finished(
@@ -162,31 +114,26 @@ def finished(
     InputError: the scheduler cannot be reached.
     UnsupportedError: dask.distributed is not installed.
     """
-    try:
-        import distributed
-    except ImportError:
-        needed = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
-        raise UnsupportedError(needed) from None
     if not tasks:
         return
-    with _client(distributed, width, scheduler) as client:
+    with _client(width, scheduler) as (client, as_completed):
         columns = [list(column) for column in zip(*tasks.values(), strict=True)]
         if shared is not None:  # a task that dask computes again where workers die
             columns.append([client.submit(_itself, shared, pure=False)] * len(tasks))
+        lost, status = "", "finished"
         try:
-            pending = distributed.as_completed(
-                client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000),
-                loop=client.loop,
-                raise_errors=False,
-            )
-            del columns
-            for future in pending:
-                if future.status not in {"finished", "error"}:
-                    raise SweepError(f"the scheduler was lost (a task was {future.status}); {STAY}")
+            futures = client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000)
+            for future in as_completed(futures, loop=client.loop, raise_errors=False):
+                if (status := future.status) not in {"finished", "error"}:
+                    break
                 yield str(future.key), future
         except (OSError, TimeoutError) as error:
-            reason = error or type(error).__name__
-            raise SweepError(f"the scheduler was lost ({reason}); {STAY}") from error
+            lost = str(error) or type(error).__name__
+        if lost or status not in {"finished", "error"}:
+            raise SweepError(
+                f"the scheduler was lost ({lost or f'a task was {status}'}); rows that were "
+                "written stay: run the same study again"
+            )
 
 
 def _itself(value: object) -> object:
@@ -194,10 +141,14 @@ def _itself(value: object) -> object:
 
 
 @contextlib.contextmanager
-def _client(distributed: Any, width: int, scheduler: str | None) -> Iterator[Any]:
+def _client(width: int, scheduler: str | None) -> Iterator[Any]:
     """Yield a client of a scheduler's cluster, or of one of this machine that ends with it."""
-    import dask
-
+    try:
+        import dask
+        import distributed
+    except ImportError:
+        needed = "sweeps need dask.distributed: pip install 'hitchopt[sweep]'"
+        raise UnsupportedError(needed) from None
     for name in ("distributed", "distributed.scheduler", "distributed.nanny", "distributed.worker"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:
@@ -213,4 +164,4 @@ def _client(distributed: Any, width: int, scheduler: str | None) -> Iterator[Any
         except (OSError, ValueError, TimeoutError) as error:
             remedy = "start `dask scheduler` and `dask worker ADDRESS`"
             raise InputError("scheduler", scheduler, f"reachable ({error})", remedy) from None
-        yield stack.enter_context(client)
+        yield stack.enter_context(client), distributed.as_completed

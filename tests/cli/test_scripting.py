@@ -56,7 +56,7 @@ def test_results_are_one_object_and_what_may_take_long_reports_progress() -> Non
     fitted = object_of("fit circle:0.15 --robots 3 -o fit")
     assert fitted["fit"] == written("fit/fit.json")
     assert object_of("statics out --samples 1")["statics"] == written("out/statics.json")
-    flown = object_of("simulate out --drones point --seed 3")
+    flown = object_of("simulate out --seed 3")
     assert (
         flown["simulation"]["succeeded"] is written("out/simulation/simulation.json")["succeeded"]
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -33,8 +32,7 @@ def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     velocities = np.gradient(positions, 1.0 / RATE, axis=0)
     accelerations = np.gradient(velocities, 1.0 / RATE, axis=0)
     jerks = np.gradient(accelerations, 1.0 / RATE, axis=0)
-    yaw = np.zeros(positions.shape[:2])
-    setpoints = Setpoints(positions, velocities, accelerations, jerks, yaw, cable_forces)
+    setpoints = Setpoints(positions, velocities, accelerations, jerks, cable_forces)
     vertices, tensions = np.zeros((len(t), team.layout.points, 3)), np.zeros((len(t), team.robots))
     return Task(team, t, setpoints, np.zeros(len(t), dtype=np.bool_), vertices, tensions)
 
@@ -68,58 +66,33 @@ def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
 
 
-def forming(
-    hitch: Hitch,
-    turns: Sequence[float] | Sequence[tuple[float, float]],
-    *,
-    leg: float = 0.3,
-    tilt: float = np.pi / 4.0,
-    swap: float = 5.0,
-    swapped: bool = False,
-) -> Task:
-    """Return the task of drones that swap positions and draw the hitch tight.
+def forming(hitch: Hitch, swap: float, leg: float = 0.3) -> Task:
+    """Return the task of pairs that turn once in two halves [s] each, and draw the hitch tight.
 
-    ``turns`` gives the number of turns of the pair at each vertex, in two equal halves; a tuple of
-    two gives those of each half. ``tilt`` is the elevation of the turning axis, the outward
-    bisector. ``swapped``: the hitch is drawn tight with every pair in each other's positions, as
-    half a turn leaves it, such that cables run straight through each other's crossings.
+    They turn about the outward bisector, tilted up by 45°.
     """
     team, layout = hitch.team, hitch.team.layout
-    place, outward = hitch.drones, hitch.leg_directions
-    start = place - (hitch.legs.reshape(-1, 1) - leg) * outward
+    start = hitch.drones - (hitch.legs.reshape(-1, 1) - leg) * hitch.leg_directions
     q, r = 2 * layout.ahead, 2 * layout.behind + 1
     middle, half = 0.5 * (start[q] + start[r]), 0.5 * (start[q] - start[r])
     size = np.linalg.norm(half, axis=-1, keepdims=True)
-    outward_axis = np.cross([0.0, 0.0, 1.0], half / size)
-    axis = np.cos(tilt) * outward_axis + np.sin(tilt) * np.array([0.0, 0.0, 1.0])
+    axis = (np.cross([0.0, 0.0, 1.0], half / size) + [0.0, 0.0, 1.0]) / np.sqrt(2.0)
     up = np.cross(half / size, axis) * 0.35
     wide = half / size * np.maximum(size, 0.2)
-    halves = np.array([np.broadcast_to(np.asarray(turn) / 2.0, 2) for turn in turns])
-    if np.ndim(turns[0]):
-        halves = np.array(turns, dtype=np.float64)
     t = np.arange(round((1.5 + 2.0 * swap + 3.5) * RATE) + 1) / RATE
-    first, second = smooth((t - 1.0) / swap), smooth((t - 1.0 - swap - 0.5) / swap)
-    angle = 2.0 * np.pi * (np.multiply.outer(first, halves[:, 0]) + np.outer(second, halves[:, 1]))
-    widen = smooth(t)[:, None, None]
-    chord = half + widen * (wide - half)
-    offset = chord * np.cos(angle)[..., None] + up * np.sin(angle)[..., None]
+    turned = smooth((t - 1.0) / swap) + smooth((t - 1.0 - swap - 0.5) / swap)
+    angle = np.pi * turned[:, None, None]
+    chord = half + smooth(t)[:, None, None] * (wide - half)
+    offset = chord * np.cos(angle) + up * np.sin(angle)
     positions = np.repeat(start[None], len(t), axis=0)
     positions[:, q], positions[:, r] = middle + offset, middle - offset
     begin = 1.5 + 2.0 * swap
     tighten = smooth((t - begin) / 2.0)[:, None, None]
-    cable_pull = hitch.cable_forces + upward(team.cable_weight)
-    if swapped:
-        place, cable_pull = place.copy(), cable_pull.copy()
-        for values in (place, cable_pull):
-            values[np.concatenate([q, r])] = values[np.concatenate([r, q])]
-    positions = positions + tighten * (place - positions)
+    positions = positions + tighten * (hitch.drones - positions)
     pull = smooth((t - begin - 1.0) / 1.5)[:, None, None]
-    forces = pull * cable_pull - upward(team.cable_weight)
+    weight = np.multiply.outer(team.cable_weight, [0.0, 0.0, 1.0])
+    forces = pull * (hitch.cable_forces + weight) - weight
     return formed_where(hanging_task(team, positions, forces), hitch, t >= begin + 2.5)
-
-
-def upward(weight: Array) -> Array:
-    return np.multiply.outer(weight, [0.0, 0.0, 1.0])
 
 
 def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
@@ -127,18 +100,25 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
 
     They are fields of ``Record``, ``Film`` or ``Flight``.
     """
-    n, count = hitch.team.robots, len(t)
+    n, count, settings = hitch.team.robots, len(t), known.pop("settings", Settings())
     drones = np.repeat(hitch.drones[None], count, axis=0)
     ones, many = np.ones((count, n)), np.ones((count, 2 * n))
     vertices = np.repeat(hitch.vertices[None], count, axis=0)
-    no_poses = np.zeros((count, 0, 7))
-    places, others = (t, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
-    record = Record(*places, ones, ones, ones, many, many > 2.0, *others)
+    no_poses, index = np.zeros((count, 0, 7)), np.array([task.index(each) for each in t])
+    places, others = (t, index, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
+    record = Record(*places, ones, ones, ones, many, *others)
     film = Film(t, np.zeros((count, 4, 3)), np.array([0, 4]), no_poses)  # type: ignore[arg-type]
-    gains = PositionGains.of(hitch.team, Settings())
-    ended = (None, np.nan, np.nan, 0.01, np.full(n, 0.3), gains, 0.0, None)
-    parts = []
+    parts: list[Any] = []
     for part in (record, film):
         names = {each.name for each in fields(part)} & known.keys()
         parts.append(replace(part, **{name: known.pop(name) for name in names}))
-    return replace(Flight(task, parts[0], parts[1], (), *ended), **known)  # type: ignore[arg-type]
+    gains = PositionGains.of(hitch.team, settings)
+    ended: dict[str, Any] = {
+        "linking": None,
+        "rested": np.nan,
+        "pulled": np.nan,
+        "error": None,
+        "touches": {},
+    }
+    about = {"gains": gains, "density": 0.01, "longer": 0.0, "ground": 0.0, "objects": {}}
+    return Flight(task, settings, *parts, **{**ended, **about, **known})

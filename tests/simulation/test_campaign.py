@@ -14,67 +14,47 @@ from scripted import regular_hitch, standing, unformed
 from hitchopt.errors import InputError
 from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, SUCCEEDED, Run, simulate
 from hitchopt.simulation.settings import Perturbations, Settings
-from hitchopt.simulation.task import Task
 from hitchopt.sweeps.campaign import Campaign, run_campaign, save_campaign
 
-BRIEF = Settings(
-    body="point",
-    perturbations=Perturbations(noise=0.005, start_error=0.01),
-    pull_test=False,
-    seed=40,
-)
-
-
-@pytest.fixture(scope="module")
-def task() -> Task:
-    """Return a hitch at rest that, by its plan, should move at the end."""
-    task = standing(regular_hitch(3), 0.05)
-    vertices = task.vertices.copy()
-    vertices[4:, :, 0] += [[0.01], [0.02]]
-    return replace(task, vertices=vertices, digest="abc")
+NOISY = Perturbations(noise=0.005, start_error=0.01)
+BRIEF = Settings(perturbations=NOISY, pull_test=False, seed=40)
 
 
 def interval(successes: int, runs: int) -> tuple[float, float]:
     verdicts = [SUCCEEDED] * successes + [FAILED] * (runs - successes)
-    return Campaign(BRIEF, tuple(Run(i, v, ()) for i, v in enumerate(verdicts)), "").interval
-
-
-def without_nan(run: Run) -> Run:
-    """Return a run without its pace and the figures of objects, which are nan."""
-    return replace(run, pace=0.0, placed=0.0, tilted=0.0, slipped=0.0)
+    return Campaign(BRIEF, tuple(Run(i, v, (), {}) for i, v in enumerate(verdicts))).interval
 
 
 @pytest.mark.slow
-def test_several_processes_give_the_runs_that_one_gives(task: Task, tmp_path: Path) -> None:
-    messages: list[str] = []
+def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
+    task = standing(regular_hitch(3), 0.05)
+    vertices = task.vertices.copy()
+    vertices[4:, :, 0] += [[0.01], [0.02]]  # by its plan it should move at the end
+    task, messages = replace(task, vertices=vertices), list[str]()
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
     alone = simulate(task, BRIEF)
-    assert [run.seed for run in campaign.runs] == [40, 41]
-    assert without_nan(campaign.runs[0]) == without_nan(alone.run)
-    assert campaign.runs[0].tracking != campaign.runs[1].tracking
+    for name, value in alone.figures.items():
+        np.testing.assert_equal(campaign.runs[0].figures[name], value)
+    assert campaign.runs[0].figures["tracking_mean"] != campaign.runs[1].figures["tracking_mean"]
     np.testing.assert_allclose(interval(8, 10), (0.4902, 0.9433), atol=5e-5)  # the paper's
-    assert campaign.successes == 2
     assert messages[-1] == "2 of 2 flown, 2 succeeded"
     save_campaign(tmp_path, campaign)
     content = json.loads((tmp_path / "campaign.json").read_text(encoding="utf-8"))
-    assert content["successes"] == content["runs"] == 2
+    assert content["successes"] == content["runs"] == campaign.successes == 2
     assert content["rate_95_percent"] == list(interval(2, 2))
-    assert content["setpoints_sha256"] == "abc"
     assert content["settings"]["perturbations"]["noise"] == 0.005
     with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    assert [row["seed"] for row in rows] == ["40", "41"]
-    assert [row["verdict"] for row in rows] == ["succeeded", "succeeded"]
+    assert [(row["seed"], row["verdict"]) for row in rows] == [(s, SUCCEEDED) for s in ("40", "41")]
     done = alone.errors
     moves = (done.t > 0.035) & (done.t < 0.055)
     for name, chosen in (("moving", moves), ("resting", ~moves), ("vertex_error", moves | True)):
         expected = np.mean(done.errors[chosen])
         assert float(rows[0][f"{name}_mean"]) == pytest.approx(expected, rel=1e-5)
     assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"])
-    assert float(rows[0]["tracking_mean"]) == pytest.approx(alone.run.tracking.mean, rel=1e-5)
 
 
-def test_flights_that_cannot_begin_are_failures_of_that_run(task: Task) -> None:
+def test_flights_that_cannot_begin_are_failures_of_that_run(tmp_path: Path) -> None:
     free = unformed(standing(regular_hitch(3), 0.05))
     apart = replace(free.setpoints, positions=free.setpoints.positions * 1.6)
     campaign = run_campaign(replace(free, setpoints=apart), BRIEF, 2, processes=1)
@@ -82,11 +62,10 @@ def test_flights_that_cannot_begin_are_failures_of_that_run(task: Task) -> None:
     assert campaign.failures == {("start", ""): 2}
     assert [run.verdict for run in campaign.runs] == [NOT_SIMULATED] * 2
     assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
-    assert "its drones start" in campaign.runs[0].failures[0].words
-    assert isinstance(campaign, Campaign)
-    heavy = replace(BRIEF, density=1e-6)
+    save_campaign(tmp_path, campaign)
+    assert (tmp_path / "runs.csv").read_text(encoding="utf-8").count("its drones start") == 2
     with pytest.raises(InputError, match="time_step"):  # nobody could fly this
-        run_campaign(task, heavy, 2, processes=1)
+        run_campaign(free, replace(BRIEF, density=1e-6), 2, processes=1)
     for runs, processes, name in ((0, None, "runs"), (1, 0, "processes")):
         with pytest.raises(InputError, match=f"^{name} = 0"):
-            run_campaign(task, BRIEF, runs, processes)
+            run_campaign(free, BRIEF, runs, processes)

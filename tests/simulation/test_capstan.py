@@ -14,23 +14,22 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.control import POSITION_GAIN, VELOCITY_GAIN
-from hitchopt.simulation.ropes import clasped, ropes_of
+from hitchopt.simulation.ropes import Ropes, clasped
 from hitchopt.simulation.settings import ACCURATE, Settings
 from hitchopt.simulation.world import World, check_valid, tensions
 
-LEG, SIDE = 0.4, 0.6
-"""Lengths of the cables' parts on both sides of the clasp [m]."""
+LEG, SIDE = 0.4, 0.6  # Lengths of the cables' parts on both sides of the clasp [m]
 
+# Of the cables [kg/m], and of the one that slides [m/s]; a higher one costs tension as segments
+# pass the bend
 DENSITY, SPEED = 0.01, 0.05
-"""Of the cables [kg/m], and of the one that slides [m/s]; a higher one costs tension as segments
-pass the bend."""
 
+# Times at which cables are tight and one begins to slide, and are perpendicular; and time of the
+# measurement [s]
 DRAWN, TURNED, MEASURED = 1.0, 0.9, 0.5
-"""Times at which cables are tight and one begins to slide, and are perpendicular; and time of the
-measurement [s]."""
 
+# Rate at which cables lose speed when they begin to be drawn tight [1/s]; zero once they are
 DAMPING = 40.0
-"""Rate at which cables lose speed when they begin to be drawn tight [1/s]; zero once they are."""
 
 
 @pytest.mark.slow
@@ -40,8 +39,9 @@ def test_the_accurate_preset_has_a_capstans_friction() -> None:
         2, LEG + SIDE, topology="open", tension=0.5, cable_density=DENSITY, cable_friction=friction
     )
     hitch = Hitch(team, [[-SIDE, 0.0], [0.0, 0.0], [0.0, -SIDE]], 1.0, [0.0, LEG])
-    ropes = ropes_of(team, Settings(preset=ACCURATE))
-    world = World(ropes, team.mass, rigid=False, gravity=0.0)
+    ropes = Ropes.of(team, Settings(preset=ACCURATE), team.cable_length)
+    world = World(ropes, team.mass)
+    world.model.opt.gravity[:] = 0.0
     world.place(clasped(ropes, team.layout, hitch.drones, hitch.vertices))
     loose, clasp = world.drones - hitch.drones, hitch.vertices[1]
     along = hitch.leg_directions[2:] * np.array([[1.0], [-1.0]])  # q1 outward, r1 after it

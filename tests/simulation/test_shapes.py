@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +16,10 @@ from scipy.spatial.transform import Rotation
 from scripted import regular_hitch, standing, unformed
 
 import hitchopt as ho
-from hitchopt.cli.simulating import flight_tables
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon, regular_polygon
-from hitchopt.hitch import Hitch, Team
-from hitchopt.simulation.judgement import effective_lengths, simulate
+from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.simulation.flight import fly
 from hitchopt.simulation.ropes import (
     COARSENESS,
     LYING_RADIUS,
@@ -32,14 +30,12 @@ from hitchopt.simulation.ropes import (
     hanging,
     linking_matrix,
     linking_number,
-    ropes_of,
     thickness_allowance,
 )
 from hitchopt.simulation.settings import (
     ACCURATE,
     DENSITY,
     FAST,
-    Loss,
     Perturbations,
     Preset,
     Settings,
@@ -48,25 +44,30 @@ from hitchopt.simulation.task import read_task
 from hitchopt.values import Array
 
 
+def ropes_of(team: Team, **given: Any) -> Ropes:
+    return Ropes.of(team, Settings(**given), team.cable_length)
+
+
 def test_too_long_a_time_step_is_refused_with_one_that_works() -> None:
-    team = Team(3, 2.4, tension=0.5, cable_density=0.01)
-    coarse = replace(FAST, time_step=0.004)
+    team = Team(3, 2.4, cable_density=0.01)
     with pytest.raises(InputError, match=r"time_step = 0\.004: must be at most") as caught:
-        ropes_of(team, Settings(preset=coarse))
+        ropes_of(team, preset=replace(FAST, time_step=0.004)).check_tension(0.5)
     step = float(caught.value.bound.split()[2])
-    finer = Settings(preset=replace(FAST, time_step=0.999 * step))
-    assert ropes_of(team, finer).largest_tension >= 1.0
+    finer = ropes_of(team, preset=replace(FAST, time_step=0.999 * step))
+    finer.check_tension(0.5)
+    assert finer.largest_tension >= 1.0
     # The wave's speed is sqrt(T/density): so much lighter cables need a shorter step.
     with pytest.raises(InputError, match="heavier cables"):
-        ropes_of(team, Settings(density=0.0005))
+        ropes_of(team, density=0.0005).check_tension(0.5)
 
 
 def test_cables_without_weight_get_one() -> None:
-    assert ropes_of(Team(3, 2.4), Settings()).density == DENSITY
-    assert ropes_of(Team(3, 2.4, cable_density=0.004), Settings(preset=ACCURATE)).density == 0.004
-    assert ropes_of(Team(3, 2.4, cable_density=0.004), Settings(density=0.02)).density == 0.02
-    assert ropes_of(Team(3, 2.4, cable_friction=0.3), Settings()).friction == 0.3
-    assert ropes_of(Team(3, 2.4, cable_friction=0.3), Settings(friction=0.0)).friction == 0.0
+    light = Team(3, 2.4, cable_density=0.004, cable_friction=0.3)
+    assert ropes_of(Team(3, 2.4)).density == DENSITY
+    assert ropes_of(light, preset=ACCURATE).density == 0.004
+    assert ropes_of(light, density=0.02).density == 0.02
+    assert ropes_of(light).friction == 0.3
+    assert ropes_of(light, friction=0.0).friction == 0.0
 
 
 def test_wrong_numbers_are_refused_by_name() -> None:
@@ -76,12 +77,10 @@ def test_wrong_numbers_are_refused_by_name() -> None:
         (Perturbations, {"noise": -1.0}, "noise"),
         (Perturbations, {"lag": float("nan")}, "lag"),
         (Perturbations, {"cable_error": 0.5}, "cable_error"),
-        (Settings, {"body": "solid"}, "body"),
+        (Perturbations, {"object_mass": 1.0}, "object_mass"),
         (Settings, {"seed": -1}, "seed"),
         (Settings, {"friction": -0.1}, "friction"),
         (Settings, {"density": 0.0}, "density"),
-        (Settings, {"ground": float("inf")}, "ground"),
-        (partial(Ropes, np.array([1.0, -1.0]), 0.01, 0.1), {"preset": FAST}, r"lengths\[1\]"),
     ):
         with pytest.raises(InputError, match=f"^{words} = "):
             kind(**given)
@@ -124,7 +123,7 @@ HITCHES |= {f"{n} by {roll}": uneven(n, roll) for n in (3, 5, 12) for roll in (0
 @pytest.mark.parametrize("name", HITCHES)
 def test_hitches_begin_linked_apart_and_near_their_drones(name: str, preset: Preset) -> None:
     hitch = HITCHES[name]
-    ropes, layout = ropes_of(hitch.team, Settings(preset=preset)), hitch.team.layout
+    ropes, layout = ropes_of(hitch.team, preset=preset), hitch.team.layout
     cables = clasped(ropes, layout, hitch.drones, hitch.vertices)
     assert_exact(cables, ropes)
     wanted = np.zeros((len(cables),) * 2, dtype=int)
@@ -145,7 +144,7 @@ def test_hanging_cables_are_catenaries(across: tuple[float, float, float]) -> No
     q = np.array([0.4, -0.7, 3.0])
     (cable,) = hanging(ropes, np.array([q, q + across]), 0.0)
     assert_exact([cable], ropes)
-    np.testing.assert_allclose(cable[[0, -1]], [q, q + across], atol=1e-7)
+    np.testing.assert_allclose(cable[[0, -1]], [q, q + across], atol=1e-4)
     # The catenary of that length: L² = h² + (2a sinh(s/2a))², its lowest point by formula.
     span, rise, length = float(np.hypot(*across[:2])), across[2], 2.0
     chord = np.sqrt(length**2 - rise**2)
@@ -172,7 +171,8 @@ def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
     ropes = Ropes(np.array([length]), 0.01, 0.0, preset)
     (cable,) = hanging(ropes, np.array([q, r]), -0.03)
     assert_exact([cable], ropes)
-    np.testing.assert_allclose(cable[[0, -1]], [q, r], atol=1e-6)
+    link = float(ropes.segment_lengths[0])
+    assert np.max(np.abs(cable[[0, -1]] - [q, r])) < link  # the settling draws it back
     floor = -0.03 + 0.5 * preset.diameter
     lying = np.flatnonzero(cable[:, 2] < floor + 1e-9)
     assert np.min(cable[:, 2]) == pytest.approx(floor, abs=1e-9)
@@ -181,7 +181,6 @@ def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
     along = np.subtract(r, q)[:2] / np.hypot(*np.subtract(r, q)[:2])
     off = (cable[:, :2] - np.array(q)[:2]) @ [-along[1], along[0]]
     # The meander: aside by a few radii, bent no tighter than its radius unless links are longer.
-    link = float(ropes.segment_lengths[0])
     assert np.max(np.abs(off)) < 5.0 * max(LYING_RADIUS, link)
     flat = np.diff(cable[lying], axis=0)[:, :2] / link
     turns = np.arccos(np.clip(np.sum(flat[1:] * flat[:-1], axis=-1), -1.0, 1.0))
@@ -248,22 +247,19 @@ def test_thick_cables_need_as_much_more_as_their_bends_do(n: int) -> None:
 
 
 @pytest.mark.slow
-def test_simulated_cables_are_as_long_as_planned_and_it_is_told() -> None:
+def test_simulated_cables_are_as_long_as_planned() -> None:
     """Legs, edges and their arcs add up to the plan's length, whatever the ropes' bends use up."""
     task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
-    simulation = simulate(task, Settings(body="point", pull_test=False))
-    flight, found = simulation.flight, effective_lengths(simulation.flight)
+    flight = fly(task, Settings(pull_test=False))
+    record, layout = flight.record, task.team.layout
+    rows = (record.t > 0.1) & (record.t <= flight.rested)
+    drones, vertices = (np.mean(x[rows], axis=0) for x in (record.drones, record.vertices))
+    corners = drones[0::2], vertices[layout.starts], vertices[layout.ends], drones[1::2]
+    chords = np.linalg.norm(np.diff(np.stack(corners, axis=1), axis=1), axis=-1)
+    sag = (GRAVITY * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]) ** 2
+    found = np.sum(chords + sag * chords**3 / 24.0, axis=-1)
     np.testing.assert_allclose(found, task.team.cable_length, atol=4e-3)
     assert flight.longer > 0.015  # without which they would be as much too short
-    off = 1e3 * (found - task.team.cable_length)
-    (row,) = [text for text in flight_tables(simulation).splitlines() if "effective" in text]
-    assert f"{np.min(off):+.1f}" in row
-    assert f"{np.max(off):+.1f}" in row
-    flight = replace(flight, lost=Loss("q0", 0.05))
-    assert np.all(np.isnan(effective_lengths(flight)))
-    text = flight_tables(replace(simulation, flight=flight))
-    assert "effective" not in text
-    assert "nan" not in text
 
 
 @pytest.mark.slow

@@ -88,7 +88,7 @@ def recorded(
     known = -np.repeat(team.tension, 2)[:, None] * unit(drones - points[:, layout.pulled_to])
     commanded = drones - (forces + [*wind, 0.0] - known) / stiffness[:, None]
     zero = np.zeros_like(drones)
-    setpoints = Setpoints(commanded, zero, zero, zero, np.zeros(drones.shape[:2]), known)
+    setpoints = Setpoints(commanded, zero, zero, zero, known)
     formed, tensions = np.ones(len(t), dtype=np.bool_), np.tile(team.tension, (len(t), 1))
     return Task(team, t, setpoints, formed, points, tensions), Recording(t, drones, points)
 

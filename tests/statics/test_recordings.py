@@ -113,8 +113,7 @@ def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path)
 
 @pytest.mark.slow
 def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
-    options = "--drones", "point", "--stiffness", "6", "--density", "0.012"
-    flown = run("simulate", solved, *options)
+    flown = run("simulate", solved, "--stiffness", "6", "--density", "0.012")
     assert flown.exit_code == 0, flown.output
     found = ho.calibrate(solved / "simulation")  # the plan is where the results lie
     assert found.density == 0.012

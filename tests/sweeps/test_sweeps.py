@@ -20,16 +20,8 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
 from hitchopt.sweeps.study import study_from_dict
-from hitchopt.sweeps.sweep import (
-    MEASURED,
-    ROWS,
-    Share,
-    column_of,
-    load_sweep,
-    summary,
-    write_outcome,
-)
-from hitchopt.sweeps.work import SETTINGS, Outcome, outcome_of
+from hitchopt.sweeps.sweep import MEASURED, ROWS, Share, load_sweep, summary, write_row
+from hitchopt.sweeps.work import SETTINGS, row_of
 
 STUDY: dict[str, Any] = {
     "title": "Tension",
@@ -55,17 +47,17 @@ def swept(
     tmp_path_factory: pytest.TempPathFactory, cluster: distributed.LocalCluster
 ) -> tuple[Path, pandas.DataFrame]:
     """A sweep one of whose workers is killed after the first row, and its rows."""
-    place, counts = tmp_path_factory.mktemp("sweep"), list[Any]()
+    place, told = tmp_path_factory.mktemp("sweep"), list[str]()
 
-    def progress(count: Any) -> None:
-        counts.append(count)
-        if count.done == 1:
+    def progress(words: str) -> None:
+        told.append(words)
+        if len(told) == 1:
             os.kill(cluster.workers[0].process.pid, signal.SIGKILL)
 
     address = cluster.scheduler_address
     rows = ho.run_sweep(STUDY, place, scheduler=address, progress=progress)
-    assert [count.done for count in counts] == [1, 2, 3, 4, 5, 6]
-    assert counts[-1].fraction == 1.0
+    assert [words.partition(" rows")[0] for words in told] == [f"{i} of 6" for i in range(1, 7)]
+    assert told[-1] == "6 of 6 rows, 2 without a plan"
     return place, rows
 
 
@@ -76,7 +68,7 @@ def test_workers_that_are_killed_lose_no_row(swept: tuple[Path, pandas.DataFrame
     assert list(rows["status"]) == ["planned"] * 4 + ["infeasible"] * 2
     assert set(rows["binding"].dropna()) <= {"thrust", "tilt"}
     cases = list(study_from_dict(STUDY).cases())
-    alone = pandas.DataFrame([outcome_of(case, case.digest).row for case in cases])
+    alone = pandas.DataFrame([row_of(case, case.digest) for case in cases])
     alone = alone.reindex(columns=rows.columns)
     pandas.testing.assert_frame_equal(fixed(rows), fixed(alone), check_exact=True)
     pandas.testing.assert_frame_equal(load_sweep(place), rows, check_exact=True)
@@ -99,40 +91,32 @@ def test_what_is_lost_is_computed_again_and_nothing_else(
 
 def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     row: dict[str, Any] = {"problem": "p", "seed": None, "status": "failed", "message": "none"}
-    write_outcome(tmp_path, Outcome({**row, "digest": "a"}, {"x/y.bin": b"1"}))
+    write_row(tmp_path, {**row, "digest": "a"})
     (tmp_path / "study.json").write_text(
         json.dumps({"format": "hitchopt-sweep/1", "parameters": [], "cases": ["a", "b"]})
     )
 
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(FileError, match="only what is missing is computed"):
-        write_outcome(tmp_path, Outcome({**row, "digest": "b"}, {"x/y.bin": b"1"}))
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        with pytest.raises(FileError, match="only what is missing is computed"):
+            write_row(tmp_path, {**row, "digest": "b"})
     assert list(load_sweep(tmp_path)["digest"]) == ["a"]
-    assert (tmp_path / "files" / "a" / "x" / "y.bin").read_bytes() == b"1"
 
 
 @pytest.mark.slow
-def test_plans_are_settled_simulated_and_exported() -> None:
-    study = {
-        "problem": PROBLEM,
-        "settle": {"samples": 2, "stiffness": 5.0},
-        "simulate": {"drones": "point", "perturbed": False, "density": 0.01},
-        "export": {"format": "json"},
-    }
+def test_plans_are_simulated() -> None:
+    study = {"problem": PROBLEM, "simulate": {"perturbed": False, "density": 0.01}}
     case = next(iter(study_from_dict(study).cases()))
-    outcome = outcome_of(case, case.digest)
-    row = outcome.row
+    row = row_of(case, case.digest)
     plan = ho.solve(ho.problem_from_dict(case.problem))
     assert (row["status"], row["duration"]) == ("planned", plan.duration)
     for check in plan.certificate.checks:
         assert row[f"check.{check.name}"] == check.worst
     assert row["simulate.verdict"] == "succeeded", row
-    assert row["settle.tension_min"] == pytest.approx(0.4, abs=0.02)  # the team's default tension
-    assert 0.0 < row["export.position_error"] < 1e-3
-    assert outcome.files
+    assert row["simulate.peak_tension"] > 0.4  # the team's default tension
 
 
 @pytest.mark.slow
@@ -146,7 +130,7 @@ def test_a_scheduler_that_is_not_there_is_refused(
 
 def test_a_limit_of_time_is_a_row() -> None:
     study = study_from_dict({**STUDY, "parameters": {}, "limit": 1e-6})
-    assert outcome_of(next(iter(study.cases())), "").row["status"] == "time limit"
+    assert row_of(next(iter(study.cases())), "")["status"] == "time limit"
 
 
 @pytest.mark.slow
@@ -161,14 +145,10 @@ def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
     assert (low, high) == pytest.approx((middle - half, middle + half))
-    assert column_of(rows, "team.tension") == "parameter.team.tension"
-    assert column_of(rows, "thrust") == "check.thrust"
-    with pytest.raises(InputError, match=r"team\.tension"):
-        column_of(rows, "team.tensoin")
 
 
 @pytest.mark.slow
-def test_the_command_reports_draws_and_goes_on(
+def test_the_command_reports_and_goes_on(
     swept: tuple[Path, pandas.DataFrame], tmp_path: Path
 ) -> None:
     place, _ = swept
@@ -181,10 +161,7 @@ def test_the_command_reports_draws_and_goes_on(
 
     code, output = run(study, "-o", place)
     assert (code, "planned: 4 of 6" in output) == (0, True), output
-    assert run(place, "--plot", "team.tension", "duration")[0] == 0
-    assert (place / "duration_over_tension.png").stat().st_size > 5000
+    assert run(place) == (0, output)
     study.write_text(json.dumps({**STUDY, "paramters": {}}))
     code, output = run(study, "-o", place)
     assert (code, "did you mean parameters" in output) == (2, True)
-    code, output = run(place, "--plot", "team.tension", "durtion")
-    assert (code, "duration" in output) == (2, True)
