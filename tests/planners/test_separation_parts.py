@@ -13,7 +13,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.leg_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import SeparationTask
-from hitchopt.planners.separation.program import solve_program
+from hitchopt.planners.separation.planes import hull_points
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.timing.ramps import fastest_ramps
 
@@ -34,9 +34,6 @@ def test_fastest_ramps_are_those_of_another_library(d: float, v: float, a: float
     assert 2.0 * ramps.rise[0] <= ramps.duration[0] * (1.0 + 1e-12)
 
 
-KINDS = ("general", "grid", "line", "level", "one point")
-
-
 def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
     P, A = sp.csc_array(np.eye(2)), sp.csc_array(np.ones((1, 2)))
     one, two = np.ones(1), np.ones(2)
@@ -48,8 +45,19 @@ def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             QuadraticProgram(*arguments)
-    with pytest.raises(ValueError, match="start"):
-        solve_program(QuadraticProgram(P, two, A, -one, one), np.zeros(5))
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))
+@settings(max_examples=40)
+def test_no_point_of_a_hull_is_nearer_than_the_one_that_is_found(seed: int, away: float) -> None:
+    points = np.random.default_rng(seed).normal(size=(1, 3, 6)) + away * np.ones((3, 1))
+    (nearest,) = hull_points(points)
+    if np.any(nearest):  # a plane through it has all of the hull on its far side
+        assert np.min(nearest @ points[0]) == pytest.approx(nearest @ nearest, rel=1e-3)
+    else:  # the origin is a mean of the points, which no plane cuts off
+        normals = np.random.default_rng(1).normal(size=(4000, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        assert np.max(np.min(normals @ points[0], axis=1)) < 0.05
 
 
 def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
@@ -61,7 +69,7 @@ def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
     by_hand = np.vstack([start[0, :2], corners, goal[0, :2]])
     length = float(np.sum(np.linalg.norm(np.diff(by_hand, axis=0), axis=1)))
     assert routes.lengths[0] == pytest.approx(length, rel=1e-6)
-    points = routes.of(0, np.linspace(0.0, 1.0, 500))
+    points = routes.points(np.linspace(0.0, 1.0, 500)[None])[0]
     assert np.min(PILLAR.clearance(points).distance) > task.requirements.separation.radius
     np.testing.assert_allclose(points[[0, -1]], [start[0], goal[0]], atol=1e-12)
 
@@ -72,7 +80,7 @@ def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:
     routes = routes_around(
         SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(low,)))
     )
-    assert np.max(routes.of(0, np.linspace(0.0, 1.0, 99))[:, 2]) > 1.0
+    assert np.max(routes.points(np.linspace(0.0, 1.0, 99)[None])[..., 2]) > 1.0
     assert routes.lengths[0] < 4.2
 
 

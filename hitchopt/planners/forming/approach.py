@@ -25,7 +25,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
-from hitchopt.planners.separation import SeparationTask, Tether, separate
+from hitchopt.planners.separation import SeparationTask, separate
 from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -100,7 +100,7 @@ class Approach:
         places: Array,
         separation: Separation,
         names: tuple[str, ...],
-        tethers: tuple[Tether, ...] = (),
+        tethers: tuple[tuple[int, int, float], ...] = (),
     ) -> SeparationTask:
         """Return the task of bodies that fly apart, with a reserve for the certificate's bounds.
 
@@ -127,7 +127,7 @@ class DirectApproach(Approach):
         """The flight after the take-off."""
         here = self.risen()
         tethers = tuple(
-            Tether(2 * k, 2 * k + 1, float(SPAN * length))
+            (2 * k, 2 * k + 1, float(SPAN * length))
             for k, length in enumerate(self.team.cable_length)
         )
         both, separation = (here, self.goal), self.requirements.separation
