@@ -227,7 +227,7 @@ def _frames(vectors: Array) -> tuple[Array, Array, Array]:
 ACCURACY = 1e-4
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
-ITERATIONS, CROWD, HASTY = 700, 48, 150
+ITERATIONS, CROWD, HASTY = 700, 64, 150
 """Iterations after which the current point is used as it is, and those of so many drones or more:
 rounds correct what they leave."""
 

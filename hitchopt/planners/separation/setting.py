@@ -176,8 +176,8 @@ class Grid:
         stiffness: shortest bend that passes, as a share of the duration.
         """
         free, bends = self.sampled(s)[:, self.free], self.sampled(s, 3)[:, self.free]
-        fitting: Array = np.linalg.solve(free.T @ free + stiffness**6 * bends.T @ bends, free.T)
-        return fitting
+        square = free.T @ free + stiffness**6 * bends.T @ bends
+        return np.asarray(np.linalg.solve(square, free.T), dtype=np.float64)
 
     @cached_property
     def energies(self) -> tuple[Array, Array]:
