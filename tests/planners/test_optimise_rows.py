@@ -19,9 +19,6 @@ from hitchopt.planners.optimise.program import (
     iterates,
     solve_program,
 )
-from hitchopt.planners.optimise.rows import (
-    Program,
-)
 from problems.random_morph import random_convex_polygon
 
 
@@ -32,19 +29,6 @@ def search(
     requirements: Requirements | None = None,
 ) -> Search:
     return Search(requirements or Requirements(), lambda _: None, tension, end_margins, margin)
-
-
-def expressions_of(program: Program) -> dict[str, ca.MX]:
-    """Return x, f and g with the program's own parameters."""
-    built = program.expressions()
-    value = ca.Function("value", [built["x"], built["p"]], [built["f"], built["g"]])
-    x = ca.MX.sym("x", len(program.numbers["x0"]))
-    f, g = value(x, program.numbers["p"])
-    return {"x": x, "f": f, "g": g}
-
-
-def costs_and_rows(expressions: dict[str, ca.MX]) -> ca.Function:
-    return ca.Function("value", [expressions["x"]], [expressions["f"], expressions["g"]])
 
 
 def program_of(
@@ -72,10 +56,10 @@ def program_of(
 def test_the_optimisers_derivatives_are_those_of_finite_differences(
     step: SolverStep, tension: tuple[float, float] | None
 ) -> None:
-    program = program_of(3, step, tension).program
+    program = program_of(3, step, tension).draft
     rng = np.random.default_rng(1)
     multipliers = rng.normal(size=len(program.numbers["lbg"]))
-    x, f, g = expressions_of(program).values()
+    x, f, g = program.expressions.values()
     lagrangian = f + ca.dot(ca.DM(multipliers), g)
     gradient = ca.gradient(lagrangian, x)
     value = ca.Function("value", [x], [lagrangian, gradient])
@@ -101,11 +85,11 @@ def test_the_optimisers_derivatives_are_those_of_finite_differences(
 
 def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
     around = program_of(4, SolverStep(0.17), None)
-    way, program = solve_program(around), around.program
+    way, program = solve_program(around), around.draft
     assert way is not None
-    value = costs_and_rows(expressions_of(program))
-    x = way.table[1:-1].ravel()
-    cost, rows = value(x)
+    x, f, g = program.expressions.values()
+    value = ca.Function("value", [x], [f, g])
+    cost, rows = value(way.table[1:-1].ravel())
     assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
     assert np.all(np.asarray(rows).ravel() <= program.numbers["ubg"] + 1e-4)
     assert float(cost) <= float(value(program.numbers["x0"])[0]) + 1e-6
