@@ -78,7 +78,7 @@ class Enclose(Step):
         InfeasibleError: no polygon, one that is close to the ground, or clasps that rub on each
             other and do not open so far.
         """
-        from hitchopt.planners.carrying.grip_polygon import check_opens, grip_polygons
+        from hitchopt.planners.carrying.grip import check_opens, grip_polygons
         from hitchopt.planners.carrying.rest import rest_polygons
         from hitchopt.steps import held_moves as held
 

@@ -15,8 +15,7 @@ from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HoldBy, Motion
-from hitchopt.planners.carrying.grip import GrippedHitch
-from hitchopt.planners.carrying.grip_polygon import check_pull, grip_left
+from hitchopt.planners.carrying.grip import GrippedHitch, check_pull, grip_left
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
 from hitchopt.planners.carrying.rest import HeldHitch
 from hitchopt.steps.certified_motions import checked
