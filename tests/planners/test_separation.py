@@ -323,10 +323,10 @@ def test_fastest_ramps_are_those_of_another_library(d: float, v: float, a: float
     asked.max_velocity, asked.max_acceleration, asked.max_jerk = [v], [a], [j]
     found = Trajectory(1)
     assert Ruckig(1).calculate(asked, found) == Result.Working
-    ramps = fastest_ramps(np.array([d]), v, a, j)
-    assert ramps.duration[0] == pytest.approx(found.duration, rel=1e-6)
-    assert ramps.peak[0] <= v
-    assert 2.0 * ramps.rise[0] <= ramps.duration[0] * (1.0 + 1e-12)
+    (duration,), (rise,) = fastest_ramps(np.array([d]), v, a, j)
+    assert duration == pytest.approx(found.duration, rel=1e-6)
+    assert 2.0 * rise <= duration * (1.0 + 1e-12)
+    assert d <= v * (duration - rise) * (1.0 + 1e-9)
 
 
 def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:

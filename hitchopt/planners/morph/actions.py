@@ -28,9 +28,12 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, MOVES, Flight, fly, moving
+from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, fly
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
+
+MOVES = 1e-9
+"""[m] Distance from its first place within which a drone or vertex counts as at rest."""
 
 WHOLE = np.array([0.0, 1.0])
 """Breaks of s, of a path in one piece."""
@@ -106,9 +109,6 @@ def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ..
 
 SAME_PLACE = 1e-6
 """[m] Largest distance of a point at t = 0 from the vertex."""
-
-STILL = 1e-9
-"""[m] Distance of consecutive points below which the vertex stands still."""
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
@@ -218,7 +218,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     one in the sense of least jerk; it is at rest at both ends.
     """
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    resting = gaps < STILL
+    resting = gaps < MOVES
     # A stretch ends where the vertex stops or starts.
     changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
@@ -314,7 +314,9 @@ class ActionFlight:
         names = np.array(start.team.drone_names)
         places = drones_along(self.action.path(), np.linspace(0.0, 1.0, PROBES)).positions[..., 0]
         own = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
-        further = moving(flight.drones) & ~np.isin(names, self.action.named)
+        hulls = flight.drones.coefficients
+        away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+        further = (away > MOVES) & ~np.isin(names, self.action.named)
         turning, sliding = (tuple(names[further & some].tolist()) for some in (own, ~own))
         return Flying(flight, turning, sliding, worst)
 

@@ -22,7 +22,6 @@ from hitchopt.planners.morph.path import ShapePath, Shapes, shapes_along
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
-from hitchopt.planners.timing.clock import WarpError
 from hitchopt.planners.timing.flight import Flight
 from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_demands
 from hitchopt.values import Array
@@ -196,7 +195,7 @@ def _flown(paths: Iterable[KnotPath], search: Search) -> Candidate | None:
     for choice in paths:
         try:
             flight = search.judge(choice.path)
-        except (InfeasibleError, TimingError, WarpError):
+        except (InfeasibleError, TimingError):
             continue
         if flight is not None:
             return Candidate(choice.name, flight)

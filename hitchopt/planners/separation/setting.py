@@ -80,13 +80,13 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     acceleration = np.minimum(np.broadcast_to(given, n), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
     straight, routes = np.linalg.norm(task.goal - task.start, axis=1), routes_around(task)
-    bound, ramps = (
+    (bound, _), (durations, own_rises) = (
         fastest_ramps(lengths, limits.speed, acceleration, limits.jerk)
         for lengths in (straight, routes.lengths)
     )
-    slowest = int(np.argmax(ramps.duration))
-    alone = float(ramps.duration[slowest])
-    rise = max(float(ramps.rise[slowest]), SHORTEST_RAMP * alone)
+    slowest = int(np.argmax(durations))
+    alone = float(durations[slowest])
+    rise = max(float(own_rises[slowest]), SHORTEST_RAMP * alone)
     size = max(float(np.max(routes.lengths)), 2.0 * task.requirements.separation.radius)
     going = float(routes.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
@@ -97,9 +97,9 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     grid = Grid(breaks / breaks[-1])
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
     if patience > 1.0 and going:
-        lasts = np.maximum(ramps.duration / alone, SHORTEST) / patience
+        lasts = np.maximum(durations / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
-        np.divide(ramps.rise, ramps.duration, out=rises, where=routes.lengths > 0.0)
+        np.divide(own_rises, durations, out=rises, where=routes.lengths > 0.0)
         rank = np.argsort(tied_order(-lasts, 1.0))  # who flies longest leaves first
         leaving = (1.0 - lasts) * rank / max(1, n - 1)
         each = zip(leaving, lasts, rises, strict=True)
@@ -110,7 +110,7 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     nominal[:, :HELD], nominal[:, -HELD:] = task.start[:, None], task.goal[:, None]
     missing = routes.points(np.stack(shares)) - grid.sampled(s) @ nominal
     nominal[:, grid.free] = grid.fitting(s) @ missing
-    return Setting(task, grid, nominal, caps, float(np.max(bound.duration)), alone, size)
+    return Setting(task, grid, nominal, caps, float(np.max(bound)), alone, size)
 
 
 def inside(arena: Arena | None, points: Array) -> Array:

@@ -23,11 +23,11 @@ import scipy.sparse as sp
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from hitchopt.errors import HitchoptError, check_time
+from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.morph.jets import chained, chained_rates, quintic_spline
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.profile import SpeedProfile
+from hitchopt.planners.timing.profile import SpeedProfile, TimingError
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]
@@ -47,10 +47,6 @@ TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 
 STEADY = 0.97
 """Share of a squared rate at which limits bind from which the search starts: inside of them."""
-
-
-class WarpError(HitchoptError):
-    """The jerk-limited timing could not be found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +96,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
 
     Raises
     ------
-    WarpError: no rate, however slow, keeps the limits at the samples.
+    TimingError: no rate, however slow, keeps the limits at the samples.
     """
     nodes, weights = gauss_points(SAMPLES)
     half = 0.5 * np.diff(clock.knots)[:, None]
@@ -136,7 +132,7 @@ def _steady_rate(path: ClockedPath) -> float:
         if np.all(path.ratios(p) <= LIMIT_SHARE):
             return STEADY * rate
         rate *= 0.8
-    raise WarpError("no constant speed along the path keeps the limits")
+    raise TimingError("no constant speed along the path keeps the limits")
 
 
 @lru_cache

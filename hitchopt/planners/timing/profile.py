@@ -36,7 +36,7 @@ RATHER_SLOW = 1e-9
 
 
 class TimingError(HitchoptError):
-    """The path cannot be timed: toppra found no profile from rest to rest."""
+    """The path cannot be timed: no profile from rest to rest, or no rate, keeps the limits."""
 
 
 def path_grid(steps: int) -> Array:
