@@ -45,8 +45,8 @@ def bound(problem: ho.SwarmProblem) -> float:
     """Return what the drone that flies farthest takes at least, alone [s]."""
     limits = problem.limits
     distance = np.linalg.norm(problem.goal - problem.start, axis=1)
-    ramps = fastest_ramps(distance, limits.speed, limits.acceleration, limits.jerk)
-    return float(np.max(ramps.duration))
+    durations, _ = fastest_ramps(distance, limits.speed, limits.acceleration, limits.jerk)
+    return float(np.max(durations))
 
 
 def cells(problem: ho.SwarmProblem) -> tuple[float, float, float, float, str]:

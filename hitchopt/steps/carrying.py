@@ -98,7 +98,7 @@ class Enclose(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
-        from hitchopt.planners.carrying.grip_polygon import check_opens, grip_polygons
+        from hitchopt.planners.carrying.grip import check_opens, grip_polygons
         from hitchopt.planners.carrying.rest import rest_polygons
         from hitchopt.steps import holds
 

@@ -21,8 +21,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion, Phase, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, stacked_on
-from hitchopt.planners.carrying.grip import GrippedHitch
-from hitchopt.planners.carrying.grip_polygon import check_pull, grip_left
+from hitchopt.planners.carrying.grip import GrippedHitch, check_pull, grip_left
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, move_motion
 from hitchopt.planners.carrying.rest import ROOM, HeldHitch
 from hitchopt.planners.timing.flight import check_duration, needed_stretch

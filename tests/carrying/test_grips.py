@@ -23,7 +23,7 @@ from hitchopt.motion.motion import Hold, HoldBy, Motion
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
-from hitchopt.planners.carrying.grip_polygon import check_opens, grip_left
+from hitchopt.planners.carrying.grip import check_opens, grip_left
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import hitchopt as ho
+from hitchopt.planners.morph.actions import vertex_track
 
 SHAPES = {3: (1.4, 2.5), 4: (1.1, 2.1), 5: (1.3, 2.0), 6: (1.3, 2.0), 9: (1.3, 2.0)}
 """Edge and shortest cable [m] of regular hitches in which drones keep well apart."""
@@ -251,3 +255,156 @@ def test_wrong_arguments_are_told_by_their_own_names() -> None:
         ho.transport(start, [1.0, 1.0])
     with pytest.raises(ho.InputError, match=r"^yaw = nan: must be finite"):
         ho.transport(start, [1.0, 1.0, 1.0], yaw=float("nan"))
+
+
+START = ho.Hitch(
+    ho.Team(5, [2.0, 2.05, 2.1, 2.0, 2.02]),
+    ho.regular_polygon(5, 1.3, angle=1.2).translated([-2.0, 0.7]),
+    1.4,
+    [0.33, 0.36, 0.37, 0.34, 0.35],
+)
+K = 3
+HERE = START.vertices[K, :2]
+OFFSETS = [
+    (2.0, 0.08, 0.05),
+    (3.5, 0.15, -0.02),
+    (5.0, 0.15, -0.02),
+    (6.25, 0.05, -0.04),
+    (9.0, 0.0, 0.03),
+]
+POINTS = [[t, *(HERE + [dx, dy])] for t, dx, dy in OFFSETS]
+
+
+def test_points_are_met_at_their_times_and_standing_stands() -> None:
+    plan = ho.follow_vertex(START, K, POINTS)
+    assert plan.duration == 9.0
+    for t, x, y in POINTS:
+        np.testing.assert_allclose(plan.at(t).vertices[K], [x, y, 1.4], atol=1e-9)
+    for t in (3.5, 4.2, 5.0):
+        np.testing.assert_allclose(plan.at(t).velocities, 0.0, atol=1e-9)
+    for t in (0.0, 3.5, 5.0, 9.0):
+        np.testing.assert_allclose(plan.at(t).accelerations, 0.0, atol=1e-8)
+    assert np.max(np.abs(plan.at(2.0).velocities)) > 0.01  # passed, not stopped at
+    others = np.delete(plan.at(np.linspace(0.0, 9.0, 200)).vertices, K, axis=1)
+    np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
+
+
+def test_two_points_are_the_minimum_jerk_polynomial() -> None:
+    plan = ho.follow_vertex(START, K, [[4.0, *(HERE + [0.1, -0.05])]])
+    x = np.linspace(0.0, 1.0, 101)
+    progress = 10.0 * x**3 - 15.0 * x**4 + 6.0 * x**5
+    expected = HERE + progress[:, None] * [0.1, -0.05]
+    np.testing.assert_allclose(plan.at(4.0 * x).vertices[:, K, :2], expected, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 8))
+@settings(max_examples=30)
+def test_between_rests_no_wiggle_of_the_track_has_less_jerk(seed: int, count: int) -> None:
+    """Adding what vanishes at the points, and with two derivatives at the ends, only adds jerk."""
+    rng = np.random.default_rng(seed)
+    times = np.cumsum(rng.uniform(0.5, 1.5, count))
+    places = rng.normal(size=(count, 2))
+    track = vertex_track(times, places)
+    np.testing.assert_allclose(track.at(times), places, atol=1e-9)
+    t = np.linspace(times[0], times[-1], 4001)
+    x = (t - times[0]) / (times[-1] - times[0])
+    rest = np.poly1d([1.0, -1.0, 0.0]) ** 3  # x³(x-1)³
+    inner = np.poly1d((times[1:-1] - times[0]) / (times[-1] - times[0]), r=True)
+    wiggle = rest * inner
+    scale = np.max(np.abs(wiggle(x)))
+    jerk = track.at(t, 3)
+    bump = wiggle.deriv(3)(x) / (scale * (times[-1] - times[0]) ** 3)
+    least = np.trapezoid(np.sum(jerk**2, axis=1), t)
+    for size in (-0.1, 0.01, 0.1):
+        wiggled = np.trapezoid((jerk[:, 0] + size * bump) ** 2 + jerk[:, 1] ** 2, t)
+        assert wiggled > least
+
+
+def test_a_point_at_no_time_has_to_be_where_the_vertex_is() -> None:
+    plan = ho.follow_vertex(START, K, [[0.0, *HERE], [3.0, *(HERE + [0.1, 0.0])]])
+    assert plan.duration == 3.0
+    with pytest.raises(ho.InfeasibleError, match=r"p3 at t = 0.*begin there, or later"):
+        ho.follow_vertex(START, K, [[0.0, *(HERE + [0.01, 0.0])], [3.0, *HERE]])
+
+
+def test_too_fast_points_name_the_check_and_the_time() -> None:
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.follow_vertex(START, K, [[0.4, *(HERE + [0.2, 0.0])]])
+    fast = next(v for v in caught.value.violations if v.constraint == "vertex_speed")
+    assert fast.value == pytest.approx(15.0 / 8.0 * 0.2 / 0.4, rel=1e-3)
+    found = re.fullmatch(r"at t = (\S+) s, in step 0 \(follow_vertex\)", fast.when)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(0.2, abs=0.002)  # a flat maximum
+    assert fast.remedy.endswith("or give the points more time")
+
+
+TURNED = ho.Hitch(
+    ho.Team(
+        4,
+        [2.1, 2.2, 2.15, 2.1],
+        tension=[0.4, 0.42, 0.41, 0.4],
+        cable_density=0.003,
+        quadrotor=[ho.Quadrotor(0.13 + 0.01 * k, 2.6) for k in range(4)],
+    ),
+    [[2.6, 1.0], [2.5, -0.1], [1.4, -0.2], [1.5, 1.1]],
+    1.3,
+    [0.5, 0.55, 0.45, 0.5],
+)
+
+
+def centroid(points: np.ndarray) -> np.ndarray:
+    """Of the area, by a fan of triangles about the origin of coordinates."""
+    following = np.roll(points, -1, axis=0)
+    double = points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]
+    return np.asarray(((points + following) * double[:, None]).sum(axis=0) / (3.0 * double.sum()))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.6, -4.7, 4.0 * np.pi])
+def test_the_centroid_goes_straight_and_the_hitch_turns_all_the_way(yaw: float) -> None:
+    to = np.array([1.2, 1.4, 1.9])
+    plan = ho.transport(TURNED, to, yaw=yaw)
+    state = plan.at(np.linspace(0.0, plan.duration, 601))
+    middle = np.array([centroid(p[:, :2]) for p in state.vertices])
+    first = np.array([*centroid(TURNED.polygon.vertices), 1.3])
+    np.testing.assert_allclose(middle[-1], to[:2], atol=1e-9)
+    gone = np.column_stack([middle, state.vertices[:, 0, 2]]) - first
+    line = (to - first) / np.linalg.norm(to - first)
+    np.testing.assert_allclose(gone, (gone @ line)[:, None] * line, atol=1e-6)
+    np.testing.assert_allclose(state.vertices[-1, :, 2], 1.9, atol=1e-12)
+    edge = state.vertices[:, 1] - state.vertices[:, 0]
+    turned = np.unwrap(np.arctan2(edge[:, 1], edge[:, 0]))
+    assert turned[-1] - turned[0] == pytest.approx(yaw, abs=1e-9)
+    # Turning and going share one clock.
+    share = gone @ line / np.linalg.norm(to - first)
+    np.testing.assert_allclose(turned - turned[0], share * yaw, atol=1e-5)
+
+
+def test_thrust_holds_weight_pull_and_acceleration_on_the_climb() -> None:
+    plan = ho.transport(TURNED, [*TURNED.polygon.centroid, 2.1])
+    state = plan.at(np.linspace(0.0, plan.duration, 2001))
+    team = TURNED.team
+    leg = state.positions - np.repeat(state.vertices, 2, axis=1)
+    leg[:, 1::2] = state.positions[:, 1::2] - np.roll(state.vertices, -1, axis=1)
+    length, half = np.linalg.norm(leg, axis=-1), 0.5 * 9.81 * 0.003
+    pull = np.repeat(team.tension, 2) + half * leg[..., 2]  # tension grows with height
+    weight = 9.81 * team.mass + half * length
+    thrust = team.mass[:, None] * state.accelerations + (pull / length)[..., None] * leg
+    thrust[..., 2] += weight
+    largest = float(np.max(np.linalg.norm(thrust, axis=-1)))
+    assert plan.certificate["thrust"].worst == pytest.approx(largest, rel=1e-3)
+    assert largest > np.max(np.hypot(weight, np.repeat(team.tension, 2))) + 0.1  # more than at rest
+
+
+def test_where_it_cannot_go_is_told() -> None:
+    arena = ho.Arena([-4, -4, 0], [4, 4, 2])
+    with pytest.raises(ho.InfeasibleError, match=r"arena: .*end of step 0 \(transport\)"):
+        ho.transport(TURNED, [1.2, 1.4, 2.1], arena=arena)
+    with pytest.raises(ho.InfeasibleError, match=r"arena: .* in step 0 \(transport\)"):
+        # Both ends are inside; half way through the turn a corner's drone is not.
+        ho.transport(TURNED, [*TURNED.polygon.centroid, 1.3], yaw=2.0 * np.pi, arena=inside(TURNED))
+
+
+def inside(hitch: ho.Hitch) -> ho.Arena:
+    """A box just about the hitch as it stands."""
+    drones = hitch.drones
+    return ho.Arena(drones.min(axis=0) - 0.02, drones.max(axis=0) + 0.02)

@@ -14,8 +14,8 @@ from hitchopt.planners.timing.clock import (
     ClockedPath,
     RateProgram,
     RateRows,
+    SplineBasis,
     fastest_rate,
-    spline_basis,
 )
 from hitchopt.planners.timing.demands import Demands
 
@@ -55,7 +55,7 @@ def program(seed: int, pieces: int = 6, robots: int = 3) -> RateProgram:
     path = clocked(seed, len(tau), robots)
     spline = make_interp_spline(knots, np.ones(len(knots)), k=3)
     return RateProgram(
-        *spline_basis(spline, tau),
+        SplineBasis.of(spline, tau),
         RateRows.of(path, every_drone(path)),
         np.tile(0.5 / pieces * weights, pieces),
     )
@@ -67,30 +67,30 @@ def test_derivatives_of_rows_by_differences(seed: int) -> None:
     path = clocked(seed, 4)
     rows = RateRows.of(path, every_drone(path))
     rng = np.random.default_rng(seed)
-    p = np.column_stack([rng.uniform(0.3, 2.0, 4), rng.normal(size=(4, 2))])
+    p = np.vstack([rng.uniform(0.3, 2.0, 4), rng.normal(size=(2, 4))])
     weights = rng.uniform(0.0, 1.0, rows.c.shape)
     step = 1e-6
     gradients, curvature = rows.gradients(p), rows.curvature(p, weights)
     for i in range(3):
-        shift = step * np.eye(3)[i]
+        shift = step * np.eye(3)[:, i : i + 1]
         difference = (rows.values(p + shift) - rows.values(p - shift)) / (2.0 * step)
-        np.testing.assert_allclose(gradients[..., i], difference, rtol=1e-5, atol=1e-6)
+        np.testing.assert_allclose(gradients[i], difference, rtol=1e-5, atol=1e-6)
         change = (rows.gradients(p + shift) - rows.gradients(p - shift)) / (2.0 * step)
-        bent = np.einsum("mr,mri->mi", weights, change)
-        np.testing.assert_allclose(curvature[:, i], bent, rtol=1e-5, atol=1e-5)
-    convex = np.linalg.eigvalsh(rows.curvature(p, weights, convex=True))
+        bent = np.einsum("rm,irm->im", weights, change)
+        np.testing.assert_allclose(curvature[i], bent, rtol=1e-5, atol=1e-5)
+    convex = np.linalg.eigvalsh(rows.curvature(p, weights, convex=True).T)
     assert np.min(convex) >= -1e-12 * np.max(convex)
-    least = np.linalg.eigvalsh(rows.curvature(p, weights, convex=True) - curvature)
+    least = np.linalg.eigvalsh((rows.curvature(p, weights, convex=True) - curvature).T)
     assert np.min(least) >= -1e-9  # what is left out bends the other way
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_rate_is_as_fast_as_another_solver_finds_it(seed: int) -> None:
     task = program(seed)
-    start = np.full(task.count, 0.02)
+    start = np.full(task.basis.count, 0.02)
 
     def seconds(c: np.ndarray) -> float:
-        return task.duration(task.at(c))
+        return task.duration(task.basis.at(c))
 
     assert task.slack(start) is not None
     found = fastest_rate(task, start)
@@ -101,9 +101,9 @@ def test_the_rate_is_as_fast_as_another_solver_finds_it(seed: int) -> None:
         seconds,
         0.9 * found,
         method="SLSQP",
-        bounds=[(1e-3, 10.0)] * task.count,
+        bounds=[(1e-3, 10.0)] * task.basis.count,
         constraints=NonlinearConstraint(
-            lambda c: task.rows.values(task.at(c)).ravel(), -np.inf, 0.0
+            lambda c: task.rows.values(task.basis.at(c)).ravel(), -np.inf, 0.0
         ),
         options={"maxiter": 200, "ftol": 1e-10},
     )

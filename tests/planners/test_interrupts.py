@@ -90,8 +90,8 @@ def test_osqp_that_was_interrupted_ends_the_plan(monkeypatch: pytest.MonkeyPatch
     program = QuadraticProgram(
         sp.csc_array(sp.eye(2)), 0.3 * one, sp.csc_array(sp.eye(2)), -one, one
     )
-    np.testing.assert_allclose(solve_program(program, one), -0.3 * one, atol=1e-3)
+    np.testing.assert_allclose(solve_program(program), -0.3 * one, atol=1e-3)
     made = osqp.OSQP
     monkeypatch.setattr(osqp, "OSQP", lambda **options: Interrupted(made(**options)))
     with pytest.raises(KeyboardInterrupt):
-        solve_program(program, one)
+        solve_program(program)

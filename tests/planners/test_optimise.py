@@ -1,13 +1,15 @@
-"""The optimiser: its guesses, and the ways that it must find."""
+"""The optimiser: its guesses, the routes that it must find, and what its programs keep."""
 
+from __future__ import annotations
+
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from optimise_cases import FREE, OCTAGON, PENTAGON, SQUARE, ends
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase
@@ -15,9 +17,43 @@ from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise.guesses import (
     guesses,
 )
+from hitchopt.planners.optimise.knots import (
+    KnotPath,
+    Search,
+    SolverStep,
+)
+from hitchopt.planners.optimise.program import (
+    MorphProgram,
+    build_program,
+    iterates,
+    solve_program,
+)
 from hitchopt.planners.optimise.search import Candidate, OptimisedMorph
 from hitchopt.planners.timing.flight import Flight, fly
 from problems.random_morph import random_convex_polygon
+
+FREE = Requirements(ho.Limits(), ho.Separation(), None)
+SQUARE = regular_polygon(4, 1.2, np.pi / 4)
+PENTAGON = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
+OCTAGON = regular_polygon(8, 1.3)
+
+
+def ends(
+    team: Team, first: ConvexPolygon, last: ConvexPolygon, requirements: Requirements = FREE
+) -> tuple[Hitch, Hitch]:
+    start = Hitch.spread(
+        team, first, limits=requirements.limits, separation=requirements.separation
+    )
+    end = Hitch.nearest(
+        team,
+        last,
+        1.0,
+        start.fractions,
+        limits=requirements.limits,
+        separation=requirements.separation,
+        arena=requirements.arena,
+    )
+    return start, end
 
 
 def certified(
@@ -158,3 +194,55 @@ def test_tensions_stay_within_their_range_at_all_times(tension: tuple[float, flo
         found = flight.tensions.at(np.linspace(0.0, flight.duration, 20001))
         assert np.min(found) >= tension[0]
         assert np.max(found) <= tension[1] + 1e-9
+
+
+def search(
+    tension: tuple[float, float] | None,
+    margin: float,
+    end_margins: tuple[float, float],
+    requirements: Requirements | None = None,
+) -> Search:
+    return Search(requirements or Requirements(), lambda _: None, tension, end_margins, margin)
+
+
+def program_of(
+    n: int, step: SolverStep, tension: tuple[float, float] | None, shift: float = 0.0
+) -> MorphProgram:
+    rng = np.random.default_rng(n)
+    first = random_convex_polygon(n, 1.1, rng)
+    pulls = 0.4 if tension else rng.uniform(0.38, 0.42, n)
+    last = first.rotated(1.0).translated([0.4, 0.1 + shift])
+    start, end = ends(Team(n, 2.2, tension=pulls), first, last)
+    polygons = list(guesses(first, last, 6).values())[1]
+    bounds = search(tension, 1.02, (1.5, 1.5))
+    return build_program(KnotPath.through("turned", start, end, polygons), bounds, step)
+
+
+def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
+    around = program_of(4, SolverStep(0.17), None)
+    way, program = solve_program(around), around.draft
+    assert way is not None
+    x, f, g = program.expressions.values()
+    value = ca.Function("value", [x], [f, g])
+    cost, rows = value(way.table[1:-1].ravel())
+    assert np.all(np.asarray(rows).ravel() >= program.numbers["lbg"] - 1e-4)
+    assert np.all(np.asarray(rows).ravel() <= program.numbers["ubg"] + 1e-4)
+    assert float(cost) <= float(value(program.numbers["x0"])[0]) + 1e-6
+
+
+def smallest_distance(path: KnotPath, parts: int) -> float:
+    """Smallest distance of two drones at ends of all parts of steps [m]."""
+    drones = path.at(np.linspace(0.0, 1.0, parts * path.steps + 1)).table[:, path.columns.drones]
+    first, second = np.triu_indices(drones.shape[1], 1)
+    return float(np.min(np.linalg.norm(drones[:, first] - drones[:, second], axis=-1)))
+
+
+def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
+    last = PENTAGON.renumbered(2)
+    start, end = ends(Team(5, 2.6), PENTAGON, last)
+    polygons = list(guesses(PENTAGON, last, 9).values())[1]
+    first, limit = KnotPath.through("turned", start, end, polygons), 2.0 * FREE.separation.radius
+    for parts, kept in ((1, False), (8, True)):
+        *_, path = iterates(first, search(None, 1.03, (1.5, 1.5)), SolverStep(0.17, parts), 12)
+        assert smallest_distance(path, 1) > limit
+        assert (smallest_distance(path, 8) > limit) == kept

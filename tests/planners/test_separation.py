@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from ruckig import InputParameter, Result, Ruckig, Trajectory
 
+import hitchopt as ho
 from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.hitch.leg_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.planners.separation import Separated, SeparationTask, Tether, separate
+from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.problem import SwarmProblem
+from hitchopt.planners.separation import Separated, SeparationTask, separate
+from hitchopt.planners.separation.planes import hull_points
+from hitchopt.planners.separation.routes import routes_around
+from hitchopt.planners.timing.ramps import fastest_ramps
+from problems.swarm import antipodal_circle
 
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
 POST = Prism([[-0.2, -0.25], [-0.2, 0.25], [0.3, 0.25], [0.3, -0.25]], -1.0, 9.0)
@@ -70,9 +83,9 @@ def assert_kept(task: SeparationTask, found: Separated, samples: int = 1500) -> 
         )
     for prism in task.requirements.keep_out:
         assert np.min(prism.clearance(points).distance) >= task.requirements.separation.radius
-    for tether in task.tethers:
-        apart = np.linalg.norm(points[:, tether.first] - points[:, tether.second], axis=-1)
-        assert np.max(apart) <= tether.longest
+    for one, other, longest in task.tethers:
+        apart = np.linalg.norm(points[:, one] - points[:, other], axis=-1)
+        assert np.max(apart) <= longest
     assert found.bound <= curves.duration
     if task.duration is not None:
         assert curves.duration == pytest.approx(task.duration, rel=1e-12)
@@ -200,7 +213,7 @@ def test_arena_prism_and_cables_are_kept() -> None:
         requirements=replace(
             circle(6, 1.8).requirements, arena=Arena([-1.3, -3.3, 1.0], [2.7, 0.7, 1.7])
         ),
-        tethers=(Tether(0, 1, 2.0), Tether(2, 3, 1.9)),
+        tethers=((0, 1, 2.0), (2, 3, 1.9)),
     )
     assert_kept(around, separate(around))
     start = np.array([[-1.5, 0.0, 1.0], [1.5, 0.1, 1.0], [-1.4, 0.6, 1.0]])
@@ -245,7 +258,7 @@ def changed(task: SeparationTask, change: dict[str, object]) -> SeparationTask:
         ({"start": [[1.0, 0, 1], [1.1, 0, 1]]}, "separation", ("d0", "d1"), "start"),
         ({"arena": Arena([-1.5, -1, 0], [0.9, 1, 2])}, "arena", ("d1",), "start"),
         ({"keep_out": (POST,), "goal": [[0.0, 0, 1], [-1, 0, 1]]}, "keep_out", ("d0",), "goal"),
-        ({"tethers": (Tether(0, 1, 1.5),)}, "span", ("d0", "d1"), "start"),
+        ({"tethers": ((0, 1, 1.5),)}, "span", ("d0", "d1"), "start"),
         ({"duration": 1.5}, "duration", (), "2.372 s"),
         ({"arena": Arena([-2, -0.05, 0.9], [2, 0.05, 1.1])}, "separation", ("d0", "d1"), "t ="),
     ],
@@ -284,8 +297,6 @@ def test_a_duration_that_would_do_is_offered() -> None:
         ({"start": [[0, 0, np.nan]]}, "start"),
         ({"goal": [[0, 0, 1], [1, 1, 1]]}, "goal"),
         ({"duration": -1.0}, "duration"),
-        ({"acceleration": [1.0, 2.0]}, "acceleration"),
-        ({"tethers": (Tether(0, 3, 1.0),)}, "tethers"),
         ({"names": ("a", "b")}, "names"),
     ],
 )
@@ -293,13 +304,117 @@ def test_tasks_that_are_wrong_in_themselves(change: dict[str, object], words: st
     task = SeparationTask(np.zeros((1, 3)), np.ones((1, 3)), Requirements(LIMITS, SEPARATION))
     with pytest.raises(InputError, match=words):
         replace(task, **change)  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="longest"):
-        Tether(0, 1, 0.0)
-    with pytest.raises(InputError, match="second"):
-        Tether(1, 1, 1.0)
 
 
 def test_the_same_task_gives_the_same_plan_to_the_last_bit() -> None:
     first, second = separate(circle(7, 1.5)).drones, separate(circle(7, 1.5)).drones
     np.testing.assert_array_equal(first.coefficients, second.coefficients)
     np.testing.assert_array_equal(first.breaks, second.breaks)
+
+
+PILLAR = Prism([[-0.3, -0.4], [-0.3, 0.4], [0.5, 0.4], [0.5, -0.4]], 0.0, 9.0)
+
+
+@given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))
+@settings(max_examples=60)
+def test_fastest_ramps_are_those_of_another_library(d: float, v: float, a: float, j: float) -> None:
+    asked = InputParameter(1)
+    asked.target_position = [d]
+    asked.max_velocity, asked.max_acceleration, asked.max_jerk = [v], [a], [j]
+    found = Trajectory(1)
+    assert Ruckig(1).calculate(asked, found) == Result.Working
+    (duration,), (rise,) = fastest_ramps(np.array([d]), v, a, j)
+    assert duration == pytest.approx(found.duration, rel=1e-6)
+    assert 2.0 * rise <= duration * (1.0 + 1e-12)
+    assert d <= v * (duration - rise) * (1.0 + 1e-9)
+
+
+def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
+    P, A = sp.csc_array(np.eye(2)), sp.csc_array(np.ones((1, 2)))
+    one, two = np.ones(1), np.ones(2)
+    for arguments, words in (
+        ((P, np.ones(3), A, -one, one), "objective"),
+        ((P, two, A, -two, one), "bounds"),
+        ((P, two, A, one, -one), "crossed"),
+        ((P, two * np.nan, A, -one, one), "nan"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            QuadraticProgram(*arguments)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))
+@settings(max_examples=40)
+def test_no_point_of_a_hull_is_nearer_than_the_one_that_is_found(seed: int, away: float) -> None:
+    points = np.random.default_rng(seed).normal(size=(1, 3, 6)) + away * np.ones((3, 1))
+    (nearest,) = hull_points(points)
+    if np.any(nearest):  # a plane through it has all of the hull on its far side
+        assert np.min(nearest @ points[0]) == pytest.approx(nearest @ nearest, rel=1e-3)
+    else:  # the origin is a mean of the points, which no plane cuts off
+        normals = np.random.default_rng(1).normal(size=(4000, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        assert np.max(np.min(normals @ points[0], axis=1)) < 0.05
+
+
+def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
+    start, goal = np.array([[-2.0, 0.1, 1.0]]), np.array([[2.0, 0.0, 1.0]])
+    task = SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(PILLAR,)))
+    routes = routes_around(task)
+    off = 1.25 * task.requirements.separation.radius
+    corners = [[-0.3 - off, 0.4 + off], [0.5 + off, 0.4 + off]]
+    by_hand = np.vstack([start[0, :2], corners, goal[0, :2]])
+    length = float(np.sum(np.linalg.norm(np.diff(by_hand, axis=0), axis=1)))
+    assert routes.lengths[0] == pytest.approx(length, rel=1e-6)
+    points = routes.points(np.linspace(0.0, 1.0, 500)[None])[0]
+    assert np.min(PILLAR.clearance(points).distance) > task.requirements.separation.radius
+    np.testing.assert_allclose(points[[0, -1]], [start[0], goal[0]], atol=1e-12)
+
+
+def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:
+    low = Prism(PILLAR.polygon, 0.0, 0.9)
+    start, goal = np.array([[-2.0, 0.1, 0.8]]), np.array([[2.0, 0.0, 0.8]])
+    routes = routes_around(
+        SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(low,)))
+    )
+    assert np.max(routes.points(np.linspace(0.0, 1.0, 99)[None])[..., 2]) > 1.0
+    assert routes.lengths[0] < 4.2
+
+
+def test_a_slit_is_told_with_the_drone() -> None:
+    walls = tuple(
+        Prism([[-0.1, low], [-0.1, high], [0.1, high], [0.1, low]], 0.0, 3.0)
+        for low, high in ((0.08, 5.0), (-5.0, -0.08))
+    )
+    start, goal = np.array([[-1.0, 0.3, 1.0]]), np.array([[1.0, 0.2, 1.0]])
+    room = Arena([-2, -4, 0], [2, 4, 3])
+    task = SeparationTask(
+        start, goal, Requirements(Limits(), Separation(), arena=room, keep_out=walls)
+    )
+    with pytest.raises(InfeasibleError, match="keep_out") as caught:
+        routes_around(task)
+    assert caught.value.violations[0].where == ("d0",)
+
+
+search = import_module("hitchopt.planners.separation.separate")
+
+
+def test_drones_that_nobody_meets_stay(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(search, "LARGE", 40)
+    monkeypatch.setattr("hitchopt.planners.separation.guesses.ROUNDS", 2)  # guesses are not clear
+    ring = antipodal_circle(12)
+    x, y = np.meshgrid(np.arange(6) - 2.5, 8.0 + np.arange(5), indexing="ij")
+    away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)]).tolist()
+    data = ring | {
+        "team": {"drones": 42}, "start": ring["start"] + away, "goal": ring["goal"] + away
+    }  # fmt: skip
+    problem = any_problem_from_dict(data)
+    assert isinstance(problem, SwarmProblem)
+    plan = ho.separate(problem)
+    plan.certificate.raise_if_violated()
+    drones = plan.motion.drones.at(np.linspace(0.0, plan.duration, 300))
+    i, j = np.triu_indices(42, 1)
+    apart = (drones[:, i] - drones[:, j]) / [0.24, 0.24, 0.6]
+    assert np.min(np.linalg.norm(apart, axis=-1)) >= 1.0
+    np.testing.assert_allclose(drones[:, 12:], np.broadcast_to(away, (300, 30, 3)), atol=1e-12)
+    np.testing.assert_allclose(drones[-1], problem.goal, atol=1e-9)

@@ -1,29 +1,33 @@
-"""A hitch whose cables are wrapped around an object, and its motions: friction holds the object.
+"""A hitch whose cables are wrapped around an object: its polygon, and its motions.
 
-All is computed in the object's frame. Every cable pulls alike along its whole edge; edges slope
-from the clasps down to the plane of contact and so carry the weight. While the object is off its
-support all clasps are ahead of it by millimetres, so that edges pull it along: level forces come
-from where edges bend, and need no friction.
+Friction holds the object. All is computed in the object's frame. Every cable pulls alike along its
+whole edge; edges slope from the clasps down to the plane of contact and so carry the weight. While
+the object is off its support all clasps are ahead of it by millimetres, so that edges pull it
+along: level forces come from where edges bend, and need no friction.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from hitchopt.checks.clasps import LIMIT
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import clasp_loads, leg_directions, leg_vectors, sag_factors
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.holding.grip import GripTask, best_grip, largest_tension
 from hitchopt.holding.wraps import Bends, Wraps, wraps_around
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.moves import Move, courses
+from hitchopt.planners.carrying.rest import STRETCHES, HoldPolygons
 from hitchopt.values import Array
 
 PASSES = 20
@@ -128,17 +132,12 @@ class GrippedHitch:
         """Return half of what spans (n,) [m³] change by where edges come to bend otherwise.
 
         Where an edge meets another corner, the straight part that sags is longer or shorter at
-        once; moves before and after it meet halfway.
-
-        Parameters
-        ----------
-        share: at which a move ends.
-        bends: (n,), about what edges turn in it.
+        once; moves before and after it, which ends at ``share``, meet halfway.
         """
         polygon, core = self._polygon(np.asarray(share)), self.body.section.core
-        spans = []
         beyond = self._bends(np.clip(share + BEYOND * np.array([-1.0, 1.0]), 0.0, None))
         others = [each for each in (beyond[0], beyond[1]) if each.differ(bends)]
+        spans = []
         for each in (bends, *others[:1]):
             contacts = contacts_of(polygon, wraps_around(self.body.section, polygon, each), core)
             spans.append(_span(*straight_parts(polygon, contacts, np.zeros(len(polygon)))))
@@ -167,9 +166,9 @@ class GrippedHitch:
         lean = course.between(*move.lean)
         weight, tension = self.body.mass * weight, course.tension
         bends = self._bends(0.5 * sum(move.closed))
-        seam = None
+        seam = np.zeros(len(self.closed))
         if move.closed[0] != move.closed[1]:
-            before, after = (self._seam(share, bends) for share in move.closed)
+            before, after = (self._seam(end, bends) for end in move.closed)
             seam = before + course.share[..., None] * (after - before)
         found = self._statics(share, tension, weight, bends, (pulled, borne), lean, seam)
         if move.lean == (0.0, 0.0):
@@ -188,7 +187,7 @@ class GrippedHitch:
         bends: Bends,
         pulled: tuple[Array, Array] | None = None,
         lean: Array | None = None,
-        seam: Array | None = None,
+        seam: Array | float = 0.0,
     ) -> dict[str, Array]:
         """Return drones, vertices, legs, tensions and contacts in the object's frame.
 
@@ -205,7 +204,7 @@ class GrippedHitch:
         pulled: (…, 2) [N], level force on the object, and (…) what share of it edges bear, from 0
             of an object that stands; None for no force.
         lean: (…), as of Move; None for none.
-        seam: (…, n) [m³], what ``_span`` is taken to be larger; None for nothing.
+        seam: (…, n) [m³], what ``_span`` is taken to be larger.
         """
         team, section, T = self.team, self.body.section, tension
         planned = polygon = self._polygon(share)
@@ -233,7 +232,7 @@ class GrippedHitch:
         factors = sag_factors(team, T)
         edges = wraps.arcs + free
         if team.cable_density > 0.0:
-            edges = edges + factors * (_span(leaving, arriving) + (0.0 if seam is None else seam))
+            edges = edges + factors * (_span(leaving, arriving) + seam)
         slack = team.cable_length - edges
         q_legs = (self.open_fractions + share[..., None] * (0.5 - self.open_fractions)) * slack
         loads = clasp_loads(team, q_legs, slack, None)
@@ -389,18 +388,30 @@ def _with_moments(arms: Array) -> Array:
     return rows
 
 
-LEAN_PASSES = 8
-"""Times that the angle which cables wrap and the ratio are computed from each other."""
+ROUNDS = 20
+"""Times that the angle which cables wrap and the friction over it are computed from each other."""
 
 TINY = 1e-12
 """Keeps quotients of friction finite where there is none."""
 
 
+def _other_half(friction: Array, angle: Array) -> Array:
+    """Return half of the angle (…) [rad] that legs enclose where edges enclose one, or the reverse.
+
+    Where cables slide on each other, ``cos x = e^{-μ θ} cos(β/2)``: x and β are of the side that is
+    pulled more and of the other one, μ is the friction and ``θ = β/2 + x`` what cables turn by.
+    """
+    half = other = 0.5 * angle
+    for _ in range(ROUNDS):
+        rubbed = np.exp(-friction * (half + other))
+        other = np.arccos(np.clip(rubbed * np.cos(half), -1.0, 1.0))
+    return other
+
+
 def edge_ratios(friction: Array, edges: Array) -> Array:
     """Return tensions of edges over those of their legs (…, n) where legs lean.
 
-    At a clasp both enclose ``β`` with ``cos(β_legs/2) = λ cos(β_edges/2)``; of both clasps of a
-    cable the lesser friction counts.
+    Of both clasps of a cable the lesser friction counts.
 
     Parameters
     ----------
@@ -408,12 +419,128 @@ def edge_ratios(friction: Array, edges: Array) -> Array:
     edges: (…, n) [rad], between edges at clasps.
     """
     friction = friction[..., None]
-    wrapped = edges
-    for _ in range(LEAN_PASSES):
-        legs = np.arccos(np.clip(np.exp(-friction * wrapped) * np.cos(0.5 * edges), -1.0, 1.0))
-        wrapped = 0.5 * edges + legs
-    one = np.abs(friction) * wrapped + TINY
+    one = np.abs(friction) * (0.5 * edges + _other_half(friction, edges)) + TINY
     other = np.roll(one, -1, axis=-1)
     lesser = one * other / (0.5 * (one**8 + other**8)) ** 0.125
     ratios: Array = np.exp(-np.sign(friction) * lesser)
     return ratios
+
+
+SEARCHED = 0.9
+"""Share of the largest level pull with which polygons are looked for: they do not depend on it."""
+
+
+def grip_polygons(
+    name: str, body: SolidObject, team: Team, requirements: Requirements, gap: float
+) -> HoldPolygons:
+    """Return the polygons of the grip whose slip load is largest.
+
+    Parameters
+    ----------
+    name, body: the object.
+    gap: how far edges around it keep from it [m].
+
+    Raises
+    ------
+    InputError: cables or drones that differ.
+    InfeasibleError: no grip was found.
+    """
+    for key, values in (("cable_length", team.cable_length), ("quadrotor", team.quadrotor)):
+        if len(set(values)) > 1:
+            bound = "alike for all robots where they grip an object"
+            raise InputError(f"team.{key}", list(values), bound, "use one kind")
+    drone, cable = team.quadrotor[0], float(team.cable_length[0])
+    pull = SEARCHED * largest_tension(requirements, drone)[0]
+    friction, section = team.cable_friction, body.section
+    task = GripTask(section, team.robots, cable, pull, friction, requirements, drone)
+    try:
+        closed = best_grip(task).vertices
+    except InfeasibleError as error:
+        words = f"around objects.{name}"
+        raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
+    return HoldPolygons.about(closed, body.centre_of_mass[:2], (body.section,), gap, STRETCHES)
+
+
+def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
+    """Raise InfeasibleError for level pulls that no drone can hold."""
+    most, binding = largest_tension(requirements, team.quadrotor[0])
+    if tension <= most:
+        return
+    own = requirements.limits
+    remedy = f"grasp with a tension of {most:.3g} N or less"
+    if binding == "tilt":
+        needed = np.degrees(np.arctan(tension / (9.81 * team.mass[0])))
+        remedy = (
+            f"level pulls of {tension:.3g} N need limits.tilt_deg of {np.ceil(needed) + 5:.0f}, "
+            f"above {np.degrees(own.tilt):.3g}; or {remedy}"
+        )
+    raise InfeasibleError(
+        [Violation(binding, tension, most, "max", "N", (), "to grip at rest", remedy)]
+    )
+
+
+OUTWARD = 0.02
+"""[m] Clasps are opened that go outward by more: they are nowhere to a centimetre."""
+
+
+def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy: str) -> None:
+    """Raise InfeasibleError where friction keeps legs from opening a hitch.
+
+    A clasp opens where its legs, which enclose β, pull outward by more than its edges do inward:
+    ``cos(β/2) > e^{μ θ} cos(β_edges/2)``, μ the cables' friction and θ the mean of both angles, by
+    which cables turn. Legs enclose the least angle where their drones are side by side.
+
+    Parameters
+    ----------
+    hitch: closed, as it is now.
+    around: (n, 2) [m], where its vertices are to go, as seen from a common centre or not.
+    requirements: the distance of drones.
+    remedy: what to change.
+    """
+    friction, layout = hitch.team.cable_friction, hitch.team.layout
+    if friction == 0.0 or np.any(hitch.roll):
+        return
+    here = hitch.polygon.vertices
+    inward = [np.roll(here, shift, axis=0) - here for shift in (-1, 1)]
+    ahead, behind = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in inward)
+    outward = -(ahead + behind) / np.linalg.norm(ahead + behind, axis=1, keepdims=True)
+    moved = (around - np.mean(around, axis=0)) - (here - np.mean(here, axis=0))
+    opened = np.sum(outward * moved, axis=1) > OUTWARD
+    edges = np.arccos(np.clip(np.sum(ahead * behind, axis=1), -1.0, 1.0))
+    d, e = hitch.legs[layout.ahead, 0], hitch.legs[layout.behind, 1]
+    apart = 2.0 * requirements.separation.radius
+    legs = np.arccos(np.clip((d**2 + e**2 - apart**2) / (2.0 * d * e), -1.0, 1.0))
+    turned, room = 0.5 * (edges + legs), np.log(np.cos(0.5 * legs) / np.cos(0.5 * edges))
+    excess = np.where(opened, np.exp(friction * turned - room), 0.0)
+    worst = int(np.argmax(excess))
+    if excess[worst] <= 1.0:
+        return
+    where, words = (hitch.team.point_names[layout.clasps[worst]],), "as the hitch opens"
+    smoother = room[worst] / turned[worst]
+    if smoother > 0.0:
+        smoother = math.floor(1000.0 * smoother) / 1000.0
+        remedy = f"{remedy}, or use smoother cables, team.cable_friction {smoother:.3g} or less"
+    raise InfeasibleError(
+        [Violation("equilibrium", float(excess[worst]), 1.0, "max", "ratio", where, words, remedy)]
+    )
+
+
+def grip_left(legs: Array, tension: Array, clasp_friction: float, friction: float) -> float:
+    """Return the largest slip load [N] of a hitch that has been opened as far as friction lets it.
+
+    Cables slide on each other until friction holds edges against legs. What the angles between
+    edges add up to beyond those of a polygon is wrapped around the object.
+
+    Parameters
+    ----------
+    legs: (n, 2, 2) [m], the two legs at every clasp as seen from above.
+    tension: (n,) [N], of legs.
+    clasp_friction: coefficient of cables on each other.
+    friction: coefficient of cables on the object.
+    """
+    ways = unit(legs)
+    between = np.arccos(np.clip(np.sum(ways[:, 0] * ways[:, 1], axis=-1), -1.0, 1.0))
+    half = _other_half(np.asarray(clasp_friction), between)
+    rubbed = np.exp(-clasp_friction * (half + 0.5 * between))
+    wrapped = max(2.0 * float(np.sum(half)) - (len(legs) - 2) * math.pi, 0.0)
+    return friction * float(np.max(tension) / np.min(rubbed)) * wrapped

@@ -206,17 +206,9 @@ class SmoothLaw:
     @classmethod
     def fastest(cls, speed: float, acceleration: float, jerk: float) -> SmoothLaw:
         """Return the fastest law within limits of the share's derivatives [1/s], [1/s²], [1/s³]."""
-
-        def ramp(top: float) -> float:
-            return max(STEEPEST * top / acceleration, math.sqrt(BENDING * top / jerk))
-
-        lower, upper = 0.0, speed
-        if upper * ramp(upper) <= 1.0:
-            return cls(ramp(upper), 1.0 / upper - ramp(upper))
-        for _ in range(60):
-            middle = 0.5 * (lower + upper)
-            lower, upper = (middle, upper) if middle * ramp(middle) <= 1.0 else (lower, middle)
-        return cls(1.0 / upper)
+        top = min(speed, math.sqrt(acceleration / STEEPEST), (jerk / BENDING) ** (1.0 / 3.0))
+        ramp = max(STEEPEST * top / acceleration, math.sqrt(BENDING * top / jerk))
+        return cls(ramp, max(1.0 / top - ramp, 0.0))
 
     @property
     def duration(self) -> float:

@@ -15,9 +15,9 @@ class SwapSettings(OneLine):
     Parameters
     ----------
     radius: no semi-axis of the ellipses is smaller than this [m].
-    tilt: of the axis of turning, upward from level [rad]; None: chosen.
+    tilt: of the axis of turning, upward from level [rad]; None: 45°.
     seconds: no half turn is faster than this [s]; None: as fast as the limits allow.
-    sense: 1: every q goes up first; -1: down first; 0: chosen for every vertex.
+    sense: 1: every q goes up first; -1: down first; 0: chosen, which is up.
     """
 
     radius: float = 0.15

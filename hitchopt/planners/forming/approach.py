@@ -12,20 +12,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy.spatial.distance import pdist
 
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
 from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
-from hitchopt.planners.separation import SeparationTask, Tether, separate
+from hitchopt.planners.separation import SeparationTask, separate
 from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -69,15 +71,11 @@ class Approach:
 
     def line(
         self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
-    ) -> Motion:
-        """Return the motion of all drones on straight lines."""
-        return self.stage(name, straight(self.team, self.requirements.limits, start, end), state)
-
-    def needed(
-        self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
     ) -> list[Motion]:
         """Return the motion of all drones on straight lines; none where they are there."""
-        return [] if np.max(np.abs(end - start)) < STILL else [self.line(name, start, end, state)]
+        if np.max(np.abs(end - start)) < STILL:
+            return []
+        return [self.stage(name, straight(self.team, self.requirements.limits, start, end), state)]
 
     def risen(self, *others: Array) -> Array:
         """Return where the drones (2n, 3) [m] are after a take-off, if one is needed.
@@ -85,37 +83,27 @@ class Approach:
         Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
         """
         clearance = CLEARANCE * self.requirements.separation.cable
-        needed = max(
-            hover_altitude(self.team, places, self.requirements.floor, clearance)
-            for places in (self.start, *others)
-        )
-        here = self.start.copy()
+        floor, here = self.requirements.floor, self.start.copy()
+        places = (self.start, *others)
+        needed = max(hover_altitude(self.team, each, floor, clearance) for each in places)
         if np.min(here[:, 2]) < needed:
             here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
         return here
 
-    def separated(
-        self,
-        ends: tuple[Array, Array],
-        places: Array,
-        separation: Separation,
-        names: tuple[str, ...],
-        tethers: tuple[Tether, ...] = (),
-    ) -> SeparationTask:
+    def separated(self, places: Array, **task: Any) -> SeparationTask:
         """Return the task of bodies that fly apart, with a reserve for the certificate's bounds.
 
         Parameters
         ----------
-        ends: where they start, and their goals (bodies, 3) [m].
         places: (J, 2n, 3) [m], of the drones, which tell how much bodies may accelerate.
-        separation, names, tethers: of the bodies.
+        task: start, goal, names, tethers and separation of the bodies.
         """
-        limits = self.requirements.limits
+        limits, separation = self.requirements.limits, task.pop("separation")
         rates = {name: SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")}
-        reserved = replace(limits, **rates)
-        least = accelerations(self.team, limits, places).reshape(len(names), -1).min(axis=1)
-        requirements = replace(self.requirements, limits=reserved, separation=separation)
-        return SeparationTask(*ends, requirements, tethers=tethers, acceleration=least, names=names)
+        own = accelerations(self.team, limits, places).reshape(len(task["names"]), -1).min(axis=1)
+        limited = replace(limits, **rates)
+        requirements = replace(self.requirements, limits=limited, separation=separation)
+        return SeparationTask(requirements=requirements, acceleration=own, **task)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,13 +113,15 @@ class DirectApproach(Approach):
     @property
     def problem(self) -> SeparationTask:
         """The flight after the take-off."""
-        here = self.risen()
-        tethers = tuple(
-            Tether(2 * k, 2 * k + 1, float(SPAN * length))
-            for k, length in enumerate(self.team.cable_length)
+        here, lengths = self.risen(), (SPAN * self.team.cable_length).tolist()
+        return self.separated(
+            np.stack([here, self.goal]),
+            start=here,
+            goal=self.goal,
+            separation=self.requirements.separation,
+            names=self.team.drone_names,
+            tethers=tuple((2 * k, 2 * k + 1, length) for k, length in enumerate(lengths)),
         )
-        both, separation = (here, self.goal), self.requirements.separation
-        return self.separated(both, np.stack(both), separation, self.team.drone_names, tethers)
 
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, all of it raised where cables come near the ground.
@@ -139,9 +129,9 @@ class DirectApproach(Approach):
         Drones that come closer together let their cable hang lower than at both ends.
         """
         here, goal = self.risen(), self.goal
-        rise = self.needed("take-off", self.start, here, CableState.GROUND)
+        rise = self.line("take-off", self.start, here, CableState.GROUND)
         if np.max(np.abs(goal - here)) < STILL:
-            return [*rise, self.line("approach", here, goal)]
+            return [*rise, self.stage("approach", PiecewisePolynomial.constant([0.0, PAUSE], goal))]
         drones = separate(self.problem).drones
         clearance = self.requirements.separation.cable
         at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
@@ -151,12 +141,8 @@ class DirectApproach(Approach):
             return [*rise, self.stage("approach", drones)]
         up = np.array([0.0, 0.0, missing + 0.1 * clearance])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        return [
-            *rise,
-            self.line("climb", here, here + up),
-            self.stage("approach", higher),
-            self.line("descend", goal + up, goal),
-        ]
+        climb, descend = self.line("climb", here, here + up), self.line("descend", goal + up, goal)
+        return [*rise, *climb, self.stage("approach", higher), *descend]
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,11 +151,6 @@ class GatheredApproach(Approach):
 
     They are across a circle then, from which they do not depart until the goal.
     """
-
-    @property
-    def radius(self) -> float:
-        """Radius [m] of the circles."""
-        return DRAWN * self.requirements.separation.radius
 
     @cached_property
     def headings(self) -> tuple[Array, Array]:
@@ -193,8 +174,8 @@ class GatheredApproach(Approach):
         headings: (…, n) [rad]
         size: (n,), of the circles over their radius.
         """
-        level = np.stack([np.cos(headings), np.sin(headings), np.zeros_like(headings)], axis=-1)
-        arms = self.radius * np.asarray(size)[..., None] * level
+        radius = DRAWN * self.requirements.separation.radius * np.asarray(size)[..., None]
+        arms = radius * np.stack([np.cos(headings), np.sin(headings), 0.0 * headings], axis=-1)
         pairs = np.stack([centres - arms, centres + arms], axis=-2)
         return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
@@ -202,30 +183,31 @@ class GatheredApproach(Approach):
     def problem(self) -> SeparationTask:
         """The flight of the robots as discs: no one may pass over another's hanging cable."""
         own, height = self.requirements.separation, float(np.max(self.team.cable_length))
-        discs = replace(own, radius=self.radius + own.radius, height=height)
-        start = _middles(self.start)
-        goal = _spaced(_middles(self.goal), 2.0 * ROOM * discs.radius)
+        discs = replace(own, radius=(1.0 + DRAWN) * own.radius, height=height)
+        start, goal = _middles(self.start), _middles(self.goal)
+        apart = pdist(goal[:, :2])
+        wider = max(1.0, 2.0 * ROOM * discs.radius / max(float(np.min(apart)), 1e-9))
+        goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
         start[:, 2] = goal[:, 2] = self.gathered[0, 2]
         places = np.stack([self.risen(self.gathered, self.goal), self.gathered])
         names = tuple(f"cable {k}" for k in range(self.team.robots))
-        return self.separated((start, goal), places, discs, names)
+        return self.separated(places, start=start, goal=goal, separation=discs, names=names)
 
     def solve(self) -> list[Motion]:
         """Return the motions: gathering, turning, flying and opening."""
         task, (_, headings) = self.problem, self.headings
-        here = self.risen(self.gathered, self.goal)
-        opened = self.goal.copy()
+        here, opened = self.risen(self.gathered, self.goal), self.goal.copy()
         opened[:, 2] = np.maximum(opened[:, 2], task.goal[:1, 2])
         flight = separate(task).drones
         pairs = self.across(np.moveaxis(flight.coefficients, -1, 1), headings)
         carried = PiecewisePolynomial(flight.breaks, np.moveaxis(pairs, 1, -1))
         return [
-            *self.needed("take-off", self.start, here, CableState.GROUND),
-            self.line("gather", here, self.gathered),
+            *self.line("take-off", self.start, here, CableState.GROUND),
+            *self.line("gather", here, self.gathered),
             self.stage("turn", self._turned(task.start)),
             self.stage("approach", carried),
-            self.line("open", self.across(task.goal, headings), opened),
-            *self.needed("descend", opened, self.goal),
+            *self.line("open", self.across(task.goal, headings), opened),
+            *self.line("descend", opened, self.goal),
         ]
 
     def _turned(self, centres: Array) -> PiecewisePolynomial:
@@ -234,7 +216,8 @@ class GatheredApproach(Approach):
         largest, start = float(np.max(np.abs(last - first))), self.across(centres, first)
         if largest < LEAST_TURN:
             return PiecewisePolynomial.constant([0.0, PAUSE], start)
-        share, limits, size = (last - first) / largest, self.requirements.limits, self.radius
+        share, limits = (last - first) / largest, self.requirements.limits
+        size = DRAWN * self.requirements.separation.radius
 
         def curve(angle: Array, order: int) -> Array:
             headings = first + angle[:, None] * share + 0.5 * math.pi * order
@@ -268,19 +251,6 @@ def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -
     return ground + clearance - float(np.min(_lowest(team, level)))
 
 
-def _spaced(points: Array, least: float) -> Array:
-    """Return points (n, 3) [m] moved from their middle until ``least`` [m] apart from above."""
-    flat = points[:, :2]
-    from scipy.spatial import cKDTree
-
-    nearest = np.asarray(cKDTree(flat).query(flat, k=[2])[0])
-    factor = max(1.0, least / max(float(np.min(nearest)), 1e-9))
-    middle = np.mean(flat, axis=0)
-    spaced = points.copy()
-    spaced[:, :2] = middle + factor * (flat - middle)
-    return spaced
-
-
 def _lowest(team: Team, drones: Array) -> Array:
     """Return the height of every hanging cable's lowest point (n,) [m]."""
     q, r = drones[0::2], drones[1::2]
@@ -312,8 +282,11 @@ def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignm
     short = team.cable_length[:, None] - outline.edge_lengths < 2.0 * leg
     size = float(np.max(cost))
     k = np.arange(team.robots)
-    cost = cost + TIE * size * _preference(team.robots)
-    cost = cost + short * (1.0 + size) * len(cost)
+    # Robots prefer edges of their own number; multiples of the golden ratio, modulo 1, tell apart
+    # assignments that would tie again.
+    apart = np.mod(GOLDEN * np.arange(1.0, cost.size + 1.0), 1.0).reshape(cost.shape)
+    preference = np.abs(k[:, None] - k) / len(k) + 0.1 * apart
+    cost = cost + TIE * size * preference + short * (1.0 + size) * len(cost)
     robots, roles = linear_sum_assignment(cost)
     order = robots[np.argsort(roles)]
     shorter = straight[order, k] - crossed[order, k]
@@ -322,16 +295,3 @@ def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignm
     # Where both are as short, cables turn counter-clockwise.
     flipped = np.where(np.abs(shorter) > TIE * size, shorter > 0.0, turns < -TIE * size)
     return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))
-
-
-def _preference(robots: int) -> Array:
-    """Return the costs (robots, edges), up to 2, that decide between assignments that tie.
-
-    Robots prefer edges of their own number. Multiples of the golden ratio, modulo 1, tell apart
-    assignments that would tie again.
-    """
-    k = np.arange(robots)
-    away = np.abs(k[:, None] - k) / robots
-    apart = np.mod(GOLDEN * np.arange(1.0, robots**2 + 1.0), 1.0).reshape(away.shape)
-    preference: Array = away + 0.1 * apart
-    return preference

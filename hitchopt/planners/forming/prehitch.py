@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,10 +36,9 @@ LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
 SCALES = (1.0, 0.9, 0.8, 0.7, 0.6, 1.15, 1.3, 1.5, 1.8)
 """Scales of the hitch's polygon, in the order in which they are tried if no share suffices."""
 
-TILTS = (45.0, 60.0, 30.0, 0.0)
-"""[deg] Tilts of the axis of turning, in the order in which they are tried where none is given.
-The first one keeps drones out of hanging cables for any number of robots; level axes do so up to
-about seven."""
+TILT = math.radians(45.0)
+"""[rad] Tilt of the axis of turning where none is given: it keeps drones out of hanging cables for
+any number of robots; level axes do so up to about seven."""
 
 SPAN = 0.97
 """Largest share of a cable that its drones may be apart while it hangs."""
@@ -51,9 +49,6 @@ CLEARANCE = 1.05
 LINKED = 0.05
 """[m] Least length of both cables beyond the point where their chords cross at a clasp, seen from
 above, once its pair is exchanged: cables that do not cross there do not clasp."""
-
-EVEN = 1e-3
-"""[m] Smallest gain in clearance that counts: rounding does not decide between mirror images."""
 
 ANGLES = 73
 """Number of angles that are measured; the certificate bounds all of them."""
@@ -73,7 +68,6 @@ class PreHitch:
     scale: of the hitch's polygon.
     measures: spans and distances of the swaps, angle by angle.
     shortfall: relative violation of the requirements; none if at most zero.
-    separation: required distances.
     """
 
     turns: Turns
@@ -81,7 +75,6 @@ class PreHitch:
     scale: float
     measures: Measures
     shortfall: float
-    separation: Separation
 
     @property
     def drones(self) -> Array:
@@ -92,79 +85,43 @@ class PreHitch:
 def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) -> PreHitch:
     """Return the first pre-hitch that keeps spans and distances, else the one that comes nearest.
 
-    At the hitch's own altitude. The certificate bounds it at every time.
+    At the hitch's own altitude. The certificate bounds it at every time. Pairs stand as in the
+    hitch; if cables of some would not link, across clasps too.
     """
-    looked_at = []
-    for found in candidates(hitch, separation, settings):
+    looked_at: list[PreHitch] = []
+    for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
+        if across and all(found.measures.linked >= LINKED for found in looked_at):
+            break
+        check_time()
+        turns = _turns(hitch, separation, settings, share, scale, across)
+        measures = measured(turns, separation)
+        found = PreHitch(turns, share, scale, measures, _shortfall(measures, separation))
+        if found.shortfall <= 0.0:
+            drawn = _drawing_shortfall(found, hitch, separation)
+            found = replace(found, shortfall=max(found.shortfall, drawn))
         if found.shortfall <= 0.0:
             return found
         looked_at.append(found)
     return min(looked_at, key=lambda found: found.shortfall)
 
 
-def candidates(hitch: Hitch, separation: Separation, settings: SwapSettings) -> Iterator[PreHitch]:
-    """Yield pre-hitches: pairs stand as in the hitch; across clasps too if some would not link."""
-    tilts = TILTS if settings.tilt is None else (math.degrees(settings.tilt),)
-    oblique = False
-    for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
-        if across and not oblique:
-            return
-        for tilt in tilts:
-            check_time()
-            turns = _turns(hitch, separation, settings, math.radians(tilt), share, scale, across)
-            found = _turning(turns, separation, settings, share, scale)
-            oblique = oblique or found.measures.linked < LINKED
-            fits = found.shortfall <= 0.0
-            if fits:
-                drawn = _drawing_shortfall(found, hitch)
-                found = replace(found, shortfall=max(found.shortfall, drawn))
-            yield found
-            if fits or found.measures.span > SPAN or found.measures.opening < _opening(separation):
-                break  # tilts do not change it
-
-
-def _turning(
-    turns: Turns, separation: Separation, settings: SwapSettings, share: float, scale: float
-) -> PreHitch:
-    """Return the pre-hitch with the given senses; where none is given, q goes up first if possible.
-
-    It goes down first at clasps where drones would come too close to their partners' cables.
-    """
-    senses = np.full(len(turns.half), float(settings.sense or 1))
-    turns = turns.with_senses(senses)
-    measures = measured(turns, separation)
-    short = measures.clearances < CLEARANCE * separation.cable
-    if not settings.sense and np.any(short):
-        down = measured(turns.with_senses(-senses), separation).clearances
-        better = short & (down > measures.clearances + EVEN)
-        if np.any(better):
-            turns = turns.with_senses(np.where(better, -senses, senses))
-            measures = measured(turns, separation)
-    return PreHitch(turns, share, scale, measures, _shortfall(measures, separation), separation)
-
-
-def _opening(separation: Separation) -> float:
-    """Return the least distance of q and r of a cable along its edge before the swaps [m]."""
-    return 2.0 * APART * separation.radius
-
-
 def _shortfall(measures: Measures, separation: Separation) -> float:
     """Return the relative violation of the worst quantity."""
+    radius = separation.radius
     needed = [
         (measures.span, SPAN),
-        (_opening(separation) - measures.opening + separation.radius, separation.radius),
-        (LINKED - measures.linked + separation.radius, separation.radius),
+        (2.0 * APART * radius - measures.opening + radius, radius),
+        (LINKED - measures.linked + radius, radius),
         (1.0, measures.apart / (0.99 * APART)),
     ]
     if separation.cable > 0.0:
-        clearance = float(np.min(measures.clearances))
-        needed.append((CLEARANCE, max(clearance, 1e-9) / separation.cable))
+        needed.append((CLEARANCE, max(measures.clearance, 1e-9) / separation.cable))
     return max(value / limit - 1.0 for value, limit in needed)
 
 
-def _drawing_shortfall(pre: PreHitch, hitch: Hitch) -> float:
+def _drawing_shortfall(pre: PreHitch, hitch: Hitch, separation: Separation) -> float:
     """Return the relative violation on the way out to the hitch."""
-    worst = 1.0 / smallest_separation(pre.drones, hitch.drones, pre.separation)
+    worst = 1.0 / smallest_separation(pre.drones, hitch.drones, separation)
     points = clasp_places(pre.turns, pre.scale, hitch, pre.drones)
     return max(worst, largest_reach(hitch.team, pre.drones, points)) - 1.0
 
@@ -173,7 +130,6 @@ def _turns(
     hitch: Hitch,
     separation: Separation,
     settings: SwapSettings,
-    tilt: float,
     share: float,
     scale: float,
     across: bool,
@@ -185,6 +141,7 @@ def _turns(
     bisector instead.
     """
     layout, drones = hitch.team.layout, hitch.drones
+    tilt = TILT if settings.tilt is None else settings.tilt
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
     vertices = hitch.vertices[layout.clasps]
     q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
@@ -197,6 +154,7 @@ def _turns(
         beyond -= np.sum(beyond * along, axis=1, keepdims=True) * along
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
     middles = vertices + share * beyond + (scale - 1.0) * (vertices - centre)
+    rise = rise_that_clears(separation, tilt, settings.radius)
     alone = drones[~layout.has_leg.ravel()]
     up = np.array([0.0, 0.0, 1.0])
     return Turns(
@@ -205,7 +163,7 @@ def _turns(
         along,
         math.cos(tilt) * up - math.sin(tilt) * outward,
         np.maximum(0.5 * share * lengths, max(settings.radius, APART * separation.radius)),
-        np.full(len(along), rise_that_clears(separation, tilt, settings.radius)),
+        (settings.sense or 1) * np.full(len(along), rise),
         alone + (scale - 1.0) * (alone - centre),
         hitch.vertices,
     )
@@ -222,7 +180,7 @@ class Measures:
         pairs would be on the wrong side of each other's cables.
     linked: smallest length of two cables beyond the point where their chords cross at a clasp, seen
         from above, when its pair is exchanged [m]; negative where they do not cross.
-    clearances: (clasps,) smallest distance of a drone to its partner's cable [m].
+    clearance: smallest distance of a drone to its partner's cable [m].
     apart: smallest ratio of drones of pairs next to each other.
     lowest: largest depth of a cable below the drones' plane [m].
     """
@@ -230,7 +188,7 @@ class Measures:
     span: float
     opening: float
     linked: float
-    clearances: Array
+    clearance: float
     apart: float
     lowest: float
 
@@ -244,10 +202,10 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     mu = cables.place(PLACES[:, None, None])
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
-    clear = np.full(len(turns.half), np.inf)
+    clear = np.inf
     for drone, cable in ((q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)):
         distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
-        clear = np.minimum(clear, np.min(distance, axis=(0, 1)))
+        clear = min(clear, float(np.min(distance)))
     along = unit(layout.edges(turns.vertices))
     return Measures(
         float(np.max(np.linalg.norm(r - q, axis=-1) / length)),

@@ -11,7 +11,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
@@ -29,9 +28,12 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, MOVES, Flight, fly, moving
+from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, fly
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
+
+MOVES = 1e-9
+"""[m] Distance from its first place within which a drone or vertex counts as at rest."""
 
 WHOLE = np.array([0.0, 1.0])
 """Breaks of s, of a path in one piece."""
@@ -107,9 +109,6 @@ def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ..
 
 SAME_PLACE = 1e-6
 """[m] Largest distance of a point at t = 0 from the vertex."""
-
-STILL = 1e-9
-"""[m] Distance of consecutive points below which the vertex stands still."""
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
@@ -194,7 +193,13 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
     """
     here = start.vertices[vertex, :2]
     if points[0, 0] == 0.0:
-        _check_begin(here, points[0, 1:], vertex)
+        away, begin = float(np.linalg.norm(points[0, 1:] - here)), points[0, 1:].tolist()
+        if away > SAME_PLACE:
+            where, place = (f"p{vertex}",), here.round(9).tolist()
+            remedy = f"the path begins at t = 0 at {begin}, the vertex is at {place}: "
+            remedy += "begin there, or later"
+            found = Violation("continuity", away, SAME_PLACE, "max", "m", where, "at t = 0", remedy)
+            raise InfeasibleError([found])
         points = points[1:]
     times = np.append(0.0, points[:, 0])
     track = vertex_track(times, np.vstack([here, points[:, 1:]]))
@@ -213,7 +218,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     one in the sense of least jerk; it is at rest at both ends.
     """
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    resting = gaps < STILL
+    resting = gaps < MOVES
     # A stretch ends where the vertex stops or starts.
     changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
@@ -230,19 +235,6 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
         coefficients[span, :, 0] = places[first:last]
         coefficients[span, :, -1] = places[first + 1 : last + 1]
     return PiecewisePolynomial(times, coefficients)
-
-
-def _check_begin(here: Array, first: Array, vertex: int) -> None:
-    away = float(np.linalg.norm(first - here))
-    if away > SAME_PLACE:
-        where = (f"p{vertex}",)
-        remedy = (
-            f"the path begins at t = 0 at {first.tolist()}, the vertex is at "
-            f"{here.round(9).tolist()}: begin there, or later"
-        )
-        raise InfeasibleError(
-            [Violation("continuity", away, SAME_PLACE, "max", "m", where, "at t = 0", remedy)]
-        )
 
 
 PLACES = np.array([0.21, 0.5, 0.79])
@@ -291,7 +283,12 @@ class ActionFlight:
     def path(self) -> ShapePath:
         """The path by the action's own law; raises InfeasibleError where it is shut."""
         path = self.action.path(self.end)
-        _check_outline(path)
+        try:
+            check_shapes(path)
+        except InfeasibleError as error:  # other legs may do if there is slack
+            slack = np.sum(shapes_along(path, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
+            if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
+                raise
         return path
 
     @property
@@ -315,29 +312,13 @@ class ActionFlight:
             flight = fly_timed(path, seconds)
         worst = None if path is self.path else worst_place(self.path, self.requirements)
         names = np.array(start.team.drone_names)
-        own = _moved_by_law(self.action)
-        further = moving(flight.drones) & ~np.isin(names, self.action.named)
+        places = drones_along(self.action.path(), np.linspace(0.0, 1.0, PROBES)).positions[..., 0]
+        own = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
+        hulls = flight.drones.coefficients
+        away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+        further = (away > MOVES) & ~np.isin(names, self.action.named)
         turning, sliding = (tuple(names[further & some].tolist()) for some in (own, ~own))
         return Flying(flight, turning, sliding, worst)
-
-
-def _check_outline(path: ShapePath) -> None:
-    """Raise InfeasibleError where no leg lengths make the path one of hitches."""
-    try:
-        check_shapes(path)
-    except InfeasibleError as error:
-        slack = np.sum(shapes_along(path, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
-        if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
-            raise
-
-
-def _moved_by_law(action: Action) -> NDArray[np.bool_]:
-    """Return which drones (2n,) the action's own law moves, whether or not it can be kept."""
-    s = np.linspace(0.0, 1.0, PROBES)
-    places = drones_along(action.path(), s).positions[..., 0]
-    away = np.linalg.norm(places - places[:1], axis=-1)
-    moved: NDArray[np.bool_] = np.max(away, axis=0) > MOVES
-    return moved
 
 
 def fly_timed(path: ShapePath, seconds: float) -> Flight:

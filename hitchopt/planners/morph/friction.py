@@ -73,27 +73,21 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
         legs at rest pull their drones beyond a limit.
     """
     slip = counted_on(motion, share)
-    if slip is None:
-        return None
-    found = _leaned(motion, slip)
+    found = None if slip is None else _leaned(motion, slip)
     if found is None or found.turned < SMALLEST:
         return None
     leaned = found.motion
     factor = needed_stretch(motion.team, limits, leaned.drones, leaned.vertices, leaned.pulls)
-    if factor <= 1.0:
-        return found
-    if not slower or not math.isfinite(factor):
+    if factor > 1.0 and (not slower or not math.isfinite(factor)):
         return None
-    return replace(found, motion=leaned.slowed(factor))
+    return replace(found, motion=leaned.slowed(max(factor, 1.0)))
 
 
 def worth_leaning(motion: Motion) -> bool:
     """Return whether legs would lean by more than the least, if limits allowed it."""
     slip = counted_on(motion, 1.0)
-    if slip is None:
-        return False
-    found = _leaned(motion, slip)
-    return found is None or found.turned >= SMALLEST
+    found = None if slip is None else _leaned(motion, slip)
+    return slip is not None and (found is None or found.turned >= SMALLEST)
 
 
 SWINGS, SWING = 8, 2.0
@@ -138,7 +132,12 @@ def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
 def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
     """Return the motion with pulls ``T e^slip``; None where a clasp cannot balance so."""
     layout = motion.team.layout
-    breaks = _refined(motion.drones.breaks, motion.duration / (FINER * slip.pieces))
+    coarse, longest = motion.drones.breaks, motion.duration / (FINER * slip.pieces)
+    parts = np.maximum(1, np.ceil(np.diff(coarse) / longest - 1e-9).astype(np.intp))
+    each = zip(coarse[:-1], coarse[1:], parts, strict=True)
+    breaks = np.append(
+        np.concatenate([np.linspace(*one, endpoint=False) for one in each]), coarse[-1:]
+    )
     drones, vertices, legs, tensions = (
         on_breaks(part, breaks)
         for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
@@ -178,15 +177,6 @@ def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -
     if team.cable_density == 0.0:
         return None
     return cable_along(team, chords, np.repeat(tensions, 2, axis=1)).reshape(lengths.shape)
-
-
-def _refined(breaks: Array, longest: float) -> Array:
-    """Return the breaks with every piece cut evenly into parts no longer than ``longest`` [s]."""
-    parts = np.maximum(1, np.ceil(np.diff(breaks) / longest - 1e-9).astype(np.intp))
-    first = np.repeat(np.cumsum(parts) - parts, parts)
-    within = (np.arange(len(first)) - first) / np.repeat(parts, parts)
-    starts = np.repeat(breaks[:-1], parts) + within * np.repeat(np.diff(breaks), parts)
-    return np.append(starts, breaks[-1])
 
 
 def _end_jets(part: PiecewisePolynomial) -> tuple[Array, Array]:

@@ -69,7 +69,7 @@ class StraightMorph:
         Raises
         ------
         InfeasibleError: as ``problem``, or ``duration`` is too short.
-        TimingError, WarpError: no timing was found.
+        TimingError: no timing was found.
         """
         if np.max(np.abs(self.end.drones - self.start.drones)) < STILL:
             return None

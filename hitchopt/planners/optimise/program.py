@@ -11,22 +11,22 @@ from __future__ import annotations
 import math
 import signal
 import threading
-from collections import OrderedDict
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from scipy import sparse
 
 from hitchopt.errors import check_time, time_left
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.parts import SEPARATION, end_combinations
 from hitchopt.model.planar import planar
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep, variable_bounds
-from hitchopt.planners.optimise.rows import Draft, Expression, Program, Symbols, keep_apart
+from hitchopt.planners.optimise.near import NearPairs, near_pairs
 from hitchopt.values import Array, Indices
 
 BEND = 0.1
@@ -48,12 +48,54 @@ TENSION_CHANGE = 0.01
 LAGGING = 0.5
 """Share of the longest segment of a step below which others do not tell how long it takes."""
 
-ITERATIONS = 100
-"""Largest number of IPOPT's iterations for the energy."""
+ITERATIONS, FASTEST_ITERATIONS = 100, 40
+"""Largest numbers of IPOPT's iterations for the energy, and for the time: that converges in about
+20 or, where all drones bind at once, not at all."""
 
-FASTEST_ITERATIONS = 40
-"""Largest number for the time: it converges in about 20 or, where all drones bind at once, not at
-all."""
+
+class Draft:
+    """A program ``min f(x)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x) ≤ ubg`` as it is collected."""
+
+    def __init__(self) -> None:
+        self._x: list[ca.MX] = []
+        self._g: list[ca.MX] = []
+        self._boxes: list[tuple[Array, Array, Array]] = []
+        self._ranges: list[tuple[Array, Array]] = []
+        self.cost = ca.MX(0.0)
+
+    def variables(self, start: Array, lower: Array, upper: Array) -> ca.MX:
+        """Add variables that start at ``start``; return their symbols."""
+        self._x.append(ca.MX.sym(f"x{len(self._x)}", len(start)))
+        self._boxes.append((start, lower, upper))
+        return self._x[-1]
+
+    def bound(self, value: ca.MX, least: Array, most: Array) -> None:
+        """Add rows that keep a column of values between their bounds (rows,)."""
+        self._g.append(value)
+        self._ranges.append((least, most))
+
+    def soft_bound(self, value: ca.MX, least: Array, now: Array) -> None:
+        """Add rows that keep a column above its bounds (rows,), softly where it is not ``now``."""
+        short, lack = np.flatnonzero(now < least), np.maximum(least - now, 0.0)
+        if len(short):
+            count = len(short)
+            slack = self.variables(lack[short], np.zeros(count), np.full(count, np.inf))
+            self.cost += PENALTY_WEIGHT * ca.sum1(slack)
+            ones = ca.DM.ones(count)
+            value += ca.DM.triplet(short.tolist(), [*range(count)], ones, len(least), count) @ slack
+        self.bound(value, least, np.full(len(least), np.inf))
+
+    @property
+    def expressions(self) -> dict[str, ca.MX]:
+        """Casadi's x, f and g."""
+        return {"x": ca.vertcat(*self._x), "f": self.cost, "g": ca.vertcat(*self._g)}
+
+    @property
+    def numbers(self) -> dict[str, Array]:
+        """The start ``x0`` and all bounds."""
+        columns = (*zip(*self._boxes, strict=True), *zip(*self._ranges, strict=True))
+        names = ("x0", "lbx", "ubx", "lbg", "ubg")
+        return {name: np.concatenate(each) for name, each in zip(names, columns, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,112 +104,67 @@ class MorphProgram:
 
     Attributes
     ----------
-    program: its variables start with those of the inner knots.
+    draft: its variables start with those of the inner knots.
     path: around which it is, to read the solution.
     iterations: after which it is given up.
     """
 
-    program: Program
+    draft: Draft
     path: KnotPath
     iterations: int
 
 
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
     """Return the program around a path: its near pairs and their normals are the path's."""
-    columns, table, n = path.columns, path.table, path.team.robots
-    draft = Draft()
+    columns, table, n, steps = path.columns, path.table, path.team.robots, path.steps
+    draft, limits = Draft(), search.requirements.limits
     x = draft.variables(table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
     tie_drones(draft, x, path)
     keep_apart(draft, x, path, search, step)
-
-    limits = search.requirements.limits
+    # Places of vertices and drones at all knots (6n, steps + 1), in units of time.
+    whole = ca.horzcat(ca.DM(table[0]), ca.reshape(x, columns.size, steps - 1), ca.DM(table[-1]))
     slowness = 1.0 / np.repeat([limits.vertex_speed, limits.speed], [2 * n, 4 * n])
-    ends = draft.parameters(table[[0, -1]].ravel())
-    draft.structure(slowness, path.steps, step.fastest)
-
-    def whole(at: Symbols) -> ca.MX:
-        """Return all knots (size, J + 1)."""
-        first, last = ca.vertsplit(at.parameters[ends], columns.size)
-        knots = ca.reshape(at.variables[x], columns.size, path.steps - 1)
-        return ca.horzcat(first, knots, last)
-
-    def scaled(at: Symbols) -> ca.MX:
-        """Return the places of vertices and drones at all knots, in units of time."""
-        places = whole(at)[columns.nodes.ravel().tolist(), :]
-        return places * ca.repmat(ca.DM(slowness), 1, path.steps + 1)
-
+    places = whole[columns.nodes.ravel().tolist(), :] * ca.repmat(ca.DM(slowness), 1, steps + 1)
+    energy, bend = _roughness(places, n)
     if search.tension is not None:
-        draft.structure("tensions", path.team.tension)
-        draft.cost(lambda at: _tension_cost(path, whole(at)))
-    if step.fastest:
-        moved = np.diff(table[:, columns.nodes] * slowness.reshape(-1, 2), axis=0)
-        times = _times(draft, scaled, np.linalg.norm(moved, axis=-1))
-
-        def time_cost(at: Symbols) -> ca.MX:
-            _, energy, curvature = _roughness(scaled(at), n)
-            total = ca.sum1(at.variables[times])
-            return total + TIME_ENERGY * energy + TIME_BEND * curvature
-
-        draft.cost(time_cost)
-    else:
-
-        def energy_cost(at: Symbols) -> ca.MX:
-            _, energy, curvature = _roughness(scaled(at), n)
-            return energy + BEND * curvature
-
-        draft.cost(energy_cost)
-    iterations = FASTEST_ITERATIONS if step.fastest else ITERATIONS
-    return MorphProgram(draft.program(), path, iterations)
-
-
-def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX, ca.MX]:
-    """Return first differences of values (size, J + 1), and squares of first and second, by n."""
-    steps = values.size2() - 1
-    change = values[:, 1:] - values[:, :-1]
-    bend = change[:, 1:] - change[:, :-1]
-    return change, steps * ca.sumsqr(change) / n, steps**3 * ca.sumsqr(bend) / n
-
-
-def _times(draft: Draft, scaled: Expression, lengths: Array) -> int:
-    """Return variables that tell how long every step takes, by its longest segment.
-
-    Parameters
-    ----------
-    draft: takes the rows.
-    scaled: (6n, steps + 1), both coordinates of every node, in units of time.
-    lengths: (steps, 3n), of the segments now.
-    """
-    steps, nodes = lengths.shape
+        ratio = whole[columns.tensions.tolist(), :] / ca.repmat(
+            ca.DM(path.team.tension), 1, steps + 1
+        )
+        change, bent = _roughness(ratio, 1)
+        eased = ca.sumsqr(ratio) / steps + TENSION_CHANGE * (change + BEND * bent)
+        draft.cost += TENSION_WEIGHT * eased / n
+    if not step.fastest:
+        draft.cost += energy + BEND * bend
+        return MorphProgram(draft, path, ITERATIONS)
+    # Every step takes as long as its longest segment.
+    lengths = np.linalg.norm(
+        np.diff(table[:, columns.nodes] * slowness.reshape(-1, 2), axis=0), axis=-1
+    )
     longest = np.max(lengths, axis=1)
     times = draft.variables(1.01 * longest, np.zeros(steps), np.full(steps, np.inf))
     at_step, node = np.nonzero(lengths > LAGGING * longest[:, None])
-    place = 2 * (nodes * at_step + node)
-    draft.structure("times", place)
-
-    def lags(at: Symbols) -> ca.MX:
-        values = scaled(at)
-        flat = ca.vec(values[:, 1:] - values[:, :-1])
-        squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
-        return squared - at.variables[times][at_step.tolist()] ** 2
-
+    place = 2 * (3 * n * at_step + node)
+    flat = ca.vec(places[:, 1:] - places[:, :-1])
+    squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
+    lags = squared - times[at_step.tolist()] ** 2
     draft.bound(lags, np.full(len(place), -np.inf), np.zeros(len(place)))
-    return times
+    draft.cost += ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * bend
+    return MorphProgram(draft, path, FASTEST_ITERATIONS)
 
 
-def _tension_cost(path: KnotPath, whole: ca.MX) -> ca.MX:
-    """Return the cost of free tensions: their squares and, to a lesser degree, their changes."""
-    usual = ca.repmat(ca.DM(path.team.tension), 1, path.steps + 1)
-    ratio = whole[path.columns.tensions.tolist(), :] / usual
-    _, change, bend = _roughness(ratio, 1)
-    cost = ca.sumsqr(ratio) / path.steps + TENSION_CHANGE * (change + BEND * bend)
-    return TENSION_WEIGHT * cost / path.team.robots
+def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX]:
+    """Return squares of first and second differences of values (size, J + 1), by n."""
+    steps = values.size2() - 1
+    change = values[:, 1:] - values[:, :-1]
+    bend = change[:, 1:] - change[:, :-1]
+    return steps * ca.sumsqr(change) / n, steps**3 * ca.sumsqr(bend) / n
 
 
 FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
 
-def tie_drones(draft: Draft, x: int, path: KnotPath) -> None:
+def tie_drones(draft: Draft, x: ca.MX, path: KnotPath) -> None:
     """Tie drones and r-legs to the flat outputs, and keep every vertex a corner.
 
     Parameters
@@ -175,42 +172,28 @@ def tie_drones(draft: Draft, x: int, path: KnotPath) -> None:
     x: the variables of the inner knots.
     """
     layout, n, team, inner = path.columns, path.team.robots, path.team, path.steps - 1
-    lifted = np.column_stack([layout.drones.reshape(n, 4), layout.r_legs])
+    starts = layout.size * np.arange(inner)[:, None, None]
+
+    def at_knots(places: Indices) -> ca.MX:
+        """Return the variables of columns (n, width) at all knots, as (width, inner · n)."""
+        numbers = (starts + places).reshape(-1, places.shape[1])
+        return ca.reshape(x[numbers.ravel().tolist()], *numbers.T.shape)
+
     around = np.concatenate([np.roll(layout.vertices, -k, axis=0) for k in (-1, 0, 1, 2)], axis=1)
     pulls = np.stack([np.roll(layout.tensions, -k) for k in (-1, 0, 1)], axis=1)
-    rolled, equal = team.loaded or path.roll is not None, bool(np.ptp(team.tension) == 0.0)
-    own: tuple[Array, ...]
+    rolled, legs = team.loaded or path.roll is not None, layout.q_legs[:, None]
+    own: tuple[Array, ...] = (np.tile(team.cable_length, inner)[None],)
+    choice = bool(np.ptp(team.tension) == 0.0)
     if rolled:
         legs, own = layout.q_legs[team.layout.neighbours], _clasp_numbers(path)
         choice = team.cable_density > 0.0
-    else:
-        legs, own = layout.q_legs[:, None], (np.tile(team.cable_length, inner)[None],)
-        choice = equal
-    draft.structure("tied", n, inner, rolled, choice, *own)
-
-    def at_knots(places: NDArray[np.intp]) -> Indices:
-        """Return the numbers (inner · n, width) of columns (n, width) at all knots."""
-        starts = layout.size * np.arange(inner)[:, None, None]
-        return (starts + places).reshape(-1, places.shape[1])
-
-    inputs, tied = [at_knots(around), at_knots(legs), at_knots(pulls)], at_knots(lifted)
-
-    def value(at: Symbols) -> ca.MX:
-        """Return all places, less the variables tied to them, then all turns."""
-
-        def columns(places: Indices) -> ca.MX:
-            return ca.reshape(at.variables[x][places.ravel().tolist()], *places.T.shape)
-
-        varied = [columns(places) for places in inputs]
-        numbers = [ca.MX(ca.DM(values)) for values in own]
-        place, turn = planar(rolled, choice).map(len(tied)).call([*varied, *numbers])
-        return ca.vertcat(ca.vec(place - columns(tied)), ca.vec(turn))
-
+    given = [*map(at_knots, (around, legs, pulls)), *(ca.MX(ca.DM(values)) for values in own)]
+    place, turn = planar(rolled, choice).map(n * inner).call(given)
+    tied = at_knots(np.column_stack([layout.drones.reshape(n, 4), layout.r_legs]))
+    draft.bound(ca.vec(place - tied), *np.zeros((2, 5 * n * inner)))
     sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
     flattest = math.sin(min(FLATTEST, 0.5 * float(sharpest)))
-    zeros, corners = np.zeros(tied.size), np.full(len(tied), flattest)
-    least, most = (np.append(zeros, end) for end in (corners, np.full(len(corners), np.inf)))
-    draft.bound(value, least, most)
+    draft.bound(ca.vec(turn), np.full(n * inner, flattest), np.full(n * inner, np.inf))
 
 
 def _clasp_numbers(path: KnotPath) -> tuple[Array, ...]:
@@ -226,6 +209,60 @@ def _clasp_numbers(path: KnotPath) -> tuple[Array, ...]:
         np.tile(loads.reshape(n, 6).T, inner),
         np.full((1, columns), GRAVITY * team.cable_density),
     )
+
+
+PENALTY_WEIGHT = 100.0
+"""[1/m] Penalty weight of bodies that stay too near: more than any path gains by leaving them."""
+
+BETWEEN = 0.4
+"""Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
+otherwise."""
+
+
+def keep_apart(draft: Draft, x: ca.MX, path: KnotPath, search: Search, step: SolverStep) -> None:
+    """Keep all near pairs apart: drones at the knots by squares, all others by their normals.
+
+    Between the knots the path is its chord from knot to knot and a bow, which is taken to stay.
+    Those that are too near now, as in a first guess, are parted as far as a step can.
+    """
+    columns, inner, parts = path.columns, path.table[1:-1], step.parts
+    places = np.arange(1, parts * path.steps) / parts
+    there = inner if parts == 1 else path.at(places / path.steps).table
+    at_knot = places % 1.0 == 0.0
+    margins = search.margins(path.steps, places)
+    reach = np.where(at_knot, 1.0, BETWEEN) * step.reach
+    pairs = near_pairs(there[:, columns.nodes], search.requirements.separation, margins, reach)
+    by_squares = (pairs.kind == SEPARATION) & at_knot[pairs.frame]
+    _keep_drones_apart(draft, x, path, pairs.chosen(by_squares), parts)
+    others = pairs.chosen(~by_squares)
+    # Bodies whose ends all lie on their sides of a normal are apart by as much.
+    pair, *ends = end_combinations(others.kind, others.first, others.second)
+    nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
+    slopes = np.concatenate([others.normal[pair], -others.normal[pair]], axis=1)
+    entries = (slopes.ravel(), (columns.size * others.frame[pair, None] + nodes).ravel())
+    sums = sparse.csr_matrix((*entries, 4 * np.arange(len(pair) + 1)), (len(pair), there.size))
+    share = np.maximum(1.0 - np.abs(places[:, None] - np.arange(1.0, path.steps)), 0.0)
+    rows = sparse.csc_matrix(sums @ sparse.kron(share, sparse.eye(columns.size), "csr"))
+    now = rows @ inner.ravel()
+    bow = sums @ there.ravel() - now
+    pattern = ca.Sparsity(*rows.shape, rows.indptr.tolist(), rows.indices.tolist())
+    moved = ca.MX(ca.DM(pattern, rows.data)) @ x
+    draft.soft_bound(moved, others.enforced[pair] - bow, now)
+
+
+def _keep_drones_apart(
+    draft: Draft, x: ca.MX, path: KnotPath, drones: NearPairs, parts: int
+) -> None:
+    """Keep pairs of drones apart at knots, by squares."""
+    columns, now = path.columns, path.table[1:-1].ravel()
+    knot = drones.frame[:, None] // parts
+    first, second = (
+        columns.size * knot + columns.nodes[node[:, 0]] for node in (drones.first, drones.second)
+    )
+    apart, scale = drones.enforced, 0.5 / drones.enforced  # of squares to about metres
+    across, along = (x[first[:, i].tolist()] - x[second[:, i].tolist()] for i in (0, 1))
+    squared = np.sum((now[first] - now[second]) ** 2, axis=1)
+    draft.soft_bound((across**2 + along**2) * ca.DM(scale), scale * apart**2, scale * squared)
 
 
 TOLERANCE = 1e-3
@@ -247,17 +284,6 @@ LEAST_TIME = 1e-3
 
 SETTLED = 0.3
 """Share of its stride: a step of the optimiser that moves no vertex by more is the last one."""
-
-SMALL = 3000
-"""Largest number of rows of programs whose solvers are stored: n = 6 or so."""
-
-STORED = 8
-"""Number of solvers that are stored: a search needs one or two for a team."""
-
-_SOLVERS: OrderedDict[Hashable, ca.Function] = OrderedDict()
-"""The last solvers, by the structure of their programs and the options."""
-
-NUMBERS = tuple(int(number) for number in signal.valid_signals())
 
 
 def iterates(
@@ -284,71 +310,54 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
 
     The solver's status proves no more than that: distances are measured on the path.
     """
-    numbers = program.program.numbers
-    key = (program.iterations, program.program.structure)
-    solver = _SOLVERS.pop(key, None) if math.isinf(time_left()) else None
-    solver = solver or _new_solver(program.program, program.iterations)
+    left = time_left()
+    options: dict[str, int | float | str] = {
+        "print_level": 0,
+        "sb": "yes",
+        "max_iter": program.iterations,
+        "tol": TOLERANCE,
+        "mu_strategy": "adaptive",
+        **LINEAR_SOLVER,
+        **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
+    }
+    solver = ca.nlpsol(
+        "path",
+        "ipopt",
+        {**program.draft.expressions},
+        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": options},
+    )
     with answered_later():
-        solution = solver(**numbers)
+        solution = solver(**program.draft.numbers)
     check_time()  # what has been cut short is no solution
-    stats = solver.stats()
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not stats["success"] or not np.all(np.isfinite(x)):
+    if not solver.stats()["success"] or not np.all(np.isfinite(x)):
         return None
-    if len(numbers["lbg"]) <= SMALL and math.isinf(time_left()):
-        _SOLVERS[key] = solver
-        if len(_SOLVERS) > STORED:
-            _SOLVERS.popitem(last=False)
     table = program.path.table.copy()
     inner = table[1:-1]
     inner[:] = x[: inner.size].reshape(inner.shape)
     return program.path.with_table(table)
 
 
-def _new_solver(program: Program, iterations: int) -> ca.Function:
-    """Return IPOPT with a program's expressions, for as long as there is time."""
-    left = time_left()
-    options: dict[str, int | float | str] = {
-        "print_level": 0,
-        "sb": "yes",
-        "max_iter": iterations,
-        "tol": TOLERANCE,
-        "mu_strategy": "adaptive",
-        **LINEAR_SOLVER,
-        **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
-    }
-    return ca.nlpsol(
-        "path",
-        "ipopt",
-        program.expressions(),
-        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": options},
-    )
-
-
 @contextmanager
 def answered_later() -> Iterator[None]:
-    """Answer signals that come within the context at its end, in their order.
+    """Answer Ctrl-C and SIGTERM at the end of the context: solvers keep them to themselves.
 
-    Only those that Python code answers, and in the main thread: no other one ever does.
+    Only where Python code answers them, and in the main thread: no other one ever does.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handlers = {number: signal.getsignal(number) for number in NUMBERS}
     waiting: list[tuple[int, FrameType | None]] = []
 
     def wait(number: int, frame: FrameType | None) -> None:
         waiting.append((number, frame))
 
-    changed = [number for number, handler in handlers.items() if callable(handler)]
+    main = threading.current_thread() is threading.main_thread()
+    handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM) if main}
+    answered = {n: handler for n, handler in handlers.items() if callable(handler)}
     try:
-        for number in changed:
+        for number in answered:
             signal.signal(number, wait)
         yield
     finally:
-        for number in changed:
-            signal.signal(number, handlers[number])
-        for number, frame in waiting:  # also where the work has failed
-            handler = handlers[number]
-            if callable(handler):
-                handler(number, frame)
+        for number, handler in answered.items():
+            signal.signal(number, handler)
+        for told in waiting:  # also where the work has failed
+            answered[signal.Signals(told[0])](*told)

@@ -22,10 +22,8 @@ from hitchopt.planners.morph.path import ShapePath, Shapes, shapes_along
 from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
-from hitchopt.planners.timing.clock import WarpError
 from hitchopt.planners.timing.flight import Flight
 from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_demands
-from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
 ROUNDS = ((1, 1.03), (2, 1.05))
@@ -67,12 +65,10 @@ class Candidate:
     Attributes
     ----------
     name: of the guess that it came from.
-    path: as it was found.
     flight: along it.
     """
 
     name: str
-    path: ShapePath
     flight: Flight
 
 
@@ -108,12 +104,21 @@ class OptimisedMorph:
         named = self.guesses.items()
         paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
         whole = [path for path in paths if sound(path)]
-        return loose(whole, self.requirements) or whole
+        bare = replace(self.requirements, arena=None)
+
+        def smallest(path: KnotPath) -> float:
+            return float(np.min(margins(bare, path.team, path.polygons, path.q_legs, path.roll)))
+
+        return [path for path in whole if smallest(path) >= CLOSEST] or whole
 
     def solve(self) -> list[Candidate]:
         """Return the paths found, the fastest first."""
-        margins = end_margins(self.start, self.end, self.requirements)
-        return searched(self.problem, Search(self.requirements, self.judge, self.tension, margins))
+        bare, ends = replace(self.requirements, arena=None), (self.start, self.end)
+        named = ((end.polygon.vertices, end.q_legs, end.roll) for end in ends)
+        places = (np.stack(each) for each in zip(*named, strict=True))
+        first, last = BELOW * margins(bare, self.start.team, *places)
+        own = (float(first), float(last))
+        return searched(self.problem, Search(self.requirements, self.judge, self.tension, own))
 
 
 def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
@@ -188,10 +193,12 @@ def _refined(path: KnotPath, search: Search) -> Candidate | None:
 def _flown(paths: Iterable[KnotPath], search: Search) -> Candidate | None:
     """Return the first path that the judge accepts, with its flight."""
     for choice in paths:
-        shape = choice.path
-        flight = judged(shape, search)
+        try:
+            flight = search.judge(choice.path)
+        except (InfeasibleError, TimingError):
+            continue
         if flight is not None:
-            return Candidate(choice.name, shape, flight)
+            return Candidate(choice.name, flight)
     return None
 
 
@@ -215,9 +222,6 @@ BELOW = 1.0 - 1e-4
 
 SAME = 0.05
 """[m] Paths that differ by less at every knot count as one."""
-
-HALVINGS = 3
-"""Number of halvings of pieces, to bound their tensions closely."""
 
 PROBES = 33
 """Number of points at which a path's distances are evaluated before the judge decides, and again
@@ -249,41 +253,11 @@ def sound(path: KnotPath) -> bool:
     )
 
 
-def loose(paths: Sequence[KnotPath], requirements: Requirements) -> list[KnotPath]:
-    """Return those of guesses from one hitch to another whose bodies are not all in one heap."""
-    if not paths:
-        return []
-    polygons, q_legs = (
-        np.concatenate([getattr(path, name) for path in paths]) for name in ("polygons", "q_legs")
-    )
-    rolls = [path.roll for path in paths if path.roll is not None]
-    roll = np.concatenate(rolls) if rolls else None
-    margins = _margins(paths[0].team, requirements, polygons, q_legs, roll)
-    first = np.cumsum([0, *(len(path.polygons) for path in paths[:-1])])
-    smallest = np.minimum.reduceat(margins, first)
-    return [path for path, margin in zip(paths, smallest, strict=True) if margin >= CLOSEST]
-
-
-def end_margins(start: Hitch, end: Hitch, requirements: Requirements) -> tuple[float, float]:
-    """Return how many times their limits the distances of the hitches at both ends are."""
-    polygons, q_legs, roll = (
-        np.stack(part)
-        for part in (
-            (start.polygon.vertices, end.polygon.vertices),
-            (start.q_legs, end.q_legs),
-            (start.roll, end.roll),
-        )
-    )
-    first, last = BELOW * _margins(start.team, requirements, polygons, q_legs, roll)
-    return float(first), float(last)
-
-
-def _margins(
-    team: Team, requirements: Requirements, polygons: Array, q_legs: Array, roll: Array | None
+def margins(
+    requirements: Requirements, team: Team, polygons: Array, q_legs: Array, roll: Array | None
 ) -> Array:
-    """Return how many times their limits the distances of hitches (J,) are, walls left out."""
-    bare = replace(requirements, arena=None)
-    return reference_margins(LegTask(team, bare, polygons, q_legs, 0.0, WIDEST, roll=roll))
+    """Return how many times their limits the distances of hitches (J,) are."""
+    return reference_margins(LegTask(team, requirements, polygons, q_legs, 0.0, WIDEST, roll=roll))
 
 
 def same(path: KnotPath, other: KnotPath) -> bool:
@@ -311,15 +285,6 @@ def clear(knots: KnotPath, search: Search) -> bool:
     return arena is None or bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
 
 
-def judged(path: ShapePath, search: Search) -> Flight | None:
-    """Return the flight along a path if it satisfies every limit all of the time."""
-    try:
-        flight = search.judge(path)
-    except (InfeasibleError, TimingError, WarpError):
-        return None
-    return flight if flight and _tensions_within(flight, search.tension) else None
-
-
 def estimate(path: KnotPath, requirements: Requirements) -> float:
     """Return an estimate of how long a flight along a path takes [s], clear or not."""
     return flight_estimate(path.path, requirements.limits)
@@ -330,14 +295,3 @@ def _distances_hold(path: ShapePath, requirements: Requirements, shapes: Shapes)
     if np.min(shapes.legs[1:-1]) < requirements.limits.leg:
         return False
     return reference_margin(leg_task_of(path, requirements, shapes, CLEAR)) >= CLEAR
-
-
-def _tensions_within(flight: Flight, tension: tuple[float, float] | None) -> bool:
-    """Return whether tensions stay within their range, by the hulls of their polynomials."""
-    if tension is None:
-        return True
-    hulls = flight.tensions.coefficients
-    for _ in range(HALVINGS):
-        hulls = np.concatenate(bernstein.halve(hulls))
-    slack = 1e-9 * tension[1]
-    return bool(np.min(hulls) >= tension[0] - slack and np.max(hulls) <= tension[1] + slack)

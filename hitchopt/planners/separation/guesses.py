@@ -12,15 +12,17 @@ rounding a million times where tens of drones meet at once; a roundabout is clos
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import EAST, TIE, unit
-from hitchopt.planners.separation.setting import SAMPLES, Setting, inside
+from hitchopt.planners.separation.setting import Grid, Setting, inside
 from hitchopt.values import Array
+
+SAMPLES = 3
+"""Number of samples of every piece at which guesses are pushed."""
 
 WANTED = 1.15
 """Separation that pushes aim at, larger than 1 as drones also move between samples."""
@@ -38,78 +40,59 @@ FADING = 0.5
 """Share of the rounds over which the common side fades out of the pushes."""
 
 
-@dataclass(frozen=True)
-class PriorityRule:
-    """The rule by which drones give way to each other where they meet.
+def pushed_apart(setting: Setting, side: float) -> Array:
+    """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so.
 
-    Attributes
+    Parameters
     ----------
     side: strength of the push to the right (negative: to the left), in separations.
-    patience: duration over that of the slowest flight; above 1, departures are staggered.
     """
-
-    side: float
-    patience: float = 1.0
-
-    def __str__(self) -> str:
-        side = "right" if self.side > 0.0 else "left"
-        words = f"all give way to the {side} where they meet"
-        return words if self.patience == 1.0 else f"some leave later; {words}"
-
-
-def pushed_apart(setting: Setting, rule: PriorityRule) -> Array:
-    """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so."""
-    task, grid, scale = setting.task, setting.grid, setting.scale
-    s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
-    basis, rates = grid.sampled(s), grid.sampled(s, 1)
-    free, bends = basis[:, grid.free], grid.sampled(s, 3)[:, grid.free]
-    stiff = STIFFNESS**6 * bends.T @ bends
-    smoothing = np.linalg.solve(free.T @ free + stiff, free.T)
+    grid = setting.grid
+    s = _samples(grid)
+    basis, rates, smoothing = grid.sampled(s), grid.sampled(s, 1), grid.fitting(s, STIFFNESS)
     coefficients = setting.nominal.copy()
     speed = np.zeros_like(coefficients[:, grid.free])
     for round_number in range(ROUNDS):
         check_time()
-        points = np.einsum("sc,ncd->snd", basis, coefficients)
-        velocities = np.einsum("sc,ncd->snd", rates, coefficients)
+        points, velocities = (np.swapaxes(each @ coefficients, 0, 1) for each in (basis, rates))
         fading = max(0.0, 1.0 - round_number / (FADING * ROUNDS))
-        pushes, crowded = _pushes(points, velocities, scale, fading * rule.side)
+        pushes = _pushes(setting, points, velocities, fading * side)
         pushes += _other_pushes(setting, points)
-        if not crowded and not np.any(pushes):
+        if not np.any(pushes):
             break
-        speed = MOMENTUM * speed + np.einsum("fs,snd->nfd", smoothing, pushes)
-        coefficients[:, grid.free] += speed
-        if task.requirements.arena is not None:
-            coefficients[:, grid.free] = inside(task.requirements.arena, coefficients[:, grid.free])
+        speed = MOMENTUM * speed + smoothing @ np.swapaxes(pushes, 0, 1)
+        moved = coefficients[:, grid.free] + speed
+        coefficients[:, grid.free] = inside(setting.task.requirements.arena, moved)
     return coefficients
 
 
-def _pushes(points: Array, velocities: Array, scale: Array, side: float) -> tuple[Array, bool]:
-    """Return how far each sample (samples, drones, 3) is pushed [m], and whether any pair is."""
+def _samples(grid: Grid) -> Array:
+    return (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
+
+
+def _pushes(setting: Setting, points: Array, velocities: Array, side: float) -> Array:
+    """Return how far each sample (samples, drones, 3) is pushed by other drones [m]."""
     samples, drones, _ = points.shape
+    scale = setting.task.requirements.separation.scale
     scaled = (points * scale).reshape(-1, 3)
     # Time as a fourth coordinate, so stretched that only samples of one time are close.
     time = np.repeat(2.0 * WANTED * np.arange(samples), drones)
     tree = cKDTree(np.column_stack([scaled, time]))
-    pairs = tree.query_pairs(WANTED, output_type="ndarray")
-    pushes = np.zeros((samples * drones, 3))
-    if len(pairs) == 0:
-        return pushes.reshape(points.shape), False
-    first, second = pairs[:, 0], pairs[:, 1]
-    offset = scaled[first] - scaled[second]
-    flat = velocities.reshape(-1, 3)
-    still = TIE * float(np.max(np.abs(flat)))
-    right = rightward(flat[first] - flat[second], still)
+    first, second = tree.query_pairs(WANTED, output_type="ndarray").T
+    offset, flat = scaled[first] - scaled[second], velocities.reshape(-1, 3)
+    right = rightward(flat[first] - flat[second], TIE * float(np.max(np.abs(flat))))
     direction = unit(offset + side * right, right, 1e-9)
     missing = np.maximum(WANTED - np.sum(direction * offset, axis=1), 0.0)
     steepest = direction * scale
     share = 0.5 * missing / np.sum(steepest * steepest, axis=1)
+    pushes = np.zeros((samples * drones, 3))
     for axis in range(3):
         push = steepest[:, axis] * share
         pushes[:, axis] = np.bincount(first, push, len(pushes))
         pushes[:, axis] -= np.bincount(second, push, len(pushes))
-    count = np.bincount(first, minlength=len(pushes)) + np.bincount(second, minlength=len(pushes))
+    count = np.bincount(np.append(first, second), minlength=len(pushes))
     pushes /= np.sqrt(np.maximum(count, 1))[:, None]
-    return pushes.reshape(points.shape), True
+    return pushes.reshape(points.shape)
 
 
 def rightward(velocity: Array, still: float) -> Array:
@@ -131,15 +114,14 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
         clearance = prism.clearance(points)
         missing = np.maximum(wanted - clearance.distance, 0.0)
         pushes += missing[..., None] * clearance.normals
-    if task.tethers:
-        first, second, longest = task.tether_arrays
-        offset = points[:, first] - points[:, second]
-        length = np.linalg.norm(offset, axis=-1)
-        excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)
-        pull = 0.5 * excess[..., None] * offset
-        by_drone = np.swapaxes(pushes, 0, 1)
-        np.add.at(by_drone, first, -np.swapaxes(pull, 0, 1))
-        np.add.at(by_drone, second, np.swapaxes(pull, 0, 1))
+    first, second, longest = task.tether_arrays
+    offset = points[:, first] - points[:, second]
+    length = np.linalg.norm(offset, axis=-1)
+    excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)
+    pull = np.swapaxes(0.5 * excess[..., None] * offset, 0, 1)
+    by_drone = np.swapaxes(pushes, 0, 1)
+    np.add.at(by_drone, first, -pull)
+    np.add.at(by_drone, second, pull)
     return pushes
 
 
@@ -155,8 +137,7 @@ RING = 1.06
 
 WIDTH = 1.3
 """Distance from the centre at which drones leave their straight routes, over the radius of a ring
-of all drones. With 1.0 and 1.2 for RING and WIDTH
-circles of 64 drones take 1.7 % longer."""
+of all drones."""
 
 CLIMB = 6
 """Power of the distance in the offset upward: layers are apart before drones are within a ring of
@@ -170,29 +151,24 @@ def roundabout(setting: Setting) -> Array | None:
     ring of all its drones, the offset to the right is ``(1 - x²)²`` times the radius of a layer's
     ring, and that upward ``(1 - x⁶)²`` times the layer's altitude.
     """
-    task, grid = setting.task, setting.grid
-    s = (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
-    basis = grid.sampled(s)
-    points = np.einsum("sc,ncd->snd", basis, setting.nominal)
-    steps = np.einsum("sc,ncd->snd", grid.sampled(s, 1), setting.nominal)
-    middle = np.einsum("c,ncd->nd", grid.sampled(np.asarray(0.5)), setting.nominal)
+    task, grid, separation = setting.task, setting.grid, setting.task.requirements.separation
+    s = _samples(grid)
+    points, steps = (grid.sampled(s, order) @ setting.nominal for order in (0, 1))
+    middle = grid.sampled(np.asarray(0.5)) @ setting.nominal
     centre = np.median(middle, axis=0)
-    crowd = np.linalg.norm((middle - centre) * setting.scale, axis=-1) < WANTED
+    crowd = np.linalg.norm((middle - centre) * separation.scale, axis=-1) < WANTED
     if np.sum(crowd) < CROWD:
         return None
-    spacing = 2.0 * WANTED * task.requirements.separation.radius
-    ring = np.where(crowd, RING * spacing * np.sum(crowd) / (2.0 * math.pi), 0.0)
+    spacing = 2.0 * WANTED * separation.radius
+    ring = np.where(crowd, RING * spacing * np.sum(crowd) / (2.0 * math.pi), 0.0)[:, None]
     distance = np.linalg.norm((points - centre)[..., :2], axis=-1)
     x = np.divide(distance, WIDTH * ring, out=np.ones_like(distance), where=ring > 0.0)
     aside, upward = (np.maximum(1.0 - x**power, 0.0) ** 2 for power in (2, CLIMB))
     right = rightward(steps.reshape(-1, 3), 0.0).reshape(steps.shape)
     offset = (ring / LAYERS * aside)[..., None] * right
-    layer = np.arange(task.drones) % LAYERS - 0.5 * (LAYERS - 1)
-    offset[..., 2] += 2.0 * WANTED * task.requirements.separation.height * layer * upward
-    free = basis[:, grid.free]
-    fitting = np.linalg.solve(free.T @ free, free.T)  # well conditioned: B-splines
+    layer = np.arange(task.drones)[:, None] % LAYERS - 0.5 * (LAYERS - 1)
+    offset[..., 2] += 2.0 * WANTED * separation.height * layer * upward
     coefficients = setting.nominal.copy()
-    coefficients[:, grid.free] += np.einsum("fs,snd->nfd", fitting, offset)
-    if task.requirements.arena is not None:
-        coefficients[:, grid.free] = inside(task.requirements.arena, coefficients[:, grid.free])
+    moved = coefficients[:, grid.free] + grid.fitting(s) @ offset
+    coefficients[:, grid.free] = inside(task.requirements.arena, moved)
     return coefficients

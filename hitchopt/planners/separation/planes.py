@@ -7,6 +7,7 @@ is the normal of the plane with the widest gap that holds on the whole piece.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -15,13 +16,9 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
-from hitchopt.hitch.requirements import Prism
+from hitchopt.hitch.requirements import Prism, Separation
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
-
-FLAT = 1e-10
-"""Squared sine of the angle below which two edges of a triangle count as parallel: all of it is
-then as near to its edges."""
 
 LEVEL = 1e-6
 """Largest upward component of a normal that counts as level."""
@@ -32,86 +29,69 @@ LEAN, LEAN_UNTIL = 1e-2, 2.0
 CURVE_SAMPLES = 17
 """Number of samples of a piece that locate its nearest point."""
 
-
-@dataclass(frozen=True, eq=False)
-class ClosePieces:
-    """Pieces of two drones that may come close.
-
-    Attributes
-    ----------
-    piece, first, second: (m,): which piece of which drones, first < second.
-    """
-
-    piece: Indices
-    first: Indices
-    second: Indices
-
-    def __len__(self) -> int:
-        return len(self.piece)
-
-    def taken(self, which: NDArray[np.bool_]) -> ClosePieces:
-        """Return some of them."""
-        return ClosePieces(self.piece[which], self.first[which], self.second[which])
-
-    def united(self, other: ClosePieces, drones: int) -> ClosePieces:
-        """Return what is in either, in order."""
-        key = np.union1d(self._key(drones), other._key(drones))
-        rest, second = np.divmod(key, drones)
-        piece, first = np.divmod(rest, drones)
-        return ClosePieces(piece, first, second)
-
-    def _key(self, drones: int) -> Indices:
-        return (self.piece * drones + self.first) * drones + self.second
+FLAT = 1e-10
+"""Squared sine of the angle below which two edges of a triangle count as parallel: all of it is
+then as near to its edges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Planes:
-    """Planes between pieces of two drones.
+    """Planes that pieces of curves stay on one side of.
 
     Attributes
     ----------
-    between: (m,) what they separate.
-    normals: (m, 3), unit vectors in scaled lengths, from the second drone to the first.
-    gaps: (m, degree + 1): products of the normals with the differences' coefficients.
+    sides: (m, 3): a piece, its drone, and the drone on the other side; -1 for a prism.
+    normals: (m, 3) [1/m], towards the first drone: how gaps grow as it moves.
+    gaps: (m, degree + 1), of the coefficients; 1 where they keep their distance.
     """
 
-    between: ClosePieces
+    sides: Indices
     normals: Array
     gaps: Array
 
+    @classmethod
+    def joined(cls, parts: Sequence[Planes]) -> Planes:
+        """Return all planes of several sets."""
+        names = ("sides", "normals", "gaps")
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
-def close_pieces(scaled: Array, cutoff: float) -> ClosePieces:
-    """Return all pairs of pieces whose hulls are nearer than ``cutoff``.
+
+def close_pieces(curves: Array, separation: Separation, cutoff: float) -> Indices:
+    """Return all pairs (m, 3) of a piece of two drones whose hulls are nearer than ``cutoff``.
 
     Parameters
     ----------
-    scaled: (pieces, N, 3, degree + 1), scaled Bernstein coefficients.
+    curves: (pieces, N, 3, degree + 1) [m], Bernstein coefficients.
     cutoff: a separation.
     """
-    found = []
+    found, scaled = [], curves * separation.scale[:, None]
     for m, piece in enumerate(scaled):  # as many as the grid has, whatever the number of drones
         pairs = close_pairs(Boxes.around(piece[:, None]), None, cutoff)
-        found.append((np.full(len(pairs), m), pairs.first, pairs.second))
-    piece, first, second = (np.concatenate(column) for column in zip(*found, strict=True))
+        found.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
+    sides = np.concatenate(found)
+    piece, first, second = sides.T
     nearest = hull_points(scaled[piece, first] - scaled[piece, second])
-    near = np.sum(nearest * nearest, axis=1) < cutoff * cutoff
-    return ClosePieces(piece[near], first[near], second[near])
+    near: Indices = sides[np.sum(nearest * nearest, axis=1) < cutoff * cutoff]
+    return near
 
 
-def planes_between(scaled: Array, pairs: ClosePieces) -> Planes:
-    """Return the widest plane for every pair."""
-    differences = scaled[pairs.piece, pairs.first] - scaled[pairs.piece, pairs.second]
+def planes_between(curves: Array, separation: Separation, sides: Indices) -> Planes:
+    """Return the widest plane for every pair (m, 3) of a piece of two drones."""
+    piece, first, second = sides.T
+    differences = (curves[piece, first] - curves[piece, second]) * separation.scale[:, None]
     nearest = hull_points(differences)
-    lean = LEAN * np.maximum(LEAN_UNTIL - np.linalg.norm(nearest, axis=-1), 0.0)
+    apart = np.linalg.norm(nearest, axis=-1)
     # Hulls that hold the origin have no plane yet: the curve's own nearest point gives a first one.
-    inside = np.linalg.norm(nearest, axis=-1) < 1e-6
+    inside = apart < 1e-6
     nearest[inside] = _nearest_of_curves(differences[inside])
     normals = unit(nearest, EAST, 1e-9)
     # Level pairs could pass above each other as well as below. The first one goes up: else
     # rounding would choose, as the programs move out of a plane as soon as anything is out of it.
+    lean = LEAN * np.maximum(LEAN_UNTIL - apart, 0.0)
     normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL, lean, 0.0)
     normals = unit(normals)
-    return Planes(pairs, normals, np.einsum("md,mdk->mk", normals, differences))
+    gaps = np.einsum("md,mdk->mk", normals, differences)
+    return Planes(sides, normals * separation.scale, gaps)
 
 
 def hull_points(differences: Array) -> Array:
@@ -164,57 +144,25 @@ def _nearest_of_curves(differences: Array) -> Array:
     return points[np.arange(len(points)), :, best]
 
 
-@dataclass(frozen=True, eq=False)
-class Walls:
-    """Planes in front of prisms.
-
-    Attributes
-    ----------
-    piece, drone: (m,): which piece of which drone is to stay before it.
-    normals: (m, 3), unit vectors away from the prism.
-    gaps: (m, degree + 1): the coefficients' distances before the prism, in radii.
-    """
-
-    piece: Indices
-    drone: Indices
-    normals: Array
-    gaps: Array
-
-    def __len__(self) -> int:
-        return len(self.piece)
-
-
-def walls_before(curves: Array, prisms: tuple[Prism, ...], radius: float, cutoff: float) -> Walls:
-    """Return a plane for every piece that may come closer to a prism than ``cutoff``.
+def walls_before(curves: Array, prism: Prism, radius: float, cutoff: float) -> Planes:
+    """Return a plane for every piece that may come closer to a prism than ``cutoff`` [m].
 
     Parameters
     ----------
     curves: (pieces, N, 3, degree + 1) [m], Bernstein coefficients.
-    prisms: obstacles.
-    radius: smallest distance to them [m]
-    cutoff: [m]
+    radius: smallest distance to the prism [m]
     """
     weights = bernstein.basis(np.linspace(0.0, 1.0, CURVE_SAMPLES), curves.shape[-1] - 1)
-    lower, upper = np.min(curves, axis=-1), np.max(curves, axis=-1)
-    found = []
-    for prism in prisms:  # few: they are drawn by hand
-        corners = prism.corners
-        near = np.all(
-            (lower <= np.max(corners, axis=0) + cutoff)
-            & (upper >= np.min(corners, axis=0) - cutoff),
-            axis=-1,
-        )
-        piece, drone = np.nonzero(near)
-        coefficients = curves[piece, drone]  # (m, 3, degree + 1)
-        points = np.swapaxes(coefficients @ weights.T, 1, 2)
-        clearance = prism.clearance(points)
-        worst = first_smallest(clearance.distance, radius)
-        normals = clearance.normals[np.arange(len(worst)), worst]
-        reach = np.max(normals @ corners.T, axis=1)
-        gaps = (np.einsum("md,mdk->mk", normals, coefficients) - reach[:, None]) / radius
-        close = np.min(gaps, axis=1) * radius < cutoff
-        found.append((piece[close], drone[close], normals[close], gaps[close]))
-    if not found:
-        none = np.zeros(0, dtype=np.intp)
-        return Walls(none, none, np.zeros((0, 3)), np.zeros((0, curves.shape[-1])))
-    return Walls(*(np.concatenate(part) for part in zip(*found, strict=True)))
+    corners = prism.corners
+    low, high = np.min(corners, axis=0) - cutoff, np.max(corners, axis=0) + cutoff
+    near = np.all((np.min(curves, -1) <= high) & (np.max(curves, -1) >= low), axis=-1)
+    piece, drone = np.nonzero(near)
+    coefficients = curves[piece, drone]
+    clearance = prism.clearance(np.swapaxes(coefficients @ weights.T, 1, 2))
+    worst = first_smallest(clearance.distance, radius)
+    normals = clearance.normals[np.arange(len(worst)), worst] / radius
+    reach = np.max(normals @ corners.T, axis=1)
+    gaps = np.einsum("md,mdk->mk", normals, coefficients) - reach[:, None]
+    close = np.min(gaps, axis=1) * radius < cutoff
+    sides = np.column_stack([piece, drone, np.full(len(piece), -1)])
+    return Planes(sides[close], normals[close], gaps[close])

@@ -1,7 +1,7 @@
 """The convex program around given curves: all requirements, linearised.
 
 Unknowns are the changes of the free coefficients, in trust radii, and slacks: one per drone for its
-limits, one per cable, plane and wall. All rows hold on whole pieces, by their Bernstein (or spline)
+limits, one per cable and plane. All rows hold on whole pieces, by their Bernstein (or spline)
 coefficients. A row that is already broken may stay so, or has a slack: there is always a solution.
 
 It is solved by OSQP. Its status is not trusted: the curves are evaluated.
@@ -10,7 +10,6 @@ It is solved by OSQP. Its status is not trusted: the curves are evaluated.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,9 +18,12 @@ from numpy.typing import NDArray
 from hitchopt.errors import check_time, time_left
 from hitchopt.geometry.vectors import EAST, first_smallest, unit
 from hitchopt.hitch.leg_program import QuadraticProgram, Rows
-from hitchopt.planners.separation.planes import Planes, Walls
-from hitchopt.planners.separation.setting import DEGREE, HELD, Setting, inside
+from hitchopt.planners.separation.planes import Planes
+from hitchopt.planners.separation.setting import HELD, Setting, inside
 from hitchopt.values import Array, Indices
+
+TRUST = 2.5
+"""Trust radius: largest move of a coefficient in one program, in drone radii."""
 
 MARGIN = 0.01
 """Margin of every plane, in separations: OSQP errs by some thousandths."""
@@ -31,204 +33,148 @@ DEVIATION, ROUGHNESS = 1.0, 3e-7
 scaled to the longest route and a duration of one."""
 
 BROKEN = 10.0
-"""Penalty weight of a squared slack of a plane, wall or cable."""
+"""Penalty weight of a squared slack of a plane or cable."""
 
 EXCEEDED = 100.0
 """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
 
 
-@dataclass(frozen=True, eq=False)
-class Around:
-    """The curves that a program is linearised about, with planes and walls.
+def moved_curves(
+    setting: Setting,
+    coefficients: Array,
+    duration: float,
+    planes: Planes,
+    moving: NDArray[np.bool_],
+) -> Array:
+    """Return the curves (N, count, 3) [m] that the program around given ones leads to.
 
-    Attributes
+    Parameters
     ----------
-    coefficients: (N, count, 3) [m], the current curves.
     duration: [s] for which the limits hold.
-    trust: how far any coefficient may move along any axis [m].
-    planes, walls: what pieces must stay on their side of.
-    moves: (N,), largest move of each drone's coefficients along any axis, in ``trust``.
+    moving: (N,), drones that may move.
+
+    Raises
+    ------
+    ProgramError: no finite point was returned.
     """
+    program = build_program(setting, coefficients, duration, planes)
+    kept = np.ones(len(program.q), dtype=np.bool_)
+    if not np.all(moving):
+        program, kept = _among(program, np.repeat(moving, 3 * (setting.grid.count - 2 * HELD)))
+    x = np.zeros(len(kept))
+    x[kept] = solve_program(program, HASTY if len(moving) >= CROWD else ITERATIONS)
+    moved = coefficients.copy()
+    inner = moved[:, HELD:-HELD]
+    inner += trust_radius(setting) * np.clip(x[: inner.size].reshape(inner.shape), -1.0, 1.0)
+    inner[...] = inside(setting.task.requirements.arena, inner)  # exactly
+    return moved
 
-    coefficients: Array
-    duration: float
-    trust: float
-    planes: Planes
-    walls: Walls
-    moves: Array
+
+def trust_radius(setting: Setting) -> float:
+    """Return how far any coefficient may move along any axis [m]."""
+    return TRUST * setting.task.requirements.separation.radius
 
 
-@dataclass(frozen=True, eq=False)
-class Built:
-    """A program and what its unknowns stand for.
+def _among(
+    program: QuadraticProgram, moving: NDArray[np.bool_]
+) -> tuple[QuadraticProgram, NDArray[np.bool_]]:
+    """Return the program of some of its first unknowns, and which unknowns are left in it.
 
-    Attributes
-    ----------
-    program: for the solver.
-    setting, around: what it was built from.
+    Others stay; slacks are left where rows of a moving unknown have them.
     """
-
-    program: QuadraticProgram
-    setting: Setting
-    around: Around
-
-    def among(self, moving: NDArray[np.bool_]) -> tuple[QuadraticProgram, Indices]:
-        """Return the program of the drones that are ``moving`` (N,) while the others stay.
-
-        Also which of the unknowns are left in it. For tasks without tethers and prisms.
-        """
-        between, whole = self.around.planes.between, self.program
-        free = self.setting.grid.count - 2 * HELD
-        touched = moving[between.first] | moving[between.second]
-        kept = np.flatnonzero(np.concatenate([np.repeat(moving, 3 * free), moving, touched]))
-        columns = sp.csr_array(whole.A[:, kept])
-        rows = np.flatnonzero(np.diff(columns.indptr))
-        P, A = sp.csc_array(whole.P[:, kept][kept]), sp.csc_array(columns[rows])
-        return QuadraticProgram(P, whole.q[kept], A, whole.lower[rows], whole.upper[rows]), kept
-
-    def moved(self, x: Array) -> Array:
-        """Return the coefficients (N, count, 3) [m] that a solution stands for."""
-        coefficients = self.around.coefficients.copy()
-        inner, moves = coefficients[:, HELD:-HELD], self.around.moves[:, None, None]
-        inner += self.around.trust * np.clip(x[: inner.size].reshape(inner.shape), -moves, moves)
-        arena = self.setting.task.requirements.arena
-        if arena is not None:  # exactly, where OSQP has a tolerance
-            inner[...] = inside(arena, inner)
-        return coefficients
+    there = abs(program.A)
+    touched = there[:, : len(moving)] @ moving.astype(np.float64) > 0.0
+    slacks = there[:, len(moving) :].T @ touched.astype(np.float64) > 0.0
+    kept = np.append(moving, slacks)
+    columns = sp.csr_array(program.A[:, kept])
+    rows = np.diff(columns.indptr) > 0
+    P, A = sp.csc_array(program.P[:, kept][kept]), sp.csc_array(columns[rows])
+    return QuadraticProgram(P, program.q[kept], A, program.lower[rows], program.upper[rows]), kept
 
 
-def build_program(setting: Setting, around: Around) -> Built:
-    """Return the program around the given curves."""
-    n = setting.task.drones
-    free = setting.grid.count - 2 * HELD
-    unknowns = 3 * n * free
-    cables = len(setting.task.tethers)
-    planes, walls = len(around.planes.between), len(around.walls)
-    rows = Rows(unknowns + n + cables + planes + walls)
-    _add_boxes(rows, setting, around)
-    add_limits(rows, setting, around.coefficients, around.duration, around.trust, unknowns)
-    _add_tethers(rows, setting, around, unknowns + n)
-    rows.add_bounds(unknowns + np.arange(n + cables), 0.0, np.inf)
-    slacks = unknowns + n + cables
-    _add_planes(rows, setting, around, slacks)
-    _add_walls(rows, setting, around, slacks + planes)
-    rows.add_bounds(slacks + np.arange(planes + walls), 0.0, np.inf)
-    hessian, gradient = _objective(setting, around)
-    weights = np.concatenate([np.full(n, EXCEEDED / n), np.full(cables + planes + walls, BROKEN)])
-    P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
-    q = np.concatenate([gradient, np.zeros(len(weights))])
-    program = QuadraticProgram(P, q, *rows.compressed())
-    return Built(program, setting, around)
-
-
-def _objective(setting: Setting, around: Around) -> tuple[sp.csc_array[np.float64], Array]:
-    grid = setting.grid
-    s, weights = grid.quadrature
-    basis, bends = grid.sampled(s), grid.sampled(s, 3)
-    unit = 2.0 / (setting.size**2 * setting.task.drones)
-    free = basis[:, grid.free] * weights[:, None], bends[:, grid.free] * weights[:, None]
-    deviation = np.einsum("sc,ncd->nsd", basis, around.coefficients - setting.nominal)
-    bending = np.einsum("sc,ncd->nsd", bends, around.coefficients)
-    gradient = DEVIATION * np.einsum("sf,nsd->nfd", free[0], deviation)
-    gradient += ROUGHNESS * np.einsum("sf,nsd->nfd", free[1], bending)
-    one = DEVIATION * free[0].T @ basis[:, grid.free] + ROUGHNESS * free[1].T @ bends[:, grid.free]
-    trust = around.trust
-    block = sp.kron(sp.csc_array(unit * trust**2 * one), sp.eye_array(3))
-    hessian = sp.csc_array(sp.kron(sp.eye_array(setting.task.drones), block))
-    return hessian, unit * trust * gradient.ravel()
-
-
-def _add_boxes(rows: Rows, setting: Setting, around: Around) -> None:
-    """Keep changes within the trust radius, and coefficients (so curves) within the arena."""
-    current = around.coefficients[:, HELD:-HELD]
-    upper = np.broadcast_to(around.moves[:, None, None], current.shape)
+def build_program(
+    setting: Setting, coefficients: Array, duration: float, planes: Planes
+) -> QuadraticProgram:
+    """Return the program around the given curves; parameters as of ``moved_curves``."""
+    n, cables = setting.task.drones, len(setting.task.tethers)
+    inner, arena, trust = (
+        coefficients[:, HELD:-HELD],
+        setting.task.requirements.arena,
+        trust_radius(setting),
+    )
+    slacks = n + cables + len(planes.sides)
+    rows = Rows(inner.size + slacks)
+    upper = np.ones(inner.shape)
     lower = -upper
-    arena = setting.task.requirements.arena
     if arena is not None:
-        lower = np.maximum(lower, np.minimum((arena.lower - current) / around.trust, 0.0))
-        upper = np.minimum(upper, np.maximum((arena.upper - current) / around.trust, 0.0))
-    rows.add_bounds(np.arange(current.size), lower.ravel(), upper.ravel())
+        lower = np.maximum(lower, np.minimum((arena.lower - inner) / trust, 0.0))
+        upper = np.minimum(upper, np.maximum((arena.upper - inner) / trust, 0.0))
+    rows.add_bounds(np.arange(inner.size), lower.ravel(), upper.ravel())
+    rows.add_bounds(inner.size + np.arange(slacks), 0.0, np.inf)
+    _add_limits(rows, setting, coefficients, duration, inner.size)
+    _add_tethers(rows, setting, inner, inner.size + n)
+    _add_planes(rows, setting, planes, inner.size + n + cables)
+    hessian, gradient = _objective(setting, coefficients)
+    weights = np.append(np.full(n, EXCEEDED / n), np.full(slacks - n, BROKEN))
+    P = sp.csc_array(sp.block_diag([hessian, sp.diags_array(weights)]))
+    return QuadraticProgram(P, np.append(gradient, np.zeros(slacks)), *rows.compressed())
 
 
-def _add_tethers(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
+def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.float64], Array]:
+    """Return the Hessian and the gradient of deviation and roughness by the first unknowns."""
+    (deviation, roughness), free = setting.grid.energies, setting.grid.free
+    deviation, roughness = DEVIATION * deviation, ROUGHNESS * roughness
+    scale = 2.0 * trust_radius(setting) / (setting.size**2 * setting.task.drones)
+    gradient = deviation[free] @ (coefficients - setting.nominal) + roughness[free] @ coefficients
+    one = scale * trust_radius(setting) * (deviation + roughness)[free, free]
+    block = sp.kron(sp.csc_array(one), sp.eye_array(3))
+    hessian = sp.csc_array(sp.kron(sp.eye_array(setting.task.drones), block))
+    return hessian, scale * gradient.ravel()
+
+
+def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None:
     """Bound every coefficient's distance along its current direction: the hull's is no larger."""
     first, second, longest = setting.task.tether_arrays
-    inner = around.coefficients[:, HELD:-HELD]
     free = inner.shape[1]
     offset = (inner[first] - inner[second]) / longest[:, None, None]
-    size = np.linalg.norm(offset, axis=-1)
     along = unit(offset, least=1e-9)
+    entries = (along * trust_radius(setting) / longest[:, None, None]).ravel()
     f = np.arange(free)
-    local = (np.arange(len(longest))[:, None] * free + f).ravel()
-    entries = (along * around.trust / longest[:, None, None]).ravel()
-    columns = [
-        ((end[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel() for end in (first, second)
-    ]
-    upper = (1.0 - 0.5 * MARGIN - size).ravel()
+    columns = [(3 * (end[:, None] * free + f)[..., None] + np.arange(3)).ravel()
+               for end in (first, second)]  # fmt: skip
+    upper = (1.0 - 0.5 * MARGIN - np.linalg.norm(offset, axis=-1)).ravel()
+    every = np.arange(len(upper))
     top = rows.add(
-        np.tile(np.repeat(local, 3), 2),
+        np.tile(np.repeat(every, 3), 2),
         np.concatenate(columns),
         np.concatenate([entries, -entries]),
         np.full(len(upper), -np.inf),
         upper,
     )
-    rows.extend(top + local, slack + local // free, -1.0)
+    rows.extend(top + every, slack + every // free, -1.0)
 
 
-def _add_planes(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
-    between = around.planes.between
-    steepest = around.planes.normals * setting.scale * around.trust
-    lower = (1.0 + MARGIN) - around.planes.gaps
-    first, there, live = _piece_entries(setting, between.piece, between.first, steepest)
-    second, back, _ = _piece_entries(setting, between.piece, between.second, -steepest)
-    _add_sided(rows, [first, second], [there, back], live, lower, slack)
-
-
-def _add_walls(rows: Rows, setting: Setting, around: Around, slack: int) -> None:
-    walls = around.walls
-    lower = (1.0 + MARGIN) - walls.gaps
-    steepest = walls.normals * around.trust / setting.task.requirements.separation.radius
-    column, entry, live = _piece_entries(setting, walls.piece, walls.drone, steepest)
-    _add_sided(rows, [column], [entry], live, lower, slack)
-
-
-def _piece_entries(
-    setting: Setting, piece: Indices, drone: Indices, steepest: Array
-) -> tuple[Indices, Array, NDArray[np.bool_]]:
-    """Return columns, entries and which are free, (m, rows, coefficients, 3), of pieces' rows."""
-    k = DEGREE + 1
+def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> None:
+    """Keep every Bernstein coefficient of a piece on its side of a plane, with a slack a plane."""
+    m, k = planes.gaps.shape
     free = setting.grid.count - 2 * HELD
-    entries = setting.grid.extraction[piece][..., None] * steepest[:, None, None, :]
-    index = piece[:, None] + np.arange(k) - HELD
-    live = np.broadcast_to(((index >= 0) & (index < free))[:, None, :, None], entries.shape)
-    columns = ((drone[:, None] * free + index)[..., None] * 3 + np.arange(3))[:, None]
-    return np.broadcast_to(columns, entries.shape), entries, live
-
-
-def _add_sided(
-    rows: Rows,
-    columns: list[Indices],
-    entries: list[Array],
-    live: NDArray[np.bool_],
-    lower: Array,
-    slack: int,
-) -> None:
-    """Add rows, one per Bernstein coefficient, that share a slack per plane."""
-    m, k = lower.shape
-    if m == 0:
-        return
-    local = np.broadcast_to(np.arange(m * k).reshape(m, k, 1, 1), live.shape)[live]
-    # Held coefficients cannot move: their rows have no bound.
-    movable = np.any(live, axis=(2, 3))
-    lower = np.where(movable, lower, -np.inf)
-    top = rows.add(
-        np.tile(local, len(columns)),
-        np.concatenate([column[live] for column in columns]),
-        np.concatenate([entry[live] for entry in entries]),
-        lower.ravel(),
-        np.full(m * k, np.inf),
-    )
+    piece, *drones = planes.sides.T
+    entries = setting.grid.extraction[piece][..., None]
+    entries = entries * (trust_radius(setting) * planes.normals)[:, None, None, :]
+    index = (piece[:, None] + np.arange(k) - HELD)[:, None, :, None]  # (m, rows, coefficients, 3)
+    live = np.broadcast_to((index >= 0) & (index < free), entries.shape)
     every = np.arange(m * k)
+    local = np.broadcast_to(every.reshape(m, k, 1, 1), live.shape)
+    found: list[tuple[Indices, Indices, Array]] = []
+    for drone, sign in zip(drones, (1.0, -1.0), strict=True):
+        there = live & (drone >= 0)[:, None, None, None]
+        columns = 3 * (drone[:, None, None, None] * free + index) + np.arange(3)
+        columns = np.broadcast_to(columns, entries.shape)
+        found.append((local[there], columns[there], sign * entries[there]))
+    # Held coefficients cannot move: their rows have no bound.
+    lower = np.where(np.any(live, axis=(2, 3)), 1.0 + MARGIN - planes.gaps, -np.inf).ravel()
+    local, columns, values = (np.concatenate(part) for part in zip(*found, strict=True))
+    top = rows.add(local, columns, values, lower, np.full(m * k, np.inf))
     rows.extend(top + every, slack + every // k, 1.0)
 
 
@@ -236,19 +182,12 @@ ACROSS = (0.3, 0.7)
 """Largest change across a derivative, as shares of its limit: at the limit, and at zero."""
 
 
-def add_limits(
-    rows: Rows, setting: Setting, coefficients: Array, duration: float, trust: float, slack: int
+def _add_limits(
+    rows: Rows, setting: Setting, coefficients: Array, duration: float, slack: int
 ) -> None:
     """Limit the first three derivatives: along themselves to the limit, across to a share of it.
 
-    Parameters
-    ----------
-    rows: collects them.
-    setting: grid and limits.
-    coefficients: (N, count, 3) [m], the current curves.
-    duration: [s] for which they hold.
-    trust: change of a coefficient that an unknown of one stands for [m]
-    slack: column of the first drone's slack, in shares of the duration.
+    Slacks are shares of the duration.
     """
     n, free = len(coefficients), setting.grid.count - 2 * HELD
     drones = np.arange(n)
@@ -256,26 +195,26 @@ def add_limits(
         zip(setting.grid.rates, setting.caps, strict=True), start=1
     ):
         matrix = rate / duration**order
-        current = np.einsum("rc,ncd->nrd", matrix, coefficients) / cap[:, None, None]
+        current = matrix @ coefficients / cap[:, None, None]
         size = np.linalg.norm(current, axis=-1)
-        changing = matrix[:, HELD:-HELD] * trust
+        changing = matrix[:, HELD:-HELD] * trust_radius(setting)
         r, f = np.nonzero(changing)
         columns = ((drones[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel()
         values = np.broadcast_to(changing[r, f] / cap[:, None], (n, len(r)))
+        local = np.repeat(drones[:, None] * len(matrix) + r, 3)
         across = ACROSS[0] + (ACROSS[1] - ACROSS[0]) * np.clip(1.0 - size, 0.0, 1.0)
-        for k, axis in enumerate(_frames(current)):
-            entries = (values[..., None] * axis[:, r]).ravel()
+        along, *aside = _frames(current)
+        for axis in (along, *aside):
             here = np.sum(current * axis, axis=-1)
-            local = np.repeat(drones[:, None] * len(matrix) + r, 3)
-            if k == 0:
+            bound = np.maximum(across, np.abs(here))  # no worse than it is
+            upper, lower = bound - here, -bound - here
+            if axis is along:
                 upper, lower = 1.0 - here, np.full(here.shape, -np.inf)
-            else:  # no worse than it is
-                bound = np.maximum(across, np.abs(here))
-                upper, lower = bound - here, -bound - here
-            first = rows.add(local, columns, entries, lower.ravel(), upper.ravel())
-            if k == 0:
+            entries = (values[..., None] * axis[:, r]).ravel()
+            top = rows.add(local, columns, entries, lower.ravel(), upper.ravel())
+            if axis is along:
                 every = np.arange(here.size)
-                rows.extend(first + every, slack + every // len(matrix), -float(order))
+                rows.extend(top + every, slack + every // len(matrix), -float(order))
 
 
 def _frames(vectors: Array) -> tuple[Array, Array, Array]:
@@ -288,8 +227,9 @@ def _frames(vectors: Array) -> tuple[Array, Array, Array]:
 ACCURACY = 1e-4
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
-MOST_ITERATIONS = 700
-"""Iterations after which the current point is used as it is: the curves are evaluated anyway."""
+ITERATIONS, CROWD, HASTY = 700, 64, 150
+"""Iterations after which the current point is used as it is, and those of so many drones or more:
+rounds correct what they leave."""
 
 LEAST_TIME = 1e-3
 """[s] Smallest time limit that is passed to OSQP, which takes zero for none."""
@@ -299,16 +239,8 @@ class ProgramError(Exception):
     """No finite point was returned by OSQP."""
 
 
-def solve_program(
-    program: QuadraticProgram, first: Array, iterations: int = MOST_ITERATIONS
-) -> Array:
+def solve_program(program: QuadraticProgram, iterations: int = ITERATIONS) -> Array:
     """Return OSQP's solution (unknowns,) of a program, whose bounds on unknowns are rows.
-
-    Parameters
-    ----------
-    program: what is solved.
-    first: (unknowns,) where to start.
-    iterations: after which the current point is used as it is.
 
     Raises
     ------
@@ -316,8 +248,6 @@ def solve_program(
     """
     import osqp
 
-    if first.shape != program.q.shape:
-        raise ValueError(f"a start of {first.shape} for {program.q.shape}")
     left = time_left()
     solver = osqp.OSQP(algebra="builtin")
     solver.setup(
@@ -329,12 +259,10 @@ def solve_program(
         eps_abs=ACCURACY,
         eps_rel=ACCURACY,
         max_iter=iterations,
-        warm_starting=True,
         polishing=False,
         verbose=False,
         **({"time_limit": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     )
-    solver.warm_start(x=first, y=np.zeros(len(program.lower)))
     result = solver.solve(raise_error=False)
     if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
         raise KeyboardInterrupt  # OSQP catches the signal

@@ -39,36 +39,23 @@ class Routes:
     lengths: (N,) [m]
     """
 
-    corners: tuple[Array, ...]
+    corners: list[Array]
     lengths: Array
 
     def points(self, shares: Array) -> Array:
         """Return the points (N, m, 3) [m] of all routes at shares (N, m) of their lengths."""
-        first = np.stack([route[0] for route in self.corners])
-        last = np.stack([route[-1] for route in self.corners])
+        first, last = (np.stack([route[end] for route in self.corners]) for end in (0, -1))
         points: Array = first[:, None] + shares[..., None] * (last - first)[:, None]
-        for i in self.bent:
-            points[i] = self.of(i, shares[i])
+        for i in (i for i, route in enumerate(self.corners) if len(route) > 2):
+            steps = np.linalg.norm(np.diff(self.corners[i], axis=0), axis=1)
+            along = np.append(0.0, np.cumsum(steps) / np.sum(steps))
+            for axis in range(3):
+                points[i, :, axis] = np.interp(shares[i], along, self.corners[i][:, axis])
         return points
-
-    @property
-    def bent(self) -> list[int]:
-        """The drones whose routes are not straight lines."""
-        return [i for i, route in enumerate(self.corners) if len(route) > 2]
-
-    def of(self, drone: int, share: Array) -> Array:
-        """Return the points (*share.shape, 3) [m] of one route at shares of its length."""
-        corners = self.corners[drone]
-        steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
-        along = np.concatenate([[0.0], np.cumsum(steps)])
-        along = along / along[-1] if along[-1] > 0.0 else np.linspace(0.0, 1.0, len(corners))
-        return np.stack([np.interp(share, along, corners[:, axis]) for axis in range(3)], axis=-1)
 
 
 def routes_around(task: SeparationTask) -> Routes:
     """Return the shortest routes: straight lines where no prism is in between.
-
-    Blocked ones are searched one by one, each among the corners of all prisms.
 
     Raises
     ------
@@ -76,16 +63,12 @@ def routes_around(task: SeparationTask) -> Routes:
     """
     radius = task.requirements.separation.radius
     corners = list(np.stack([task.start, task.goal], axis=1))
-    blocked = np.zeros(task.drones, dtype=np.bool_)
-    for prism in task.requirements.keep_out:
-        blocked |= _Solid.around(prism, radius * (1.0 - TIGHT)).cuts(task.start, task.goal)
     lengths = np.linalg.norm(task.goal - task.start, axis=1)
-    for i in np.flatnonzero(blocked).tolist():
+    for i in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
         check_time()
-        start, goal = task.start[i], task.goal[i]
-        route = _route(task, start, goal, STAND_OFF * radius)
+        route = _route(task, corners[i], STAND_OFF * radius)
         if route is None:
-            route = _route(task, start, goal, radius * (1.0 + TIGHT))
+            route = _route(task, corners[i], radius * (1.0 + TIGHT))
         if route is None:
             remedy = "widen the gap between the prisms, or between them and the arena"
             when, where = "on every route found from its start to its goal", (task.names[i],)
@@ -93,41 +76,38 @@ def routes_around(task: SeparationTask) -> Routes:
             raise InfeasibleError([shut])
         corners[i] = route
         lengths[i] = np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1))
-    return Routes(tuple(corners), lengths)
+    return Routes(corners, lengths)
 
 
-def _route(task: SeparationTask, start: Array, goal: Array, distance: float) -> Array | None:
+def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
+    """Return whether segments between points (m, 3) come too close to a prism, (m,)."""
+    blocked = np.zeros(len(first), dtype=np.bool_)
+    for prism in task.requirements.keep_out:
+        reach = task.requirements.separation.radius * (1.0 - TIGHT)
+        into, out = _crossed(prism, reach, first, last)
+        blocked |= into < out
+    return blocked
+
+
+def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
     """Return the shortest route whose corners keep a distance [m] from all prisms, or None."""
-    prisms = task.requirements.keep_out
-    solids = [_Solid.around(prism, distance * (1.0 - TIGHT)) for prism in prisms]
-    # Ends may stand closer to a prism than corners do: then only what they must keep counts there.
-    ends = np.stack([start, goal])
-    least_distance = min(distance, task.requirements.separation.radius) * (1.0 - TIGHT)
-    least = [_Solid.around(prism, least_distance) for prism in prisms]
-    if not any(solid.cuts(start[None], goal[None])[0] for solid in least):
-        return ends
+    prisms, arena = task.requirements.keep_out, task.requirements.arena
     flat = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
     levels = [[prism.lower - distance, prism.upper + distance] for prism in prisms]
-    heights = np.unique([[start[2], goal[2]], *levels])
+    heights = np.unique([ends[:, 2], *levels])
     nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
-    nodes = np.vstack([nodes, *(_over(prism, start, goal, distance) for prism in prisms)])
-    arena = task.requirements.arena
+    nodes = np.vstack([nodes, *(_over(prism, ends, distance) for prism in prisms)])
     if arena is not None:
         nodes = nodes[np.all((nodes >= arena.lower) & (nodes <= arena.upper), axis=1)]
-    for solid in solids:
-        nodes = nodes[~solid.holds(nodes)]
-    nodes = np.vstack([ends, nodes])
+    nodes = np.vstack([ends, nodes[~_blocked(task, nodes, nodes)]])
     i, j = np.triu_indices(len(nodes), 1)
-    seen = np.ones(len(i), dtype=np.bool_)
-    for group, at in ((least, i < 2), (solids, i >= 2)):
-        for solid in group:
-            seen[at] &= ~solid.cuts(nodes[i[at]], nodes[j[at]])
+    seen = ~_blocked(task, nodes[i], nodes[j])
     i, j = i[seen], j[seen]
     length = np.linalg.norm(nodes[i] - nodes[j], axis=1)
     # Of routes that are equally long, one is preferred by its places.
     places = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
     places = (places - np.min(places)) / max(float(np.ptp(places)), 1e-9)
-    preferred = length + TIE * float(np.max(length)) * (places[i] + places[j])
+    preferred = length + TIE * float(np.max(length, initial=0.0)) * (places[i] + places[j])
     graph = sp.csr_matrix((preferred, (i, j)), shape=(len(nodes), len(nodes)))
     distances, before = dijkstra(
         graph, directed=False, indices=np.array([0]), return_predecessors=True
@@ -140,53 +120,35 @@ def _route(task: SeparationTask, start: Array, goal: Array, distance: float) -> 
     return nodes[route[::-1]]
 
 
-def _over(prism: Prism, start: Array, goal: Array, distance: float) -> Array:
+def _over(prism: Prism, ends: Array, distance: float) -> Array:
     """Return points (m, 3) over and under a prism where the straight route enters and leaves."""
-    tower = _Solid.around(Prism(prism.polygon, -HIGH, HIGH), distance)
-    into, out = tower.crossed(start[None], goal[None])
-    if not into[0] < out[0]:
+    tower = Prism(prism.polygon, -HIGH, HIGH)
+    (into,), (out,) = _crossed(tower, distance, ends[:1], ends[1:])
+    if into >= out:
         return np.zeros((0, 3))
-    flat = start[:2] + np.array([[into[0]], [out[0]]]) * (goal - start)[:2]
+    flat = ends[0, :2] + np.array([[into], [out]]) * (ends[1] - ends[0])[:2]
     levels = np.repeat([prism.lower - distance, prism.upper + distance], 2)
     return np.column_stack([np.vstack([flat, flat]), levels])
 
 
-@dataclass(frozen=True, eq=False)
-class _Solid:
-    """A prism widened by a distance, as half spaces normals · p < offsets."""
+def _crossed(prism: Prism, distance: float, first: Array, last: Array) -> tuple[Array, Array]:
+    """Return the shares (m,) where segments enter a widened prism and leave it.
 
-    normals: Array
-    offsets: Array
-
-    @classmethod
-    def around(cls, prism: Prism, distance: float) -> _Solid:
-        edges = prism.polygon.edge_vectors
-        sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
-        reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
-        normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-        return cls(normals, np.concatenate([reach, [-prism.lower, prism.upper]]) + distance)
-
-    def holds(self, points: Array) -> NDArray[np.bool_]:
-        """Return whether points (m, 3) are within, (m,)."""
-        within: NDArray[np.bool_] = np.all(points @ self.normals.T < self.offsets, axis=1)
-        return within
-
-    def cuts(self, first: Array, last: Array) -> NDArray[np.bool_]:
-        """Return whether segments between points (m, 3) pass through, (m,)."""
-        into, out = self.crossed(first, last)
-        return into < out
-
-    def crossed(self, first: Array, last: Array) -> tuple[Array, Array]:
-        """Return the shares (m,) where segments enter and leave; they miss it if enter ≥ leave."""
-        before = first @ self.normals.T - self.offsets
-        after = last @ self.normals.T - self.offsets
-        change = after - before
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = -before / change
-        into = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
-        out = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
-        aside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # along a side, outside of it
-        return np.where(aside, 1.0, into), out
+    They miss it where they leave before they enter.
+    """
+    edges = prism.polygon.edge_vectors
+    sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
+    reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
+    normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    offsets = np.concatenate([reach, [-prism.lower, prism.upper]]) + distance
+    before, after = (points @ normals.T - offsets for points in (first, last))
+    change = after - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = -before / change
+    into = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
+    out = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
+    aside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # along a side, outside of it
+    return np.where(aside, 1.0, into), out
 
 
 def _widened(outline: Array, distance: float) -> Array:

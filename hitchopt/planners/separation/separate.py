@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,46 +16,29 @@ from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.separation.guesses import PriorityRule, pushed_apart, roundabout
-from hitchopt.planners.separation.planes import (
-    ClosePieces,
-    close_pieces,
-    planes_between,
-    walls_before,
-)
+from hitchopt.planners.separation.guesses import pushed_apart, roundabout
+from hitchopt.planners.separation.planes import Planes, close_pieces, planes_between, walls_before
 from hitchopt.planners.separation.program import (
     MARGIN,
-    MOST_ITERATIONS,
-    Around,
     ProgramError,
-    build_program,
-    solve_program,
+    moved_curves,
+    trust_radius,
 )
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
 from hitchopt.planners.timing.demands import LIMIT_SHARE
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 Progress = Callable[[str], None]
 
-GUESSES = (
-    PriorityRule(0.5),
-    PriorityRule(0.5, patience=1.5),
-    PriorityRule(-0.5),
-    PriorityRule(0.5, patience=2.0),
-    PriorityRule(0.5, patience=3.0),
-)
-"""Priority rules in the order in which they are tried."""
+RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
+"""By how much drones give way to the right where they meet, and the duration over that of the
+slowest flight (above 1, departures are staggered), in the order in which they are tried."""
 
 ROUNDS = 16
 """Maximum number of programs around one guess."""
-
-AROUND_CROWDS = 150
-"""Iterations in a program around a roundabout. Rounds correct what these leave. With 75 a circle of
-128 drones takes 2.0 % longer; with 200 circles of 48 to 96 take 0.2 to 1.2 % longer, one of 128
-takes 0.6 % less."""
 
 FASTER = 0.85
 """Share of the present duration that the next program aims at while the curves are clear."""
@@ -63,47 +46,28 @@ FASTER = 0.85
 BARELY = 1.03
 """Smallest duration to aim at, over that of single flights: splines cannot be faster."""
 
-GOOD = 1.05
-"""Duration over that of single flights at which the search ends."""
+GOOD, NEARLY = 1.05, 1.15
+"""Durations over that of single flights at which the search ends, and at which it ends after one
+round without a gain."""
 
-PATIENCE = 3
-"""Maximum consecutive rounds without a gain."""
-
-GAIN = 0.02
+GAIN = 0.04
 """Smallest relative gain that counts."""
 
-TRUST = 2.5
-"""Trust radius: largest move of a coefficient in one program, in drone radii."""
+PATIENCE, STALLED = 3, 6
+"""Maximum consecutive rounds without a gain, and while drones still meet."""
 
-STALLED = 6
-"""Maximum consecutive rounds without a gain while drones still meet."""
+UNCLEAR = 1e9
+"""Offset of the merit for curves that break a limit at any speed."""
 
-UNCLEAR, LATE = 1e9, 1e6
-"""Offsets of the merit for curves that break a limit at any speed, and that take too long."""
-
-REACH = 1.0
-"""Excess of the separation [1] up to which pairs of pieces get a plane."""
+REACH, NARROW = 1.0, 0.5
+"""Excess of the separation [1] up to which pairs of pieces get a plane, and that in crowds."""
 
 LARGE = 256
 """Number of drones from which on only those that are too close are moved, until curves are clear,
-which ends the search."""
-
-NARROW, CAREFUL = 0.5, 0.4
-"""REACH, and largest move in trust radii, of drones in those programs that are not DEEP. With fewer
-planes factors fill a tenth as much, and with smaller moves drones meet no others that have none."""
-
-DEEP = 0.5
-"""Separation below which drones must move farther than that."""
+which ends the search: a program of all is coupled by so many planes that its factors fill."""
 
 CLOSE = 0.1
 """Excess of the separation [1] below which drones are too close in this sense."""
-
-NEARLY = 1.15
-"""Duration over that of single flights at which one round without a gain ends the search."""
-
-WORTHWHILE = 0.075
-"""Smallest relative gain that counts around a roundabout once a flight is NEARLY as fast: half of
-what a round aims at."""
 
 
 def separate(task: SeparationTask, progress: Progress | None = None) -> Separated:
@@ -111,7 +75,6 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
 
     Parameters
     ----------
-    task: starts, goals and requirements.
     progress: called with a description of the present stage.
 
     Raises
@@ -125,154 +88,87 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     if task.duration is not None and task.duration < setting.bound:
         raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
     tried: list[Evaluation] = []
-    if evaluate(setting, setting.nominal).clear:  # no two drones meet
-        found = _improved(setting, setting.nominal, say)
+    for own, guess, remark in _guesses(setting):
+        say(f"guess: {remark or 'straight'}")
+        found = _improved(own, guess, say)
         if found.clear and found.duration <= (task.duration or math.inf):
-            return _separated(setting, found, "")
-        tried.append(found)
-    if (around := roundabout(setting)) is not None:
-        say("guess: a roundabout")
-        found = _improved(setting, around, say, crowd=True)
-        if found.clear and found.duration <= (task.duration or math.inf):
-            return _separated(setting, found, "all go around where they meet, to the right")
-        tried.append(found)
-    for rule in GUESSES:
-        patience = rule.patience
-        if task.duration is not None and patience * setting.alone > task.duration:
-            continue
-        say(f"guess: {rule}")
-        delayed = setting if patience == 1.0 else setting_of(task, patience)
-        found = _improved(delayed, pushed_apart(delayed, rule), say)
-        if found.clear and found.duration <= (task.duration or math.inf):
-            return _separated(delayed, found, str(rule))
+            curves = own.grid.curves(found.coefficients, task.duration or found.duration)
+            return Separated(curves, found.closest, setting.bound, remark)
         tried.append(found)
     return _last_resort(task, tried, say)
 
 
-def _improved(setting: Setting, guess: Array, say: Progress, *, crowd: bool = False) -> Evaluation:
-    """Return the best curves that programs around a guess, perhaps a crowd's, reach."""
-    iterations = AROUND_CROWDS if crowd else MOST_ITERATIONS
+def _silent(_: str) -> None:
+    pass
+
+
+def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
+    """Yield settings with first curves (N, count, 3) [m] and the rule that they follow."""
+    if evaluate(setting, setting.nominal).clear:  # no two drones meet
+        yield setting, setting.nominal, ""
+    around = roundabout(setting)
+    if around is not None:
+        yield setting, around, "all go around where they meet, to the right"
+    for side, patience in RULES:
+        if patience * setting.alone > (setting.task.duration or math.inf):
+            continue
+        own = setting if patience == 1.0 else setting_of(setting.task, patience)
+        words = f"all give way to the {'right' if side > 0.0 else 'left'} where they meet"
+        yield own, pushed_apart(own, side), ("some leave later; " if patience > 1.0 else "") + words
+
+
+def _improved(setting: Setting, guess: Array, say: Progress) -> Evaluation:
+    """Return the best curves that programs around a guess reach."""
+    task, idle = setting.task, 0
     here = best = evaluate(setting, guess)
-    known: ClosePieces | None = None
-    idle = 0
+    known = np.zeros((0, 3), dtype=np.intp)
     for round_number in range(ROUNDS):
-        if best.clear and _large(setting):
+        if best.clear and task.drones >= LARGE:
             break
-        around = _around(setting, here, known)
-        known = around.planes.between
-        built = build_program(setting, around)
-        moving = _moving(setting, here, around)
+        planes, moving = _planes(setting, here, known)
+        known = planes.sides[planes.sides[:, 2] >= 0]
+        aimed = FASTER * here.duration if here.clear else here.duration
+        duration = max(aimed, task.duration or BARELY * setting.alone)
         try:
-            solution = np.zeros(len(built.program.q))  # unknowns are changes
-            if np.all(moving):
-                solution = solve_program(built.program, solution, iterations)
-            else:
-                part, kept = built.among(moving)
-                solution[kept] = solve_program(part, solution[kept], iterations)
+            moved = moved_curves(setting, here.coefficients, duration, planes, moving)
         except ProgramError:
             break
-        here = evaluate(setting, built.moved(solution))
+        here, before = evaluate(setting, moved), best
         say(f"round {round_number + 1}: {here.duration:.3g} s, separation {here.closest:.3f}")
-        before, after = _merit(setting, best), _merit(setting, here)
-        if after < before:
-            best = here
-        least = WORTHWHILE if crowd and _nearly(setting, best) else GAIN
-        idle = 0 if after < (1.0 - least) * before else idle + 1
-        if _enough(setting, here, best, idle):
+        best = min(before, here, key=lambda found: found.merit)
+        idle = 0 if best.merit < (1.0 - GAIN) * before.merit else idle + 1
+        if idle >= (PATIENCE if best.clear else STALLED):
+            break
+        if not best.clear:
+            continue
+        within = best.duration <= (task.duration or GOOD * setting.alone)
+        nearly = best.duration <= (task.duration or NEARLY * setting.alone)
+        if within or (nearly and here.clear and idle):
             break
     return best
 
 
-def _around(setting: Setting, here: Evaluation, known: ClosePieces | None) -> Around:
-    """Return the data of the next program; it has the planes of the last one as well."""
-    task = setting.task
-    radius = task.requirements.separation.radius
-    aimed = FASTER * here.duration if here.clear else here.duration
-    floor = BARELY * setting.alone if task.duration is None else task.duration
+def _planes(setting: Setting, here: Evaluation, known: Indices) -> tuple[Planes, NDArray[np.bool_]]:
+    """Return the planes of the next program, those of the last one among them, and who moves (N,).
+
+    All do, but of LARGE crowds only those that are too close to others, as long as there are any.
+    """
+    task, separation = setting.task, setting.task.requirements.separation
     pieces = setting.grid.pieces_of(here.coefficients)
-    scaled = pieces * setting.scale[:, None]
-    close = close_pieces(scaled, 1.0 + MARGIN + REACH)
-    moves = np.ones(task.drones)
-    if _large(setting) and not here.clear:
-        gaps = np.min(planes_between(scaled, close).gaps, axis=1)
-        moves[:] = CAREFUL
-        for ends in (close.first, close.second):
-            moves[ends[gaps < DEEP]] = 1.0
-        deep = np.maximum(moves[close.first], moves[close.second]) == 1.0
-        close = close.taken((gaps < 1.0 + MARGIN + NARROW) | deep)
-    if known is not None:
-        close = close.united(known, task.drones)
-    trust = TRUST * radius
-    walls = walls_before(pieces, task.requirements.keep_out, radius, radius + 2.0 * trust)
-    planes = planes_between(scaled, close)
-    return Around(here.coefficients, max(aimed, floor), trust, planes, walls, moves)
-
-
-def _moving(setting: Setting, here: Evaluation, around: Around) -> NDArray[np.bool_]:
-    """Return which drones (N,) the next program moves.
-
-    All of them, but of crowds that are LARGE only those that are too close to others, as long as
-    there are any: a program of all is coupled by so many planes that its factors fill.
-    """
-    everyone = np.ones(setting.task.drones, dtype=np.bool_)
-    if here.clear or not _large(setting):
-        return everyone
-    planes = around.planes
+    few = task.drones >= LARGE and not here.clear
+    sides = close_pieces(pieces, separation, 1.0 + MARGIN + (NARROW if few else REACH))
+    planes = planes_between(pieces, separation, np.unique(np.vstack([known, sides]), axis=0))
+    moving = np.ones(task.drones, dtype=np.bool_)
     close = np.min(planes.gaps, axis=1) < 1.0 + MARGIN + CLOSE
-    moving = ~everyone
-    moving[planes.between.first[close]] = True
-    moving[planes.between.second[close]] = True
-    return moving if np.any(moving) else everyone
-
-
-def _large(setting: Setting) -> bool:
-    """Return whether a crowd is LARGE, nothing but drones in its way, and may take its time."""
-    task = setting.task
-    bound = task.tethers or task.requirements.keep_out or task.duration is not None
-    return task.drones >= LARGE and not bound
-
-
-def _enough(setting: Setting, here: Evaluation, best: Evaluation, idle: int) -> bool:
-    """Return whether the search around this guess ends."""
-    if not best.clear:
-        return idle >= STALLED
-    if setting.task.duration is not None:
-        return idle >= (1 if best.duration <= setting.task.duration else PATIENCE)
-    if best.duration <= max(GOOD, BARELY) * setting.alone:
-        return True
-    return idle >= (1 if _nearly(setting, best) and here.clear else PATIENCE)
-
-
-def _nearly(setting: Setting, best: Evaluation) -> bool:
-    """Return whether curves are clear and NEARLY as fast as single flights, where that matters."""
-    fast = best.duration <= NEARLY * setting.alone
-    return best.clear and fast and setting.task.duration is None
-
-
-def _merit(setting: Setting, evaluation: Evaluation) -> float:
-    """Return the merit of curves, smaller for better ones.
-
-    Curves that are not clear come last. Of the others the fastest is best or, where a given
-    duration is satisfied, the one nearest to the nominal curves.
-    """
-    given = setting.task.duration
-    if not evaluation.clear:
-        return UNCLEAR * (2.0 - min(evaluation.closest, 1.0))
-    if given is None:
-        return evaluation.duration
-    if evaluation.duration > given:
-        return LATE * evaluation.duration / given
-    s, weights = setting.grid.quadrature
-    offset = np.einsum(
-        "sc,ncd->nsd", setting.grid.sampled(s), evaluation.coefficients - setting.nominal
-    )
-    return float(np.sum(weights[:, None] * offset**2)) / setting.size**2 / len(offset)
-
-
-def _separated(setting: Setting, found: Evaluation, remark: str) -> Separated:
-    duration = found.duration if setting.task.duration is None else setting.task.duration
-    curves = setting.grid.curves(found.coefficients, duration)
-    return Separated(curves, found.closest, setting.bound, remark)
+    if few and np.any(close):
+        moving[:] = False
+        moving[planes.sides[close, 1:]] = True
+    cutoff = separation.radius + 2.0 * trust_radius(setting)
+    walls = [
+        walls_before(pieces, prism, separation.radius, cutoff)
+        for prism in task.requirements.keep_out
+    ]
+    return Planes.joined([planes, *walls]), moving
 
 
 def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -> Separated:
@@ -298,10 +194,6 @@ def _too_short(task: SeparationTask, needed: float, which: str) -> Violation:
     remedy = f"{which}; allow {enough:.4g} s, or raise the limits"
     limit = task.duration or math.nan
     return Violation("duration", needed, limit, "max", "s", (), "", remedy)
-
-
-def _silent(_: str) -> None:
-    pass
 
 
 STRETCH = 1.0 / LIMIT_SHARE
@@ -335,13 +227,22 @@ class Evaluation:
         """Whether the curves, in their duration or a longer one, break nothing."""
         return not self.broken
 
+    @property
+    def merit(self) -> float:
+        """Smaller for better curves; those that are not clear come last."""
+        return self.duration if self.clear else UNCLEAR * (2.0 - min(self.closest, 1.0))
+
 
 def evaluate(setting: Setting, coefficients: Array) -> Evaluation:
     """Return the evaluation of curves, by the certificate's bounds that hold at every time."""
-    task = setting.task
-    duration = needed_duration(setting, setting.grid.curves(coefficients, 1.0))
-    curves = setting.grid.curves(coefficients, duration)
-    checks = _checks(task, curves)
+    task, unit = setting.task, setting.grid.curves(coefficients, 1.0)
+    factors = [IDLE]
+    for order, cap in enumerate(setting.caps, start=1):
+        shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
+        factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
+    limit, least = task.requirements.limits.body_rate, STRETCH * max(factors)
+    duration = turning_stretch(Swarm(task.drones), limit, (unit,), least)
+    checks = _checks(task, unit.stretched(duration))
     broken = (
         check.violation(f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY)
         for check in checks
@@ -356,8 +257,15 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     swarm = Swarm(task.drones)
     motion = Motion.single(swarm, task.requirements, curves, ())
     found = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
-    found.append(_span(task, curves, swarm))
-
+    if task.tethers:
+        first, second, longest = task.tether_arrays
+        x = curves.coefficients
+        offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
+        size = float(np.max(np.abs(x))) / float(np.min(longest))
+        bound = largest_rate(PiecewisePolynomial(curves.breaks, offsets), 0, 1.0)
+        pair = tuple(swarm.drone_names[ends[bound.item]] for ends in (first, second))
+        worst = bound.worst + ROUNDING * size
+        found.append(Check.of("span", worst, 1.0, "max", "ratio", bound.time, pair, size))
     names = dict(zip(swarm.drone_names, task.names, strict=True))
 
     def named(check: Check) -> Check:
@@ -371,31 +279,6 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
         return replace(check, where=tuple(where))
 
     return [named(check) for check in found if check is not None]
-
-
-def needed_duration(setting: Setting, unit: PiecewisePolynomial) -> float:
-    """Return the shortest duration in which curves, given over 1 s, keep all limits [s]."""
-    factors = []
-    for order, cap in enumerate(setting.caps, start=1):
-        shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
-        factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
-    duration = max(*factors, IDLE) * STRETCH
-    limits = setting.task.requirements.limits
-    return turning_stretch(Swarm(setting.task.drones), limits.body_rate, (unit,), duration)
-
-
-def _span(task: SeparationTask, curves: PiecewisePolynomial, swarm: Swarm) -> Check | None:
-    """Return the check of the tethers' lengths; None without tethers."""
-    if not task.tethers:
-        return None
-    first, second, longest = task.tether_arrays
-    x = curves.coefficients
-    offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
-    size = float(np.max(np.abs(x))) / float(np.min(longest))
-    found = largest_rate(PiecewisePolynomial(curves.breaks, offsets), 0, 1.0)
-    pair = tuple(swarm.drone_names[ends[found.item]] for ends in (first, second))
-    worst = found.worst + ROUNDING * size
-    return Check.of("span", worst, 1.0, "max", "ratio", found.time, pair, size)
 
 
 def check_ends(task: SeparationTask) -> None:

@@ -32,9 +32,6 @@ SHORTEST_RAMP = 1e-5
 SHORTEST = 0.2
 """Shortest flight, as a share of the longest one."""
 
-SAMPLES = 3
-"""Number of samples of every piece at which guesses are pushed."""
-
 DEGREE = 5
 """Degree of the curves, with which jerk is continuous as well."""
 
@@ -65,18 +62,12 @@ class Setting:
     alone: float
     size: float
 
-    @property
-    def scale(self) -> Array:
-        """(3,) [1/m]: the norm of an offset times this is a separation."""
-        return self.task.requirements.separation.scale
-
 
 def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     """Return the task on a grid that suits the drone with the longest flight.
 
     Parameters
     ----------
-    task: starts, goals and requirements.
     patience: duration over that of the slowest flight; above 1, drones leave one after the other,
         and at 1 all leave at once.
 
@@ -84,18 +75,18 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     ------
     InfeasibleError: the prisms leave no route.
     """
-    limits = task.requirements.limits
-    n = task.drones
-    given = limits.acceleration if task.acceleration is None else task.acceleration
-    acceleration = np.minimum(np.broadcast_to(np.asarray(given), (n,)), limits.acceleration)
+    limits, n = task.requirements.limits, task.drones
+    given = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
+    acceleration = np.minimum(np.broadcast_to(given, n), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
-    straight = np.linalg.norm(task.goal - task.start, axis=1)
-    bound = np.max(fastest_ramps(straight, limits.speed, acceleration, limits.jerk).duration)
-    routes = routes_around(task)
-    ramps = fastest_ramps(routes.lengths, limits.speed, acceleration, limits.jerk)
-    slowest = int(np.argmax(ramps.duration))
-    alone = float(ramps.duration[slowest])
-    rise = max(float(ramps.rise[slowest]), SHORTEST_RAMP * alone)
+    straight, routes = np.linalg.norm(task.goal - task.start, axis=1), routes_around(task)
+    (bound, _), (durations, own_rises) = (
+        fastest_ramps(lengths, limits.speed, acceleration, limits.jerk)
+        for lengths in (straight, routes.lengths)
+    )
+    slowest = int(np.argmax(durations))
+    alone = float(durations[slowest])
+    rise = max(float(own_rises[slowest]), SHORTEST_RAMP * alone)
     size = max(float(np.max(routes.lengths)), 2.0 * task.requirements.separation.radius)
     going = float(routes.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
@@ -106,39 +97,28 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     grid = Grid(breaks / breaks[-1])
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
     if patience > 1.0 and going:
-        shares = np.maximum(ramps.duration / alone, SHORTEST) / patience
+        lasts = np.maximum(durations / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
-        np.divide(ramps.rise, ramps.duration, out=rises, where=routes.lengths > 0.0)
-        rank = np.argsort(tied_order(-shares, 1.0))  # who flies longest leaves first
-        leaving = (1.0 - shares) * rank / max(1, n - 1)
-        own = [
-            progress_along((s - leave) / share, float(rise))
-            for leave, share, rise in zip(leaving, shares, rises, strict=True)
-        ]
-        points = routes.points(np.stack(own))
+        np.divide(own_rises, durations, out=rises, where=routes.lengths > 0.0)
+        rank = np.argsort(tied_order(-lasts, 1.0))  # who flies longest leaves first
+        leaving = (1.0 - lasts) * rank / max(1, n - 1)
+        each = zip(leaving, lasts, rises, strict=True)
+        shares = [_progress((s - leave) / share, float(rise)) for leave, share, rise in each]
     else:
-        share = progress_along(s, 1.0 / breaks[-1])
-        points = routes.points(np.broadcast_to(share, (n, len(share))))
-    nominal = _fitted(task, grid, s, points)
-    return Setting(task, grid, nominal, caps, float(bound), alone, size)
+        shares = [_progress(s, 1.0 / breaks[-1])] * n
+    nominal = np.zeros((n, grid.count, 3))
+    nominal[:, :HELD], nominal[:, -HELD:] = task.start[:, None], task.goal[:, None]
+    missing = routes.points(np.stack(shares)) - grid.sampled(s) @ nominal
+    nominal[:, grid.free] = grid.fitting(s) @ missing
+    return Setting(task, grid, nominal, caps, float(np.max(bound)), alone, size)
 
 
-def inside(arena: Arena, points: Array) -> Array:
+def inside(arena: Arena | None, points: Array) -> Array:
     """Return points (…, 3) [m], clipped to the arena with a margin for rounding."""
+    if arena is None:
+        return points
     room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
     return np.clip(points, arena.lower + room, arena.upper - room)
-
-
-def _fitted(task: SeparationTask, grid: Grid, s: Array, points: Array) -> Array:
-    """Return the splines from start to goal nearest to points (N, samples, 3) at ``s``."""
-    basis = grid.sampled(s)
-    coefficients = np.zeros((len(points), grid.count, 3))
-    coefficients[:, :HELD], coefficients[:, -HELD:] = task.start[:, None], task.goal[:, None]
-    rest = points - np.einsum("sc,ncd->nsd", basis, coefficients)
-    free = basis[:, grid.free]
-    fitting = np.linalg.solve(free.T @ free, free.T)  # well conditioned: B-splines
-    coefficients[:, grid.free] = np.einsum("fs,nsd->nfd", fitting, rest)
-    return coefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,10 +148,10 @@ class Grid:
         return slice(HELD, self.count - HELD)
 
     @cached_property
-    def knots(self) -> Array:
-        """(pieces + 2·DEGREE + 1,): every end as often as a clamped spline needs it."""
+    def splines(self) -> BSpline:
+        """The basis functions, a clamped spline each."""
         ends = np.ones(DEGREE)
-        return np.concatenate([0.0 * ends, self.breaks, ends])
+        return BSpline(np.concatenate([0.0 * ends, self.breaks, ends]), np.eye(self.count), DEGREE)
 
     @cached_property
     def extraction(self) -> Array:
@@ -179,41 +159,42 @@ class Grid:
 
         Piece m is shaped by the spline's coefficients m … m + DEGREE.
         """
-        each = PiecewisePolynomial.from_spline(BSpline(self.knots, np.eye(self.count), DEGREE))
+        each = PiecewisePolynomial.from_spline(self.splines)
         index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
         local: Array = np.take_along_axis(each.coefficients, index[..., None], axis=1)
         return np.swapaxes(local, 1, 2)
 
     def sampled(self, s: Array, derivative: int = 0) -> Array:
         """Return the basis functions, or a derivative of theirs, at ``s`` as (*s.shape, count)."""
-        splines = BSpline(self.knots, np.eye(self.count), DEGREE)
-        function = splines.derivative(derivative) if derivative else splines
-        return function(np.clip(s, 0.0, 1.0))
+        return self.splines(np.clip(s, 0.0, 1.0), derivative)
+
+    def fitting(self, s: Array, stiffness: float = 0.0) -> Array:
+        """Return what maps values at ``s`` to the free coefficients that fit them best.
+
+        Parameters
+        ----------
+        stiffness: shortest bend that passes, as a share of the duration.
+        """
+        free, bends = self.sampled(s)[:, self.free], self.sampled(s, 3)[:, self.free]
+        square = free.T @ free + stiffness**6 * bends.T @ bends
+        return np.asarray(np.linalg.solve(square, free.T), dtype=np.float64)
 
     @cached_property
-    def quadrature(self) -> tuple[Array, Array]:
-        """Return samples (m,) and weights (m,) of an integral over [0, 1]: Gauss on each piece."""
+    def energies(self) -> tuple[Array, Array]:
+        """Matrices (count, count) of a spline's mean square and of its third derivative's."""
         x, w = np.polynomial.legendre.leggauss(DEGREE + 1)  # exact for squares of splines
         h = np.diff(self.breaks)[:, None]
-        s = self.breaks[:-1, None] + 0.5 * h * (x + 1.0)
-        return s.ravel(), (0.5 * h * w).ravel()
+        s, weights = (self.breaks[:-1, None] + 0.5 * h * (x + 1.0)).ravel(), (0.5 * h * w).ravel()
+        value, third = self.sampled(s), self.sampled(s, 3)
+        return value.T @ (weights[:, None] * value), third.T @ (weights[:, None] * third)
 
     @cached_property
-    def rates(self) -> tuple[Array, Array, Array]:
+    def rates(self) -> list[Array]:
         """Matrices (count - k, count), k = 1, 2, 3, to coefficients of the k-th derivative.
 
         A derivative lies within the hull of its coefficients.
         """
-        matrices = []
-        matrix = np.eye(self.count)
-        knots = self.knots
-        for k in range(1, 4):
-            order = DEGREE + 1 - k
-            m = self.count - k
-            widths = knots[k : k + m + order][order : order + m] - knots[k : k + m]
-            matrix = order * np.diff(matrix, axis=0) / widths[:, None]
-            matrices.append(matrix)
-        return matrices[0], matrices[1], matrices[2]
+        return [self.splines.derivative(k).c[: self.count - k] for k in (1, 2, 3)]
 
     def pieces_of(self, coefficients: Array) -> Array:
         """Return Bernstein coefficients (pieces, N, 3, DEGREE + 1) of splines (N, count, 3)."""
@@ -227,22 +208,11 @@ class Grid:
         return PiecewisePolynomial(duration * self.breaks, self.pieces_of(coefficients))
 
 
-def progress_along(s: Array, ramp: float) -> Array:
-    """Return the share of a route flown at times ``s`` (from 0 to 1), with ramps of ``ramp``.
-
-    Parameters
-    ----------
-    s: (…), below 0 at the start and above 1 at the goal.
-    ramp: up to one half.
-    """
+def _progress(s: Array, ramp: float) -> Array:
+    """Return the share of a route flown at times ``s``, 0 to 1, with ramps of ``ramp`` ≤ ½."""
     fine = np.linspace(0.0, 1.0, 1001)
-    speed = _smooth(fine / ramp) * _smooth((1.0 - fine) / ramp)
-    gone = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]))])
+    rising, falling = (np.clip(x / ramp, 0.0, 1.0) for x in (fine, 1.0 - fine))
+    speed = rising**2 * (3.0 - 2.0 * rising) * falling**2 * (3.0 - 2.0 * falling)
+    gone = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
     share: Array = np.interp(s, fine, gone / gone[-1])
     return share
-
-
-def _smooth(x: Array) -> Array:
-    """Return a step from 0 to 1 that starts and ends level."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)

@@ -5,32 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, per_robot, positive
-
-
-@dataclass(frozen=True)
-class Tether:
-    """An upper bound of the distance of two drones that hold one cable.
-
-    Parameters
-    ----------
-    first, second: indices of the two drones.
-    longest: largest distance between them [m]
-    """
-
-    first: int
-    second: int
-    longest: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "longest", positive("longest", self.longest))
-        if self.first == self.second:
-            raise InputError("second", self.second, "another drone", "a cable has two ends")
+from hitchopt.values import Array, Indices, positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +22,7 @@ class SeparationTask:
     start, goal: (N, 3) [m]
     requirements: speed, acceleration and jerk of every drone, the ellipsoids, the arena and the
         prisms that drones stay out of by ``separation.radius``; the rest is not used.
-    tethers: pairs of drones with a largest distance.
+    tethers: pairs of drones that hold one cable, and their largest distance [m].
     duration: exact duration [s], or None for the shortest that is found.
     acceleration: (N,) [m/s²]: what each drone can do, where that is less than the limit (thrust,
         tilt), or None.
@@ -51,13 +31,13 @@ class SeparationTask:
 
     Raises
     ------
-    InputError: shapes that do not fit, numbers that are not finite, indices out of range.
+    InputError: places or counts that do not fit, numbers that are not finite.
     """
 
     start: Array
     goal: Array
     requirements: Requirements
-    tethers: tuple[Tether, ...] = ()
+    tethers: tuple[tuple[int, int, float], ...] = ()
     duration: float | None = None
     acceleration: ArrayLike | None = None
     names: tuple[str, ...] = ()
@@ -66,34 +46,18 @@ class SeparationTask:
     def __post_init__(self) -> None:
         for name in ("start", "goal"):
             points = np.array(getattr(self, name), dtype=np.float64)
-            if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0:
-                raise InputError(name, points.shape, "(N, 3)", "give one point per drone")
-            if not np.all(np.isfinite(points)):
-                raise InputError(name, "nan or inf", "finite", "give metres")
+            if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
+                raise InputError(name, points.shape, "(N, 3), finite", "give metres")
             points.setflags(write=False)
             object.__setattr__(self, name, points)
-        n = len(self.start)
-        if len(self.goal) != n:
-            raise InputError("goal", len(self.goal), f"{n} points, as start", "one per drone")
+        n, count = len(self.start), len(self.requirements.keep_out)
+        object.__setattr__(self, "names", self.names or tuple(f"d{i}" for i in range(n)))
+        object.__setattr__(self, "prisms", self.prisms or tuple(f"prism {k}" for k in range(count)))
+        for name, number in (("goal", n), ("names", n), ("prisms", count)):
+            if len(getattr(self, name)) != number:
+                raise InputError(name, len(getattr(self, name)), str(number), "one for each")
         if self.duration is not None:
-            object.__setattr__(self, "duration", positive("duration", self.duration))
-        if self.acceleration is not None:
-            array = per_robot("acceleration", self.acceleration, n)
-            object.__setattr__(self, "acceleration", array)
-        object.__setattr__(self, "tethers", tuple(self.tethers))
-        for k, tether in enumerate(self.tethers):
-            for end in (tether.first, tether.second):
-                if not 0 <= end < n:
-                    raise InputError(f"tethers[{k}]", end, f"0 … {n - 1}", "name a drone")
-        names = tuple(self.names) or tuple(f"d{i}" for i in range(n))
-        if len(names) != n:
-            raise InputError("names", names, f"{n} names", "one per drone")
-        object.__setattr__(self, "names", names)
-        count = len(self.requirements.keep_out)
-        prisms = tuple(self.prisms) or tuple(f"prism {k}" for k in range(count))
-        if len(prisms) != count:
-            raise InputError("prisms", prisms, f"{count} names", "one per prism")
-        object.__setattr__(self, "prisms", prisms)
+            positive("duration", self.duration)
 
     @property
     def drones(self) -> int:
@@ -101,10 +65,10 @@ class SeparationTask:
         return len(self.start)
 
     @property
-    def tether_arrays(self) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    def tether_arrays(self) -> tuple[Indices, Indices, Array]:
         """First drones, second drones and largest distances [m] of all tethers, (tethers,) each."""
-        ends = np.array([[t.first, t.second] for t in self.tethers], np.intp).reshape(-1, 2)
-        return ends[:, 0], ends[:, 1], np.array([t.longest for t in self.tethers])
+        first, second, longest = np.array(self.tethers, dtype=np.float64).reshape(-1, 3).T
+        return first.astype(np.intp), second.astype(np.intp), longest
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,7 @@
-"""Timing of paths: toppra's optimum, limited in jerk, as piecewise polynomials."""
+"""Timing of paths: toppra's optimum, limited in jerk, as piecewise polynomials.
+
+toppra imports matplotlib to draw with: its modules are used without running the package itself.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,9 @@ import importlib.util
 import sys
 from types import ModuleType
 
-PACKAGE = "toppra"
-
 
 class _Deferred(ModuleType):
-    """A module that runs when the first of its own attributes is used.
+    """A package that runs when the first of its own attributes is used.
 
     ``importlib.util.LazyLoader`` of Python 3.11 runs modules already when they are imported twice.
     """
@@ -23,19 +24,6 @@ class _Deferred(ModuleType):
         return getattr(self, name)
 
 
-def defer_toppra() -> None:
-    """Let toppra's package run when it is first used, unless it has run already.
-
-    It imports matplotlib to draw with; its modules are imported without it.
-    """
-    if PACKAGE in sys.modules:
-        return
-    spec = importlib.util.find_spec(PACKAGE)
-    if spec is None:
-        return
-    module = importlib.util.module_from_spec(spec)
-    module.__class__ = _Deferred
-    sys.modules[PACKAGE] = module
-
-
-defer_toppra()
+if "toppra" not in sys.modules and (_found := importlib.util.find_spec("toppra")) is not None:
+    sys.modules["toppra"] = importlib.util.module_from_spec(_found)
+    sys.modules["toppra"].__class__ = _Deferred

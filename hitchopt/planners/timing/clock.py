@@ -16,18 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
+import scipy.sparse as sp
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from hitchopt.errors import HitchoptError, check_time
+from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.morph.jets import chained, chained_rates, quintic_spline
 from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.profile import SpeedProfile
+from hitchopt.planners.timing.profile import SpeedProfile, TimingError
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]
@@ -47,10 +47,6 @@ TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 
 STEADY = 0.97
 """Share of a squared rate at which limits bind from which the search starts: inside of them."""
-
-
-class WarpError(HitchoptError):
-    """The jerk-limited timing could not be found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,33 +96,29 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
 
     Raises
     ------
-    WarpError: no rate, however slow, keeps the limits at the samples.
+    TimingError: no rate, however slow, keeps the limits at the samples.
     """
-    tau, weights = _samples(clock.knots)
-    progress = _spline_jet(clock.progress, tau)
-    path = _clocked(demands_at(np.clip(progress[:, 0], 0.0, 1.0)), progress)
-    spline = clock.squared_rate
-    basis = spline_basis(spline, tau)
-    steady = np.full(len(spline.c), _steady_rate(path))
-    drones = _nearest(path.ratios(*(spline(tau, order) for order in range(3))))
+    nodes, weights = gauss_points(SAMPLES)
+    half = 0.5 * np.diff(clock.knots)[:, None]
+    tau = (clock.knots[:-1, None] + half * (1.0 + nodes)).ravel()
+    progress, spline = _spline_jet(clock.progress, tau), clock.squared_rate
+    demands = demands_at(np.clip(progress[:, 0], 0.0, 1.0))
+    rates = chained_rates(demands.drones, progress[:, None, None, :])
+    most = demands.speed_bound / np.maximum(progress[:, 1], 1e-12) ** 2
+    path, basis = ClockedPath(demands, *rates, most), SplineBasis.of(spline, tau)
+    steady = np.full(basis.count, _steady_rate(path))
+    near = -path.ratios(basis.at(spline.c))
+    count = min(NEAREST, near.shape[-1])
+    drones = np.argpartition(near, count - 1, axis=-1)[..., :count]
     for _ in range(ROUNDS):
-        program = RateProgram(*basis, RateRows.of(path, drones), weights)
+        program = RateProgram(basis, RateRows.of(path, drones), (half * weights).ravel())
         rate = fastest_rate(program, steady)
-        ratios = path.ratios(*program.at(rate).T)
+        ratios = path.ratios(basis.at(rate))
         if np.max(ratios) <= LIMIT_SHARE + TOLERANCE:
             break
-        worst = np.argmax(ratios, axis=-1)[..., None]
-        drones = np.concatenate([drones, worst], axis=-1)
+        drones = np.concatenate([drones, np.argmax(ratios, axis=-1)[..., None]], axis=-1)
     # What is still broken is slowed by the stretch that follows.
     return Clock(clock.knots, clock.progress, BSpline(spline.t, rate, DEGREE))
-
-
-def _clocked(demands: Demands, progress: Array) -> ClockedPath:
-    """Return the path by τ at the samples, for the jets (M, 4) of s by τ there."""
-    rates = chained_rates(demands.drones, progress[:, None, None, :])
-    speed = np.maximum(progress[:, 1], 1e-12)
-    most = demands.speed_bound / speed**2
-    return ClockedPath(demands, *rates, most)
 
 
 def _steady_rate(path: ClockedPath) -> float:
@@ -134,35 +126,19 @@ def _steady_rate(path: ClockedPath) -> float:
 
     Along constant x every limit allows a stretch from rest on, so less than allowed is inside.
     """
-    rate = min(1.0, float(np.min(path.most)))
-    ones = np.ones(len(path.most))
+    rate, p = min(1.0, float(np.min(path.most))), np.zeros((3, len(path.most)))
     for _ in range(200):
-        if np.all(path.ratios(rate * ones, 0.0 * ones, 0.0 * ones) <= LIMIT_SHARE):
+        p[0] = rate
+        if np.all(path.ratios(p) <= LIMIT_SHARE):
             return STEADY * rate
         rate *= 0.8
-    raise WarpError("no constant speed along the path keeps the limits")
-
-
-def _nearest(ratios: Array) -> NDArray[np.intp]:
-    """Return (4, M, NEAREST): the drones that come nearest to each limit at each sample."""
-    count = min(NEAREST, ratios.shape[-1])
-    return np.argpartition(-ratios, count - 1, axis=-1)[..., :count]
-
-
-def _samples(knots: Array) -> tuple[Array, Array]:
-    """Return SAMPLES Gauss points of each piece, and their weights, (K · SAMPLES,) each."""
-    nodes, weights = gauss_points(SAMPLES)
-    half = 0.5 * np.diff(knots)[:, None]
-    return (knots[:-1, None] + half * (1.0 + nodes)).ravel(), (half * weights).ravel()
+    raise TimingError("no constant speed along the path keeps the limits")
 
 
 @lru_cache
 def gauss_points(count: int) -> tuple[Array, Array]:
     """Return the points (count,) in [-1, 1] of Gauss's quadrature and their weights."""
-    points, weights = np.polynomial.legendre.leggauss(count)
-    for values in (points, weights):
-        values.setflags(write=False)
-    return points, weights
+    return np.polynomial.legendre.leggauss(count)
 
 
 def _spline_jet(spline: BSpline, tau: Array) -> Array:
@@ -174,9 +150,6 @@ def _rate_jet(spline: BSpline, tau: Array) -> Array:
     x, x1, x2 = (spline(tau, order) for order in range(3))
     root = np.sqrt(x)
     return np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)
-
-
-ACCELERATION, JERK, THRUST, TILT = range(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,42 +169,44 @@ class ClockedPath:
     third: Array
     most: Array
 
-    def ratios(self, x: Array, x1: Array, x2: Array) -> Array:
-        """Return (4, M, 2n): acceleration, jerk, thrust, tilt over their limits."""
+    def ratios(self, p: Array) -> Array:
+        """Return (4, M, 2n): acceleration, jerk, thrust, tilt over their limits.
+
+        Parameters
+        ----------
+        p: (3, M): x, x', x''.
+        """
         limits, m = self.demands.limits, self.demands.mass[:, None]
-        x, x1, x2 = (a[:, None, None] for a in (x, x1, x2))
+        x, x1, x2 = p[..., None, None]
         a = x * self.second + 0.5 * x1 * self.first
         j = np.sqrt(x) * (x * self.third + 1.5 * x1 * self.second + 0.5 * x2 * self.first)
         f = m * a + self.demands.loads
-        level = np.hypot(f[..., 0], f[..., 1])
         return np.stack(
             [
                 length(a) / limits.acceleration,
                 length(j) / limits.jerk,
                 length(f) / self.demands.max_thrust,
-                np.arctan2(level, f[..., 2]) / limits.tilt,
+                np.arctan2(np.hypot(f[..., 0], f[..., 1]), f[..., 2]) / limits.tilt,
             ]
         )
 
 
 @dataclass(frozen=True, eq=False)
 class RateRows:
-    """R limits of motion as rows at each of M samples.
+    """R limits of motion as rows at each of M samples, which are the last index.
 
     With p = (x, x', x''), acceleration and √x-th part of the jerk are linear in p, so that every
     limit is a quadratic form of p and, for the jerk, of 1/x:
 
         pᵀ (Q - C) p + bᵀ p + c - e / x ≤ 0,   Q and C positive semidefinite, e ≥ 0.
 
-    Without C and e it would be convex; they are of the tilt and of the jerk only. Arrays over
-    samples have these next to one another in memory (Fortran's order): numpy's sums over the few
-    other indices are then several times as fast.
+    Without C and e it would be convex; they are of the tilt and of the jerk only.
 
     Attributes
     ----------
-    Q, C: (M, R, 3, 3)
-    b: (M, R, 3)
-    c, e: (M, R)
+    Q, C: (3, 3, R, M)
+    b: (3, R, M)
+    c, e: (R, M)
     """
 
     Q: Array
@@ -248,73 +223,59 @@ class RateRows:
         ----------
         drones: (4, M, R'), whose acceleration, jerk, thrust and tilt are rows.
         """
-        demands, limits = path.demands, path.demands.limits
+        demands, limits, share = path.demands, path.demands.limits, LIMIT_SHARE**2
         samples = np.arange(len(path.most))[:, None]
-        nothing = np.zeros((*drones.shape[1:], 3))
-
-        def linear(kind: int) -> tuple[Array, Array, Array]:
-            """Return a drone's acceleration (…, 3, 3) by p, its load (…, 3) and mass."""
-            which = (samples, drones[kind])
-            by_p = np.stack([path.second[which], 0.5 * path.first[which], nothing], axis=-1)
-            return by_p, demands.loads[which], demands.mass[drones[kind]]
-
-        A, _, _ = linear(ACCELERATION)
-        A = A / limits.acceleration
-        which = (samples, drones[JERK])
-        J = np.stack([path.third[which], 1.5 * path.second[which], 0.5 * path.first[which]], -1)
-        J = J / limits.jerk
-        F, load, mass = linear(THRUST)
-        most = demands.max_thrust[drones[THRUST]]
-        F, load = (mass / most)[..., None, None] * F, load / most[..., None]
-        G, pull, mass = linear(TILT)
-        weight = length(pull)
-        G, pull = (mass / weight)[..., None, None] * G, pull / weight[..., None]
+        # (4, M, R', 3) each, then by p: (4, M, R', 3, 3)
+        q1, q2, q3 = (each[samples, drones] for each in (path.first, path.second, path.third))
+        accelerations = np.stack([q2, 0.5 * q1, 0.0 * q1], axis=-1)
+        loads, mass = demands.loads[samples, drones], demands.mass[drones][..., None]
+        forces, most = mass[..., None] * accelerations, demands.max_thrust[drones[2]][..., None]
+        weight = length(loads[3])[..., None]
+        A = accelerations[0] / limits.acceleration
+        J = np.stack([q3, 1.5 * q2, 0.5 * q1], axis=-1)[1] / limits.jerk
+        F, thrust = forces[2] / most[..., None], loads[2] / most
+        G, pull = forces[3] / weight[..., None], loads[3] / weight
         slope = np.tan(LIMIT_SHARE * limits.tilt)
         rise, lift = slope * G[..., 2:, :], slope * pull[..., 2:]
         G, pull = G[..., :2, :], pull[..., :2]
-        share = np.full(A.shape[:2], LIMIT_SHARE**2)
-        zero, flat = np.zeros((*share.shape, 3, 3)), np.zeros_like(share)
-        none, one = zero[:, :1], np.ones((len(samples), 1))
-        speed = np.stack([1.0 / path.most, *np.zeros((2, len(samples)))], axis=-1)[:, None]
-        thrust, tilt = _double(F, load), _double(G, pull) - _double(rise, lift)
+        flat = np.zeros(A.shape[:2])
+        none, full, zero = flat[..., None], flat + share, np.zeros(A.shape)
+        speed = np.zeros((len(samples), 1, 3))
+        speed[:, 0, 0] = 1.0 / path.most
+        tilt = dot(pull, pull) - dot(lift, lift)
         rows = (
-            (none, none, speed, -one, 0.0 * one),
-            (_square(A), zero, nothing, -share, flat),
-            (_square(J), zero, nothing, flat, share),
-            (_square(F), zero, thrust, dot(load, load) - share, flat),
-            (_square(G), _square(rise), tilt, dot(pull, pull) - dot(lift, lift), flat),
+            (zero[:, :1], zero[:, :1], speed, flat[:, :1] - 1.0, flat[:, :1]),
+            (_square(A), zero, none + speed * 0.0, -full, flat),
+            (_square(J), zero, none + speed * 0.0, flat, full),
+            (_square(F), zero, _double(F, thrust), dot(thrust, thrust) - share, flat),
+            (_square(G), _square(rise), _double(G, pull) - _double(rise, lift), tilt, flat),
         )
         parts = (np.concatenate(part, axis=1) for part in zip(*rows, strict=True))
-        return cls(*map(np.asfortranarray, parts))
-
-    @cached_property
-    def forms(self) -> Array:
-        """(M, R, 3, 3): the rows' quadratic forms."""
-        return self.Q - self.C
+        return cls(*(np.ascontiguousarray(part.T) for part in parts))
 
     def values(self, p: Array) -> Array:
-        """Return the rows' left sides (M, R) for p (M, 3)."""
-        along = np.einsum("mrij,mj->mri", self.forms, p) + self.b
-        values: Array = np.einsum("mri,mi->mr", along, p) + self.c - self.e / p[:, :1]
+        """Return the rows' left sides (R, M) for p (3, M)."""
+        along = np.einsum("ijrm,jm->irm", self.Q - self.C, p) + self.b
+        values: Array = np.einsum("irm,im->rm", along, p) + self.c - self.e / p[0]
         return values
 
     def gradients(self, p: Array) -> Array:
-        """Return their derivatives by p (M, R, 3)."""
-        gradients: Array = 2.0 * np.einsum("mrij,mj->mri", self.forms, p) + self.b
-        gradients[..., 0] += self.e / p[:, :1] ** 2
+        """Return their derivatives by p (3, R, M)."""
+        gradients: Array = 2.0 * np.einsum("ijrm,jm->irm", self.Q - self.C, p) + self.b
+        gradients[0] += self.e / p[0] ** 2
         return gradients
 
     def curvature(self, p: Array, weights: Array, *, convex: bool = False) -> Array:
-        """Return the weighted sum (M, 3, 3) of second derivatives, weights (M, R).
+        """Return the weighted sum (3, 3, M) of second derivatives, weights (R, M).
 
         Parameters
         ----------
         convex: leave out the concave parts.
         """
-        forms = self.Q if convex else self.forms
-        total: Array = 2.0 * np.einsum("mr,mrij->mij", weights, forms)
+        forms = self.Q if convex else self.Q - self.C
+        total: Array = 2.0 * np.einsum("rm,ijrm->ijm", weights, forms)
         if not convex:
-            total[:, 0, 0] -= 2.0 * np.sum(weights * self.e, axis=1) / p[:, 0] ** 3
+            total[0, 0] -= 2.0 * np.sum(weights * self.e, axis=0) / p[0] ** 3
         return total
 
 
@@ -330,9 +291,6 @@ def _double(A: Array, load: Array) -> Array:
 
 
 DEGREE = 3
-
-LOWER = np.tril_indices(DEGREE + 1)
-"""Pairs of the coefficients that a sample sees, the first not before the second."""
 
 STEPS = 60
 """Largest number of Newton steps; some 15 are usual."""
@@ -357,84 +315,81 @@ LEAST_LEFT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
+class SplineBasis:
+    """A cubic spline and its first two derivatives at M samples: each sees four coefficients.
+
+    Attributes
+    ----------
+    values: (3 M, count), from coefficients.
+    products: (4 count, 9 M), from quadratic forms (3, 3, M) of the values to the lower band of
+        their sum, by coefficients.
+    """
+
+    values: sp.csr_array[np.float64]
+    products: sp.csr_array[np.float64]
+
+    @classmethod
+    def of(cls, spline: BSpline, at: Array) -> SplineBasis:
+        """Return the basis of a spline at samples (M,) inside of it."""
+        count, m = len(spline.c), np.arange(len(at))
+        first = np.clip(np.searchsorted(spline.t, at, side="right") - 1, DEGREE, count - 1) - DEGREE
+        columns = first + np.arange(DEGREE + 1)[:, None]  # (4, M)
+        whole = BSpline(spline.t, np.eye(count), DEGREE)
+        local = np.stack([whole(at, order)[m, columns] for order in range(3)])  # (3, 4, M)
+        rows = np.broadcast_to(np.arange(3)[:, None, None] * len(m) + m, local.shape)
+        places = rows.ravel(), np.broadcast_to(columns, local.shape).ravel()
+        values = sp.csr_array((local.ravel(), places), shape=(3 * len(m), count))
+        i, j = np.tril_indices(DEGREE + 1)
+        pairs = local[:, None, i] * local[None, :, j]  # (3, 3, 10, M)
+        band = np.broadcast_to((i - j)[:, None] * count + columns[j], pairs.shape)
+        forms = np.broadcast_to(np.arange(9 * len(m)).reshape(3, 3, 1, -1), pairs.shape)
+        places, shape = (band.ravel(), forms.ravel()), ((DEGREE + 1) * count, 9 * len(m))
+        return cls(values, sp.csr_array((pairs.ravel(), places), shape=shape))
+
+    @property
+    def count(self) -> int:
+        """Number of coefficients."""
+        return int(self.values.shape[1])
+
+    def at(self, coefficients: Array) -> Array:
+        """Return value and derivatives (3, M)."""
+        return np.asarray(self.values @ coefficients).reshape(3, -1)
+
+    def transposed(self, forces: Array) -> Array:
+        """Return what (3, M) by value and derivatives is by coefficients (count,)."""
+        return np.asarray(self.values.T @ forces.ravel())
+
+    def banded(self, forms: Array) -> Array:
+        """Return the lower band (4, count) of what quadratic forms (3, 3, M) are together."""
+        return np.asarray(self.products @ forms.ravel()).reshape(DEGREE + 1, self.count)
+
+
+@dataclass(frozen=True, eq=False)
 class RateProgram:
     """``min Σ w / √x`` over the coefficients of a cubic spline x, all rows below zero.
 
     Attributes
     ----------
-    first: (M,), the first of the four coefficients that a sample sees.
-    values: (M, 3, 4), the spline's value and two derivatives at samples, by these.
-    count: of the coefficients.
+    basis: of the spline at the samples.
     rows: at the samples.
     weights: (M,) [s], of the quadrature that gives the duration.
     """
 
-    first: Indices
-    values: Array
-    count: int
+    basis: SplineBasis
     rows: RateRows
     weights: Array
 
-    @cached_property
-    def seen(self) -> Indices:
-        """(4, M): the coefficients that a sample sees."""
-        return np.arange(DEGREE + 1)[:, None] + self.first
-
-    @cached_property
-    def places(self) -> Indices:
-        """(10 M,): places in the flat band of the pairs of coefficients that a sample sees."""
-        i, j = (index[:, None] for index in LOWER)
-        return (self.count * (i - j) + j + self.first).ravel()
-
-    @cached_property
-    def products(self) -> Array:
-        """(M, 10, 3, 3): products of values and derivatives of these pairs."""
-        first, second = (self.values[..., index] for index in LOWER)
-        return np.asfortranarray(np.einsum("mop,mqp->mpoq", first, second))
-
-    def at(self, coefficients: Array) -> Array:
-        """Return value and derivatives (M, 3)."""
-        values: Array = np.einsum("moj,mj->mo", self.values, coefficients[self.seen].T)
-        return values
-
-    def transposed(self, forces: Array) -> Array:
-        """Return what (M, 3) by value and derivatives is by coefficients (count,)."""
-        local = np.einsum("mo,moj->mj", forces, self.values)
-        return _sums(self.seen.ravel(), local.T.ravel(), self.count)
-
-    def banded(self, forms: Array) -> Array:
-        """Return the lower band (4, count) of what quadratic forms (M, 3, 3) are together."""
-        local = np.einsum("mpoq,moq->mp", self.products, forms)
-        band = _sums(self.places, local.T.ravel(), (DEGREE + 1) * self.count)
-        return band.reshape(DEGREE + 1, self.count)
-
     def duration(self, p: Array) -> float:
-        """Return Σ w / √x [s] for x and its derivatives p (M, 3) at the samples."""
-        return float(self.weights @ (1.0 / np.sqrt(p[:, 0])))
+        """Return Σ w / √x [s] for x and its derivatives p (3, M) at the samples."""
+        return float(self.weights @ (1.0 / np.sqrt(p[0])))
 
     def slack(self, coefficients: Array) -> Array | None:
         """Return the slack (R · M + count,) of rows and coefficients; None if one is negative."""
-        p = self.at(coefficients)
-        own = coefficients - LEAST
-        if own.min() <= 0.0 or p[:, 0].min() <= 0.0:
+        p, own = self.basis.at(coefficients), coefficients - LEAST
+        if own.min() <= 0.0 or p[0].min() <= 0.0:
             return None
-        slack = np.concatenate([-self.rows.values(p).T.ravel(), own])
+        slack = np.append(-self.rows.values(p).ravel(), own)
         return slack if slack.min() > 0.0 else None
-
-
-def spline_basis(spline: BSpline, at: Array) -> tuple[Indices, Array, int]:
-    """Return ``first``, ``values`` and ``count`` of a cubic spline at samples (M,) inside of it."""
-    count = len(spline.c)
-    first = np.clip(np.searchsorted(spline.t, at, side="right") - 1, DEGREE, count - 1) - DEGREE
-    whole, rows = BSpline(spline.t, np.eye(count), DEGREE), np.arange(len(at))[:, None]
-    columns = first[:, None] + np.arange(DEGREE + 1)
-    values = np.stack([whole(at, order)[rows, columns] for order in range(3)], axis=1)
-    return first, np.asfortranarray(values), count
-
-
-def _sums(places: Indices, values: Array, count: int) -> Array:
-    """Return (count,): the sums of the values at each place."""
-    return np.bincount(places, weights=values, minlength=count).astype(np.float64, copy=False)
 
 
 def fastest_rate(program: RateProgram, start: Array) -> Array:
@@ -449,10 +404,10 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
     if found is None:
         return start
     c, slack = start, found
-    force = 0.1 * program.duration(program.at(c)) / len(slack) / slack
+    force = 0.1 * program.duration(program.basis.at(c)) / len(slack) / slack
     for _ in range(STEPS):
         check_time()
-        p = program.at(c)
+        p = program.basis.at(c)
         duration, gap = program.duration(p), float(force @ slack)
         gradients = program.rows.gradients(p)
         residual, factor = _newton(program, p, gradients, force, slack)
@@ -480,25 +435,24 @@ def fastest_rate(program: RateProgram, start: Array) -> Array:
 def _newton(
     program: RateProgram, p: Array, gradients: Array, force: Array, slack: Array
 ) -> tuple[Array, Array | None]:
-    """Return the residual (count,) of forces at p (M, 3), and the factor of Newton's matrix.
+    """Return the residual (count,) of forces at p (3, M), and the factor of Newton's matrix.
 
     By the convex part of the rows where the matrix is indefinite; None where there is no factor.
 
     Parameters
     ----------
-    gradients: (M, R, 3), of the rows by value and derivatives of x.
+    gradients: (3, R, M), of the rows by value and derivatives of x.
     force, slack: (R · M + count,), of the rows, then of the coefficients.
     """
-    rows, shape, inner = program.rows, program.rows.c.T.shape, program.rows.c.size
-    own = force[:inner].reshape(shape).T
-    stiff = (force[:inner] / slack[:inner]).reshape(shape).T
-    pull = np.einsum("mr,mri->mi", own, gradients)
-    pull[:, 0] -= 0.5 * program.weights * p[:, 0] ** -1.5
-    residual = program.transposed(pull) - force[inner:]
-    forms = np.einsum("mri,mrj->mij", stiff[..., None] * gradients, gradients)
-    forms[:, 0, 0] += 0.75 * program.weights * p[:, 0] ** -2.5
+    rows, shape, inner = program.rows, program.rows.c.shape, program.rows.c.size
+    own, stiff = (each[:inner].reshape(shape) for each in (force, force / slack))
+    pull = np.einsum("rm,irm->im", own, gradients)
+    pull[0] -= 0.5 * program.weights * p[0] ** -1.5
+    residual = program.basis.transposed(pull) - force[inner:]
+    forms = np.einsum("irm,jrm->ijm", stiff * gradients, gradients)
+    forms[0, 0] += 0.75 * program.weights * p[0] ** -2.5
     for convex in (False, True):
-        band = program.banded(forms + rows.curvature(p, own, convex=convex))
+        band = program.basis.banded(forms + rows.curvature(p, own, convex=convex))
         band[0] += force[inner:] / slack[inner:]
         factor, failed = dpbtrf(band, lower=True)
         if not failed:
@@ -517,13 +471,11 @@ def _step(
     aim: float,
 ) -> tuple[Array, Array, Array]:
     """Return the steps of coefficients, slack and forces towards products of ``aim`` each."""
-    shape = gradients.shape[1::-1]
-    inner = shape[0] * shape[1]
+    basis, shape, inner = program.basis, program.rows.c.shape, program.rows.c.size
     pull = aim / slack - force
-    pushed = np.einsum("mr,mri->mi", pull[:inner].reshape(shape).T, gradients)
-    dc: Array = dpbtrs(factor, pull[inner:] - residual - program.transposed(pushed), lower=True)[0]
-    along = np.einsum("mri,mi->mr", gradients, program.at(dc))
-    dslack = np.concatenate([-along.T.ravel(), dc])
+    pushed = np.einsum("rm,irm->im", pull[:inner].reshape(shape), gradients)
+    dc: Array = dpbtrs(factor, pull[inner:] - residual - basis.transposed(pushed), lower=True)[0]
+    dslack = np.append(-np.einsum("irm,im->rm", gradients, basis.at(dc)).ravel(), dc)
     return dc, dslack, pull - force / slack * dslack
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
@@ -36,9 +35,6 @@ from hitchopt.planners.timing.profile import (
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
-
-MOVES = 1e-9
-"""[m] Distance from its first place within which a drone or vertex counts as at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,19 +79,6 @@ def check_duration(duration: float, fastest: float, when: str = "") -> None:
         )
 
 
-def moving(drones: PiecewisePolynomial) -> NDArray[np.bool_]:
-    """Return which drones (2n,) leave their first place, by the hull of their polynomials.
-
-    Parameters
-    ----------
-    drones: of shape (2n, 3) [m].
-    """
-    c = drones.coefficients
-    away = np.linalg.norm(c - c[0, ..., :1], axis=-2)
-    moved: NDArray[np.bool_] = np.max(away, axis=(0, -1)) > MOVES
-    return moved
-
-
 GRID = 160
 """Number of steps of toppra's grid along the path."""
 
@@ -135,7 +118,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     Raises
     ------
     InfeasibleError: ``duration`` is shorter than the limits allow.
-    TimingError, WarpError: no timing was found.
+    TimingError: no timing was found.
     """
     demands, aimed = timing_demands(path, limits), limits
     if limits.body_rate is not None:  # thrusts turn with the jerk, and are least at rest

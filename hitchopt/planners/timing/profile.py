@@ -36,7 +36,7 @@ RATHER_SLOW = 1e-9
 
 
 class TimingError(HitchoptError):
-    """The path cannot be timed: toppra found no profile from rest to rest."""
+    """The path cannot be timed: no profile from rest to rest, or no rate, keeps the limits."""
 
 
 def path_grid(steps: int) -> Array:
@@ -97,29 +97,28 @@ def fastest_profile(s: Array, demands: Demands) -> SpeedProfile:
     ------
     TimingError: none exists, as where rest itself breaks a limit on the path.
     """
-    allowed = allowed_corners(demands)
+    corners, steepest, fastest = allowed(demands)
     # toppra's bounds and tolerances are absolute: its path gets a length, and its time a unit, in
     # which both s̈ and ṡ² are of order 1, be they bound by acceleration or by speed.
-    length = float(np.clip(np.median(allowed.steepest / allowed.fastest), 1e-2, 1e9))
-    unit = float(np.median(allowed.fastest)) * length
-    squares = _fastest_squares(_step_programs(allowed, s, length, unit))
+    length = float(np.clip(np.median(steepest / fastest), 1e-2, 1e9))
+    unit = float(np.median(fastest)) * length
+    squares = _fastest_squares(_step_programs(corners, s, length, unit))
     if not np.all(squares[1:-1] > 0.0):
         raise TimingError("toppra found no speed profile from rest to rest on this path")
     return SpeedProfile(s, np.sqrt(squares) * np.sqrt(unit / length))
 
 
-def _step_programs(allowed: AllowedCorners, s: Array, length: float, unit: float) -> Array:
+def _step_programs(corners: Array, s: Array, length: float, unit: float) -> Array:
     """Return (J, 3, 2m + 2): rows ``a s̈ + b ṡ² + c ≤ 0`` of the steps between points s (J + 1,).
 
-    The first two keep ṡ² at the next point within bounds, the others are the half planes at both
-    ends of the step.
-
-    Parameters
-    ----------
-    allowed: at the points.
-    length, unit: of the path, and of ṡ² times length.
+    The first two keep ṡ² at the next point within bounds, the others are the half planes within
+    allowed corners at both ends of the step, for a length of the path and a unit of ṡ² times that.
     """
-    normals, bounds = allowed.half_planes
+    along = np.diff(corners, axis=1)  # counter-clockwise
+    normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
+    size = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
+    bounds = np.sum(normals * corners[:, :-1], axis=-1)
     normals = normals * [1.0, 1.0 / length]
     size = np.linalg.norm(normals, axis=-1)
     normals, bounds = normals / size[..., None], bounds / unit / size
@@ -183,47 +182,26 @@ def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class AllowedCorners:
-    """Polygons of (s̈, ṡ²) that all drones allow together, of fixed size in n.
-
-    Attributes
-    ----------
-    points: (J, RAYS + 1, 2), corners from the largest s̈ at ṡ = 0 to the smallest.
-    steepest, fastest: (J,) [1/s²], sizes of s̈ and ṡ².
-    """
-
-    points: Array
-    steepest: Array
-    fastest: Array
-
-    @property
-    def half_planes(self) -> tuple[Array, Array]:
-        """Normals (J, m, 2) and bounds (J, m): ``normals @ (s̈, ṡ²) ≤ bounds``."""
-        along = np.diff(self.points, axis=1)
-        normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)  # rays run counter-clockwise
-        size = np.linalg.norm(normals, axis=-1, keepdims=True)
-        normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [0.0, 1.0])
-        return normals, np.sum(normals * self.points[:, :-1], axis=-1)
-
-
-def allowed_corners(demands: Demands) -> AllowedCorners:
-    """Return an inner approximation of what all drones' limits allow.
+def allowed(demands: Demands) -> tuple[Array, Array, Array]:
+    """Return an inner approximation of the (s̈, ṡ²) that all drones' limits allow.
 
     Vector norms are no boxes: rays from rest find the boundary of the convex set that all drones
-    allow together, and the polygon through their ends lies inside of it.
+    allow together, and the polygon through their ends lies inside of it. Its size is fixed in n.
+
+    Returns
+    -------
+    Corners (J, RAYS + 1, 2) from the largest s̈ at ṡ = 0 to the smallest; (J,) [1/s²] each, sizes
+    of s̈ and of ṡ².
     """
     fastest = demands.speed_bound
-    steepest = np.min(
-        demands.limits.acceleration / np.maximum(length(demands.drones[..., 1]), 1e-12), axis=1
-    )
+    rates = np.maximum(length(demands.drones[..., 1]), 1e-12)
+    steepest = np.min(demands.limits.acceleration / rates, axis=1)
     angles = np.pi * np.arange(RAYS + 1) / RAYS
     u, x = steepest[:, None] * np.cos(angles), fastest[:, None] * np.sin(angles)
     x[:, [0, -1]] = 0.0
-    ends = demands.reach(u, x)
-    moving = np.where(x > 0.0, x, 1.0)
+    ends, moving = demands.reach(u, x), np.where(x > 0.0, x, 1.0)
     ends = np.minimum(ends, np.where(x > 0.0, fastest[:, None] / moving, np.inf))
-    return AllowedCorners(np.stack([ends * u, ends * x], axis=-1), steepest, fastest)
+    return np.stack([ends * u, ends * x], axis=-1), steepest, fastest
 
 
 GRID = 80

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,27 +21,13 @@ SHORTEST = 1e-9
 """[s] Phases of a profile that are shorter are dropped."""
 
 
-@dataclass(frozen=True, eq=False)
-class Ramp:
-    """The fastest straight flights from rest to rest within speed, acceleration and jerk.
+def fastest_ramps(
+    distance: ArrayLike, speed: float, acceleration: ArrayLike, jerk: float
+) -> tuple[Array, Array]:
+    """Return durations and rises to the largest speed (N,) [s] of the fastest straight flights.
 
-    Attributes
-    ----------
-    peak: (N,) largest speed of each [m/s]
-    rise: (N,) time to reach it [s]
-    duration: (N,) total time [s]
-    """
-
-    peak: Array
-    rise: Array
-    duration: Array
-
-
-def fastest_ramps(distance: ArrayLike, speed: float, acceleration: ArrayLike, jerk: float) -> Ramp:
-    """Return the fastest straight flights.
-
-    The bound holds for any flight between two points at that distance: its component along the
-    line between them is such a flight.
+    From rest to rest within speed, acceleration and jerk. The bound holds for any flight between
+    two points at that distance: its component along the line between them is such a flight.
 
     Parameters
     ----------
@@ -58,7 +43,7 @@ def fastest_ramps(distance: ArrayLike, speed: float, acceleration: ArrayLike, je
     peak = np.minimum(np.where(with_plateau >= corner, with_plateau, without), speed)
     rise = np.where(peak >= corner, peak / a + a / jerk, 2.0 * np.sqrt(peak / jerk))
     cruise = np.divide(d, peak, out=np.zeros_like(d), where=peak > 0.0) - rise
-    return Ramp(peak, rise, 2.0 * rise + np.maximum(cruise, 0.0))
+    return 2.0 * rise + np.maximum(cruise, 0.0), rise
 
 
 def fastest_clock(
