@@ -8,7 +8,8 @@ long flights are not held in memory.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import takewhile
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.placing import AXES
@@ -138,15 +140,13 @@ def check_times(t: Array, source: str = "") -> None:
     place = f"{source}: " if source else ""
     if not np.all(np.isfinite(t)):
         raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
-    steps = np.diff(t)
-    repeated = np.abs(steps) <= SAME_TIME
-    if np.any(repeated):
-        at = float(t[1:][repeated][0])
-        raise FileError(f"{place}repeats the time t = {at:g} s; keep one row of every time")
-    if not np.all(steps > 0.0):
-        at = int(np.flatnonzero(steps <= 0.0)[0])
+    wrong = np.flatnonzero(np.diff(t) <= SAME_TIME)
+    if wrong.size:
+        before, after = t[wrong[0]], t[wrong[0] + 1]
+        if after - before >= -SAME_TIME:
+            raise FileError(f"{place}repeats the time t = {after:g} s; keep one row of every time")
         raise FileError(
-            f"{place}its times go back from t = {t[at]:g} s to {t[at + 1]:g} s; sort its rows"
+            f"{place}its times go back from t = {before:g} s to {after:g} s; sort its rows"
         )
 
 
@@ -180,14 +180,15 @@ def read_text(path: Path) -> str:
 
 
 def read_columns(
-    lines: Sequence[str],
+    lines: Iterable[str],
     header: str,
     wanted: Sequence[str],
     usual: str,
     source: str,
     least: int = 0,
-) -> Array:
-    """Return the wanted columns of a table's lines as numbers; blank ones are left out.
+    kind: type[np.float64 | np.str_] = np.float64,
+) -> NDArray[Any]:
+    """Return the wanted columns of a table's lines as numbers or text; blank ones are left out.
 
     Parameters
     ----------
@@ -197,22 +198,21 @@ def read_columns(
     usual: the first line that hitchopt writes.
     source: name of the file.
     least: fewest rows.
+    kind: of the cells.
 
     Raises
     ------
     FileError: a column is missing, fewer rows, rows that are too short, or text that is no number.
     """
     labels = header.split(",")
-    missing = [name for name in wanted if name not in labels]
-    if missing:
+    if missing := [name for name in wanted if name not in labels]:
         words = f"its first line has no column {missing[0]!r}; it must be {usual}"
         raise FileError(f"{source}: {words}")
     columns = [labels.index(name) for name in wanted]
-    table = np.empty((0, len(columns)))
-    filled = [line for line in lines if line.strip()]
     try:
-        if filled:  # numpy warns of none
-            table = np.loadtxt(filled, delimiter=",", usecols=columns, ndmin=2, comments=None)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of no rows
+            table = np.loadtxt(lines, kind, delimiter=",", usecols=columns, ndmin=2, comments=None)
     except (ValueError, IndexError) as error:
         raise FileError(f"{source}: {error}; it is truncated or damaged") from error
     if len(table) < least:

@@ -7,6 +7,7 @@ every step, and takeoff, goTo and land fly a piece outside of that memory.
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import shutil
@@ -28,7 +29,6 @@ from exported_plans import (
     restless_plan,
     swarm_of,
     swarm_plan,
-    task_of,
 )
 from format_readers import polynomials, segments
 from plans import planned
@@ -36,8 +36,7 @@ from ruamel.yaml import YAML
 
 import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.exporting import Export, export_plan
-from hitchopt.exports.format import format_of
+from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
 from hitchopt.exports.lint import lint
 from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
@@ -134,7 +133,7 @@ def test_settings_name_every_drone_below_its_start(tmp_path: Path) -> None:
 
 
 def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> None:
-    kind, motion = format_of("crazyswarm2"), swarm_plan()
+    motion = swarm_plan()
     roles = motion.team.drone_names
     drones = {
         role: {"name": f"cf{i}", "uri": f"radio://0/80/2M/E7E7E7E70{i}", "type": "cf21"}
@@ -142,9 +141,10 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     }
     data = {"drones": drones, "types": {"cf21": {"big_quad": True}}, "settings": {"a": {"b": 1}}}
     fleets, texts = [fleet_from_dict(data, roles)], []
+    path = tmp_path / "fleet.yaml"
+    path.write_text(json.dumps(data))
     for turn in ("first", "second"):
-        task = replace(task_of(motion, "crazyswarm2"), fleet=fleets[-1])
-        export_plan(kind, task, certificate_of(motion), tmp_path / turn)
+        exported(motion, "crazyswarm2", tmp_path / turn, fleet=path)
         path = tmp_path / turn / "crazyflies.yaml"
         fleets.append(read_fleet(path, roles))
         texts.append(path.read_text())

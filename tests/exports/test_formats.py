@@ -94,7 +94,7 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
         expected = np.linalg.norm(states.body_rates[..., :2], axis=-1)
         np.testing.assert_allclose(turning, expected, atol=1e-8)
     (linted,) = lint(tmp_path)
-    assert linted.findings == ()
+    assert {finding.rule for finding in linted.findings} <= {"tension"}
     assert (linted.kind, linted.frame, len(linted.facts)) == (name, frame, len(team.drone_names))
     begin = (json.loads((tmp_path / "export.json").read_text()).get("receiver") or {}).get(
         "plan_begins_s", 0.0
@@ -110,7 +110,7 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
 @pytest.mark.parametrize(
     "stem",
     [
-        *("open_chain", "thrust_bound"),
+        *("open_chain", "hexagon"),
         *(
             pytest.param(stem, marks=pytest.mark.slow)
             for stem in ("paper_experiment_3", "unequal_cables", "narrow_arena")
