@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -76,46 +75,7 @@ by the rounding of file digits."""
 
 SETTINGS = "crazyflies.yaml"  # Name of Crazyswarm2's settings
 
-DEFAULT_TYPE: dict[str, Any] = {
-    "motion_capture": {
-        "tracking": "librigidbodytracker",
-        "marker": "default_single_marker",
-        "dynamics": "default",
-    },
-    "big_quad": False,
-    "battery": {"voltage_warning": 3.8, "voltage_critical": 3.7},
-}
-"""Settings of every type that the fleet file does not describe."""
-
-FOR_ALL: dict[str, Any] = {
-    "firmware_params": {
-        "commander": {"enHighLevel": 1},
-        "stabilizer": {"estimator": 2, "controller": 2},
-    },
-    "broadcasts": {"num_repeats": 15, "delay_between_repeats_ms": 1},
-}
-"""Kalman filter, Mellinger's controller, the high-level commander that flies trajectories."""
-
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
-
-
-PLACE = """
-This is {place}.
-Launch with part1/crazyflies.yaml and fly part1/fly.py, then every next part's fly.py --from-here.
-Answer "stay" after all parts but the last.
-"""
-
-
-NO_PULL = """\
-The cables' pull is not in the polynomials, and the on-board controller's integral does not find
-it: that brings drones to their places, where any tension may be. Turn it off and export with
---hold-tension, or stream full states."""
-"""What the note says of the cables' pull."""
-
-HELD_PULL = """\
-The polynomials are moved outward: drones without feed-forward of the cables' pull are where the
-plan says. Turn the on-board controller's integral off, and set the gains that the export stated."""
-"""What it says where set points hold the tension."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,47 +217,46 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     first, last: (D, 3) [m], where the trajectories begin, with drones on the floor below, and end.
     duration: of the trajectories [s].
     """
-    fleet, frame, robots = task.fleet, task.frame.name, []
-    for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True):
-        robots += [
-            f"  {member.name}:",
-            "    enabled: true",
-            f"    uri: {json.dumps(member.uri)}",
-            # ROS refuses lists that mix integers and floats, so every number has a point.
-            f"    initial_position: [{x:.6f}, {y:.6f}, 0.0]",
-            f"    type: {json.dumps(member.type)}",
-            f"    role: {member.role}  # in the plan",
-        ]
+    fleet, frame, texts = task.fleet, task.frame.name, json.loads(_template("crazyswarm2.json"))
+    robots = [
+        # ROS refuses lists that mix integers and floats, so every number has a point.
+        f"  {member.name}: {{enabled: true, uri: {json.dumps(member.uri)}, "
+        f"initial_position: [{x:.6f}, {y:.6f}, 0.0], type: {json.dumps(member.type)}, "
+        f"role: {member.role}}}"
+        for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True)
+    ]
     types = [
-        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, DEFAULT_TYPE))}"
+        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, texts['type']))}"
         for name in dict.fromkeys(member.type for member in fleet.members)
     ]
-    settings = [
-        f"# frame: {frame}; drones wait on the floor below their trajectories' starts",
-        *("fileversion: 3", "", "robots:", *robots, "", "robot_types:", *types, ""),
-        f"all: {json.dumps(fleet.settings or FOR_ALL)}\n",
-    ]
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
-    script = _template("fly_script.txt").format(
-        title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
-        place=f"This is {task.part}.\n" if task.part else "",
-        frame=frame,
-        duration=duration,
-        heading=task.frame.heading,
-        first=json.dumps(places, indent=4),
-        height=round(float(np.min(first[:, 2])), 3),
-        land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
-    )
+    place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
-    note = _template("start_note.txt").format(
-        title=task.title or "A plan of hitchopt",
-        place=PLACE.format(place=task.part) if task.part else "",
-        frame=frame,
-        duration=duration,
-        placeholders="" if fleet.given else hint,
-        pull=HELD_PULL if task.options.hold_tension else NO_PULL,
-    )
-    return {SETTINGS: "\n".join(settings), "fly.py": script, "README.txt": note}
+    common = {"frame": frame, "duration": duration}
+    return {
+        SETTINGS: _template("crazyflies.txt").format(
+            robots="\n".join(robots),
+            types="\n".join(types),
+            all=json.dumps(fleet.settings or texts["all"]),
+            **common,
+        ),
+        "fly.py": _template("fly_script.txt").format(
+            title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
+            place=place,
+            heading=task.frame.heading,
+            first=json.dumps(places, indent=4),
+            height=round(float(np.min(first[:, 2])), 3),
+            land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
+            **common,
+        ),
+        "README.txt": _template("start_note.txt").format(
+            title=task.title or "A plan of hitchopt",
+            place=f"\n{place}{texts['parts']}\n" if place else "",
+            placeholders="" if fleet.given else hint,
+            pull=texts["held_pull" if task.options.hold_tension else "pull"],
+            **common,
+        ),
+    }
 
 
 def _template(name: str) -> str:
