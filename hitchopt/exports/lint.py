@@ -67,10 +67,8 @@ SIZES: dict[int, Callable[[Enclosed], Bound]] = {
 """Sizes of a vector in the directions of own limits."""
 
 UNTOLD = {
-    "velocities": "none, or all zero although the drones move: read as positions alone, joined by "
-    "straight lines; accelerations are not checked",
-    "accelerations": "none, or all zero although the drones move: joined by cubics through "
-    "positions and velocities",
+    "velocities": "none: joined by straight lines; accelerations are not checked",
+    "accelerations": "none: joined by cubics through positions and velocities",
 }
 """What is said of files that do not hold a derivative."""
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import takewhile
@@ -31,7 +31,6 @@ WINDOW = 20_000
 MAX_SPANS = 20_000_000
 """Largest number of pieces times drones with all drones' breaks merged; no show has more."""
 
-SILENT = 1e-6  # Size below which samples are zero but for rounding [m], [m/s], [m/s²]
 SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
 
 
@@ -98,9 +97,7 @@ def recording_of_samples(
     """Return the recording of samples: between two of them the curve that meets both.
 
     The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too. A derivative that is zero at all samples while the drones move is not
-    told: files of positions alone often have columns of zeros, and curves that rest at every sample
-    are not what is flown.
+    through accelerations too.
 
     Parameters
     ----------
@@ -108,7 +105,7 @@ def recording_of_samples(
     t: (S,) [s]
     values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
     frame: an unknown one becomes none.
-    smooth: the highest derivative that is used, if it is told.
+    smooth: the highest derivative that the format has.
 
     Raises
     ------
@@ -117,22 +114,24 @@ def recording_of_samples(
     check_times(t)
     if len(t) < 2:
         raise FileError("has fewer than two samples; nothing moves between them")
-    shape = (len(t), len(names), -1, 3)
-    given = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
-    told = [np.ptp(given[0], axis=0), *given[1:]]  # of positions that they move
-    orders = sum(1 for _ in takewhile(lambda each: not np.max(np.abs(each)) <= SILENT, told)) - 1
-    used = given if orders < 0 else given[: orders + 1]
-    untold = ("velocities", "accelerations", "")[len(used) - 1] if len(used) < len(given) else ""
+    given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
+    untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
     size = max(1, WINDOW // len(names))
 
     def windows() -> Iterator[PiecewisePolynomial]:
         for start in range(0, len(t) - 1, size):
-            here = slice(start, start + size + 1)
-            ends = used[:, here]
-            yield PiecewisePolynomial.hermite(t[here], ends[:, :-1], ends[:, 1:])
+            ends = given[:, start : start + size + 1]
+            here = t[start : start + size + 1]
+            yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
 
     known = frame if frame in AXES else ""
-    return Recording(tuple(names), known, len(used) - 1, windows, untold)
+    return Recording(tuple(names), known, len(given) - 1, windows, untold)
+
+
+def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> list[str]:
+    """Return the columns that a table tells: places, then whole vectors of rates in a row."""
+    told = takewhile(lambda vector: set(vector) <= set(header), vectors[1:])
+    return [name for vector in (vectors[0], *told) for name in vector]
 
 
 def check_times(t: Array, source: str = "") -> None:

@@ -184,7 +184,7 @@ DAMAGE: dict[str, list[tuple[Edit, str]]] = {
         (content("show.zip", b"PK\x03\x04" + bytes(200)), "no zip"),
     ],
     "mavsdk_drone_show": [
-        (text("Drone 1.csv", "vx", "wx"), "no column 'vx'"),
+        (text("Drone 1.csv", "vx", "wx"), "or its columns"),
         (rows("Drone 1.csv", lambda s: [*s[:-1], "0,0"]), "truncated or damaged"),
         (rows("Drone 1.csv", lambda s: s[:2]), "has 1 rows"),
         (cell("Drone 1.csv", 4, 3, "zero"), "could not convert"),

@@ -32,13 +32,19 @@ from scipy.spatial import cKDTree
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
-from hitchopt.exports.recording import Recording, read_columns, read_text, recording_of_samples
+from hitchopt.exports.recording import (
+    Recording,
+    read_columns,
+    read_text,
+    recording_of_samples,
+    told_columns,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
 
-READ = COLUMNS.split(",")[1:11]  # Columns that are read: time, position, velocity and acceleration
+FLOWN = [COLUMNS.split(",")[i : i + 3] for i in (2, 5, 8)]  # Position, velocity and acceleration
 
 ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"
 """A row of mode 70; all that are no counts have a decimal point."""
@@ -234,22 +240,15 @@ def rows_of(task: Task, rise: Rise) -> Array:
 
 
 def read_table(path: Path) -> Array:
-    """Return the rows (S, 10) of one drone: t, positions, velocities, accelerations as they stand.
-
-    Columns of velocities and accelerations that are not there are zero.
+    """Return the rows (S, 4, 7 or 10) of one drone: t, places and rates as they stand.
 
     Raises
     ------
     FileError: another header, rows of other lengths, fewer than two rows.
     """
     header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]
-    found = set(header.split(","))
-    vectors = [READ[:4], *(vector for vector in (READ[4:7], READ[7:]) if found & set(vector))]
-    told = [name for vector in vectors for name in vector]
-    table = read_columns(lines, header, told, COLUMNS, str(path), least=2)
-    whole = np.zeros((len(table), len(READ)))
-    whole[:, [READ.index(name) for name in told]] = table
-    return whole
+    told = told_columns(header.split(","), FLOWN)
+    return read_columns(lines, header, ("t", *told), COLUMNS, str(path), least=2)
 
 
 def recording_of_tables(
@@ -266,10 +265,12 @@ def recording_of_tables(
     """
     t = tables[0][:, 0]
     for name, table in zip(names, tables, strict=True):
-        if len(table) != len(t) or np.max(np.abs(table[:, 0] - t)) > SAME_TIME:
-            raise FileError(f"{name}: its times are not those of {names[0]}")
+        alike = table.shape == tables[0].shape and np.max(np.abs(table[:, 0] - t)) <= SAME_TIME
+        if not alike:
+            raise FileError(f"{name}: its times are not those of {names[0]}, or its columns")
     values = np.stack([table[:, 1:] for table in tables], axis=1)
-    if task is not None:
-        values[..., 6:] += task.pulls(task.states(t))
-        values[t > task.motion.duration, :, 6:] = 0.0
-    return recording_of_samples(names, t, values, "ned", 1 if task is None else SMOOTH)
+    if task is None:
+        return recording_of_samples(names, t, values[..., :6], "ned", 1)
+    values[..., 6:] += task.pulls(task.states(t))
+    values[t > task.motion.duration, :, 6:] = 0.0
+    return recording_of_samples(names, t, values, "ned", SMOOTH)

@@ -210,8 +210,9 @@ def bag_recording(path: Path) -> Recording:
         if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
             raise FileError("its trajectories have different times")
         values = np.stack(tables, axis=1)
-        smooth = 2 if np.all(np.isfinite(values)) else 0
-        return recording_of_samples(names, values[:, 0, 0], values[..., 1:], frame, smooth)
+        rates = bool(np.all(np.isfinite(values)))
+        places = values[..., 1:] if rates else values[..., 1:4]
+        return recording_of_samples(names, values[:, 0, 0], places, frame, 2 if rates else 0)
 
 
 def _table(message: Any, joint: int) -> Array:

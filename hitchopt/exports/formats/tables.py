@@ -15,7 +15,7 @@ are held.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from hitchopt.exports.recording import (
     needed,
     read_columns,
     recording_of_samples,
+    told_columns,
 )
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
@@ -50,8 +51,8 @@ COLUMNS = tuple(name for group in GROUPS.values() for name in group)
 
 HEADER = ",".join(("t", "drone", *COLUMNS))
 
-FLOWN = COLUMNS[:9]
-"""Columns that say where the drones go; readers need no others, and positions alone will do."""
+FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
+"""Columns that say where the drones go; readers need no others, and places alone will do."""
 
 SMOOTH = 2  # Positions, velocities and accelerations are in the table: quintics run through them
 
@@ -124,16 +125,8 @@ class Table(Format):
         raise NotImplementedError
 
 
-def _told_in(header: Collection[str]) -> list[str]:
-    """Return which of FLOWN a table with these columns tells: velocities where they are whole."""
-    vectors = [FLOWN[:3], *(v for v in (FLOWN[3:6], FLOWN[6:]) if set(v) <= set(header))]
-    return [name for vector in vectors for name in vector]
-
-
-def _recording_of_rows(
-    who: NDArray[np.str_], table: Array, told: Sequence[str], frame: str
-) -> Recording:
-    """Return the recording of rows (rows, 1 + told) by time, then drone: t and the told columns."""
+def _recording_of_rows(who: NDArray[np.str_], table: Array, told: int, frame: str) -> Recording:
+    """Return the recording of rows (rows, 1 + told) by time, then drone: t, then told columns."""
     if not len(who):
         raise FileError("holds no rows; it is truncated")
     t = table[:, 0]
@@ -150,9 +143,7 @@ def _recording_of_rows(
             f"its rows at t = {times[np.argmax(wrong), 0]:g} s are not one per drone, in one "
             "order; sort them by time, then drone"
         )
-    whole = np.zeros((len(t), len(FLOWN)))
-    whole[:, [FLOWN.index(name) for name in told]] = table[:, 1 : 1 + len(told)]
-    values = whole.reshape(*times.shape, len(FLOWN))
+    values = table[:, 1 : 1 + told].reshape(*times.shape, told)
     return recording_of_samples(names, times[:, 0], values, frame, SMOOTH)
 
 
@@ -173,12 +164,12 @@ class CsvTable(Table):
         for kind in (np.str_, np.float64):
             with path.open(encoding="utf-8") as file:
                 header = file.readline().rstrip("\r\n")
-                told = _told_in(labels := header.split(","))
+                told = told_columns(labels := header.split(","), FLOWN)
                 # The last column as well, so that rows are whole.
                 wanted = ("drone",) if kind is np.str_ else ("t", *told, labels[-1])
                 found.append(read_columns(file, header, wanted, HEADER, str(path), 0, kind))
         who, table = found
-        return _recording_of_rows(who[:, 0], table, told, path.stem.rpartition("_")[2])
+        return _recording_of_rows(who[:, 0], table, len(told), path.stem.rpartition("_")[2])
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether the first columns are t and drone."""
@@ -215,18 +206,18 @@ class ParquetTable(Table):
         """Return what columns of these names say; raise UnsupportedError without pyarrow."""
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
-            refuse_expansion(8 * file.metadata.num_rows * len(FLOWN), path.stat().st_size)
+            refuse_expansion(72 * file.metadata.num_rows, path.stat().st_size)
             held = file.schema_arrow.names
-            for name in ("t", "drone", *FLOWN[:3]):
+            for name in ("t", "drone", *FLOWN[0]):
                 if name not in held:
                     raise FileError(f"has no column {name!r}; hitchopt writes t, drone and others")
             frame = (file.schema_arrow.metadata or {}).get(FRAME_KEY, b"")
-            told = _told_in(held)
+            told = told_columns(held, FLOWN)
             table = file.read(["t", "drone", *told])
             rows = np.column_stack([table[name].to_numpy() for name in ("t", *told)])
             who = np.array(list(map(str, table["drone"].to_pylist())))
             return _recording_of_rows(
-                who, rows.astype(np.float64), told, frame.decode("ascii", "replace")
+                who, rows.astype(np.float64), len(told), frame.decode("ascii", "replace")
             )
 
 
@@ -292,7 +283,7 @@ class JsonTable(Table):
         if path.stat().st_size > MAX_TEXT:
             raise FileError(f"is larger than {MAX_TEXT} bytes")
         content = parsed_json(path.read_bytes())
-        known = content["columns"][: len(FLOWN)] == list(FLOWN)
+        known = content["columns"][:9] == list(COLUMNS[:9])
         if not (known and content["format"] == JSON_FORMAT and content["drones"]):
             raise FileError(f"its format is not {JSON_FORMAT} with hitchopt's columns")
         names, samples = tuple(map(str, content["drones"])), content["samples"]
@@ -301,4 +292,4 @@ class JsonTable(Table):
             raise FileError("a sample's rows are not one per drone")
         t = np.array([sample["t"] for sample in samples], dtype=np.float64)
         frame = str(content.get("frame"))
-        return recording_of_samples(names, t, values[..., : len(FLOWN)], frame, SMOOTH)
+        return recording_of_samples(names, t, values[..., :9], frame, SMOOTH)
