@@ -308,9 +308,8 @@ class Craft:
         assert (timescale, reverse, relative) == (1.0, False, False)  # in the room's coordinates
         np.testing.assert_allclose(self.rows[0, [1, 9, 17]], self.place, atol=2e-3)
         lasts = np.sum(self.rows[:, 0])
-        end = [
-            axis @ self.rows[-1, 0] ** np.arange(8) for axis in self.rows[-1, 1:25].reshape(3, 8)
-        ]
+        last = self.rows[-1]
+        end = last[1:25].reshape(3, 8) @ last[0] ** np.arange(8)
         self._go("flying", end.tolist(), float(lasts))
 
 
