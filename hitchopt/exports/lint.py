@@ -388,12 +388,8 @@ def _joining(
 def _sampled(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterator[Finding]:
     """Yield how far drones go [m], too long a time between two samples [s], and early ends."""
     if reach[0] > RADIOED:
-        yield (error if loaded.kind == "compressed" else note)(
-            "range",
-            reach[1],
-            f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
-            f"±{RADIOED} m; move the origin",
-        )
+        words = f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
+        yield note("range", reach[1], f"{words}±{RADIOED} m; move the origin")
     if loaded.streamed and longest > WATCHDOG:
         words = f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s"
         yield error("rate", "", f"{words}; sample at {SLOWEST:g} Hz or more")

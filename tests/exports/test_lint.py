@@ -418,7 +418,7 @@ FLAWS: dict[str, tuple[list[Any], Rules, str]] = {
     "too fast": ([MOVING], Rules(1.2, 0.3), "error acceleration, error speed, warning end"),
     "apart, but not as long": ([REST, LATE], Rules(), "warning duration"),
     "near": ([REST, REST], NEAR, "error separation"),
-    "far away": ([FAR], Rules(), "note duration, note range, warning end"),
+    "far away": ([FAR], Rules(), "note range, warning end"),
     "31 pieces": ([FULL], Rules(), "warning end"),
     "32 pieces and a jump": ([LONG], Rules(), "error jump, error memory, warning end"),
 }

@@ -34,12 +34,10 @@ from hitchopt.exports.format import (
     Task,
     Written,
     error,
-    note,
     warning,
 )
 from hitchopt.exports.formats.compressed import (
     BYTES,
-    LONGEST,
     STEADY,
     CrazyflieFormat,
     beyond_memory,
@@ -284,10 +282,6 @@ def _faults(name: str, table: PolyTable) -> Iterator[Finding]:
     if not table.headed:
         words = "has none: readers skip the first line, and with it the first piece; put a line of"
         yield error("header", name, f"{words} names before it")
-    longest = float(np.max(table.durations))
-    if longest > LONGEST:
-        most = f"a piece lasts {longest:.4g} s; compressed trajectories allow {LONGEST} s"
-        yield note("duration", name, most)
     powers = table.powers[:, 3]
     ends = np.sum(powers * table.durations[:, None] ** np.arange(powers.shape[1]), axis=1)
     jumps = np.abs(np.angle(np.exp(1j * (powers[1:, 0] - ends[:-1]))))  # whole turns are none
