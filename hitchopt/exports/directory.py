@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, UnsupportedError
@@ -41,6 +39,9 @@ OWNED = (
     *(STATICS, STATICS_PICTURE, ABORTS, ABORT_PLANS),
 )
 """The names in DIR that are ours: nothing else there is ever replaced or removed."""
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 DIAGNOSIS_FORMAT = "hitchopt-diagnosis/1"
 
@@ -152,9 +153,6 @@ def diagnosis_content(
     }
 
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
 SAVED = {
     "positions": ("x", "y", "z"),
     "velocities": ("vx", "vy", "vz"),
@@ -174,8 +172,6 @@ NUMBER = "%#.12g"
 is always there, since readers such as polars take a column for whole numbers that begins with one.
 """
 
-NOTHING = "%.1f"  # Format of numbers that are zero throughout a block: ``0.0``
-
 ROWS = 2000
 """Rows that are formatted at once: more are slower, since they leave the processor's cache."""
 
@@ -184,11 +180,11 @@ Progress = Callable[[float], None]
 
 
 def _values(states: States) -> Array:
-    """Return the numbers of SAVED (S, D, 16)."""
+    """Return the numbers of SAVED (S, D, 16), without negative zeros."""
     motion = (states.positions, states.velocities, states.accelerations, states.jerks)
     yaw = np.zeros((*states.positions.shape[:2], 1))
     values: Array = np.concatenate((*motion, yaw, states.cable_forces), axis=-1) + 0.0
-    return values  # without negative zeros
+    return values
 
 
 def write_setpoints(
@@ -219,62 +215,48 @@ def write_setpoints(
     write_rows(path, HEADER, names, blocks())
 
 
-def write_rows(
-    path: Path, header: str, names: tuple[str, ...], blocks: Iterable[tuple[Array, Array]]
-) -> None:
-    """Write a header and one line per sample and drone: the time, the drone's name, the numbers.
-
-    Parameters
-    ----------
-    path: name of the file, replaced if there is one.
-    header: the first line.
-    names: (D,) names of the drones.
-    blocks: times (S,) [s] and numbers (S, D, C) of the samples, one block after the other.
-    """
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(header + "\n")
-        for t, values in blocks:
-            zero = np.all(values == 0.0, axis=0)
-            times = np.broadcast_to(t[:, None, None], (*values.shape[:2], 1))
-            numbers = np.concatenate([times, values], -1)
-            file.write(_layout(names, zero.tobytes()) * len(t) % tuple(numbers.ravel().tolist()))
-
-
-@lru_cache(maxsize=4)
-def _layout(names: tuple[str, ...], zero: bytes) -> str:
-    """Return the lines of one sample, given which of their numbers are zero, (D, C) booleans."""
-    count = len(zero) // len(names)
-    formats = [NOTHING if nothing else NUMBER for nothing in zero]
-    lines = [
-        ",".join([NUMBER, name.replace("%", "%%"), *formats[i * count : (i + 1) * count]]) + "\n"
-        for i, name in enumerate(names)
-    ]
-    return "".join(lines)
-
-
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
     The last row of an open chain, which has one point more than cables, leaves it empty. Parameters
     and errors are those of ``write_setpoints``.
     """
-    n, points = motion.team.robots, motion.team.layout.points
-    place = f"{NUMBER},{NUMBER},{NUMBER}"
-    rows = "".join(f"{NUMBER},{k},{place},{NUMBER if k < n else ''}\n" for k in range(points))
-    # Of each row all but the vertex's number: time, place, tension.
-    filled = np.arange(5 * points)[: 5 * points - (points - n)]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(VERTICES_HEADER + "\n")
-        times, size = sample_times(motion.duration, rate), max(1, ROWS // points)
-        for first in range(0, len(times), size):
+    times, points = sample_times(motion.duration, rate), motion.team.layout.points
+
+    def blocks() -> Iterator[tuple[Array, Array]]:
+        for first in range(0, len(times), size := max(1, ROWS // points)):
             t = times[first : first + size]
             formed, vertices, tensions = hitch_at(motion, t)
-            values = np.zeros((len(t), points, 5))
-            values[..., 0] = t[:, None]
-            values[..., 1:4] = vertices
-            values[:, :n, 4] = tensions
-            given = values[formed].reshape(-1, 5 * points)[:, filled] + 0.0  # no negative zeros
-            file.write(rows * len(given) % tuple(given.ravel().tolist()))
+            values = np.full((len(t), points, 4), np.nan)
+            values[..., :3] = vertices
+            values[:, : motion.team.robots, 3] = tensions
+            yield t[formed], values[formed] + 0.0  # no negative zeros
+
+    write_rows(path, VERTICES_HEADER, tuple(map(str, range(points))), blocks())
+
+
+def write_rows(
+    path: Path, header: str, names: Sequence[str], blocks: Iterable[tuple[Array, Array]]
+) -> None:
+    """Write a header and one line per sample and item: the time, the item's name, the numbers.
+
+    Parameters
+    ----------
+    path: name of the file, replaced if there is one.
+    header: the first line.
+    names: (D,) of drones or vertices.
+    blocks: times (S,) [s] and numbers (S, D, C) of the samples, one block after the other; where
+        they are nan nothing is written.
+    """
+    numbers = f",{NUMBER}" * (header.count(",") - 1) + "\n"
+    lines = "".join(f"{NUMBER},{name.replace('%', '%%')}{numbers}" for name in names)
+    with path.open("w", encoding="utf-8", newline="") as file:
+        file.write(header + "\n")
+        for t, values in blocks:
+            times = np.broadcast_to(t[:, None, None], (*values.shape[:2], 1))
+            flat = np.concatenate([times, values], -1).ravel()
+            text = lines * len(t) % tuple(flat.tolist())
+            file.write(text.replace(",nan\n", ",\n") if np.isnan(flat).any() else text)
 
 
 def data_frame(motion: Motion, rate: float) -> DataFrame:
@@ -291,19 +273,16 @@ def data_frame(motion: Motion, rate: float) -> DataFrame:
         remedy = "pip install 'hitchopt[pandas]'"
         raise UnsupportedError(f"data frames need the package pandas ({error}); {remedy}") from None
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
-    values = _values(states_at(motion, times))
+    flat = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
     first, _, *columns = HEADER.split(",")
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
     ends = np.array([phase.end for phase in motion.phases[:-1]])
     here = np.repeat(np.searchsorted(ends, times, side="right"), len(names))
-    flat = values.reshape(-1, values.shape[-1])
-
-    def words(codes: NDArray[np.intp], each: Iterable[str]) -> pandas.Categorical[str]:
-        return pandas.Categorical.from_codes(codes, categories=pandas.Index(list(each)))
-
-    who = words(np.tile(np.arange(len(names)), len(times)), names)
+    who, when = (
+        pandas.Categorical.from_codes(codes, categories=pandas.Index(list(words)))
+        for codes, words in ((np.tile(np.arange(len(names)), len(times)), names), (here, phases))
+    )
+    numbers = {name: flat[:, i] for i, name in enumerate(columns)}
     return pandas.DataFrame(
-        {first: np.repeat(times, len(names)), "drone": who}
-        | {name: flat[:, i] for i, name in enumerate(columns)}
-        | {"phase": words(here, phases)}
+        {first: np.repeat(times, len(names)), "drone": who} | numbers | {"phase": when}
     )

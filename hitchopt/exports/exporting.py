@@ -10,9 +10,8 @@ all t, as in the plan's certificate. Lint uses the same rules.
 from __future__ import annotations
 
 import contextlib
-import shutil
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
-from hitchopt.exports.format import Format, Progress, Task, format_of
+from hitchopt.exports.format import Format, Task, format_of
 from hitchopt.exports.held_tension import PositionLoop, held_tension
 from hitchopt.exports.options import HOMES, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
@@ -37,10 +36,16 @@ from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
-from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
+
+Progress = Callable[[str], None]  # Function that is called with what is being done now
+
+SLOWER = (1.02, 1.05)
+"""Factors of the durations of a plan that loses a limit by being rounded: plans fly at their
+limits, and whole millimetres cost one or two per cent of them, more of slow ones."""
 
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
 """What the manifest says of feed-forward where the tension is held."""
@@ -66,10 +71,6 @@ class Export(OneLine):
     begins: float = 0.0
 
 
-def silent(_: str) -> None:
-    """Ignore what is being done."""
-
-
 def export_motion(
     motion: Motion,
     title: str,
@@ -84,8 +85,8 @@ def export_motion(
     motion: the plan; it is certified first, stretched as the options say.
     title: what it is called.
     options: the format, and how the plan is placed and sampled in it.
-    folder: where to; a name that ends as the format's only file does is that file, its manifest
-        next to it.
+    folder: where to, made if it is missing, of which only files of an earlier export are replaced;
+        a name that ends as the format's only file does is that file, its manifest next to it.
     progress: called with what is being done now.
 
     Raises
@@ -95,32 +96,34 @@ def export_motion(
     InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
     UnsupportedError: a library that the format needs is not installed.
     """
-    kind, roles = format_of(options.format), motion.team.drone_names
+    say = progress or (lambda _: None)
+    kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
     plan = stretched(motion, options.stretch)
     if options.rate is not None and kind.rate == 0.0:
         bound = f"left out for {kind.name}"
         raise InputError("--rate", options.rate, bound, "it does not sample")
+    frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
+    if frame.name not in kind.frames:
+        bound = f"one of {', '.join(kind.frames)} for {kind.name}"
+        raise InputError("--frame", frame.name, bound, f"leave it out for {kind.frames[0]}")
     task = Task(
         plan,
         title,
-        ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw),
+        frame,
         placeholder_fleet(roles) if options.fleet is None else read_fleet(options.fleet, roles),
         kind.rate if options.rate is None else checked_rate(options.rate),
         options,
         undetermined=_undetermined(kind, motion, options),
     )
-    place = Path(folder)
     _refuse_taken(place)
-    certificate = certify(plan, progress)
-    if options.stretch > 1.0 and motion.borne is not None and certificate.violated:
-        words = f"with --stretch {options.stretch:g}: legs lean by the inertia of what is carried"
-        remedy = "stretch it less, or plan the steps with a longer duration"
-        raise InfeasibleError(each.violation(words, remedy) for each in certificate.violated)
+    certificate = certify(plan, say)
+    certificate.raise_if_violated()
     if options.hold_tension:
         loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
         held = held_tension(plan, loop)
         task = replace(task, motion=held.motion, notes=(held.note,))
-    return export_plan(kind, task, certificate, place, progress or silent)
+    with _scratch(place) as scratch:
+        return _put(_written(kind, task, certificate, scratch, say), place, kind, task)
 
 
 def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
@@ -135,63 +138,15 @@ def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple
     )
 
 
-def _is_file(place: Path) -> bool:
-    """Return whether a place is that of a single file: it ends as files of formats do."""
-    if place.is_dir() or not place.suffix:
-        return False
-    return any(place.suffix.lower() in (*format_of(name).endings, ".yaml") for name in HOMES)
-
-
-def _refuse_taken(place: Path) -> None:
-    """Raise FileError if a file that no export wrote has the place."""
-    if place.exists() and not place.is_dir():
-        if not _is_file(place):
-            raise FileError(f"{place}: is a file; an export is a folder, choose another one")
-        if not place.with_name(f"{place.name}.{MANIFEST}").exists():
-            raise FileError(f"{place}: is there already, and no export's; choose another name")
-
-
-def export_plan(
-    kind: Format, task: Task, certificate: Certificate, place: Path, progress: Progress = silent
-) -> tuple[Export, ...]:
-    """Write the plan in a format; return what was written, part by part.
-
-    Parameters
-    ----------
-    kind: the format.
-    task: the plan, and all that its files depend on.
-    certificate: the plan's certificate.
-    place: the folder, made if it is missing, of which only files of an earlier export are replaced;
-        or the file.
-    progress: called with what is being done now.
-
-    Raises
-    ------
-    CertificateError: the plan's certificate does not hold.
-    InputError: a frame that the format cannot be in, or a file where it writes several.
-    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
-    FileError: the place cannot be written to, or holds others' files of these names.
-    """
-    certificate.raise_if_violated()
-    if task.frame.name not in kind.frames:
-        bound = f"one of {', '.join(kind.frames)} for {kind.name}"
-        raise InputError("--frame", task.frame.name, bound, f"leave it out for {kind.frames[0]}")
-    _refuse_taken(place)
-    with _scratch(place) as scratch:
-        done = _written(kind, task, certificate, scratch, progress)
-        return _put_file(done, place, kind) if _is_file(place) else _put(done, place, kind, task)
-
-
 def _written(
-    kind: Format, task: Task, certificate: Certificate, scratch: Path, progress: Progress
+    kind: Format, task: Task, certificate: Certificate, scratch: Path, say: Progress
 ) -> list[Export]:
     """Write the first arrangement that loses nothing, or raise what the first of all loses."""
-    refusals = []
+    refusals: list[InfeasibleError] = []
     try:
-        for number, tasks in enumerate(kind.arrangements(task)):
-            place = scratch / str(number)
+        for number, (tasks, kept) in enumerate(_arrangements(kind, task, certificate, refusals)):
             try:
-                return [_part(kind, each, certificate, place, progress) for each in tasks]
+                return [_part(kind, each, kept, scratch / str(number), say) for each in tasks]
             except InfeasibleError as error:
                 refusals.append(error)
     except InfeasibleError as error:  # there is no other arrangement
@@ -199,23 +154,35 @@ def _written(
     raise refusals[0]
 
 
-def _part(
-    kind: Format, task: Task, certificate: Certificate, place: Path, progress: Progress
-) -> Export:
-    """Write the first candidate that loses nothing, or raise what the first of all loses."""
+def _arrangements(
+    kind: Format, task: Task, certificate: Certificate, refusals: Sequence[InfeasibleError]
+) -> Iterator[tuple[Sequence[Task], Certificate]]:
+    """Yield the whole task, the same slower where that may help, then parts of it."""
+    yield (task,), certificate
+    full = any(broken.constraint == "memory" for broken in refusals[0].violations)
+    rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
+    for factor in SLOWER if rounds else ():
+        slower = stretched(task.motion, factor)
+        said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+        if (kept := certify(slower)).certified:
+            yield (replace(task, motion=slower, notes=(*task.notes, said)),), kept
+    for tasks in kind.parts(task):
+        yield tasks, certificate
+
+
+def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: Progress) -> Export:
+    """Write the first refit that loses nothing, or raise what the first of all loses."""
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
     refusal: InfeasibleError | None = None
-    cut = (f"{task.part}: {task.why}",) if task.why else ()
     rules = PLACES if task.options.hold_tension else FLOWN
-    for number, candidate in enumerate(kind.candidates(task), 1):
+    for number, bound in enumerate(kind.bounds, 1):
         attempt = f", attempt {number}" if number > 1 else ""
-        progress(f"writing {kind.name}{attempt}")
-        for name, write in candidate.writers.items():
-            write(folder / name)
-        progress(f"reading {kind.name} back")
-        verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
+        say(f"writing {kind.name}{attempt}")
         try:
+            written = kind.write(folder, task, bound)
+            say(f"reading {kind.name} back")
+            verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
             if lost := verdict.violations(certificate, kind.accuracy):
                 words = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
@@ -223,39 +190,32 @@ def _part(
         except InfeasibleError as error:
             refusal = refusal or error
             continue
-        notes = (*candidate.notes, *task.notes, *task.undetermined, *cut)
-        done = Export(folder, tuple(candidate.writers), verdict, notes, task.begins)
-        manifest = _manifest(kind, task, done, candidate.receiver)
+        notes = (*written.notes, *task.notes, *task.undetermined)
+        done = Export(folder, written.files, verdict, notes, task.begins)
+        manifest = _head(kind, task) | {
+            "heading_rad": task.frame.heading,
+            "drones": {member.role: member.name for member in task.fleet.members},
+            "duration": verdict.duration,
+            "plan_span": list(task.span),
+            "position_error_m": asdict(verdict.position),
+            "velocity_error_m_s": asdict(verdict.velocity),
+            "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
+            "not_carried": verdict.not_carried,
+            "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
+            "undetermined_tension": list(task.undetermined),
+            "notes": list(notes),
+            "files": sorted(written.files),
+            **({"receiver": dict(written.receiver)} if written.receiver else {}),
+        }
         write_strict_json(folder / MANIFEST, manifest)
         return done
-    raise refusal or FileError(f"{kind.name}: has nothing to write")
+    assert refusal is not None
+    raise refusal
 
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
     return {**head, **task.frame.to_dict()}
-
-
-def _manifest(
-    kind: Format, task: Task, done: Export, receiver: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return what export.json says of files that were read back."""
-    verdict = done.verdict
-    return _head(kind, task) | {
-        "heading_rad": task.frame.heading,
-        "drones": {member.role: member.name for member in task.fleet.members},
-        "duration": verdict.duration,
-        "plan_span": list(task.span),
-        "position_error_m": asdict(verdict.position),
-        "velocity_error_m_s": asdict(verdict.velocity),
-        "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
-        "not_carried": verdict.not_carried,
-        "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
-        "undetermined_tension": list(task.undetermined),
-        "notes": list(done.notes),
-        "files": sorted(done.files),
-        **({"receiver": dict(receiver)} if receiver else {}),
-    }
 
 
 @contextlib.contextmanager
@@ -274,49 +234,65 @@ def _scratch(place: Path) -> Iterator[Path]:
         raise FileError(f"{place}: cannot be written: {error.strerror or error}") from error
 
 
-def _put_file(done: Sequence[Export], path: Path, kind: Format) -> tuple[Export, ...]:
-    """Move the only file to its place, its manifest next to it (``plan.csv.export.json``)."""
-    names = [name for part in done for name in part.files]
-    if len(names) > 1 or Path(names[0]).suffix != path.suffix.lower():
-        some = ", ".join(names[:3]) + (", …" if len(names) > 3 else "")
-        bound = f"a folder for {kind.name}, or a name that ends as its only file does"
-        raise InputError("-o", str(path), bound, f"it writes {some}")
-    manifest = path.with_name(f"{path.name}.{MANIFEST}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    manifest.unlink(missing_ok=True)  # it seals the file: gone first, back last
-    shutil.move(done[0].folder / names[0], path)
-    shutil.move(done[0].folder / MANIFEST, manifest)
-    return (replace(done[0], folder=path.parent, files=(path.name,)),)
+def _is_file(place: Path) -> bool:
+    """Return whether a place is that of a single file: it ends as files of formats do."""
+    if place.is_dir() or not place.suffix:
+        return False
+    return any(place.suffix.lower() in (*format_of(name).endings, ".yaml") for name in HOMES)
 
 
-def _put(done: Sequence[Export], folder: Path, kind: Format, task: Task) -> tuple[Export, ...]:
-    """Move what was written and verified into the folder, a cut plan into folders of its parts."""
-    before = part_folders(folder)  # the manifest that names them is about to be replaced
-    parts = [part.folder.name for part in done] if len(done) > 1 else []
+def _refuse_taken(place: Path) -> None:
+    """Raise FileError if a file that no export wrote has the place."""
+    if place.exists() and not place.is_dir():
+        if not _is_file(place):
+            raise FileError(f"{place}: is a file; an export is a folder, choose another one")
+        if not place.with_name(f"{place.name}.{MANIFEST}").exists():
+            raise FileError(f"{place}: is there already, and no export's; choose another name")
+
+
+def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple[Export, ...]:
+    """Move what was written and verified into its file or folder, parts into folders of theirs."""
+    first, several = done[0], len(done) > 1
+    if _is_file(place):
+        if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
+            some = ", ".join(first.files[:3]) + (", …" if len(first.files) > 3 else "")
+            bound = f"a folder for {kind.name}, or a name that ends as its only file does"
+            raise InputError("-o", str(place), bound, f"it writes {some}")
+        seal = f"{place.name}.{MANIFEST}"
+        sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}
+        _move(place.parent, sources, set(sources), seal)
+        return (replace(first, folder=place.parent, files=(place.name,)),)
+    before = part_folders(place)  # the manifest that names them is about to be replaced
+    parts = [part.folder.name for part in done] if several else []
     placed = []
     for part in done:
-        place = folder / part.folder.name if parts else folder
+        home = place / part.folder.name if several else place
         names = (*part.files, MANIFEST)
-        writers = {name: partial(_move, part.folder / name) for name in names}
-        replace_files(place, writers, _owned(place, part.files), seal=MANIFEST)
-        placed.append(replace(part, folder=place))
+        _move(home, {n: part.folder / n for n in names}, _owned(home, part.files), MANIFEST)
+        placed.append(replace(part, folder=home))
     if parts:
         ends = [*(part.begins for part in done[1:]), task.motion.duration]
         spans = [[part.begins, end] for part, end in zip(done, ends, strict=True)]
         content = {**_head(kind, task), "duration": task.motion.duration, "parts": parts}
         content |= {"plan_spans": spans, "files": []}
         write = partial(write_strict_json, content=content)
-        replace_files(folder, {MANIFEST: write}, _owned(folder, ()), seal=MANIFEST)
+        replace_files(place, {MANIFEST: write}, _owned(place, ()), seal=MANIFEST)
     for name in set(before) - set(parts):  # an earlier export was cut into more parts
-        for file in owned_files(folder / name):
-            (folder / name / file).unlink(missing_ok=True)
+        for file in owned_files(place / name):
+            (place / name / file).unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # not empty, or gone
-            (folder / name).rmdir()
+            (place / name).rmdir()
     return tuple(placed)
 
 
-def _move(written: Path, path: Path) -> None:
-    shutil.move(written, path)
+def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str) -> None:
+    def moving(source: Path) -> Writer:
+        def move(path: Path) -> None:
+            source.rename(path)
+
+        return move
+
+    replace_files(folder, {n: moving(source) for n, source in sources.items()}, owned, seal)
 
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
@@ -365,7 +341,7 @@ PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep
 """Rules for set points that hold a tension. They are not where the drones are, of which the plan's
 certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
-SLOWER = "fly it slower with --stretch, plan below the limit, or choose another format"
+EASIER = "fly it slower with --stretch, plan below the limit, or choose another format"
 """Remedy for checks that a slower flight eases."""
 
 CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
@@ -378,6 +354,11 @@ NOT_CARRIED = {
     "those within the pieces",
     2: "jerk jumps between pieces; acceleration is smooth",
 }
+
+
+def _eased(constraint: str) -> bool:
+    """Return whether a slower flight eases a check."""
+    return constraint in RULE_OF and RULE_OF[constraint].derivative > 0
 
 
 @dataclass(frozen=True)
@@ -421,8 +402,7 @@ class Verdict:
                 f"at t = {check.time:.4g} s (the plan keeps {kept:.6g}{unit}, "
                 f"the export loses {abs(check.bound - kept):.3g}{unit})"
             )
-            eased = RULE_OF[check.name].derivative > 0
-            found.append(check.violation(when, SLOWER if eased else CLEARER))
+            found.append(check.violation(when, EASIER if _eased(check.name) else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Protocol, SupportsInt, TypeGuard
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +17,9 @@ from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.exports.recording import Recording
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import Attitudes, States, attitudes, iterate_states, states_at
-from hitchopt.storage.files import Writer
 from hitchopt.values import Array
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes that are turned by 180° about x
-
-FARTHEST = 1e6
-"""[m] No drone is farther from its origin: sums and squares of such numbers stay finite."""
 
 ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
@@ -55,20 +51,6 @@ error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NO
 """Constructors of findings of each level from rule, place and message."""
 
 
-def and_more(name: str, count: SupportsInt) -> str:
-    """Return the name, and how many more of the ``count`` drones are concerned."""
-    return name if int(count) == 1 else f"{name} and {int(count) - 1} more"
-
-
-def is_place(value: object, lengths: Collection[int]) -> TypeGuard[list[float]]:
-    """Return whether a value from a file is a list of so many coordinates within FARTHEST [m]."""
-    return (
-        isinstance(value, list)
-        and len(value) in lengths
-        and all(type(x) in {int, float} and abs(x) <= FARTHEST for x in value)
-    )
-
-
 @dataclass(frozen=True)
 class DroneFacts:
     """Size and duration of one drone's file.
@@ -96,8 +78,6 @@ class Loaded:
     facts: tuple[DroneFacts, ...]  # one per drone
     findings: tuple[Finding, ...] = ()  # those made while reading
     streamed: bool = False  # whether samples are sent in flight: gaps between them count then
-    places: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of drones that stand [m]
-    place_key: str = "place"  # name of these places, (2,) or (3,), in the files
     own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
 
 
@@ -114,7 +94,6 @@ class Task:
     begins: float = 0.0  # when in the plan the motion begins [s]; 0 unless the plan was cut
     number: int = 1  # which part of the plan the motion is, from 1 on,
     count: int = 1  # of how many
-    why: str = ""  # why it was cut
     undetermined: tuple[str, ...] = ()  # why the files leave the cables' tension undetermined
     notes: tuple[str, ...] = ()  # what else the user should know of it
 
@@ -184,15 +163,15 @@ class Task:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """Files that may do; the export tries one candidate after the other."""
+class Written:
+    """What a format wrote into a folder."""
 
-    writers: Mapping[str, Writer]  # for each file's name, what writes it
+    files: tuple[str, ...]  # names
     notes: tuple[str, ...] = ()  # what the user should know of them
     receiver: Mapping[str, Any] = field(default_factory=dict)  # its settings, for the manifest
 
 
-class Format(Protocol):
+class Format:
     """One file format: what is written, and how files are read, ours or anybody else's.
 
     Attributes
@@ -208,6 +187,7 @@ class Format(Protocol):
     feed_forward: whether the consumer needs the cable's pull in its acceleration, and what is done.
     carries_pull: whether the files hold the cable's pull, as a force or in an acceleration.
     receiver_integral: whether the controllers that fly the files have an integral of their own.
+    bounds: errors of refits over the usual one, tried one after the other.
     """
 
     name: str
@@ -220,29 +200,25 @@ class Format(Protocol):
     feed_forward: str
     carries_pull: bool = False
     receiver_integral: bool = False
+    bounds: tuple[float, ...] = (1.0,)
 
-    def arrangements(self, task: Task) -> Iterator[Sequence[Task]]:
-        """Give the task as a whole, then in parts to be flown one after the other, at rest between.
-
-        Raises
-        ------
-        InfeasibleError: no other arrangement holds the plan.
-        """
-        yield (task,)
-
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give what may be written, the best first: the one file, unless a format says otherwise.
+    def write(self, folder: Path, task: Task, bound: float) -> Written:
+        """Write the files of a task, refitted within a bound; raise OSError if that fails.
 
         Raises
         ------
         InfeasibleError: the plan is beyond what the format can hold.
         """
-        (file,) = self.files(task)
-        yield Candidate({file: partial(self.write, task=task)})
-
-    def write(self, path: Path, task: Task) -> None:
-        """Write the one file of a task; raise OSError if it cannot be written."""
         raise NotImplementedError
+
+    def parts(self, task: Task) -> Iterable[Sequence[Task]]:  # noqa: ARG002
+        """Give cuts of a task into parts to be flown one after the other; here none.
+
+        Raises
+        ------
+        InfeasibleError: no such parts hold the plan.
+        """
+        return ()
 
     def files(self, task: Task) -> tuple[str, ...]:
         """Return the names of the files with the trajectories of a task."""
@@ -257,7 +233,7 @@ class Format(Protocol):
         ------
         FileError: they are damaged.
         """
-        ...
+        raise NotImplementedError
 
     def recognises(self, labels: Sequence[str]) -> bool:  # noqa: ARG002
         """Return whether the first line of a CSV file, in lower case, is one of this format."""
@@ -267,7 +243,7 @@ class Format(Protocol):
         """Return what the files of a task in a folder say; raise FileError if they are damaged."""
         return self.load([folder / name for name in self.files(task)]).recording
 
-    def certify(self, folder: Path, task: Task) -> None:  # noqa: ARG002
+    def certify(self, folder: Path, task: Task) -> None:
         """Certify what the files hold besides the flight that is read; most hold nothing else.
 
         Raises
@@ -275,20 +251,6 @@ class Format(Protocol):
         FileError: they are damaged.
         InfeasibleError: it breaks a limit.
         """
-        return
-
-
-def writer_of(content: str | bytes) -> Writer:
-    """Return what writes the content, text in UTF-8."""
-    data = content.encode() if isinstance(content, str) else content
-
-    def write(path: Path) -> None:
-        path.write_bytes(data)
-
-    return write
-
-
-Progress = Callable[[str], None]  # Function that is called with what is being done now
 
 
 def format_of(name: str) -> Format:

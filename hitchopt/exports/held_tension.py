@@ -70,17 +70,16 @@ class PositionLoop:
         ------
         InputError: a gain that is not positive, or a team whose drones are rigid.
         """
-        given = team.stiffness
+        k = team.stiffness
         if stiffness is not None:
-            given = np.full(team.drones, positive("--stiffness", stiffness))
-        if not np.all(np.isfinite(given)):
+            k = np.full(team.drones, positive("--stiffness", stiffness))
+        if not np.all(np.isfinite(k)):
             bound = "the position loop's [N/m], for --hold-tension"
             remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
             raise InputError("stiffness", None, bound, remedy)
-        usual = 2.0 * DAMPING_RATIO * np.sqrt(given * team.mass)
-        if damping is not None:
-            usual = np.full(team.drones, positive("--damping", damping))
-        return cls(given, usual, team.mass)
+        usual = 2.0 * DAMPING_RATIO * np.sqrt(k * team.mass)
+        given = usual if damping is None else np.full_like(usual, positive("--damping", damping))
+        return cls(k, given, team.mass)
 
     @property
     def gain(self) -> float:

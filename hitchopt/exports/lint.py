@@ -1,7 +1,7 @@
 """Pre-flight lint: fleet files read back, ours or anybody else's, and what would go wrong.
 
 Files are read by the formats that write them, which find what is wrong with a file; the rules for
-the drones' joint flight are here: limits, jumps, ends in mid-flight, ranges, rates, places.
+the drones' joint flight are here: limits, jumps, ends in mid-flight, ranges and rates.
 """
 
 from __future__ import annotations
@@ -21,13 +21,11 @@ from hitchopt.errors import FileError, InputError, UnitWarning
 from hitchopt.exports.exporting import drone_check, part_folders
 from hitchopt.exports.format import (
     ERROR,
-    FARTHEST,
     LEVELS,
     DroneFacts,
     Finding,
     Format,
     Loaded,
-    and_more,
     error,
     format_of,
     note,
@@ -40,11 +38,11 @@ from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed
-from hitchopt.values import Array, units
 from hitchopt.values import path as checked_path
+from hitchopt.values import units
 
-COMPANIONS = {"crazyflies.yaml", MANIFEST}  # Files that are read with others, and hitchopt's own
 BAG = "metadata.yaml"  # File that makes a folder a bag
+FARTHEST = 1e6  # [m] Drones are no farther from their origin: squares of such numbers stay finite
 LATE = 1e-3  # [s] Durations may differ by this: formats round to it
 MAX_FILES = 25_000  # Largest number of files in a folder that are read
 SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
@@ -53,7 +51,6 @@ SPEED, ACCELERATION = 3.0, 10.0  # [m/s], [m/s²] Default limits
 RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
 WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
 SLOWEST = 30.0  # [Hz] Lowest rate at which full states are usefully streamed
-AT_START = 0.1  # [m] Largest distance across from a drone's place to where its trajectory begins
 
 REMEDIES = {
     "separation": "move them apart",
@@ -70,14 +67,12 @@ SIZES: dict[int, Callable[[Enclosed], Bound]] = {
 """Sizes of a vector in the directions of own limits."""
 
 UNTOLD = {
-    "velocities": "none, or all zero although the drones move: read as positions alone, joined by "
-    "straight lines; accelerations are not checked",
-    "accelerations": "none, or all zero although the drones move: joined by cubics through "
-    "positions and velocities",
+    "velocities": "none: joined by straight lines; accelerations are not checked",
+    "accelerations": "none: joined by cubics through positions and velocities",
 }
 """What is said of files that do not hold a derivative."""
 
-RATES = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
+Jump = tuple[float, str, float]  # Size, drone and time of a jump where pieces join
 
 
 @dataclass(frozen=True)
@@ -156,14 +151,14 @@ class Rules:
 
     def limits(self, own: Mapping[str, float]) -> tuple[float, float]:
         """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
-        speed, acceleration = (
-            limit if limit is not None else math.inf if alone <= set(own) else default
-            for limit, default, alone in (
-                (self.speed, SPEED, {"maxVelocityXY", "maxVelocityZ"}),
-                (self.acceleration, ACCELERATION, {"maxAccelerationXY", "maxAccelerationZ"}),
-            )
-        )
-        return speed, acceleration
+
+        def limit(given: float | None, default: float, name: str) -> float:
+            if given is not None:
+                return given
+            return math.inf if {f"max{name}XY", f"max{name}Z"} <= set(own) else default
+
+        speed = limit(self.speed, SPEED, "Velocity")
+        return speed, limit(self.acceleration, ACCELERATION, "Acceleration")
 
 
 def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
@@ -180,9 +175,9 @@ def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     UnsupportedError: a library that its format needs is not installed.
     """
     place = checked_path("path", path)
-    applied = Rules() if rules is None else rules
     parts = part_folders(place) if place.is_dir() else ()
-    return tuple(_report(part, applied) for part in map(place.joinpath, parts or ("",)))
+    each = map(place.joinpath, parts or ("",))
+    return tuple(_report(part, Rules() if rules is None else rules) for part in each)
 
 
 def _report(path: Path, rules: Rules) -> Report:
@@ -193,23 +188,17 @@ def _report(path: Path, rules: Rules) -> Report:
     except (FileError, InputError) as fault:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
-    findings = [*loaded.findings, *found, *_durations(loaded), *_folder(path)]
+    findings = [*loaded.findings, *found, *_missing(path)]
     if untold := loaded.recording.untold:
         findings.append(note(untold, "", UNTOLD[untold]))
-    findings.sort(key=lambda f: LEVELS.index(f.level))
-    frame = loaded.recording.frame
-    if not frame:
+    if not (frame := loaded.recording.frame):
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
+    findings.sort(key=lambda f: LEVELS.index(f.level))
     return Report(path, loaded.kind, frame, loaded.facts, flight, tuple(findings))
 
 
 def load(path: Path) -> Loaded:
-    """Return what a file or folder holds.
-
-    Raises
-    ------
-    FileError: nothing that is known, or a damaged file.
-    """
+    """Return what a file or folder holds; raise FileError if that is not known, or damaged."""
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
     if path.name == PLAN or (path / PLAN).is_file():
@@ -217,33 +206,22 @@ def load(path: Path) -> Loaded:
     if (path / BAG).is_file():
         return format_of("ros2bag").load([path / BAG])
     known = [format_of(name) for name in HOMES]
-    endings = _endings(known)
-    files = [path]
-    if path.is_dir():
-        files = sorted(
-            p for p in path.iterdir() if p.suffix.lower() in endings and p.name != MANIFEST
-        )
-        if len(files) > MAX_FILES:
-            raise FileError(f"{path}: holds {len(files)} files; {MAX_FILES} are the most")
-        if not files:
-            others = [p for p in path.iterdir() if p.is_file()]
-            held = f"; it holds {_named(others)}" if others else ""
-            raise FileError(f"{path}: holds no file that ends in {', '.join(endings)}{held}")
-    elif path.suffix.lower() not in endings:
-        read = ", ".join(endings)
-        raise FileError(f"{path}: is {_named(files)}, no file of a known format ({read})")
+    endings = tuple(dict.fromkeys(ending for kind in known for ending in kind.endings))
+    there = sorted(path.iterdir()) if path.is_dir() else [path]
+    files = [p for p in there if p.suffix.lower() in endings and p.name != MANIFEST]
+    if not 0 < len(files) <= MAX_FILES:
+        others = Counter(file.suffix.lower() or "no ending" for file in there)
+        held = ", ".join(f"{count} of {ending}" for ending, count in sorted(others.items()))
+        bound = f"from 1 to {MAX_FILES} files that end in {', '.join(endings)} are read"
+        raise FileError(f"{path}: {bound}; it holds {held or 'nothing'}")
     kinds = Counter(_kind(file, known) for file in files)
-    if len(kinds) > 1:
-        counts = ", ".join(f"{count} of {kind.name}" for kind, count in kinds.items())
-        raise FileError(f"{path}: holds files of several kinds ({counts}); name one")
-    (kind,) = kinds
-    if len(files) > 1 and not all(file.suffix.lower() in kind.several for file in files):
-        raise FileError(f"{path}: holds {len(files)} files of the kind {kind.name}; name one")
-    return kind.load(files)
-
-
-def _endings(known: Iterable[Format]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(ending for kind in known for ending in kind.endings))
+    first = next(iter(kinds))
+    if len(kinds) > 1 or (
+        len(files) > 1 and not all(f.suffix.lower() in first.several for f in files)
+    ):
+        counts = ", ".join(f"{number} of {kind.name}" for kind, number in kinds.items())
+        raise FileError(f"{path}: holds files that are not of one flight ({counts}); name one")
+    return first.load(files)
 
 
 def _kind(path: Path, known: Sequence[Format]) -> Format:
@@ -271,7 +249,7 @@ def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, list[Finding]
     """Return the figures of the joint flight, and the findings on it."""
     names, smooth = loaded.recording.names, loaded.recording.smooth
     limits, checks = rules.limits(loaded.own), dict[str, list[Check]]()
-    jumps = [(0.0, "", 0.0)] * (smooth + 1)  # size, drone, time
+    jumps: list[Jump] = [(0.0, "", 0.0)] * (smooth + 1)
     windows = loaded.recording.windows()
     last = next(windows)
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
@@ -298,13 +276,14 @@ def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, list[Finding]
         *limits,
         tuple(worst[key] for key in loaded.own if key in worst),
     )
-    found = [
-        *_broken(worst.values()),
-        *_beginning(loaded, first, start, scattered),
-        *_joining(last, names, jumps, rules),
-        *_placed(loaded, reach, longest),
-    ]
-    return flight, found
+    found = [*_broken(worst.values()), *_joining(last, names, jumps, rules)]
+    if start != 0.0:
+        found.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
+    if not scattered:
+        words = "all drones begin at one point, so these are relative trajectories: how close "
+        words += "they come depends on where they start, and is not checked"
+        found.append(warning("separation", "", words))
+    return flight, [*found, *_sampled(loaded, reach, longest)]
 
 
 def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, str]:
@@ -326,10 +305,9 @@ def _checks(
     separation: Separation,
     scattered: bool,
 ) -> Iterator[Check]:
-    """Yield the checks of a window, the show's own limits among them.
+    """Yield the checks of a window, the show's own limits among them, in axes with z up.
 
-    Own limits are in axes of which the third is up. From the second derivative after the highest
-    that does not jump on, they mean nothing.
+    From the second derivative after the highest that does not jump on they mean nothing.
     """
     names, smooth = loaded.recording.names, loaded.recording.smooth
     most = (units.SPEED.possible[1], units.ACCELERATION.possible[1])
@@ -361,10 +339,8 @@ def _checks(
         yield Check.of(key, worst.worst, limit, "max", unit, worst.time, (names[worst.item],))
 
 
-def _jump(
-    window: PiecewisePolynomial, order: int, names: Sequence[str]
-) -> tuple[float, str, float]:
-    """Return the largest jump of a derivative where pieces join, whose it is, and when."""
+def _jump(window: PiecewisePolynomial, order: int, names: Sequence[str]) -> Jump:
+    """Return the largest jump of a derivative where pieces join."""
     left, right = window.ends(order)
     sizes = np.linalg.norm(left[1:] - right[:-1], axis=-1)
     if sizes.size == 0:
@@ -386,37 +362,12 @@ def _broken(checks: Iterable[Check]) -> Iterator[Finding]:
             )
 
 
-def _beginning(loaded: Loaded, first: Array, start: float, scattered: bool) -> Iterator[Finding]:
-    """Yield where trajectories (D, 3) [m] begin all at one point, off their places, or late."""
-    if start != 0.0:
-        yield warning("start", "", f"time begins at {start:g} s, not at 0; shift it")
-    if not scattered:
-        yield warning(
-            "separation",
-            "",
-            "all drones begin at one point, so these are relative trajectories: how close they "
-            "come depends on where they start, and is not checked",
-        )
-    for name, place in zip(loaded.recording.names, first, strict=True):
-        if name in loaded.places:
-            apart = math.dist(place[:2], loaded.places[name][:2])
-            if apart > AT_START:
-                yield warning(
-                    "start",
-                    name,
-                    f"its {loaded.place_key} is {apart:.3g} m away from where its trajectory "
-                    "begins; place it there, or see that its path there is free",
-                )
-
-
 def _joining(
-    last: PiecewisePolynomial,
-    names: Sequence[str],
-    jumps: Sequence[tuple[float, str, float]],
-    rules: Rules,
+    last: PiecewisePolynomial, names: Sequence[str], jumps: Sequence[Jump], rules: Rules
 ) -> Iterator[Finding]:
     """Yield jumps where pieces join, and who still moves at the end."""
-    for (what, unit), (size, drone, t), bound in zip(RATES, jumps, rules.jumps, strict=False):
+    rates = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
+    for (what, unit), (size, drone, t), bound in zip(rates, jumps, rules.jumps, strict=False):
         if size > bound:
             yield (error if what == "position" else warning)(
                 "jump",
@@ -425,76 +376,43 @@ def _joining(
                 f"(more than {bound:g} {unit}); make the pieces meet",
             )
     speeds, bound = np.linalg.norm(last.ends(1)[1][-1], axis=-1), rules.jumps[1]
-    drone_index = int(np.argmax(speeds))
-    if speeds[drone_index] > bound:
+    if speeds[fastest := int(np.argmax(speeds))] > bound:
         yield warning(
             "end",
-            and_more(names[drone_index], np.count_nonzero(speeds > bound)),
-            f"still moves at {speeds[drone_index]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
+            names[fastest],
+            f"still moves at {speeds[fastest]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
             f"(more than {bound:g} m/s); let it come to rest: is something cut off?",
         )
 
 
-def _placed(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterator[Finding]:
-    """Yield how far drones go [m], and too long a time between two of their samples [s]."""
+def _sampled(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterator[Finding]:
+    """Yield how far drones go [m], too long a time between two samples [s], and early ends."""
     if reach[0] > RADIOED:
-        yield (error if loaded.kind == "compressed" else note)(
-            "range",
-            reach[1],
-            f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
-            f"±{RADIOED} m; move the origin",
-        )
+        words = f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
+        yield note("range", reach[1], f"{words}±{RADIOED} m; move the origin")
     if loaded.streamed and longest > WATCHDOG:
         words = f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s"
         yield error("rate", "", f"{words}; sample at {SLOWEST:g} Hz or more")
     elif loaded.kind == "ros2bag" and longest * SLOWEST > 1.01:
         words = f"{1.0 / longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to 100 Hz"
         yield warning("rate", "", f"{words}; sample more often")
+    durations = [fact.duration for fact in loaded.facts]
+    shortest, most = min(loaded.facts, key=lambda fact: fact.duration), max(durations)
+    if shortest.duration < most - LATE:
+        words = f"lasts {shortest.duration:.6g} s, the longest {most:.6g} s; let all end together"
+        yield warning("duration", shortest.name, words)
 
 
-def _durations(loaded: Loaded) -> Iterator[Finding]:
-    """Yield whose file is shorter than the longest."""
-    longest = max(fact.duration for fact in loaded.facts)
-    short = [fact for fact in loaded.facts if fact.duration < longest - LATE]
-    if short:
-        fact = min(short, key=lambda fact: fact.duration)
-        yield warning(
-            "duration",
-            fact.name,
-            f"lasts {fact.duration:.6g} s, the longest {longest:.6g} s ({len(short)} are shorter); "
-            "let all end together",
-        )
-
-
-def _folder(path: Path) -> Iterator[Finding]:
-    """Yield which files of an export are gone or not read, and why the tension is undetermined."""
-    if not path.is_dir():
-        return
-    manifest = read_manifest(path) or {}
+def _missing(path: Path) -> Iterator[Finding]:
+    """Yield which files of an export are gone, and why the tension is undetermined."""
+    manifest = (read_manifest(path) or {}) if path.is_dir() else {}
     listed, reasons = (
         [str(each) for each in given] if isinstance(given, list) else []
         for given in (manifest.get("files"), manifest.get("undetermined_tension"))
     )
-    there = {entry.name: entry for entry in path.iterdir()}
+    there = {entry.name for entry in path.iterdir()} if listed else set()
     for file in listed:
         if file not in there:
             yield error("missing", file, "was exported and is not there")
-    endings = _endings(format_of(name) for name in HOMES)
-    others = [
-        entry
-        for name, entry in there.items()
-        if entry.is_file()
-        and entry.suffix.lower() not in endings
-        and name not in {*listed, *COMPANIONS}
-        and not name.startswith(".")
-    ]
-    if others and BAG not in there:
-        yield note("not read", "", _named(others))
     for reason in reasons:
         yield warning("tension", "", reason)
-
-
-def _named(files: Iterable[Path]) -> str:
-    """Return how many files there are of each ending."""
-    counts = Counter(file.suffix.lower() or "no ending" for file in files)
-    return ", ".join(f"{count} of {suffix}" for suffix, count in sorted(counts.items()))

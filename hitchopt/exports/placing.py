@@ -50,14 +50,28 @@ RESERVED = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 
-@dataclass(frozen=True)
-class Member:
-    """One drone of the fleet."""
+Uri = Annotated[str, Field(pattern=r"^(radio|usb|udp|tcp|serial)://\S+$")]
+"""Address of a drone's radio."""
 
-    role: str  # its name in the plan, such as q0
-    name: str  # its name in files
-    uri: str  # its radio's address
-    type: str = "default"  # its entry in types
+
+class Member(Keys):
+    """One drone: what files and topics call it, its radio's address, and its entry in types."""
+
+    name: str
+    uri: Uri
+    type: str = "default"
+    role: str = ""  # its name in the plan, such as q0
+    enabled: bool = True
+    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
+
+
+class FleetKeys(Keys):
+    """Drones by the plan's names, or robots by their own; types and settings are copied."""
+
+    drones: dict[str, Member]
+    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
+    fileversion: int = 3
 
 
 @dataclass(frozen=True)
@@ -68,45 +82,6 @@ class Fleet:
     types: Mapping[str, Any] = field(default_factory=dict)  # settings of the types, as given
     settings: Mapping[str, Any] = field(default_factory=dict)  # for all drones; empty: the usual
     given: bool = False  # whether the user named them; else their addresses are placeholders
-
-
-Uri = Annotated[str, Field(pattern=r"^(radio|usb|udp|tcp|serial)://\S+$")]
-"""Address of a drone's radio."""
-
-
-class DroneKeys(Keys):
-    """One drone: what files and topics call it, its radio's address, and its entry in types."""
-
-    name: str
-    uri: Uri
-    type: str = "default"
-
-
-class FleetKeys(Keys):
-    """Drones by the plan's names; types and settings are copied into crazyflies.yaml."""
-
-    drones: dict[str, DroneKeys]
-    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    settings: dict[str, Any] = Field(default_factory=dict)
-
-
-class RobotKeys(Keys):
-    """One robot of a crazyflies.yaml; without a role it flies the drone of its own name."""
-
-    enabled: bool = True
-    uri: Uri
-    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
-    type: str = "default"
-    role: str = ""
-
-
-class RobotsKeys(Keys):
-    """A crazyflies.yaml, robots by their names."""
-
-    fileversion: int = 3
-    robots: dict[str, RobotKeys]
-    robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    all: dict[str, Any] = Field(default_factory=dict)
 
 
 FAULTS = {
@@ -121,18 +96,22 @@ FAULTS = {
 }
 """Bound and remedy for the kinds of faults that fleet files have."""
 
+ROBOTS = {"robots": "drones", "robot_types": "types", "all": "settings"}
+"""Keys of a crazyflies.yaml, and those of a fleet file that say the same."""
+
 
 def placeholder_fleet(roles: Sequence[str]) -> Fleet:
     """Return drones called as in the plan, at addresses counted up from E7E7E7E701."""
-    members = [
-        Member(role, role, f"radio://{i // PER_RADIO}/80/2M/{0xE7E7E7E701 + i:010X}")
-        for i, role in enumerate(roles)
-    ]
+
+    def uri(i: int) -> str:
+        return f"radio://{i // PER_RADIO}/80/2M/{0xE7E7E7E701 + i:010X}"
+
+    members = (Member(role=role, name=role, uri=uri(i)) for i, role in enumerate(roles))
     return Fleet(tuple(members))
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
-    """Return the fleet of a file; it names every drone of the plan once.
+    """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan.
 
     Raises
     ------
@@ -146,59 +125,51 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
 
 
 def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
-    """Return the fleet that ``data`` describes with the keys of a fleet file or crazyflies.yaml.
-
-    Raises
-    ------
-    InputError: keys, names or addresses that are wrong.
-    """
-    robots = "robots" in data
+    """Return the fleet that ``data`` describes; errors as those of ``read_fleet``."""
+    root = "robots" if "robots" in data else "drones"
+    given: dict[str, Any] = {ROBOTS.get(key, key): plain(value) for key, value in data.items()}
+    if root == "robots" and isinstance(given["drones"], dict):
+        robots = given["drones"].items()
+        given["drones"] = {k: {**v, "name": k} if isinstance(v, dict) else v for k, v in robots}
     try:
-        keys = (
-            _by_role(RobotsKeys.model_validate(plain(data)))
-            if robots
-            else FleetKeys.model_validate(plain(data))
-        )
+        keys = FleetKeys.model_validate(given)
     except ValidationError as error:
         entry = error.errors(include_url=False)[0]
         value = "(missing)" if entry["type"] == "missing" else entry["input"]
         bound, remedy = FAULTS.get(entry["type"], (entry["msg"], "see the fleet file's example"))
-        raise InputError(key_path(entry["loc"]) or "fleet", value, bound, remedy) from None
-    root = "robots" if robots else "drones"
-    missing = [role for role in roles if role not in keys.drones]
-    if wrong := missing or [role for role in keys.drones if role not in set(roles)]:
-        bound = "named once, and be a drone of the plan" if missing else "a drone of the plan"
-        known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
-        more = "; a robot's role tells which it flies" if robots else ""
-        raise InputError(root, wrong[0], bound, known + more)
-    members = tuple(Member(role=role, **dict(keys.drones[role])) for role in roles)
+        where = key_path([root, *entry["loc"][1:]]) if entry["loc"][:1] == ("drones",) else ""
+        raise InputError(where or key_path(entry["loc"]), value, bound, remedy) from None
+    drones: dict[str, Member] = {}
     seen: set[str] = set()
-    for member in members:
-        where = f"{root}.{member.name if robots else member.role}"
-        if not NAME.match(member.name) or member.name.lower() in RESERVED:
+    for name, drone in keys.drones.items():
+        role, where = (drone.role or name) if root == "robots" else name, f"{root}.{name}"
+        if not drone.enabled:
+            continue
+        if role in drones:
+            bound = f"of one enabled robot only, and {drones[role].name} has it"
+            raise InputError(f"{where}.role", role, bound, "disable one of them")
+        if role not in roles:
+            raise _misnamed(root, role, "a drone of the plan", roles)
+        if not NAME.match(drone.name) or drone.name.lower() in RESERVED:
             bound = "letters, digits and underscores, a letter first, and no word of YAML"
-            raise InputError(f"{where}.name", member.name, bound, "files and topics are called so")
+            raise InputError(f"{where}.name", drone.name, bound, "files and topics are called so")
         for key in ("name", "uri"):  # no name is an address
-            value = getattr(member, key)
+            value = getattr(drone, key)
             if value.lower() in seen:
                 raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
             seen.add(value.lower())
-    given = [member.uri for member in members] != [m.uri for m in placeholder_fleet(roles).members]
-    return Fleet(members, keys.types, keys.settings, given)
+        drones[role] = Member(role=role, name=drone.name, uri=drone.uri, type=drone.type)
+    if missing := [role for role in roles if role not in drones]:
+        raise _misnamed(root, missing[0], "named once, and be a drone of the plan", roles)
+    members = tuple(drones[role] for role in roles)
+    placeholders = [member.uri for member in placeholder_fleet(roles).members]
+    return Fleet(members, keys.types, keys.settings, placeholders != [m.uri for m in members])
 
 
-def _by_role(file: RobotsKeys) -> FleetKeys:
-    """Return the enabled robots by the drones of the plan that they fly."""
-    drones: dict[str, DroneKeys] = {}
-    for name, robot in file.robots.items():
-        role = robot.role or name
-        if robot.enabled and role in drones:
-            bound = f"of one enabled robot only, and {drones[role].name} has it"
-            key = f"{key_path(['robots', name])}.role"
-            raise InputError(key, role, bound, "disable one of them")
-        if robot.enabled:
-            drones[role] = DroneKeys(name=name, uri=robot.uri, type=robot.type)
-    return FleetKeys(drones=drones, types=file.robot_types, settings=file.all)
+def _misnamed(root: str, role: str, bound: str, roles: Sequence[str]) -> InputError:
+    known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+    more = "; a robot's role tells which it flies" if root == "robots" else ""
+    return InputError(root, role, bound, known + more)
 
 
 AXES = {

@@ -8,7 +8,8 @@ long flights are not held in memory.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import takewhile
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.placing import AXES
@@ -29,7 +31,6 @@ WINDOW = 20_000
 MAX_SPANS = 20_000_000
 """Largest number of pieces times drones with all drones' breaks merged; no show has more."""
 
-SILENT = 1e-6  # Size below which samples are zero but for rounding [m], [m/s], [m/s²]
 SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
 
 
@@ -96,9 +97,7 @@ def recording_of_samples(
     """Return the recording of samples: between two of them the curve that meets both.
 
     The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too. A derivative that is zero at all samples while the drones move is not
-    told: files of positions alone often have columns of zeros, and curves that rest at every sample
-    are not what is flown.
+    through accelerations too.
 
     Parameters
     ----------
@@ -106,7 +105,7 @@ def recording_of_samples(
     t: (S,) [s]
     values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
     frame: an unknown one becomes none.
-    smooth: the highest derivative that is used, if it is told.
+    smooth: the highest derivative that the format has.
 
     Raises
     ------
@@ -115,22 +114,24 @@ def recording_of_samples(
     check_times(t)
     if len(t) < 2:
         raise FileError("has fewer than two samples; nothing moves between them")
-    shape = (len(t), len(names), -1, 3)
-    given = np.moveaxis(values.reshape(shape), 2, 0)[: smooth + 1]
-    told = [np.ptp(given[0], axis=0), *given[1:]]  # of positions that they move
-    orders = sum(1 for _ in takewhile(lambda each: not np.max(np.abs(each)) <= SILENT, told)) - 1
-    used = given if orders < 0 else given[: orders + 1]
-    untold = ("velocities", "accelerations", "")[len(used) - 1] if len(used) < len(given) else ""
+    given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
+    untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
     size = max(1, WINDOW // len(names))
 
     def windows() -> Iterator[PiecewisePolynomial]:
         for start in range(0, len(t) - 1, size):
-            here = slice(start, start + size + 1)
-            ends = used[:, here]
-            yield PiecewisePolynomial.hermite(t[here], ends[:, :-1], ends[:, 1:])
+            ends = given[:, start : start + size + 1]
+            here = t[start : start + size + 1]
+            yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
 
     known = frame if frame in AXES else ""
-    return Recording(tuple(names), known, len(used) - 1, windows, untold)
+    return Recording(tuple(names), known, len(given) - 1, windows, untold)
+
+
+def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> list[str]:
+    """Return the columns that a table tells: places, then whole vectors of rates in a row."""
+    told = takewhile(lambda vector: set(vector) <= set(header), vectors[1:])
+    return [name for vector in (vectors[0], *told) for name in vector]
 
 
 def check_times(t: Array, source: str = "") -> None:
@@ -138,15 +139,13 @@ def check_times(t: Array, source: str = "") -> None:
     place = f"{source}: " if source else ""
     if not np.all(np.isfinite(t)):
         raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
-    steps = np.diff(t)
-    repeated = np.abs(steps) <= SAME_TIME
-    if np.any(repeated):
-        at = float(t[1:][repeated][0])
-        raise FileError(f"{place}repeats the time t = {at:g} s; keep one row of every time")
-    if not np.all(steps > 0.0):
-        at = int(np.flatnonzero(steps <= 0.0)[0])
+    wrong = np.flatnonzero(np.diff(t) <= SAME_TIME)
+    if wrong.size:
+        before, after = t[wrong[0]], t[wrong[0] + 1]
+        if after - before >= -SAME_TIME:
+            raise FileError(f"{place}repeats the time t = {after:g} s; keep one row of every time")
         raise FileError(
-            f"{place}its times go back from t = {t[at]:g} s to {t[at + 1]:g} s; sort its rows"
+            f"{place}its times go back from t = {before:g} s to {after:g} s; sort its rows"
         )
 
 
@@ -180,14 +179,15 @@ def read_text(path: Path) -> str:
 
 
 def read_columns(
-    lines: Sequence[str],
+    lines: Iterable[str],
     header: str,
     wanted: Sequence[str],
     usual: str,
     source: str,
     least: int = 0,
-) -> Array:
-    """Return the wanted columns of a table's lines as numbers; blank ones are left out.
+    kind: type[np.float64 | np.str_] = np.float64,
+) -> NDArray[Any]:
+    """Return the wanted columns of a table's lines as numbers or text; blank ones are left out.
 
     Parameters
     ----------
@@ -197,22 +197,21 @@ def read_columns(
     usual: the first line that hitchopt writes.
     source: name of the file.
     least: fewest rows.
+    kind: of the cells.
 
     Raises
     ------
     FileError: a column is missing, fewer rows, rows that are too short, or text that is no number.
     """
     labels = header.split(",")
-    missing = [name for name in wanted if name not in labels]
-    if missing:
+    if missing := [name for name in wanted if name not in labels]:
         words = f"its first line has no column {missing[0]!r}; it must be {usual}"
         raise FileError(f"{source}: {words}")
     columns = [labels.index(name) for name in wanted]
-    table = np.empty((0, len(columns)))
-    filled = [line for line in lines if line.strip()]
     try:
-        if filled:  # numpy warns of none
-            table = np.loadtxt(filled, delimiter=",", usecols=columns, ndmin=2, comments=None)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of no rows
+            table = np.loadtxt(lines, kind, delimiter=",", usecols=columns, ndmin=2, comments=None)
     except (ValueError, IndexError) as error:
         raise FileError(f"{source}: {error}; it is truncated or damaged") from error
     if len(table) < least:

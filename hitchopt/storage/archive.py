@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError, HitchoptError
+from hitchopt.errors import FileError, HitchoptError, UnsupportedError
 
 PLAN = "plan.npz"  # Name of the archive with a plan, in the plan's directory
 RECORDING = "recording.npz"  # Name of the recording of a simulated flight
@@ -40,19 +40,8 @@ PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 """Methods by which members may be packed: those that numpy and shows use."""
 
 BROKEN = (
-    OSError,
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    EOFError,
-    ArithmeticError,
-    RuntimeError,
-    MemoryError,
-    struct.error,
-    zipfile.BadZipFile,
-    zlib.error,
-    HitchoptError,
+    *(OSError, ValueError, TypeError, LookupError, AttributeError, EOFError, ArithmeticError),
+    *(RuntimeError, MemoryError, struct.error, zipfile.BadZipFile, zlib.error, HitchoptError),
 )
 """Exceptions that readers raise on a file of another kind, or on a damaged one."""
 
@@ -91,6 +80,8 @@ def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Ite
     """
     try:
         yield
+    except UnsupportedError:
+        raise
     except FileError as error:
         if str(error).startswith(str(path)):
             raise

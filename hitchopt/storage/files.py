@@ -62,12 +62,14 @@ def replace_files(
     FileError: it is no directory or cannot be written to; nothing in it has changed, or the seal
         is missing.
     """
-    given = Path(directory)
-    target = _resolved(given)
-    missing: list[Path] = []
+    given, missing = Path(directory), list[Path]()
+    if "\0" in str(given):
+        raise FileError(f"{given!r}: is no path; name another directory")
     try:
-        for name in owned:
-            path = target / name
+        target = Path(os.path.realpath(given))
+        if target.exists() and not target.is_dir():
+            raise FileError(f"{given}: is a file, not a directory; name another one")
+        for path in (target / name for name in owned):
             if path.is_dir() and not path.is_symlink():
                 raise FileError(f"{path}: is a directory where a file is to go; move it away")
         kept = target / PREVIOUS
@@ -93,16 +95,6 @@ def replace_files(
             with contextlib.suppress(OSError):  # not empty: it is in use now
                 parent.rmdir()
     return given
-
-
-def _resolved(given: Path) -> Path:
-    try:
-        target = Path(os.path.realpath(given))
-        if not target.exists() or target.is_dir():
-            return target
-    except (OSError, ValueError) as error:
-        raise FileError(f"{given}: no path: {error}; name another directory") from error
-    raise FileError(f"{given}: is a file, not a directory; name another one")
 
 
 @contextlib.contextmanager
@@ -151,13 +143,12 @@ def _keep(target: Path, owned: Collection[str]) -> None:
     kept = target / PREVIOUS
     _remove(kept, owned)
     kept.mkdir(exist_ok=True)  # others' files may be in it
-    for name in owned:
-        if (target / name).is_file():
-            try:
-                os.link(target / name, kept / name)
-            except OSError:  # a file system without such links
-                shutil.copy2(target / name, kept / name)
-            sync(kept / name)
+    for name in (name for name in owned if (target / name).is_file()):
+        try:
+            os.link(target / name, kept / name)
+        except OSError:  # a file system without such links
+            shutil.copy2(target / name, kept / name)
+        sync(kept / name)
     sync(kept)
 
 
@@ -171,15 +162,12 @@ def _remove(directory: Path, owned: Collection[str]) -> None:
 
 def sync(path: Path) -> None:
     """Make what was written to a file or directory outlast a loss of power, where that works."""
-    try:
+    with contextlib.suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY)
-    except OSError:  # a directory, on systems that do not open them
-        return
-    try:
-        with contextlib.suppress(OSError):
+        try:
             os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -189,22 +177,17 @@ def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
     Where there are no such locks, as on Windows, the block is entered at once. BlockingIOError is
     raised where it is held elsewhere and this is not to wait.
     """
-    try:
-        descriptor = os.open(directory, os.O_RDONLY | getattr(os, "O_CLOEXEC", 0))
-    except OSError:  # Windows, or a directory that may not be read
-        yield
-        return
-    try:
+    with contextlib.ExitStack() as held:
         if sys.platform != "win32":
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            except BlockingIOError:
-                raise
-            except OSError:
-                pass  # a file system without locks: better unlocked than not at all
+            with contextlib.suppress(PermissionError, FileNotFoundError):
+                descriptor = os.open(directory, os.O_RDONLY)
+                held.callback(os.close, descriptor)
+                try:
+                    fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+                except OSError as error:
+                    if isinstance(error, BlockingIOError):
+                        raise  # else a file system without locks: better unlocked than not at all
         yield
-    finally:
-        os.close(descriptor)
 
 
 def write_strict_json(path: Path, content: dict[str, Any]) -> None:

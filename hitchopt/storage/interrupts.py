@@ -21,20 +21,18 @@ INTERRUPTED, TERMINATED = 130, 143
 
 _CODES: dict[int, int] = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 
-RESEND_DELAY = 0.02
-"""Delay before a signal that arrived at a wrong time is sent again [s]."""
-
-_IMPORTING, _VALIDATING = "<frozen importlib._bootstrap", "pydantic."
-"""Beginnings of the file's and of the module's name of code within which signals do not raise."""
-
-_handled: list[int] = []
-"""Signals that have been handled within the outermost context."""
-
 _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] = {
     signal.SIGINT: signal.default_int_handler,
     signal.SIGTERM: signal.SIG_DFL,
 }
 """Handlers that are replaced; another handler, or an ignored signal (nohup), is left alone."""
+
+RESEND_DELAY = 0.02  # Delay before a signal that arrived at a wrong time is sent again [s]
+
+_IMPORTING, _VALIDATING = "<frozen importlib._bootstrap", "pydantic."
+"""Beginnings of the file's and of the module's name of code within which signals do not raise."""
+
+_handled: list[int] = []  # Signals that have been handled within the outermost context
 
 
 @contextmanager

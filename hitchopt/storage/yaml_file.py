@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from ruamel.yaml import YAML, events
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.error import MarkedYAMLError
 
 from hitchopt.errors import FileError, InputError, Place
 
@@ -143,22 +143,6 @@ def read_text(path: str | Path) -> tuple[str, str]:
         ) from None
 
 
-def _events(text: str, name: str) -> Iterator[Any]:
-    yaml = YAML(typ="safe", pure=True)
-    try:
-        yield from yaml.parse(StringIO(text))
-    except MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        place = f":{mark.line + 1}:{mark.column + 1}" if mark is not None else ""
-        reason = error.problem or error.context
-        raise FileError(f"{name}{place}: is not YAML ({reason}); correct this line") from None
-    except YAMLError as error:
-        reason = str(error).splitlines()[0]
-        raise FileError(f"{name}: is not YAML ({reason!r}); remove such characters") from None
-    except Exception as error:  # whatever else the scanner trips over, such as "\U99999999"
-        raise FileError(f"{name}: is not YAML ({error}); check its escapes") from None
-
-
 @dataclass
 class Node:
     """A value, and where it stands in its text."""
@@ -185,7 +169,7 @@ class _Reader:
     def __init__(self, text: str, name: str, *, marking: bool = False) -> None:
         self.text, self.name, self.marking = text, name, marking
         self.places: dict[str, Place] = {}
-        self.events = _events(text, name)
+        self.events = self._parsed()
         self.budget = Budget()
 
     def document(self) -> Node | None:
@@ -195,58 +179,61 @@ class _Reader:
             if isinstance(event, events.DocumentStartEvent) and found:
                 raise self._fault(event, "a second document begins here; keep one problem per file")
             if isinstance(event, events.NodeEvent):
-                found.append(self._entry(event, []))
+                found.append(self._node(event, []))
         return found[0] if found else None
 
+    def _parsed(self) -> Iterator[Any]:
+        try:
+            yield from YAML(typ="safe", pure=True).parse(StringIO(self.text))
+        except MarkedYAMLError as error:
+            mark, reason = error.problem_mark or error.context_mark, error.problem or error.context
+            place = "" if mark is None else f":{mark.line + 1}:{mark.column + 1}"
+            raise FileError(
+                f"{self.name}{place}: is not YAML ({reason}); correct this line"
+            ) from None
+        except Exception as error:  # whatever else the scanner trips over, such as "\U99999999"
+            reason = repr(str(error).partition("\n")[0])
+            raise FileError(f"{self.name}: is not YAML ({reason}); correct its escapes") from None
+
     def _node(self, event: Any, path: list[str | int]) -> Node:
-        self._refuse_extras(event)
+        self._refuse_extras(event, path)
         self.budget.spend(path)
         start = event.start_mark
         node = Node(None, start.index, event.end_mark.index, start.column)
         if isinstance(event, events.ScalarEvent):
             node.value = self.budget.checked(_scalar(event), path)
-        else:
-            node.flow = event.flow_style
-            if isinstance(event, events.MappingStartEvent):
-                self._fill(node, path)
-            else:
-                node.children = [
-                    self._entry(entry, [*path, i]) for i, entry in enumerate(self._entries(node))
-                ]
-                node.value = [child.value for child in node.children]
+            return self._ended(node)
+        node.flow, mapping = event.flow_style, dict[str, Plain]()
+        is_mapping = isinstance(event, events.MappingStartEvent)
+        for entry in self.events:
+            if isinstance(entry, events.CollectionEndEvent):
+                node.end = entry.end_mark.index
+                break
+            key: str | int = len(node.children)
+            if is_mapping:
+                key = self._new_key(entry, path, mapping)
+                node.keys.append(entry.end_mark.index)
+                entry = next(self.events)  # noqa: PLW2901
+            child = self._node(entry, [*path, key])
+            node.children.append(child)
+            mapping[str(key)] = child.value
+        node.value = mapping if is_mapping else list(mapping.values())
+        return self._ended(node)
+
+    def _ended(self, node: Node) -> Node:
+        """Let a node end with its last character: the parser goes on to what follows."""
         if node.children and not node.flow:
             node.end = node.children[-1].end
-        else:  # the parser goes on to what follows
+        else:
             node.end = node.start + len(self.text[node.start : node.end].rstrip())
         return node
 
-    def _fill(self, node: Node, path: list[str | int]) -> None:
-        mapping: dict[str, Plain] = {}
-        for entry in self._entries(node):
-            key = self._new_key(entry, path, mapping)
-            node.keys.append(entry.end_mark.index)
-            node.children.append(self._node(next(self.events), [*path, key]))
-            mapping[key] = node.children[-1].value
-        node.value = mapping
-
-    def _entry(self, event: Any, path: list[str | int]) -> Node:
-        self._mark(event, path)
-        return self._node(event, path)
-
-    def _mark(self, event: Any, path: list[str | int]) -> None:
+    def _refuse_extras(self, event: Any, path: list[str | int]) -> None:
+        """Mark the place of a node or key; raise FileError of what is no plain data."""
         if self.marking:
             mark = event.start_mark
-            self.places[key_path(path)] = Place(self.name, mark.line + 1, mark.column + 1)
-
-    def _entries(self, node: Node) -> Iterator[Any]:
-        """Yield the events that follow until a mapping or list ends."""
-        for event in self.events:
-            if isinstance(event, events.CollectionEndEvent):
-                node.end = event.end_mark.index
-                return
-            yield event
-
-    def _refuse_extras(self, event: Any) -> None:
+            place = Place(self.name, mark.line + 1, mark.column + 1)
+            self.places.setdefault(key_path(path), place)
         if isinstance(event, events.AliasEvent):
             raise self._fault(event, "aliases (*) are not allowed; write the value out")
         if event.anchor is not None:
@@ -256,11 +243,10 @@ class _Reader:
             raise self._fault(event, "tags (!) are not allowed; remove it")
 
     def _new_key(self, event: Any, path: list[str | int], mapping: dict[str, Plain]) -> str:
-        self._refuse_extras(event)
+        key = _scalar(event) if isinstance(event, events.ScalarEvent) else None
+        self._refuse_extras(event, [*path, key] if isinstance(key, str) else path)
         if not isinstance(event, events.ScalarEvent):
             raise self._fault(event, "a key must be a word; quote it if it is meant as text")
-        key = _scalar(event)
-        self._mark(event, [*path, key] if isinstance(key, str) else path)
         line = event.start_mark.line + 1
         if not isinstance(key, str):
             where, remedy = key_path(path) or "problem", f"write the key in line {line} as a name"
@@ -419,32 +405,27 @@ def with_value(text: str, path: KeyPath, value: Plain) -> str:
                 raise InputError(str(part), list(path), "an entry of the file", "add it before")
             for name in reversed(path[i + 1 :]):
                 value = {str(name): value}
-            return _spliced(text, [_new_key(text, node, part, value)])
+            return _spliced(text, [_new_entry(text, node, f"{flow(part)}: {flow(value)}")])
         node = child
     return _spliced(text, _differences(node, value))
 
 
 def with_entry(text: str, path: KeyPath, index: int, value: Plain) -> str:
     """Return the text with a value inserted before an entry of the list at a path."""
-
-    def insert(entries: list[str], column: int | None) -> list[str]:
-        written = flow(value) if column is None else f"{' ' * column}- {_entry(value)}"
-        return [*entries[:index], written, *entries[index:]]
-
-    return _rearranged(text, path, insert)
+    return _rearranged(text, path, lambda old: [*old[:index], value, *old[index:]])
 
 
 def without_entry(text: str, path: KeyPath, index: int) -> str:
     """Return the text without an entry of the list at a path, and the comment above that entry."""
-    return _rearranged(text, path, lambda all_, _: [*all_[:index], *all_[index + 1 :]])
+    return _rearranged(text, path, lambda old: [*old[:index], *old[index + 1 :]])
 
 
 def with_entry_moved(text: str, path: KeyPath, index: int, to: int) -> str:
     """Return the text with an entry, and the comment above it, at another place of its list."""
 
-    def move(entries: list[str], _: int | None) -> list[str]:
-        others = [*entries[:index], *entries[index + 1 :]]
-        return [*others[:to], entries[index], *others[to:]]
+    def move(old: list[Any]) -> list[Any]:
+        others = [*old[:index], *old[index + 1 :]]
+        return [*others[:to], old[index], *others[to:]]
 
     return _rearranged(text, path, move)
 
@@ -460,10 +441,6 @@ def _line_end(text: str, place: int) -> int:
     """Return where the line of a place ends, before its line break."""
     match = _LINE_END.search(text, place)
     return len(text) if match is None else match.start()
-
-
-def _line_break(text: str) -> str:
-    return "\r\n" if "\r\n" in text else "\n"
 
 
 def _differences(node: Node, value: Plain) -> Iterator[tuple[int, int, str]]:
@@ -485,8 +462,8 @@ def _differences(node: Node, value: Plain) -> Iterator[tuple[int, int, str]]:
     yield node.start, node.end, ("  " if block else "") + flow(value)
 
 
-def _new_key(text: str, node: Node, name: str, value: Plain) -> tuple[int, int, str]:
-    written = f"{flow(name)}: {flow(value)}"
+def _new_entry(text: str, node: Node, written: str) -> tuple[int, int, str]:
+    """Return where to write a new key and its value in a mapping, and what."""
     if not node.children:
         return node.start + 1, node.start + 1, written
     end = node.children[-1].end
@@ -496,13 +473,18 @@ def _new_key(text: str, node: Node, name: str, value: Plain) -> tuple[int, int, 
     return place, place, f"{_line_break(text)}{' ' * node.column}{written}"
 
 
-def _rearranged(
-    text: str, path: KeyPath, change: Callable[[list[str], int | None], list[str]]
-) -> str:
-    """Return the text with the entries of a list changed, given as their texts.
+def _line_break(text: str) -> str:
+    return "\r\n" if "\r\n" in text else "\n"
 
-    ``change`` receives the column of the dashes as well, or None for a list in brackets.
-    """
+
+class _Old(str):
+    """The text of an entry that is there, with the lines of comment above it."""
+
+    __slots__ = ()
+
+
+def _rearranged(text: str, path: KeyPath, change: Callable[[list[Any]], list[Any]]) -> str:
+    """Return the text with the entries of a list changed, given as texts; new ones are values."""
     parent, node = None, _read(text)
     for part in path:
         found = node.child(part)
@@ -510,14 +492,15 @@ def _rearranged(
             raise InputError(str(part), list(path), "an entry of the file", "add it before")
         parent, node = node, found
     if parent is None or node.flow or not node.children:
-        parts = [text[child.start : child.end] for child in node.children]
-        return _spliced(text, [(node.start, node.end, f"[{', '.join(change(parts, None))}]")])
+        old = [_Old(text[child.start : child.end]) for child in node.children]
+        parts = [e if isinstance(e, _Old) else flow(e) for e in change(old)]
+        return _spliced(text, [(node.start, node.end, f"[{', '.join(parts)}]")])
     key = parent.keys[next(i for i, child in enumerate(parent.children) if child is node)]
     ends = [_line_end(text, place) for place in (key, *(child.end for child in node.children))]
-    line = _line_break(text)
-    entries = [text[a:b].removeprefix(line) for a, b in pairwise(ends)]
-    changed = change(entries, node.column)
-    body = "".join(f"{line}{entry}" for entry in changed) if changed else " []"
+    line, dash = _line_break(text), " " * node.column + "- "
+    changed = change([_Old(text[a:b].removeprefix(line)) for a, b in pairwise(ends)])
+    entries = [e if isinstance(e, _Old) else dash + _entry(e) for e in changed]
+    body = "".join(line + entry for entry in entries) if entries else " []"
     return _spliced(text, [(ends[0], ends[-1], body)])
 
 

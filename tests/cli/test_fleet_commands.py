@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from problem_files import run
 
-from hitchopt.exports import refit as point_rounding
+from hitchopt.exports import exporting
 from hitchopt.exports.options import HOMES
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
@@ -67,7 +67,7 @@ def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
 def test_a_lost_limit_ends_with_3_and_what_would_do(
     plan: Path, place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(point_rounding, "MOST", -1)  # rounding is left as it is
+    monkeypatch.setattr(exporting, "SLOWER", ())
     export = ("export", plan, "--format", "compressed", "-o", "files")
     done = run(*export, code=3)
     assert done.stdout == ""

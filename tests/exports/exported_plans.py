@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.exporting import FLOWN, Export, export_plan
+from hitchopt.exports.exporting import FLOWN, Export, export_motion
 from hitchopt.exports.format import Task, format_of
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
@@ -117,5 +117,4 @@ def task_of(motion: Motion, name: str = "csv", rate: float | None = None, **plac
 
 
 def exported(motion: Motion, name: str, folder: Path, **options: object) -> tuple[Export, ...]:
-    task = task_of(motion, name, **options)  # type: ignore[arg-type]
-    return export_plan(format_of(name), task, certificate_of(motion), folder)
+    return export_motion(motion, "A plan", ExportOptions(name, **options), folder)  # type: ignore[arg-type]

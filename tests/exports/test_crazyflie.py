@@ -7,6 +7,7 @@ every step, and takeoff, goTo and land fly a piece outside of that memory.
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import shutil
@@ -28,7 +29,6 @@ from exported_plans import (
     restless_plan,
     swarm_of,
     swarm_plan,
-    task_of,
 )
 from format_readers import polynomials, segments
 from plans import planned
@@ -36,8 +36,7 @@ from ruamel.yaml import YAML
 
 import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.exporting import Export, export_plan
-from hitchopt.exports.format import format_of
+from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
 from hitchopt.exports.lint import lint
 from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
@@ -134,7 +133,7 @@ def test_settings_name_every_drone_below_its_start(tmp_path: Path) -> None:
 
 
 def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> None:
-    kind, motion = format_of("crazyswarm2"), swarm_plan()
+    motion = swarm_plan()
     roles = motion.team.drone_names
     drones = {
         role: {"name": f"cf{i}", "uri": f"radio://0/80/2M/E7E7E7E70{i}", "type": "cf21"}
@@ -142,9 +141,10 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     }
     data = {"drones": drones, "types": {"cf21": {"big_quad": True}}, "settings": {"a": {"b": 1}}}
     fleets, texts = [fleet_from_dict(data, roles)], []
+    path = tmp_path / "fleet.yaml"
+    path.write_text(json.dumps(data))
     for turn in ("first", "second"):
-        task = replace(task_of(motion, "crazyswarm2"), fleet=fleets[-1])
-        export_plan(kind, task, certificate_of(motion), tmp_path / turn)
+        exported(motion, "crazyswarm2", tmp_path / turn, fleet=path)
         path = tmp_path / turn / "crazyflies.yaml"
         fleets.append(read_fleet(path, roles))
         texts.append(path.read_text())
@@ -182,33 +182,26 @@ def test_robots_fly_their_roles_else_their_names(tmp_path: Path) -> None:
         read_fleet(path, ("q0", "r0"))
 
 
-@pytest.mark.parametrize(
-    ("root", "name", "keys", "reported"),
-    [
-        ("drones", "q1", {"name": "cf1", "uri": "radio://0/1/2M/E7"}, "'q1': must be a drone of"),
-        ("drones", "q0", {"name": None}, r"drones.q0.name = '\(missing\)'"),
-        ("drones", "q0", {"name": "cf 7"}, "drones.q0.name = 'cf 7': must be letters"),
-        ("drones", "q0", {"name": "../up"}, "drones.q0.name"),
-        ("drones", "q0", {"name": "On"}, "no word of YAML"),
-        ("drones", "q0", {"name": "CF9"}, "must be of one drone only"),
-        ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be of one drone only"),
-        ("drones", "q0", {"uri": "E7E7E7E707"}, "drones.q0.uri = 'E7E7E7E707': must be an address"),
-        ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: must be a known key"),
-        ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be text"),
-        ("robots", "cf3", {"enabled": True}, "robots = 'cf3': .* a robot's role tells which it"),
-        (
-            "robots",
-            "cf3",
-            {"enabled": True, "role": "r0"},
-            "robots.cf3.role = 'r0': .* and cf7 has",
-        ),
-        ("robots", "cf7", {"firmware_params": {}}, "robots.cf7.firmware_params = .*a known key"),
-        ("robots", "cf7", {"uri": ROBOTS["q0"]["uri"]}, r"robots\.\w+\.uri = .* of one drone only"),
-        ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),
-        ("drones", "r0", None, "drones = 'r0': must be named once"),
-        ("others", "", {}, r"drones = '\(missing\)': must be given"),
-    ],
-)
+MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
+    ("drones", "q1", {"name": "cf1", "uri": "radio://0/1/2M/E7"}, "'q1': must be a drone of"),
+    ("drones", "q0", {"name": None}, r"drones.q0.name = '\(missing\)'"),
+    ("drones", "q0", {"name": "../up"}, "drones.q0.name = '../up': must be letters"),
+    ("drones", "q0", {"name": "On"}, "no word of YAML"),
+    ("drones", "q0", {"name": "CF9"}, "must be of one drone only"),
+    ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be of one drone only"),
+    ("drones", "q0", {"uri": "E7E7E7E707"}, "drones.q0.uri = 'E7E7E7E707': must be an address"),
+    ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: must be a known key"),
+    ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be text"),
+    ("robots", "cf3", {"enabled": True}, "robots = 'cf3': .* a robot's role tells which it"),
+    ("robots", "cf3", {"enabled": True, "role": "r0"}, "robots.cf3.role = 'r0': .* and cf7 has"),
+    ("robots", "cf7", {"firmware_params": {}}, "robots.cf7.firmware_params = .*a known key"),
+    ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),
+    ("drones", "r0", None, "drones = 'r0': must be named once"),
+    ("others", "", {}, r"drones = '\(missing\)': must be given"),
+]
+
+
+@pytest.mark.parametrize(("root", "name", "keys", "reported"), MISTAKES)
 def test_mistakes_of_fleets_are_reported_by_key(
     root: str, name: str, keys: dict[str, object] | None, reported: str
 ) -> None:
@@ -275,93 +268,49 @@ def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None
     assert any("would take off from one place" in note for note in part.notes)
 
 
-STEP = 0.04  # [s] Between looks at the setpoints
-RADIO = 0.002  # [s] What one piece takes to upload: scripts have to wait
-CONTINUOUS = 2e-3  # [m] Setpoints that jump by less are polynomials looked at now and then
-
-
-def rest_to_rest(duration: float, start: Array, goal: Array) -> Array:
-    """Return one piece (33,), degree 7, from position, velocity, acceleration (3, 3) to a goal."""
-    rows, values = [], []
-    for t, ends in ((0.0, [*start, np.zeros(3)]), (duration, [goal, *np.zeros((3, 3))])):
-        for order, value in enumerate(ends):
-            rows.append([np.polynomial.Polynomial.basis(k).deriv(order)(t) for k in range(8)])
-            values.append(value)
-    powers = np.linalg.solve(np.array(rows), np.array(values)).T
-    return np.concatenate([[duration], powers.ravel(), np.zeros(8)])
-
-
 class Craft:
-    """One Crazyflie: its trajectory memory, its planner, and what it does between them."""
+    """One Crazyflie: where it hovers, how long it is busy, and what its memory holds."""
 
-    def __init__(self, fleet: Fleet, name: str, needs_arming: bool) -> None:
-        self.fleet, self.name, self.armed = fleet, name, not needs_arming
-        self.memory = np.zeros((31, 33))
-        self.defined: dict[int, tuple[int, int]] = {}
-        self.state, self.begun, self.worst_jump = "idle", 0.0, 0.0
-        self.pieces = self.memory[:0]
-        self.setpoint = np.zeros((3, 3))  # position, velocity, acceleration
-
-    def evaluate(self) -> Array:
-        """What the planner gives now, (3, 3)."""
-        t, out = self.fleet.now - self.begun, []
-        ends = np.cumsum(self.pieces[:, 0])
-        number = min(int(np.searchsorted(ends, t)), len(ends) - 1)
-        piece, over = self.pieces[number], t > ends[-1]
-        t = min(t, ends[-1]) - (ends[number] - piece[0])
-        powers = piece[1:25].reshape(3, 8)
-        for _ in range(3):
-            out.append(powers @ t ** np.arange(powers.shape[1]))
-            powers = powers[:, 1:] * np.arange(1, powers.shape[1])
-        return np.array([out[0], *(0.0 * x if over else x for x in out[1:])])
-
-    def look(self, dt: float) -> None:
-        """Take the present setpoint and compare it with what the last one leads to."""
-        if self.state == "idle":
-            return
-        here = self.evaluate()
-        led = self.setpoint[0] + 0.5 * dt * (self.setpoint[1] + here[1])
-        self.worst_jump = max(self.worst_jump, float(np.linalg.norm(here[0] - led)))
-        self.setpoint = here
-        if self.state == "landing" and self.fleet.now > self.begun + self.pieces[0][0]:
-            self.state, self.setpoint[1:] = "idle", 0.0
-
-    def _fly(self, state: str, pieces: Array) -> None:
-        if self.armed:
-            self.state, self.pieces, self.begun = state, pieces, self.fleet.now
-            self.fleet.look(0.0)
+    def __init__(self, fleet: Fleet, name: str, place: Array, needs_arming: bool) -> None:
+        self.fleet, self.name, self.place, self.armed = fleet, name, place, not needs_arming
+        self.state, self.busy, self.rows = "idle", 0.0, np.zeros((0, 33))
 
     def _go(self, state: str, goal: Sequence[float], duration: float) -> None:
-        self._fly(state, rest_to_rest(duration, self.setpoint, np.asarray(goal))[None])
+        assert self.fleet.now >= self.busy - 1e-6  # what it flies is not cut off
+        if self.armed:
+            self.state, self.place = state, np.array(goal)
+            self.busy = self.fleet.now + duration
 
     def takeoff(self, targetHeight: float, duration: float) -> None:
         if self.state == "idle":
-            self._go("flying", [*self.setpoint[0, :2], targetHeight], duration)
+            self._go("hovering", [*self.place[:2], targetHeight], duration)
 
     def land(self, targetHeight: float, duration: float) -> None:
-        self._go("landing", [*self.setpoint[0, :2], targetHeight], duration)
+        self._go("idle", [*self.place[:2], targetHeight], duration)
 
     def goTo(self, goal: Sequence[float], _yaw: float, duration: float) -> None:
         self.fleet.calls.append((self.name, "goTo"))
-        self._go("flying", goal, duration)
+        self._go("hovering", goal, duration)
 
     def arm(self, arm: bool = True) -> None:
         self.fleet.calls.append((self.name, "arm"))
         self.armed = arm
 
-    def uploadTrajectory(self, number: int, offset: int, trajectory: Rows) -> None:
+    def uploadTrajectory(self, _number: int, offset: int, trajectory: Rows) -> None:
         self.fleet.calls.append((self.name, "uploadTrajectory"))
-        for i, row in enumerate(trajectory.rows):
-            self.memory[offset + i] = row
-            self.fleet.sleep(RADIO)
-        self.defined[number] = (offset, len(trajectory.rows))
+        assert offset == 0
+        assert self.state != "flying"  # a trajectory, also a finished one, is flown from memory
+        self.rows = trajectory.rows
 
     def startTrajectory(
-        self, number: int, timescale: float = 1.0, reverse: bool = False, relative: bool = True
+        self, _number: int, timescale: float = 1.0, reverse: bool = False, relative: bool = True
     ) -> None:
         assert (timescale, reverse, relative) == (1.0, False, False)  # in the room's coordinates
-        offset, count = self.defined[number]
-        self._fly("flying", self.memory[offset : offset + count])  # a view: memory as it is then
+        np.testing.assert_allclose(self.rows[0, [1, 9, 17]], self.place, atol=2e-3)
+        lasts = np.sum(self.rows[:, 0])
+        last = self.rows[-1]
+        end = last[1:25].reshape(3, 8) @ last[0] ** np.arange(8)
+        self._go("flying", end.tolist(), float(lasts))
 
 
 class OldCraft(Craft):
@@ -387,25 +336,12 @@ class Fleet:
     ) -> None:
         self.now = 0.0
         self.calls: list[tuple[str, str]] = []
-        self.crazyfliesByName = {name: kind(self, name, needs_arming) for name in starts}
-        for name, place in starts.items():
-            self.crazyfliesByName[name].setpoint[0] = place
+        made = {name: kind(self, name, place, needs_arming) for name, place in starts.items()}
+        self.crazyfliesByName = made
         self.allcfs = self.timeHelper = self
 
-    @property
-    def worst_jump(self) -> float:
-        """[m] The largest of all drones since they took off."""
-        return max(craft.worst_jump for craft in self.crazyfliesByName.values())
-
-    def look(self, dt: float) -> None:
-        for craft in self.crazyfliesByName.values():
-            craft.look(dt)
-
     def sleep(self, duration: float) -> None:
-        count = max(1, round(duration / STEP))
-        for _ in range(count):
-            self.now += duration / count
-            self.look(duration / count)
+        self.now += duration
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         if name not in {"takeoff", "land", "startTrajectory"}:
@@ -431,7 +367,6 @@ class Fleet:
             patched.setattr("builtins.input", lambda _: answer)
             patched.setattr(sys, "argv", [script.name, *arguments])
             runpy.run_path(str(script), run_name="__main__")
-        assert self.worst_jump < CONTINUOUS
 
 
 def standing(folder: Path) -> dict[str, Array]:
@@ -458,7 +393,7 @@ def test_no_setpoint_jumps_through_all_parts(
         fleet.run(monkeypatch, part.folder / "fly.py", *options, answer="stay\n" if more else "")
         for name, craft in fleet.crazyfliesByName.items():
             assert craft.state == ("flying" if more else "idle")
-            apart = np.linalg.norm(craft.setpoint[0] - end_of(part.folder, name))
+            apart = np.linalg.norm(craft.place - end_of(part.folder, name))
             assert apart < 1e-5  # the plan ends on the floor: landing moves nobody
         text = (part.folder / "README.txt").read_text(encoding="utf-8")
         reported = f"part {number} of 3, t = {part.begins:.3f} s to "
@@ -469,7 +404,7 @@ def test_no_setpoint_jumps_through_all_parts(
     fleet.run(monkeypatch, parts[0].folder / "fly.py", answer="stay")
     fleet.run(monkeypatch, parts[1].folder / "fly.py")
     assert {craft.state for craft in fleet.crazyfliesByName.values()} == {"idle"}
-    assert all(c.setpoint[0, 2] == pytest.approx(0.04) for c in fleet.crazyfliesByName.values())
+    assert all(c.place[2] == pytest.approx(0.04) for c in fleet.crazyfliesByName.values())
 
 
 @pytest.mark.parametrize(
@@ -484,7 +419,7 @@ def test_a_whole_plan_from_take_off_to_landing(
     fleet.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in fleet.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
-        np.testing.assert_allclose(craft.setpoint[0], landed, atol=1e-5)
+        np.testing.assert_allclose(craft.place, landed, atol=1e-5)
     calls = (["arm"] if needs_arming else []) + ["goTo", "uploadTrajectory"]
     alone = [(name, call) for call in calls for name in hitch_plan().team.drone_names]
     together = [call for who, call in fleet.calls if who == "all"]

@@ -17,7 +17,7 @@ from format_readers import as_stored
 
 from hitchopt.checks import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.exporting import export_plan
+from hitchopt.exports import exporting
 from hitchopt.exports.format import format_of
 from hitchopt.exports.formats.mavsdk import LATE, read_table
 from hitchopt.exports.formats.skybrush import (
@@ -83,7 +83,9 @@ def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
-def test_csv_is_refused_where_lines_between_samples_lose_a_limit(tmp_path: Path) -> None:
+def test_csv_is_refused_where_lines_between_samples_lose_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two drones on one circle, always opposite, at just their distance: lines cut corners."""
     angles = np.linspace(0.0, 4.0 * np.pi, 200)
     around = 0.1201 * np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=-1)
@@ -99,10 +101,10 @@ def test_csv_is_refused_where_lines_between_samples_lose_a_limit(tmp_path: Path)
         (Phase("circle", 0, 0.0, 4.0),),
     )
     certificate = Certificate(4.0, tuple(flown_checks(pair).values()))
-    kind, task = format_of("skybrush_csv"), task_of(pair, "skybrush_csv")
+    monkeypatch.setattr(exporting, "certify", lambda *_: certificate)
     with pytest.raises(InfeasibleError, match=r"separation: 0\.9.*sample at a higher --rate"):
-        export_plan(kind, task, certificate, tmp_path / "out")
-    export_plan(kind, replace(task, rate=100.0), certificate, tmp_path)
+        exported(pair, "skybrush_csv", tmp_path / "out")
+    exported(pair, "skybrush_csv", tmp_path, rate=100.0)
 
 
 def crossing() -> Motion:
@@ -177,9 +179,11 @@ def test_returns_that_are_read_back_are_what_is_certified(tmp_path: Path) -> Non
             entry = drone["rthPlan"]["entries"][1]
             entry |= {"action": "goToKeepAlt", "target": [0.0, 0.0, 1.0], "duration": 9}
 
+    intact = (tmp_path / "show.skyc").read_bytes()
     changed(tmp_path, together)
     with pytest.raises(InfeasibleError, match="in the return from t = 1 s"):
         kind.certify(tmp_path, task)
+    (tmp_path / "show.skyc").write_bytes(intact)
     for damage in (
         lambda drones: drones[0]["rthPlan"]["entries"].pop(),
         lambda drones: drones[0].pop("rthPlan"),

@@ -114,26 +114,6 @@ def test_modes_links_and_the_current_directory_stay(
     assert set(everything(home / "elsewhere")) == expected
 
 
-def test_the_seal_goes_first_and_comes_last(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seal = home / "out/seal"
-    replace(home / "out", plan="1", table="1", seal="1")
-    steps: list[tuple[str, bool]] = []
-    for name in ("replace", "unlink"):
-        real = getattr(Path, name)
-
-        def watched(path: Path, *args: object, real: object = real, **kwargs: object) -> object:
-            result = real(path, *args, **kwargs)  # type: ignore[operator]
-            steps.append((path.name, seal.exists()))
-            return result
-
-        monkeypatch.setattr(Path, name, watched)
-    replace(home / "out", plan="2", seal="2", table="2")
-    found = [step for step in steps if step[0] in OWNED]
-    first, last = found.index(("seal", False)), found.index(("seal", True))
-    assert first == 0
-    assert {name for name, _ in found[first + 1 : last]} >= {"plan", "table"}
-
-
 @pytest.mark.parametrize(
     ("taken", "asked", "words"),
     [

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import struct
-from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import takewhile
@@ -26,27 +25,18 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.format import (
-    Candidate,
     DroneFacts,
     Finding,
     Format,
     Loaded,
     Task,
+    Written,
     error,
     warning,
-    writer_of,
 )
 from hitchopt.exports.placing import AXES
 from hitchopt.exports.recording import recording_of_curves
-from hitchopt.exports.refit import (
-    Keeping,
-    Kind,
-    Scale,
-    breaks_within,
-    fitted,
-    rounded,
-    settled,
-)
+from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -77,11 +67,7 @@ END = b"\x00\x00\x00"  # The segment of no duration
 SMOOTH = 1
 """Acceleration jumps after rounding; so does velocity, by a few mm/s: see the velocity error."""
 
-BOUNDS = (1.0, 1.4, 0.8, 2.0, 0.6, 1.2, 0.9, 1.6, 0.4, 0.2)
-"""Errors of the refit over Scale, the best first: long pieces fit worse and suffer less from
-rounding."""
-
-SCALE = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)  # Errors of rounding that weigh alike
+SCALE = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors of rounding that weigh alike
 
 STEADY = 2e-3
 """[rad] Yaw that changes less is constant: a tenth of a degree is the format's last digit."""
@@ -110,78 +96,61 @@ class CrazyflieFormat(Format):
         "export with --hold-tension"
     )
     kind: Kind  # of its pieces
-    bound: float  # largest error of a refit, over its scale
-    unit: str  # name of the pieces
-    nearness: str  # description of the bound
-    remedy: str  # what to do about a plan that needs more memory
 
-    @abstractmethod
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many pieces of some curves memory holds."""
+        raise NotImplementedError
 
-    def arrangements(self, task: Task) -> Iterator[Sequence[Task]]:
-        """Give the task as a whole if it fits, then cut at rests into as few parts as fit.
-
-        Parts that are refitted too coarsely to keep the plan's limits are followed by closer ones.
-
-        Raises
-        ------
-        InfeasibleError: between two rests there is more than fits.
-        """
-        motion, before = task.motion, 1
-        at = rests(motion).tolist()
-        if whole := self._held(motion):
-            yield (task,)
-            if len(at) == 2:
-                return
-        for share in (1.0, CLOSER):
+    def parts(self, task: Task) -> Iterator[Sequence[Task]]:
+        """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
+        motion, at = task.motion, rests(task.motion).tolist()
+        before = 1
+        for share in (1.0, CLOSER) if len(at) > 2 else ():
             parts = self._parts(motion, at, share)
             if len(parts) <= before:
                 continue
             before = len(parts)
-            lost = "loses a limit in so few pieces" if whole else "does not fit"
             why = (
-                f"the plan is cut into {before} parts at rests, since as a whole it {lost} "
-                f"(a drone's memory holds {BYTES} bytes): fly one and let the drones hover, "
-                f"{UPLOAD_LAST}, go on"
+                f"the plan is cut into {before} parts at rests, since as a whole it does not fit "
+                f"(a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
+                f"drones hover, {UPLOAD_LAST}, go on"
             )
-            part = replace(task, count=before, why=why)
+            whole = replace(task, count=before)
             begins = [float(motion.drones.breaks[start]) for start, _ in parts]
-            yield [
-                replace(part, motion=each, begins=begins[i], number=i + 1)
+            tasks = [
+                replace(whole, motion=each, begins=begins[i], number=i + 1)
                 for i, (_, each) in enumerate(parts)
             ]
-
-    def _held(self, motion: Motion, share: float = 1.0) -> bool:
-        """Return whether memory holds a motion within a share of the bound."""
-        most = self.most_pieces(motion.drones)
-        return breaks_within(motion.drones, self.kind, share * self.bound, most) is not None
+            yield [replace(t, notes=(*t.notes, f"{t.part}: {why}")) for t in tasks]
 
     def _parts(self, motion: Motion, at: Sequence[int], share: float) -> list[tuple[int, Motion]]:
         """Return as few parts between rests as memory holds, and the rest each begins at."""
         parts: list[tuple[int, Motion]] = []
         first = 0
         while first < len(at) - 1:
-            # All of the plan in one part has been tried before.
-            ends = range(first + 1, len(at) - (first == 0 and len(at) > 2))
-            tried = (cut(motion, at[first], at[end]) for end in ends)
-            held = list(takewhile(lambda part: self._held(part, share), tried))
+            tried = (cut(motion, at[first], at[end]) for end in range(first + 1, len(at)))
+            held = list(takewhile(lambda part: self._held(part, share) is not None, tried))
             if not held:
-                raise self._refusal(cut(motion, at[first], at[first + 1]))
+                raise self.refusal(cut(motion, at[first], at[first + 1]))
             parts.append((at[first], held[-1]))
             first += len(held)
         return parts
 
-    def _refusal(self, motion: Motion) -> InfeasibleError:
-        """Return the error that memory does not hold a motion without a rest."""
-        breaks = breaks_within(motion.drones, self.kind, self.bound)
+    def _held(self, motion: Motion, share: float) -> Array | None:
+        """Return the breaks of pieces within a share of the error, if memory holds them."""
+        return breaks_within(motion.drones, self.kind, share, self.most_pieces(motion.drones))
+
+    def refusal(self, motion: Motion) -> InfeasibleError:
+        """Return the error that memory does not hold a motion."""
+        breaks = breaks_within(motion.drones, self.kind, 1.0)
         pieces = math.inf if breaks is None else len(breaks) - 1.0
-        most = float(self.most_pieces(motion.drones))
-        when = f"to stay {self.nearness} a plan of {motion.duration:.4g} s without a rest"
+        when = f"for {motion.duration:.4g} s without a rest"
+        most, remedy = float(self.most_pieces(motion.drones)), "let the plan rest now and then"
         return InfeasibleError(
-            [Violation("memory", pieces, most, "max", self.unit, (), when, self.remedy)],
-            "it cannot be cut either, as nothing rests in between; stream it: "
-            "--format ros2bag (full-state setpoints), csv or mavsdk_drone_show",
+            [Violation("memory", pieces, most, "max", "pieces", (), when, remedy)],
+            "it can be cut at rests only; --format compressed holds three times as much as "
+            "crazyswarm2; or stream it: --format ros2bag (full-state setpoints), csv or "
+            "mavsdk_drone_show",
         )
 
 
@@ -192,11 +161,8 @@ class CompressedBytes(CrazyflieFormat):
     file = "{name}_{frame}.bin"
     endings = several = (".bin",)
     kind = KIND
-    bound = BOUNDS[0]
-    unit = "segments"
-    nearness = "near"
-    remedy = "let the plan rest now and then"
     accuracy = 2e-3
+    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long pieces fit worse and suffer less from rounding
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:
         """Return how many segments memory holds: they are longer the more axes move."""
@@ -204,19 +170,25 @@ class CompressedBytes(CrazyflieFormat):
         axes = max(1, int(np.max(np.sum(moving, axis=-1))))
         return (BYTES - START_BYTES - len(END)) // (HEADER_BYTES + 2 * DEGREE * axes)
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give refits of different lengths of pieces, those that memory holds."""
-        for bound in BOUNDS:
-            data = compressed(task, bound, self.accuracy)
-            most = max(map(len, data))
-            if most > BYTES:
-                continue
-            each = zip(self.files(task), data, strict=True)
-            note = (
-                f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps "
-                "where segments join by no more than twice the velocity error above"
-            )
-            yield Candidate({file: writer_of(content) for file, content in each}, (note,))
+    def write(self, folder: Path, task: Task, bound: float) -> Written:
+        """Write the bytes of every drone, refitted within a bound and rounded."""
+        breaks = breaks_within(task.motion.drones, KIND, bound)
+        assert breaks is not None  # any number of pieces will do
+        whole = rounded(task.frame.placed(fitted(task.motion.drones, breaks, KIND)), MILLI, SCALE)
+        durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
+        points = np.rint(whole.coefficients / MILLI).astype(np.int64)
+        most = 0
+        for i, file in enumerate(files := self.files(task)):
+            data = encoded(durations, points[:, i], task.frame.heading)
+            (folder / file).write_bytes(data)
+            most = max(most, len(data))
+        if most > BYTES:
+            raise self.refusal(task.motion)
+        note = (
+            f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps "
+            "where segments join by no more than twice the velocity error above"
+        )
+        return Written(files, (note,))
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return what files of bytes hold, one drone each."""
@@ -234,32 +206,6 @@ class CompressedBytes(CrazyflieFormat):
         return Loaded(self.name, recording, tuple(facts), tuple(findings))
 
 
-def compressed(task: Task, bound: float, accuracy: float) -> list[bytes]:
-    """Return the bytes of every drone.
-
-    Parameters
-    ----------
-    task: the plan.
-    bound: largest error of the refit before rounding, over Scale.
-    accuracy: largest error of positions after rounding [m].
-
-    Raises
-    ------
-    InfeasibleError: the plan is beyond ±32.767 m.
-    """
-    curves = task.motion.drones
-    breaks = breaks_within(curves, KIND, bound)
-    if breaks is None:  # only a limited number of pieces can be too small
-        raise FileError("compressed: the plan has no pieces")
-    placed = task.frame.placed(fitted(curves, breaks, KIND))
-    rounding = rounded(placed, MILLI, SCALE)
-    keeping = Keeping.of(task.motion, task.frame, breaks, accuracy, task.options.hold_tension)
-    whole = settled(rounding, placed, MILLI, keeping)
-    durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
-    points = np.rint(whole.coefficients / MILLI).astype(np.int64)
-    return [encoded(durations, points[:, i], task.frame.heading) for i in range(len(task.names))]
-
-
 def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
     """Return the bytes of one drone.
 
@@ -271,15 +217,11 @@ def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
 
     Raises
     ------
-    InfeasibleError: a control point beyond ±32.767 m, or a duration beyond 65.535 s.
+    InfeasibleError: a control point beyond ±32.767 m.
     """
-    farthest, longest = (float(np.max(np.abs(v))) * MILLI for v in (points, durations))
-    for name, value, limit, unit, remedy in (
-        ("range", farthest, LARGEST, "m", "move the plan with --origin"),
-        ("segment", longest, LONGEST, "s", "use another format"),
-    ):
-        if value > limit:
-            raise InfeasibleError([Violation(name, value, limit, "max", unit, (), "", remedy)])
+    if (farthest := float(np.max(np.abs(points))) * MILLI) > LARGEST:
+        remedy = "move the plan with --origin"
+        raise InfeasibleError([Violation("range", farthest, LARGEST, "max", "m", (), "", remedy)])
     yaw = round(math.degrees(heading) * 10.0)
     parts = [struct.pack("<hhhh", *points[0, :, 0].tolist(), yaw)]
     for duration, segment in zip(durations.tolist(), points, strict=True):

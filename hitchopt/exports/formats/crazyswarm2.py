@@ -16,43 +16,35 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.special import comb
 
-from hitchopt.errors import FileError, HitchoptError
+from hitchopt.errors import FileError
 from hitchopt.exports.format import (
-    Candidate,
     DroneFacts,
     Finding,
     Loaded,
     Task,
+    Written,
     error,
-    is_place,
-    note,
     warning,
-    writer_of,
 )
 from hitchopt.exports.formats.compressed import (
     BYTES,
-    LONGEST,
     STEADY,
     CrazyflieFormat,
     beyond_memory,
 )
 from hitchopt.exports.placing import AXES
 from hitchopt.exports.recording import read_columns, read_text, recording_of_curves
-from hitchopt.exports.refit import Kind, Scale, best_breaks, fitted
-from hitchopt.hitch.requirements import Separation
-from hitchopt.storage.files import Writer
-from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.exports.refit import Kind, best_breaks, fitted
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -73,56 +65,15 @@ KIND = Kind(degree=DEGREE, match=3, quantum=1.0 / 1024.0, longest=60.0, shortest
 piece of a millisecond would have coefficients of 1e12, and their rounding jolts."""
 
 MOST = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
-COARSEST = 1.0  # Largest error of a refit over Scale: a millimetre
 SMOOTH = 2  # Acceleration is continuous
 
 CLOSE = 1.0 - 1e-4
-"""Ratio of an ellipsoid's size: drones closer than it, standing or seen from above, block each
-other; below 1 by the rounding of file digits."""
+"""Share of an ellipsoid's width: drones closer than it, seen from above, block each other; below 1
+by the rounding of file digits."""
 
-MOST_CROWDED = 10  # Largest number of pairs of places that are reported
 SETTINGS = "crazyflies.yaml"  # Name of Crazyswarm2's settings
 
-DEFAULT_TYPE: dict[str, Any] = {
-    "motion_capture": {
-        "tracking": "librigidbodytracker",
-        "marker": "default_single_marker",
-        "dynamics": "default",
-    },
-    "big_quad": False,
-    "battery": {"voltage_warning": 3.8, "voltage_critical": 3.7},
-}
-"""Settings of every type that the fleet file does not describe."""
-
-FOR_ALL: dict[str, Any] = {
-    "firmware_params": {
-        "commander": {"enHighLevel": 1},
-        "stabilizer": {"estimator": 2, "controller": 2},
-    },
-    "broadcasts": {"num_repeats": 15, "delay_between_repeats_ms": 1},
-}
-"""Kalman filter, Mellinger's controller, the high-level commander that flies trajectories."""
-
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
-
-
-PLACE = """
-This is {place}.
-Launch with part1/crazyflies.yaml and fly part1/fly.py, then every next part's fly.py --from-here.
-Answer "stay" after all parts but the last.
-"""
-
-
-NO_PULL = """\
-The cables' pull is not in the polynomials, and the on-board controller's integral does not find
-it: that brings drones to their places, where any tension may be. Turn it off and export with
---hold-tension, or stream full states."""
-"""What the note says of the cables' pull."""
-
-HELD_PULL = """\
-The polynomials are moved outward: drones without feed-forward of the cables' pull are where the
-plan says. Turn the on-board controller's integral off, and set the gains that the export stated."""
-"""What it says where set points hold the tension."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,39 +157,33 @@ class Crazyswarm2(CrazyflieFormat):
     file = "{name}.csv"
     endings = several = (".csv",)
     kind = KIND
-    bound = COARSEST
-    unit = "pieces"
-    nearness = f"within {1e3 * COARSEST * Scale().position:g} mm of"
-    remedy = "--format compressed holds about three times as much; let the plan rest now and then"
     accuracy = 1e-3
 
     def most_pieces(self, curves: PiecewisePolynomial) -> int:  # noqa: ARG002
         """Return 31."""
         return MOST
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the best fit of at most 31 pieces."""
+    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+        """Write the best fit of at most 31 pieces, within a millimetre."""
         breaks = best_breaks(task.motion.drones, KIND, MOST)
         if breaks is None:
-            return
+            raise self.refusal(task.motion)
         if len(breaks) <= LEAST:
             breaks = np.array([0.0, KIND.quantum * (breaks[-1] // (2 * KIND.quantum)), breaks[-1]])
         curves = task.frame.placed(fitted(task.motion.drones, breaks, KIND))
-        durations = curves.durations
         powers = np.zeros((curves.pieces, len(task.names), 4, KIND.degree + 1))
         powers[:, :, :3] = to_powers(curves)
         powers[:, :, 3, 0] = task.frame.heading
         first, last = curves.coefficients[0, ..., 0], curves.coefficients[-1, ..., -1]
-        write = partial(write_poly_csv, durations=durations, frame=task.frame.name)
-        writers: dict[str, Writer] = {
-            file: partial(write, powers=powers[:, i]) for i, file in enumerate(self.files(task))
-        }
-        for file, content in start_files(task, first, last, curves.duration).items():
-            writers[file] = writer_of(content)
+        for i, file in enumerate(files := self.files(task)):
+            write_poly_csv(folder / file, curves.durations, powers[:, i], task.frame.name)
+        texts = start_files(task, first, last, curves.duration)
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
         used = curves.pieces * PIECE_BYTES
         words = f"{curves.pieces} pieces, {used} of {BYTES} bytes of each drone's memory"
         warnings = (*_stacked(task, first, "take off from"), *_stacked(task, last, "land on"))
-        yield Candidate(writers, (words, *warnings))
+        return Written((*files, *texts), (words, *warnings))
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether it begins with ``duration``, or has 33 columns of whatever."""
@@ -257,15 +202,8 @@ class Crazyswarm2(CrazyflieFormat):
         if len(frames) > 1:
             findings.append(error("frame", "", f"files are in {' and '.join(sorted(frames))}"))
         frame = next(iter(frames)) if len(frames) == 1 and frames <= set(AXES) else ""
-        places, faults = _places(files[0].parent / SETTINGS, set(names))
-        return Loaded(
-            self.name,
-            recording_of_curves(names, [table.curve for table in tables], frame, SMOOTH),
-            tuple(facts),
-            (*findings, *faults, *_crowded(places)),
-            places=places,
-            place_key="initial_position",
-        )
+        recording = recording_of_curves(names, [table.curve for table in tables], frame, SMOOTH)
+        return Loaded(self.name, recording, tuple(facts), tuple(findings))
 
 
 def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:
@@ -277,47 +215,46 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
     first, last: (D, 3) [m], where the trajectories begin, with drones on the floor below, and end.
     duration: of the trajectories [s].
     """
-    fleet, frame, robots = task.fleet, task.frame.name, []
-    for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True):
-        robots += [
-            f"  {member.name}:",
-            "    enabled: true",
-            f"    uri: {json.dumps(member.uri)}",
-            # ROS refuses lists that mix integers and floats, so every number has a point.
-            f"    initial_position: [{x:.6f}, {y:.6f}, 0.0]",
-            f"    type: {json.dumps(member.type)}",
-            f"    role: {member.role}  # in the plan",
-        ]
+    fleet, frame, texts = task.fleet, task.frame.name, json.loads(_template("crazyswarm2.json"))
+    robots = [
+        # ROS refuses lists that mix integers and floats, so every number has a point.
+        f"  {member.name}: {{enabled: true, uri: {json.dumps(member.uri)}, "
+        f"initial_position: [{x:.6f}, {y:.6f}, 0.0], type: {json.dumps(member.type)}, "
+        f"role: {member.role}}}"
+        for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True)
+    ]
     types = [
-        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, DEFAULT_TYPE))}"
+        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, texts['type']))}"
         for name in dict.fromkeys(member.type for member in fleet.members)
     ]
-    settings = [
-        f"# frame: {frame}; drones wait on the floor below their trajectories' starts",
-        *("fileversion: 3", "", "robots:", *robots, "", "robot_types:", *types, ""),
-        f"all: {json.dumps(fleet.settings or FOR_ALL)}\n",
-    ]
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
-    script = _template("fly_script.txt").format(
-        title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
-        place=f"This is {task.part}.\n" if task.part else "",
-        frame=frame,
-        duration=duration,
-        heading=task.frame.heading,
-        first=json.dumps(places, indent=4),
-        height=round(float(np.min(first[:, 2])), 3),
-        land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
-    )
+    place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
-    note = _template("start_note.txt").format(
-        title=task.title or "A plan of hitchopt",
-        place=PLACE.format(place=task.part) if task.part else "",
-        frame=frame,
-        duration=duration,
-        placeholders="" if fleet.given else hint,
-        pull=HELD_PULL if task.options.hold_tension else NO_PULL,
-    )
-    return {SETTINGS: "\n".join(settings), "fly.py": script, "README.txt": note}
+    common = {"frame": frame, "duration": duration}
+    return {
+        SETTINGS: _template("crazyflies.txt").format(
+            robots="\n".join(robots),
+            types="\n".join(types),
+            all=json.dumps(fleet.settings or texts["all"]),
+            **common,
+        ),
+        "fly.py": _template("fly_script.txt").format(
+            title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
+            place=place,
+            heading=task.frame.heading,
+            first=json.dumps(places, indent=4),
+            height=round(float(np.min(first[:, 2])), 3),
+            land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
+            **common,
+        ),
+        "README.txt": _template("start_note.txt").format(
+            title=task.title or "A plan of hitchopt",
+            place=f"\n{place}{texts['parts']}\n" if place else "",
+            placeholders="" if fleet.given else hint,
+            pull=texts["held_pull" if task.options.hold_tension else "pull"],
+            **common,
+        ),
+    }
 
 
 def _template(name: str) -> str:
@@ -345,10 +282,6 @@ def _faults(name: str, table: PolyTable) -> Iterator[Finding]:
     if not table.headed:
         words = "has none: readers skip the first line, and with it the first piece; put a line of"
         yield error("header", name, f"{words} names before it")
-    longest = float(np.max(table.durations))
-    if longest > LONGEST:
-        most = f"a piece lasts {longest:.4g} s; compressed trajectories allow {LONGEST} s"
-        yield note("duration", name, most)
     powers = table.powers[:, 3]
     ends = np.sum(powers * table.durations[:, None] ** np.arange(powers.shape[1]), axis=1)
     jumps = np.abs(np.angle(np.exp(1j * (powers[1:, 0] - ends[:-1]))))  # whole turns are none
@@ -360,45 +293,4 @@ def _faults(name: str, table: PolyTable) -> Iterator[Finding]:
             f"yaw jumps by {math.degrees(jumps[joint]):.3g}° at "
             f"t = {np.sum(table.durations[: joint + 1]):.4g} s; "
             "let every piece begin with the yaw at which the one before ends",
-        )
-
-
-def _places(path: Path, names: set[str]) -> tuple[dict[str, list[float]], list[Finding]]:
-    """Return the places in the settings beside the trajectories, and the findings on them."""
-    if not path.is_file():
-        return {}, []
-    try:
-        data = read_yaml(path)
-    except HitchoptError as fault:
-        return {}, [warning("settings", path.name, f"cannot be read: {fault}")]
-    robots = data.get("robots") if isinstance(data, dict) else None
-    if not isinstance(robots, dict):
-        return {}, [warning("settings", path.name, "has no robots")]
-    found = []
-    places: dict[str, list[float]] = {}
-    for name in sorted(set(robots) ^ names):
-        missing = "trajectory" if name in robots else f"entry in {path.name}"
-        found.append(warning("settings", name, f"has no {missing}"))
-    for name in sorted(set(robots) & names):
-        entry = robots[name]
-        place = entry.get("initial_position") if isinstance(entry, dict) else None
-        if is_place(place, {3}):
-            places[name] = place
-        else:
-            found.append(warning("settings", name, "has no initial_position of 3 numbers"))
-    return places, found
-
-
-def _crowded(places: Mapping[str, Sequence[float]]) -> Iterator[Finding]:
-    """Yield which drones stand so close that they cannot take off together."""
-    names = list(places)
-    scaled = np.reshape(list(places.values()), (-1, 3)) * Separation().scale
-    pairs = cKDTree(scaled).query_pairs(CLOSE, output_type="ndarray")
-    for one, other in ((names[i], names[j]) for i, j in pairs[:MOST_CROWDED]):
-        yield error(
-            "start",
-            f"{one}, {other}",
-            f"their initial_positions are {math.dist(places[one], places[other]):.3g} m apart: "
-            "they cannot take off together; place them apart, and see that the paths to their "
-            "trajectories are free",
         )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task
+from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
 from hitchopt.exports.recording import recording_of_samples
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
@@ -54,9 +54,10 @@ class Gltf(Format):
     feed_forward = "not in this file: it is a picture that moves, which nobody flies"
     carries_pull = True  # drones are tilted by it
 
-    def write(self, path: Path, task: Task) -> None:
+    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
         """Write the plan's drones, cables and objects at the task's rate."""
-        write_scene(path, task)
+        write_scene(folder / self.file, task)
+        return Written((self.file,))
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return the places of the drones that a scene names, between lines."""

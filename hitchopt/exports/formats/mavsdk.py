@@ -21,32 +21,30 @@ then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Sequence
+from dataclasses import dataclass
 from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from hitchopt.checks.certificate import Check
-from hitchopt.errors import FileError, InfeasibleError
-from hitchopt.exports.exporting import drone_check
-from hitchopt.exports.format import (
-    Candidate,
-    DroneFacts,
-    Format,
-    Loaded,
-    Task,
+from hitchopt.errors import FileError, InfeasibleError, Violation
+from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
+from hitchopt.exports.recording import (
+    Recording,
+    read_columns,
+    read_text,
+    recording_of_samples,
+    told_columns,
 )
-from hitchopt.exports.recording import Recording, read_columns, read_text, recording_of_samples
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
 
-READ = COLUMNS.split(",")[1:11]  # Columns that are read: time, position, velocity and acceleration
+FLOWN = [COLUMNS.split(",")[i : i + 3] for i in (2, 5, 8)]  # Position, velocity and acceleration
 
 ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"
 """A row of mode 70; all that are no counts have a decimal point."""
@@ -62,7 +60,6 @@ WAIT = LATE + BLEND
 SETTLE = 3.0  # Wait at the first places [s]
 SPEED, ACCELERATION = 0.5, 0.5  # Largest speed and acceleration while rising [m/s], [m/s²]
 LEAST = 1.0  # Shortest duration of the rise [s]
-DIGITS = 5e-9  # Relative error of a number in the files, which has nine digits
 BELOW = 1.0  # Distance of thresholds below all rows [m]: those are never under them
 
 
@@ -82,22 +79,21 @@ class MavsdkDroneShow(Format):
     )
     carries_pull = True
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the files.
+    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+        """Write every drone's rows.
 
         Raises
         ------
         InfeasibleError: drones that begin above one another cannot take off.
         """
-        lead = lead_in(task)
-        check = _rising_check(task, lead)
+        rise, first = Rise.of(task), task.motion.drones.coefficients[0, ..., 0]
+        separation = _separation(task, first)
         settings = receiver_settings(task)
-        rows = np.moveaxis(rows_of(task, lead), 1, 0)
-        write = partial(np.savetxt, fmt=ROW, header=COLUMNS, comments="", encoding="ascii")
-        each = zip(self.files(task), rows, strict=True)
-        writers = {name: partial(write, X=table) for name, table in each}
+        files = self.files(task)
+        for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
+            np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
         notes = (
-            f"the plan begins {lead.duration:g} s after the show (row {lead.rows}): until then the "
+            f"the plan begins {rise.duration:g} s after the show (row {rise.rows}): until then the "
             "drones wait on the ground and rise straight up, with their cables not looked at",
             "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: set "
             + ", ".join(f"{name} = {value}" for name, value in settings.items())
@@ -109,10 +105,10 @@ class MavsdkDroneShow(Format):
             "launch every drone below its first place, px and py of its first row: its rows are "
             "counted from there",
         )
-        receiver: dict[str, Any] = {"settings": settings, "plan_begins_s": lead.duration}
-        if check is not None:
-            receiver["separation_before"] = check.worst
-        yield Candidate(writers, notes, receiver)
+        receiver: dict[str, Any] = {"settings": settings, "plan_begins_s": rise.duration}
+        if separation is not None:
+            receiver["separation_before"] = separation
+        return Written(files, notes, receiver)
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether the first columns are index, time and north."""
@@ -135,77 +131,74 @@ class MavsdkDroneShow(Format):
 
         The cables' pull is taken out of accelerations.
         """
-        lead, tables = lead_in(task), [read_table(folder / name) for name in self.files(task)]
-        if len({len(table) for table in tables}) > 1 or len(tables[0]) <= lead.rows + 1:
+        rise, tables = Rise.of(task), [read_table(folder / name) for name in self.files(task)]
+        if len({len(table) for table in tables}) > 1 or len(tables[0]) <= rise.rows + 1:
             raise FileError(f"{folder}: its drones have not as many rows as the plan")
         # Altitudes are counted from the first row, and that is on the ground.
-        ground = task.frame.points(lead.curves.at(0.0))[:, 2]
-        for table, down in zip(tables, ground, strict=True):
-            table[:, 0] -= lead.duration
-            table[:, 3] += down - table[0, 3]
-        return recording_of_tables(task.names, [table[lead.rows :] for table in tables], task)
+        ground = task.frame.points(np.array([0.0, 0.0, task.motion.requirements.floor]))[2]
+        for table in tables:
+            table[:, 0] -= rise.duration
+            table[:, 3] += ground - table[0, 3]
+        return recording_of_tables(task.names, [table[rise.rows :] for table in tables], task)
 
 
 @dataclass(frozen=True, eq=False)
-class LeadIn:
+class Rise:
     """The rows before a plan's own: ``rows`` steps, in which drones rise from the ground."""
 
     rows: int
     duration: float  # [s]
     share: PiecewisePolynomial  # of the rise, 0 to 1, with continuous acceleration
-    curves: PiecewisePolynomial  # positions (D, 3) [m] while rising, in the plan's axes
+
+    @classmethod
+    def of(cls, task: Task) -> Rise:
+        """Return the rise to a plan's first places."""
+        motion, limits = task.motion, task.motion.requirements.limits
+        heights = motion.drones.coefficients[0, :, 2, 0] - motion.requirements.floor
+        highest = float(np.max(np.abs(heights)))
+        # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
+        lasts = max(
+            LEAST,
+            1.875 * highest / min(SPEED, limits.speed),
+            (10.0 / 3.0**0.5 * highest / min(ACCELERATION, limits.acceleration)) ** 0.5,
+            (60.0 * highest / limits.jerk) ** (1.0 / 3.0),
+        )
+        rows = ceil((WAIT + lasts + SETTLE) * task.rate)
+        ends = np.zeros((3, 4))
+        ends[0, 2:] = 1.0
+        breaks = np.array([0.0, WAIT, WAIT + lasts, rows / task.rate])
+        share = PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
+        return cls(rows, rows / task.rate, share)
 
 
-def lead_in(task: Task) -> LeadIn:
-    """Return the rows before the plan's own."""
-    motion = task.motion
-    limits = motion.requirements.limits
-    first = motion.drones.coefficients[0, ..., 0]
-    ground = np.column_stack([first[:, :2], np.full(len(first), motion.requirements.floor)])
-    highest = float(np.max(np.abs(first - ground)))
-    # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
-    rise = max(
-        LEAST,
-        1.875 * highest / min(SPEED, limits.speed),
-        (10.0 / 3.0**0.5 * highest / min(ACCELERATION, limits.acceleration)) ** 0.5,
-        (60.0 * highest / limits.jerk) ** (1.0 / 3.0),
-    )
-    rows = ceil((WAIT + rise + SETTLE) * task.rate)
-    breaks = np.array([0.0, WAIT, WAIT + rise, rows / task.rate])
+def _separation(task: Task, first: Array) -> float | None:
+    """Return the least separation of drones that rise to ``first`` (D, 3) [m]; None of one drone.
 
-    def between(start: Array, end: Array) -> PiecewisePolynomial:
-        ends = np.zeros((3, 4, *start.shape))
-        ends[0, :2], ends[0, 2:] = start, end
-        return PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
-
-    share = between(np.zeros(()), np.ones(()))
-    return LeadIn(rows, rows / task.rate, share, between(ground, first))
-
-
-def _rising_check(task: Task, lead: LeadIn) -> Check | None:
-    """Return the separation for all t, the rounding in the files included; None of one drone.
+    It is that on the ground: heights grow apart, and seen from above nothing moves.
 
     Raises
     ------
     InfeasibleError: drones that begin above one another cannot rise straight up to there.
     """
-    motion, curves = task.motion, lead.curves
-    c = drone_check("separation", curves, replace(motion.requirements, arena=None))
-    if c is None:
+    if len(first) < 2:
         return None
-    where = tuple(motion.team.drone_names[int(drone[1:])] for drone in c.where)
-    reach = float(np.max(np.abs(task.frame.points(curves.coefficients[[0, -1], ..., 0]))))
-    scale = float(np.max(motion.requirements.separation.scale))
-    worst = c.bound - 2.0 * 3.0**0.5 * DIGITS * reach * scale
-    c = Check.of(c.name, worst, c.limit, c.sense, c.unit, c.time, where)
-    if not c.holds:
+    found = cKDTree(first[:, :2]).query(first[:, :2], 2)
+    distances, nearest = np.asarray(found[0]), np.asarray(found[1])
+    drone = int(np.argmin(distances[:, 1]))
+    # Numbers in files have nine digits.
+    reach = 5e-9 * float(np.max(np.abs(task.frame.points(first))))
+    radius = task.motion.requirements.separation.radius
+    ratio: float = (float(distances[drone, 1]) - 2.0 * 2.0**0.5 * reach) / (2.0 * radius)
+    if ratio < 1.0:
+        names = task.motion.team.drone_names
+        where = tuple(names[i] for i in sorted((drone, int(nearest[drone, 1]))))
         when = "while the drones rise straight up from the ground to their first places"
         remedy = "begin with the drones side by side, or choose another format"
         raise InfeasibleError(
-            (c.violation(when, remedy),),
+            [Violation("separation", ratio, 1.0, "min", "ratio", where, when, remedy)],
             "mavsdk_drone_show is not written: its drones take off from below their first places",
         )
-    return c
+    return ratio
 
 
 def receiver_settings(task: Task) -> dict[str, float | bool]:
@@ -223,15 +216,21 @@ def receiver_settings(task: Task) -> dict[str, float | bool]:
     }
 
 
-def rows_of(task: Task, lead: LeadIn) -> Array:
+def rows_of(task: Task, rise: Rise) -> Array:
     """Return all drones' rows (S, D, 12): index, time, nine setpoints and yaw in degrees."""
     samples = ceil(task.motion.duration * task.rate - 1e-6) + 1
-    index = np.arange(lead.rows + samples)
-    t, frame = index / task.rate, task.frame
-    before, plan = t[: lead.rows], task.setpoints(task.states(t[:samples]))
-    pull = task.pulls(task.states(np.zeros(1))) * lead.share.at(before)[:, None, None]
-    velocities, forward = (frame.vectors(lead.curves.at(before, order)) for order in (1, 2))
-    rising = (frame.points(lead.curves.at(before)), velocities, forward - pull)
+    index = np.arange(rise.rows + samples)
+    t, frame, first = index / task.rate, task.frame, task.states(np.zeros(1))
+    before, plan = t[: rise.rows], task.setpoints(task.states(t[:samples]))
+    places, up = first.positions[0], np.zeros_like(first.positions[0])
+    up[:, 2] = places[:, 2] - task.motion.requirements.floor
+    share, rate, bend = (rise.share.at(before, k)[:, None, None] for k in range(3))
+    pull = task.pulls(first) * share
+    rising = (
+        frame.points(places - up + share * up),
+        frame.vectors(rate * up),
+        frame.vectors(bend * up) - pull,
+    )
     values = [np.concatenate(parts, axis=-1) for parts in (rising, plan)]
     rows = np.empty((len(index), len(task.names), 12))
     rows[..., 0], rows[..., 1] = index[:, None], t[:, None]
@@ -241,22 +240,15 @@ def rows_of(task: Task, lead: LeadIn) -> Array:
 
 
 def read_table(path: Path) -> Array:
-    """Return the rows (S, 10) of one drone: t, positions, velocities, accelerations as they stand.
-
-    Columns of velocities and accelerations that are not there are zero.
+    """Return the rows (S, 4, 7 or 10) of one drone: t, places and rates as they stand.
 
     Raises
     ------
     FileError: another header, rows of other lengths, fewer than two rows.
     """
     header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]
-    found = set(header.split(","))
-    vectors = [READ[:4], *(vector for vector in (READ[4:7], READ[7:]) if found & set(vector))]
-    told = [name for vector in vectors for name in vector]
-    table = read_columns(lines, header, told, COLUMNS, str(path), least=2)
-    whole = np.zeros((len(table), len(READ)))
-    whole[:, [READ.index(name) for name in told]] = table
-    return whole
+    told = told_columns(header.split(","), FLOWN)
+    return read_columns(lines, header, ("t", *told), COLUMNS, str(path), least=2)
 
 
 def recording_of_tables(
@@ -273,10 +265,12 @@ def recording_of_tables(
     """
     t = tables[0][:, 0]
     for name, table in zip(names, tables, strict=True):
-        if len(table) != len(t) or np.max(np.abs(table[:, 0] - t)) > SAME_TIME:
-            raise FileError(f"{name}: its times are not those of {names[0]}")
+        alike = table.shape == tables[0].shape and np.max(np.abs(table[:, 0] - t)) <= SAME_TIME
+        if not alike:
+            raise FileError(f"{name}: its times are not those of {names[0]}, or its columns")
     values = np.stack([table[:, 1:] for table in tables], axis=1)
-    if task is not None:
-        values[..., 6:] += task.pulls(task.states(t))
-        values[t > task.motion.duration, :, 6:] = 0.0
-    return recording_of_samples(names, t, values, "ned", 1 if task is None else SMOOTH)
+    if task is None:
+        return recording_of_samples(names, t, values[..., :6], "ned", 1)
+    values[..., 6:] += task.pulls(task.states(t))
+    values[t > task.motion.duration, :, 6:] = 0.0
+    return recording_of_samples(names, t, values, "ned", SMOOTH)

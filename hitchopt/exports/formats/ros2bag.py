@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import Candidate, DroneFacts, Format, Loaded, Task
+from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
 from hitchopt.exports.options import ROS_DISTROS, STORAGES
 from hitchopt.exports.recording import Recording, needed, recording_of_samples
 from hitchopt.motion.states import sample_times
@@ -74,17 +74,23 @@ class Ros2Bag(Format):
         """Return the name of the bag's data."""
         return (f"{STEM}{STORAGES[task.options.storage]}",)
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give the one bag there is."""
-        writers = {
-            self.files(task)[0]: lambda path: write_bag(path, task),
-            METADATA: lambda path: None,  # noqa: ARG005  written with the data
-        }
+    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+        """Write the bag; raise UnsupportedError without rosbags."""
+        data = self.files(task)[0]
+        bags = needed("rosbags.rosbag2")
+        storage = bags.StoragePlugin[task.options.storage.upper()]
+        stage = folder / STEM  # the library makes a directory, and calls the data by its name
+        version = ROS_DISTROS[task.options.ros_distro]
+        with bags.Writer(stage, version=version, storage_plugin=storage) as bag:
+            _write_messages(bag, task)
+        for name in (data, METADATA):
+            shutil.move(stage / name, folder / name)
+        stage.rmdir()
         notes = (
             f"ros2 bag play FOLDER sends /{task.names[0]}/cmd_full_state and the like",
             f"{task.rate:g} Hz to every drone: one radio streams to about four Crazyflies",
         )
-        yield Candidate(writers, notes)
+        return Written((data, METADATA), notes)
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return what the trajectories of a bag hold, given by its data or its metadata."""
@@ -95,25 +101,6 @@ class Ros2Bag(Format):
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the trajectories, found by the metadata."""
         return bag_recording(folder)
-
-
-def write_bag(path: Path, task: Task) -> None:
-    """Write the bag's data at ``path`` and its metadata next to it.
-
-    Raises
-    ------
-    UnsupportedError: rosbags is not installed.
-    OSError: a file cannot be written.
-    """
-    bags = needed("rosbags.rosbag2")
-    storage = bags.StoragePlugin[task.options.storage.upper()]
-    stage = path.parent / STEM  # the library makes a directory, and calls the data by its name
-    version = ROS_DISTROS[task.options.ros_distro]
-    with bags.Writer(stage, version=version, storage_plugin=storage) as bag:
-        _write_messages(bag, task)
-    for name in (path.name, METADATA):
-        shutil.move(stage / name, path.parent / name)
-    stage.rmdir()
 
 
 def _write_messages(bag: Any, task: Task) -> None:
@@ -223,8 +210,9 @@ def bag_recording(path: Path) -> Recording:
         if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
             raise FileError("its trajectories have different times")
         values = np.stack(tables, axis=1)
-        smooth = 2 if np.all(np.isfinite(values)) else 0
-        return recording_of_samples(names, values[:, 0, 0], values[..., 1:], frame, smooth)
+        rates = bool(np.all(np.isfinite(values)))
+        places = values[..., 1:] if rates else values[..., 1:4]
+        return recording_of_samples(names, values[:, 0, 0], places, frame, 2 if rates else 0)
 
 
 def _table(message: Any, joint: int) -> Array:

@@ -28,28 +28,28 @@ import math
 import posixpath
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import LINES, written_checks
 from hitchopt.exports.format import (
-    Candidate,
     DroneFacts,
     Finding,
     Format,
     Loaded,
     Task,
+    Written,
     error,
-    is_place,
     warning,
 )
 from hitchopt.exports.placing import ReferenceFrame
@@ -60,7 +60,7 @@ from hitchopt.exports.recording import (
     read_text,
     recording_of_curves,
 )
-from hitchopt.exports.refit import Keeping, Kind, Scale, breaks_within, fitted, rounded, settled
+from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json
@@ -73,21 +73,22 @@ REACH = 32768  # Numbers on either side of zero that 16 bits with a sign hold
 MAX_DRONES = 20_000  # Size limit of a show that is read
 DEGREE = 3  # Degree of the pieces
 
-KIND = Kind(degree=DEGREE, match=2, quantum=MILLI, longest=1.0, shortest=0.1)
+KIND = Kind(
+    degree=DEGREE,
+    match=2,
+    quantum=MILLI,
+    longest=1.0,
+    shortest=0.1,
+    scale=Scale(position=1e-3, velocity=3e-2, acceleration=0.5),
+)
 """Cubic pieces: from 1.001 s on the server's arithmetic loses a millisecond of some durations; a
 millimetre of a control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 
 SMOOTH = 1  # Acceleration jumps after rounding; so does velocity, by as much as the note says
 
-SCALE = Scale(position=1e-3, velocity=3e-2, acceleration=0.5)
-"""Errors of the refit that weigh alike."""
-
-BOUNDS = (1.0, 1.4, 0.8, 0.6, 0.5, 0.4, 0.3, 0.2)
-"""Errors of the refit over SCALE, the best first: long segments fit worse and suffer less from
-rounding; below the last one rounding costs more than the refit gains."""
-
 ROUNDING = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
-"""Errors of rounding that weigh alike."""
+CLOSER = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)
+"""Errors of rounding that weigh alike: the latter cost less place, as lengths of cables need it."""
 
 NUDGE = 1e-6
 """Distance of points in the file beyond their whole millimetres [m]: the server cuts digits off,
@@ -115,6 +116,8 @@ LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or afte
 SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
 LANDING = 0.5  # [m/s] Usual speed of a descent
 SPARE = 1.01  # Separation of a return that is planned: rounding to millimetres takes some of it
+Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
+
 MOST = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
 
 
@@ -131,39 +134,33 @@ class SkybrushShow(Format):
         "format has no accelerations"
     )
 
-    def candidates(self, task: Task) -> Iterator[Candidate]:
-        """Give refits, each with more points than the one before."""
-        plans: Sequence[Any] = [None] * len(task.names)
-        returning: tuple[str, ...] = ()
-        if not task.motion.team.has_cables:
-            returns, landing = planned_returns(task.motion), landing_speed(task.motion)
-            entries = [each.entries(task.motion, task.frame) for each in returns]
-            head = {"version": 1, "landingSpeed": landing}
-            plans = [{**head, "entries": [e[i] for e in entries]} for i in range(len(plans))]
-            times = ", ".join(f"{each.time:g}" for each in returns)
+    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)
+    """Long segments fit worse and suffer less from rounding."""
+
+    def write(self, folder: Path, task: Task, bound: float) -> Written:
+        """Write the show, refitted within a bound and rounded; see ``_rounded``."""
+        motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
+        if not motion.team.has_cables:
+            returns = planned_returns(motion, task.frame)
+            head = {"version": 1, "landingSpeed": landing_speed(motion)}
+            plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
+            times = ", ".join(f"{entries[0]['time']}" for entries in returns)
             none = "no coordinated return was found; drones would land where they are"
             some = f"rthPlan: coordinated returns from t = {times} s"
-            returning = (f"{some}; drones are taken to stop at once there" if returns else none,)
-        for bound in BOUNDS:
-            breaks = breaks_within(task.motion.drones, KIND, bound, scale=SCALE)
-            if breaks is None:
-                continue
-            fit = task.frame.placed(fitted(task.motion.drones, breaks, KIND))
-            quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
-            offset = task.options.hold_tension
-            keeping = Keeping.of(task.motion, task.frame, breaks, self.accuracy, offset)
-            for rounding in _roundings(fit, quantum):
-                whole = settled(rounding, fit, quantum, keeping)
-                notes = (
-                    f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to "
-                    "Skybrush",
-                    f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
-                    f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments "
-                    "join",
-                    *returning,
-                )
-                write = partial(write_show, task=task, curves=whole, plans=plans)
-                yield Candidate({self.file: write}, notes)
+            notes = [f"{some}; drones are taken to stop at once there" if returns else none]
+        breaks = breaks_within(motion.drones, KIND, bound)
+        assert breaks is not None  # any number of pieces will do
+        fit = task.frame.placed(fitted(motion.drones, breaks, KIND))
+        quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
+        whole = _rounded(fit, quantum, ROUNDING if bound >= 1.0 else CLOSER)
+        write_show(folder / self.file, task, whole, plans)
+        notes = [
+            f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to Skybrush",
+            f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
+            f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments join",
+            *notes,
+        ]
+        return Written((self.file,), tuple(notes))
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return what a ``.skyc`` holds."""
@@ -173,21 +170,10 @@ class SkybrushShow(Format):
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
                 words = f"a piece lasts {shortest:.2g} s, which Skybrush rounds to none"
                 findings.append(error("duration", name, f"{words}; leave its point out"))
-        places = {name: home for name, home in show.homes.items() if is_place(home, {2, 3})}
-        findings += [
-            warning("start", name, "has no home of two or three numbers")
-            for name in show.curves
-            if name not in places
-        ]
-        return Loaded(
-            self.name,
-            recording_of_curves(tuple(show.curves), tuple(show.curves.values()), "nwu", SMOOTH),
-            tuple(DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in show.curves.items()),
-            tuple(findings),
-            places=places,
-            place_key="home",
-            own=own,
-        )
+        curves = show.curves
+        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
+        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
+        return Loaded(self.name, recording, tuple(facts), tuple(findings), own=own)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the show as Skybrush's server stores them."""
@@ -212,14 +198,13 @@ def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Findi
     return own, [warning("settings", "", fault.format(key)) for key in given if key not in own]
 
 
-def _roundings(curves: PiecewisePolynomial, quantum: float) -> list[PiecewisePolynomial]:
-    """Return the curves rounded together and one point at a time, the smoother ones first.
+def _rounded(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> PiecewisePolynomial:
+    """Return the curves rounded together, or one point at a time where that is smoother.
 
     The former costs less velocity in short pieces, the latter less place where drones rest.
     """
-    nearest = np.rint(curves.coefficients / quantum) * quantum
-    each = PiecewisePolynomial(curves.breaks, nearest)
-    return sorted([rounded(curves, quantum, ROUNDING), each], key=_jump)
+    each = PiecewisePolynomial(curves.breaks, np.rint(curves.coefficients / quantum) * quantum)
+    return min(rounded(curves, quantum, scale), each, key=_jump)
 
 
 def _jump(curves: PiecewisePolynomial) -> float:
@@ -272,7 +257,6 @@ class Show:
     """What a show holds, as far as it is read: by drone, and unchecked but for the curves."""
 
     curves: dict[str, PiecewisePolynomial]  # positions (3,) [m] over the show's time
-    homes: dict[str, Any]  # None where nothing stands
     validation: Mapping[str, Any]  # the limits that the show sets itself
     returns: dict[str, Any]  # rthPlan; None where nothing stands
 
@@ -309,11 +293,9 @@ def read_show(path: Path) -> Show:
             for name, file in files.items()
         }
         own = show.get("settings")
-    homes, returns = (
-        {name: each.get(key) for name, each in settings.items()} for key in ("home", "rthPlan")
-    )
+    returns = {name: each.get("rthPlan") for name, each in settings.items()}
     validation = own.get("validation") if isinstance(own, dict) else None
-    return Show(curves, homes, validation if isinstance(validation, dict) else {}, returns)
+    return Show(curves, validation if isinstance(validation, dict) else {}, returns)
 
 
 def _file(trajectory: Any) -> str | None:
@@ -368,121 +350,96 @@ def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
 
 
-@dataclass(frozen=True, eq=False)
-class Return:
-    """A return of D drones."""
-
-    time: float  # of the plan, at which it begins [s]
-    targets: Array  # (D, 2) [m], level, where the drones go down
-    duration: float  # of the lines [s]; 0 where all go down at once
-    before: Array  # (D,) [s], for which drones wait before their lines
-    after: Array  # (D,) [s], and after them
-
-    def curves(self, start: Array, floor: float, landing: float) -> PiecewisePolynomial:
-        """Return what drones at ``start`` (D, 3) fly, from t = 0 to rest on the ground, (D, 3) [m].
-
-        ``floor`` is the height of the ground [m], ``landing`` the speed of the descent [m/s].
-        """
-        there = np.column_stack([self.targets, start[:, 2]])
-        down = np.column_stack([self.targets, np.full(len(start), floor)])
-        begins, ends = self.before, self.before + self.duration
-        lowers = ends + self.after
-        lands = lowers + np.maximum(start[:, 2] - floor, 0.0) / landing
-        times = np.round(np.concatenate([begins, ends, lowers, lands]), 9)
-        last = float(np.max(lands)) + 1e-2
-        breaks = merged_breaks([np.unique(np.append(times[times < last], [0.0, 1e-2, last]))])
-
-        def share(first: Array, last: Array) -> Array:
-            spans = np.maximum(last - first, 1e-12)
-            found: Array = np.clip((breaks[:, None] - first) / spans, 0.0, 1.0)
-            return found[..., None]
-
-        places = start + share(begins, ends) * (there - start)
-        places += share(lowers, lands) * (down - there)
-        return PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
-
-    def checks(self, motion: Motion, start: Array, landing: float) -> list[Check]:
-        """Return the checks of a return whose drones begin at ``start`` (D, 3) [m]."""
-        requirements = motion.requirements.untimed
-        curves = self.curves(start, requirements.floor, landing)
-        phase = Phase("return", 0, 0.0, curves.duration)
-        whole = Motion.single(motion.team, requirements, curves, [phase])
-        return [check for check in written_checks(whole, LINES) if check is not None]
-
-    def entries(self, motion: Motion, frame: ReferenceFrame) -> list[dict[str, Any]]:
-        """Return the entry of each drone's ``rthPlan``, in the show's frame."""
-        heights = motion.drones.at(min(self.time, motion.duration))[:, 2:]
-        places = frame.points(np.hstack([self.targets, heights]))
-        points = np.round(np.rint(places / MILLI) * MILLI, 3) + 0.0
-        return [
-            {
-                "time": int(self.time),
-                "action": LEVEL if self.duration > 0.0 else LAND,
-                "target": point,
-                "duration": int(self.duration),
-                "preDelay": int(before),
-                "postDelay": int(after),
-            }
-            for point, before, after in zip(points.tolist(), self.before, self.after, strict=True)
-        ]
-
-    @classmethod
-    def of(cls, entries: Sequence[Mapping[str, Any]], frame: ReferenceFrame) -> Return:
-        """Return the return that the drones' entries of one time describe, in the plan's axes."""
-        times = {entry["time"] for entry in entries}
-        durations = {entry["duration"] if entry["action"] == LEVEL else 0 for entry in entries}
-        if len(times) != 1 or len(durations) != 1 or any(float(t) % 1.0 for t in times):
-            raise ValueError("entries of one time differ")
-        if any(entry["action"] not in (LAND, LEVEL) for entry in entries):
-            raise ValueError("an action is not known")
-        targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
-        waits = np.array([[entry["preDelay"], entry["postDelay"]] for entry in entries], np.float64)
-        level, duration = frame.planned(targets)[:, :2], float(durations.pop())
-        return cls(float(times.pop()), level, duration, waits[:, 0], waits[:, 1])
-
-
 def landing_speed(motion: Motion) -> float:
     """Return the speed of descents [m/s]."""
     return min(LANDING, SHARE * motion.requirements.limits.speed)
 
 
-def planned_returns(motion: Motion) -> list[Return]:
-    """Return the returns of a plan, at times of whole seconds, the last one after its end.
+@lru_cache(maxsize=1)
+def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
+    """Return every drone's entry of each return, at whole seconds, the last one after the end.
 
     Times from which none was found are left out: a command then waits for the next one.
     """
     landing, found = landing_speed(motion), []
     every = max(1, ceil(motion.duration / MOST))
     for time in range(0, ceil(motion.duration) + every, every):
-        start = motion.drones.at(min(time, motion.duration))
-        for tried in _tries(motion, float(time), start, landing):
-            checks = tried.checks(motion, start, landing)
+        start = motion.drones.at(min(float(time), motion.duration))
+        for entries in _tries(motion, time, start, frame):
+            checks = return_checks(motion, entries, start, landing, frame)
             spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
             if spare and all(check.holds for check in checks):
-                found.append(tried)
+                found.append(entries)
                 break
     return found
 
 
-def _tries(motion: Motion, time: float, start: Array, landing: float) -> Iterator[Return]:
+def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> Iterator[Entries]:
     """Yield returns: down at once, then to places of the plan, at once or the lower ones first."""
+
+    def entries(goal: Array, duration: int, before: ArrayLike, after: ArrayLike) -> Entries:
+        points = np.round(frame.points(np.column_stack([goal, start[:, 2]])), 3) + 0.0
+        delays = np.column_stack([before, after]).astype(int).tolist()
+        head = {"time": time, "action": LEVEL if duration else LAND, "duration": duration}
+        return [
+            {**head, "target": point, "preDelay": first, "postDelay": second}
+            for point, (first, second) in zip(points.tolist(), delays, strict=True)
+        ]
+
     level, zero = start[:, :2], np.zeros(len(start))
-    yield Return(time, level, 0.0, zero, zero)
+    yield entries(level, 0, zero, zero)
     places = [motion.drones.at(t)[:, :2] for t in (motion.duration, 0.0)]
     # The least squares of distances: lines of one clock then do not cross at one time.
     apart = (np.sum((level[:, None] - place) ** 2, axis=-1) for place in places)
     orders = (linear_sum_assignment(squares)[1] for squares in apart)
     nearest = [place[order] for place, order in zip(places, orders, strict=True)]
-    speed = SHARE * motion.requirements.limits.speed
-    fall = ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / landing) + 1.0
+    highest = float(np.max(start[:, 2])) - motion.requirements.floor
+    fall = ceil(highest / landing_speed(motion)) + 1
     # Drones of one height go down together, the lowest first.
-    turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1).astype(float)
+    turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
     for goal in (*nearest, *places, level):
         far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
-        duration = float(max(1, ceil(far / speed)))
-        yield Return(time, goal, duration, zero, zero)
-        yield Return(time, goal, duration, zero, fall * turn)
-        yield Return(time, goal, duration, (fall + duration) * turn, zero)
+        duration = max(1, ceil(far / (SHARE * motion.requirements.limits.speed)))
+        yield entries(goal, duration, zero, zero)
+        yield entries(goal, duration, zero, fall * turn)
+        yield entries(goal, duration, (fall + duration) * turn, zero)
+
+
+def return_checks(
+    motion: Motion, entries: Entries, start: Array, landing: float, frame: ReferenceFrame
+) -> list[Check]:
+    """Return the checks of the return that every drone's entry of one time describes.
+
+    Drones begin at ``start`` (D, 3) [m] and descend at ``landing`` [m/s]. Raises ValueError if the
+    entries are none.
+    """
+    if len({(entry["time"], entry["action"], entry["duration"]) for entry in entries}) != 1:
+        raise ValueError("entries of one time differ")
+    if entries[0]["action"] not in (LAND, LEVEL) or float(entries[0]["time"]) % 1.0:
+        raise ValueError("an action is not known, or its time is no whole second")
+    flat, floor = entries[0]["action"] == LEVEL, motion.requirements.floor
+    targets = frame.planned(np.array([entry["target"] for entry in entries], dtype=np.float64))
+    begins = np.array([entry["preDelay"] for entry in entries], dtype=np.float64)
+    ends = begins + (float(entries[0]["duration"]) if flat else 0.0)
+    lowers = ends + np.array([entry["postDelay"] for entry in entries], dtype=np.float64)
+    lands = lowers + np.maximum(start[:, 2] - floor, 0.0) / landing
+    times = np.round(np.concatenate([begins, ends, lowers, lands]), 9)
+    last = float(np.max(lands)) + 1e-2
+    breaks = merged_breaks([np.unique(np.append(times[times < last], [0.0, 1e-2, last]))])
+
+    def share(first: Array, last: Array) -> Array:
+        spans = np.maximum(last - first, 1e-12)
+        found: Array = np.clip((breaks[:, None] - first) / spans, 0.0, 1.0)
+        return found[..., None]
+
+    level = targets[:, :2] if flat else start[:, :2]
+    there = np.column_stack([level, start[:, 2]])
+    places = start + share(begins, ends) * (there - start)
+    places[..., 2:] += share(lowers, lands) * (floor - start[:, 2:])
+    curves = PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
+    phase = Phase("return", 0, 0.0, curves.duration)
+    whole = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
+    return [check for check in written_checks(whole, LINES) if check is not None]
 
 
 def certify_returns(path: Path, show: Show, task: Task) -> None:
@@ -493,27 +450,24 @@ def certify_returns(path: Path, show: Show, task: Task) -> None:
     FileError: drones without returns, entries that differ in times, or that are no returns.
     InfeasibleError: a return breaks a limit.
     """
-    curves = [stored(show.curves[name]) for name in task.names]
+    curves, before = [stored(show.curves[name]) for name in task.names], -1.0
     try:
         plans = [show.returns[name] for name in task.names]
         (landing,) = {float(plan["landingSpeed"]) for plan in plans}
-        entries = zip(*(plan["entries"] for plan in plans), strict=True)
-        returns = [Return.of(each, task.frame) for each in entries]
-        times = [each.time for each in returns]
-        if times != sorted(set(times)):
-            raise ValueError("its times do not increase")
+        for entries in zip(*(plan["entries"] for plan in plans), strict=True):
+            time = float(entries[0]["time"])
+            if time <= before:
+                raise ValueError("its times do not increase")
+            before = time
+            start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in curves])
+            places = task.frame.planned(start)
+            checks = return_checks(task.motion, entries, places, landing, task.frame)
+            if broken := [check for check in checks if not check.holds]:
+                words = "a coordinated return of the show breaks a limit when it is read back"
+                when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
+                raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise FileError(f"{path}: rthPlan is damaged: {error}; export anew") from error
-    for each in returns:
-        start = np.array([curve.at(min(each.time, curve.breaks[-1])) for curve in curves])
-        places = task.frame.planned(start)
-        # Drones that do not fly level go down where they are.
-        flown = each if each.duration > 0.0 else replace(each, targets=places[:, :2])
-        checks = flown.checks(task.motion, places, landing)
-        if broken := [check for check in checks if not check.holds]:
-            words = "a coordinated return of the show breaks a limit when it is read back"
-            when, remedy = f"in the return from t = {each.time:g} s", "plan with a wider margin"
-            raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
 
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
@@ -533,21 +487,21 @@ class SkybrushCsv(Format):
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
 
-    def write(self, path: Path, task: Task) -> None:
+    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
         """Write the zip, drone by drone; raise InputError for more than 1000 samples a second."""
         if task.rate > 1000.0:
-            bound = "at most 1000 Hz"
-            raise InputError("--rate", task.rate, bound, "the format has milliseconds")
+            raise InputError("--rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
         drones = task.motion.drones
         samples = ceil(drones.duration * task.rate - 1e-6)
         milliseconds = np.rint(np.arange(samples + 1) * (1e3 / task.rate))
         places = drones.at(np.minimum(milliseconds * 1e-3, float(drones.breaks[-1])))
-        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(folder / self.file, "w", zipfile.ZIP_DEFLATED) as archive:
             archive.comment = f"frame: {task.frame.name}".encode()
             for i, name in enumerate(task.names):
                 rows = np.column_stack([milliseconds, task.frame.points(places[:, i]) + 0.0])
                 with archive.open(f"{name}.csv", "w") as file:
                     np.savetxt(file, rows, ROW, header=HEADER, comments="")
+        return Written((self.file,))
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether the first column is the time in milliseconds."""

@@ -15,17 +15,16 @@ are held.
 from __future__ import annotations
 
 import json
-from abc import abstractmethod
-from collections.abc import Collection, Iterator, Sequence
-from itertools import islice
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.exports.directory import ROWS, SAVED, write_rows
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task
+from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
 from hitchopt.exports.placing import AXES
 from hitchopt.exports.recording import (
     Recording,
@@ -33,6 +32,7 @@ from hitchopt.exports.recording import (
     needed,
     read_columns,
     recording_of_samples,
+    told_columns,
 )
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
@@ -51,23 +51,19 @@ COLUMNS = tuple(name for group in GROUPS.values() for name in group)
 
 HEADER = ",".join(("t", "drone", *COLUMNS))
 
-FLOWN = COLUMNS[:9]
-"""Columns that say where the drones go; readers need no others, and positions alone will do."""
+FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
+"""Columns that say where the drones go; readers need no others, and places alone will do."""
 
 SMOOTH = 2  # Positions, velocities and accelerations are in the table: quintics run through them
-
-READ = 20_000  # Lines that are parsed at once
 
 GROUP = 100_000
 """Rows of a parquet row group, 23 MB of numbers: readers skip and share work by groups."""
 
-MAX_LINE = 50_000_000
-"""Longest line of JSON that is read [characters]: a sample of 20,000 drones takes 6 million."""
+MAX_TEXT = 2_000_000_000  # Size limit of a JSON document that is read [B]
 
 FRAME_KEY, PLACE_KEY = b"hitchopt.frame", b"hitchopt.room"  # Of a parquet schema's metadata
 
 JSON_FORMAT = "hitchopt-setpoints/1"
-SAMPLES, END = '"samples": [', "]}"  # Lines of JSON around the samples
 
 
 def exported_blocks(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
@@ -108,47 +104,46 @@ class Table(Format):
     )
     carries_pull = True
 
-    @staticmethod
-    @abstractmethod
-    def read_file(path: Path) -> Recording:
-        """Return what the file says; raise FileError if it is damaged."""
+    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+        """Write the one file there is."""
+        (name,) = self.files(task)
+        self.write_file(folder / name, task)
+        return Written((name,))
 
     def load(self, files: Sequence[Path]) -> Loaded:
         """Return what the file says."""
-        recording = self.read_file(files[0])
+        with reading(files[0], f"{self.name} table of hitchopt's columns"):
+            recording = self.read_file(files[0])
         return Loaded(self.name, recording, tuple(map(DroneFacts, recording.names)))
 
+    def write_file(self, path: Path, task: Task) -> None:
+        """Write a row per sample and drone."""
+        raise NotImplementedError
 
-def _told_in(header: Collection[str]) -> list[str]:
-    """Return which of FLOWN a table with these columns tells: velocities where they are whole."""
-    vectors = [FLOWN[:3], *(v for v in (FLOWN[3:6], FLOWN[6:]) if set(v) <= set(header))]
-    return [name for vector in vectors for name in vector]
+    def read_file(self, path: Path) -> Recording:
+        """Return what the file says; raise FileError or others of BROKEN if it is damaged."""
+        raise NotImplementedError
 
 
-def _recording_of_rows(
-    path: Path, drones: Sequence[str], rows: Sequence[Array], told: Sequence[str], frame: str
-) -> Recording:
-    """Return the recording of rows (rows, 1 + told) by time, then drone: t and the told columns."""
-    if not drones:
-        raise FileError(f"{path}: holds no rows; it is truncated")
-    table, who = np.concatenate(rows), np.array(drones)
+def _recording_of_rows(who: NDArray[np.str_], table: Array, told: int, frame: str) -> Recording:
+    """Return the recording of rows (rows, 1 + told) by time, then drone: t, then told columns."""
+    if not len(who):
+        raise FileError("holds no rows; it is truncated")
     t = table[:, 0]
-    check_times(t[:1], str(path))
+    check_times(t[:1])
     names = tuple(who[: int(np.argmax(t != t[0])) or len(t)].tolist())
     if len(set(names)) != len(names):
-        raise FileError(f"{path}: drone {names[-1]!r} comes twice at t = {t[0]:g} s")
+        raise FileError(f"drone {names[-1]!r} comes twice at t = {t[0]:g} s")
     if len(t) % len(names):
-        raise FileError(f"{path}: ends within the sample at t = {t[-1]:g} s; it is truncated")
+        raise FileError(f"ends within the sample at t = {t[-1]:g} s; it is truncated")
     times = t.reshape(-1, len(names))
     wrong = np.any((times != times[:, :1]) | (who.reshape(times.shape) != names), axis=1)
     if np.any(wrong):
         raise FileError(
-            f"{path}: its rows at t = {times[np.argmax(wrong), 0]:g} s are not one per drone, in "
-            "one order; sort them by time, then drone"
+            f"its rows at t = {times[np.argmax(wrong), 0]:g} s are not one per drone, in one "
+            "order; sort them by time, then drone"
         )
-    whole = np.zeros((len(t), len(FLOWN)))
-    whole[:, [FLOWN.index(name) for name in told]] = table[:, 1:]
-    values = whole.reshape(*times.shape, len(FLOWN))
+    values = table[:, 1 : 1 + told].reshape(*times.shape, told)
     return recording_of_samples(names, times[:, 0], values, frame, SMOOTH)
 
 
@@ -159,29 +154,22 @@ class CsvTable(Table):
     endings = (".csv",)
     file = "setpoints_{frame}.csv"
 
-    def write(self, path: Path, task: Task) -> None:
+    def write_file(self, path: Path, task: Task) -> None:
         """Write one row per sample and drone."""
         write_rows(path, HEADER, task.names, exported_blocks(task, ROWS))
 
-    @staticmethod
-    def read_file(path: Path) -> Recording:
+    def read_file(self, path: Path) -> Recording:
         """Return what columns of these names say; the last word of the name is the frame."""
-        with reading(path, "readable text in UTF-8"), path.open(encoding="utf-8") as file:
-            header = file.readline().rstrip("\r\n")
-            told, rows = _told_in(header.split(",")), []
-            drones: list[str] = []
-            read_columns((), header, ("t", "drone", *told), HEADER, str(path))
-            drone = header.split(",").index("drone")
-            while lines := list(islice(file, READ)):
-                start = 2 + len(drones)
-                place = f"{path}: lines {start} to {start + len(lines) - 1}"
-                if not all(map(str.strip, lines)):
-                    raise FileError(f"{place}: a line is empty; it is truncated or damaged")
-                if any(line.count(",") != header.count(",") for line in lines):
-                    raise FileError(f"{place}: a line is not whole; it is truncated or damaged")
-                rows.append(read_columns(lines, header, ("t", *told), HEADER, place))
-                drones += [line.rstrip("\r\n").split(",")[drone] for line in lines]
-            return _recording_of_rows(path, drones, rows, told, path.stem.rpartition("_")[2])
+        found = []
+        for kind in (np.str_, np.float64):
+            with path.open(encoding="utf-8") as file:
+                header = file.readline().rstrip("\r\n")
+                told = told_columns(labels := header.split(","), FLOWN)
+                # The last column as well, so that rows are whole.
+                wanted = ("drone",) if kind is np.str_ else ("t", *told, labels[-1])
+                found.append(read_columns(file, header, wanted, HEADER, str(path), 0, kind))
+        who, table = found
+        return _recording_of_rows(who[:, 0], table, len(told), path.stem.rpartition("_")[2])
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether the first columns are t and drone."""
@@ -195,7 +183,7 @@ class ParquetTable(Table):
     endings = (".parquet",)
     file = "setpoints.parquet"
 
-    def write(self, path: Path, task: Task) -> None:
+    def write_file(self, path: Path, task: Task) -> None:
         """Write the table in double precision; raise UnsupportedError without pyarrow."""
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         names, number = arrow.array(task.names), arrow.float64()
@@ -205,33 +193,32 @@ class ParquetTable(Table):
         said = {FRAME_KEY: task.frame.name.encode(), PLACE_KEY: place}
         with parquet.ParquetWriter(path, arrow.schema(fields, metadata=said)) as writer:
             for t, values in exported_blocks(task, GROUP):
-                samples, drones = values.shape[:2]
-                who = np.tile(np.arange(drones, dtype=np.int32), samples)
+                who = np.tile(np.arange(len(names), dtype=np.int32), len(t))
                 columns = [
-                    arrow.array(np.repeat(t, drones)),
+                    arrow.array(np.repeat(t, len(names))),
                     arrow.DictionaryArray.from_arrays(who, names),
                     *(arrow.array(values[..., i].ravel()) for i in range(len(COLUMNS))),
                 ]
                 table = arrow.Table.from_arrays(columns, schema=writer.schema)
                 writer.write_table(table, row_group_size=len(table))
 
-    @staticmethod
-    def read_file(path: Path) -> Recording:
+    def read_file(self, path: Path) -> Recording:
         """Return what columns of these names say; raise UnsupportedError without pyarrow."""
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
-            refuse_expansion(8 * file.metadata.num_rows * len(FLOWN), path.stat().st_size)
+            refuse_expansion(72 * file.metadata.num_rows, path.stat().st_size)
             held = file.schema_arrow.names
-            for name in ("t", "drone", *FLOWN[:3]):
+            for name in ("t", "drone", *FLOWN[0]):
                 if name not in held:
                     raise FileError(f"has no column {name!r}; hitchopt writes t, drone and others")
             frame = (file.schema_arrow.metadata or {}).get(FRAME_KEY, b"")
-            told = _told_in(held)
+            told = told_columns(held, FLOWN)
             table = file.read(["t", "drone", *told])
-            rows = [np.column_stack([table[name].to_numpy() for name in ("t", *told)])]
-            drones = list(map(str, table["drone"].to_pylist()))
-            rows = [row.astype(np.float64) for row in rows]
-            return _recording_of_rows(path, drones, rows, told, frame.decode("ascii", "replace"))
+            rows = np.column_stack([table[name].to_numpy() for name in ("t", *told)])
+            who = np.array(list(map(str, table["drone"].to_pylist())))
+            return _recording_of_rows(
+                who, rows.astype(np.float64), len(told), frame.decode("ascii", "replace")
+            )
 
 
 class NpzTable(Table):
@@ -244,7 +231,7 @@ class NpzTable(Table):
         "cable_*", "cable_forces"
     )
 
-    def write(self, path: Path, task: Task) -> None:
+    def write_file(self, path: Path, task: Task) -> None:
         """Write an array for every group of columns."""
         times, blocks = zip(*exported_blocks(task, GROUP), strict=True)
         arrays: dict[str, Any] = {"frame": task.frame.name, "drones": task.names}
@@ -253,23 +240,20 @@ class NpzTable(Table):
         parts = np.split(np.concatenate(blocks), ends[:-1], axis=-1)
         np.savez(path, **arrays | dict(zip(GROUPS, parts, strict=True)))
 
-    @staticmethod
-    def read_file(path: Path) -> Recording:
+    def read_file(self, path: Path) -> Recording:
         """Return what such an archive says."""
         flown = tuple(GROUPS)[:3]
-        with reading(path, "archive that hitchopt wrote"):
-            arrays = read_arrays(path, ("frame", "drones", "t", *flown))
-            names = tuple(map(str, np.atleast_1d(arrays["drones"])))
-            t = np.atleast_1d(arrays["t"])
-            for name in ("t", *flown):
-                array, whole = arrays[name], (len(t),) if name == "t" else (len(t), len(names), 3)
-                if array.dtype.kind not in "iuf" or array.shape != whole:
-                    raise FileError(
-                        f"array {name!r} is {array.shape} of {array.dtype}, not {whole} of numbers"
-                    )
-            values = np.concatenate([arrays[name] for name in flown], axis=-1)
-            frame = str(arrays["frame"])
-            return recording_of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
+        arrays = read_arrays(path, ("frame", "drones", "t", *flown))
+        names, t = tuple(map(str, np.atleast_1d(arrays["drones"]))), np.atleast_1d(arrays["t"])
+        for name in ("t", *flown):
+            array, whole = arrays[name], (len(t),) if name == "t" else (len(t), len(names), 3)
+            if array.dtype.kind not in "iuf" or array.shape != whole:
+                raise FileError(
+                    f"array {name!r} is {array.shape} of {array.dtype}, not {whole} of numbers"
+                )
+        values = np.concatenate([arrays[name] for name in flown], axis=-1)
+        frame = str(arrays["frame"])
+        return recording_of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
 
 
 class JsonTable(Table):
@@ -279,40 +263,33 @@ class JsonTable(Table):
     endings = (".json",)
     file = "setpoints.json"
 
-    def write(self, path: Path, task: Task) -> None:
+    def write_file(self, path: Path, task: Task) -> None:
         """Write the document, twelve significant digits each."""
         head = {"format": JSON_FORMAT, **task.frame.to_dict()}
         head |= {"drones": list(task.names), "columns": list(COLUMNS)}
         row = "[" + ",".join(["%.12g"] * len(COLUMNS)) + "]"
         sample = '{"t": %.12g, "rows": [' + ",".join([row] * len(task.names)) + "]}"
         with path.open("w", encoding="utf-8", newline="\n") as file:
-            file.write(json.dumps(head, ensure_ascii=False)[:-1] + ",\n" + SAMPLES)
+            file.write(json.dumps(head, ensure_ascii=False)[:-1] + ',\n"samples": [')
             joint = "\n"
             for t, values in exported_blocks(task, ROWS):
                 flat = np.column_stack([t, values.reshape(len(t), -1)])
                 file.write(joint + ",\n".join([sample] * len(flat)) % tuple(flat.ravel().tolist()))
                 joint = ",\n"
-            file.write("\n" + END + "\n")
+            file.write("\n]}\n")
 
-    @staticmethod
-    def read_file(path: Path) -> Recording:
-        """Return what such a document says, line by line."""
-        what = "document that hitchopt wrote"
-        with reading(path, what), path.open(encoding="utf-8") as file:
-            head = parsed_json(file.readline(MAX_LINE).rstrip().removesuffix(",") + "}")
-            known = head["columns"][: len(FLOWN)] == list(FLOWN)
-            if not (known and head["format"] == JSON_FORMAT and head["drones"]):
-                raise FileError(f"its format is not {JSON_FORMAT} with hitchopt's columns")
-            if file.readline(MAX_LINE).strip() != SAMPLES:
-                raise FileError(f"its second line is not {SAMPLES}")
-            names, t, values = tuple(map(str, head["drones"])), [], []
-            while (line := file.readline(MAX_LINE).strip()) != END:
-                sample = parsed_json(line.removesuffix(","))
-                t.append(float(sample["t"]))
-                rows = np.array(sample["rows"], dtype=np.float64)
-                if rows.shape != (len(names), len(head["columns"])):
-                    raise FileError(f"from t = {t[-1]:g} s on its rows are not one per drone")
-                values.append(rows[:, : len(FLOWN)])
-            whole = np.array(values).reshape(-1, len(names), len(FLOWN))
-            frame = str(head.get("frame"))
-            return recording_of_samples(names, np.array(t), whole, frame, SMOOTH)
+    def read_file(self, path: Path) -> Recording:
+        """Return what such a document says."""
+        if path.stat().st_size > MAX_TEXT:
+            raise FileError(f"is larger than {MAX_TEXT} bytes")
+        content = parsed_json(path.read_bytes())
+        known = content["columns"][:9] == list(COLUMNS[:9])
+        if not (known and content["format"] == JSON_FORMAT and content["drones"]):
+            raise FileError(f"its format is not {JSON_FORMAT} with hitchopt's columns")
+        names, samples = tuple(map(str, content["drones"])), content["samples"]
+        values = np.array([sample["rows"] for sample in samples], dtype=np.float64)
+        if values.shape != (len(samples), len(names), len(content["columns"])):
+            raise FileError("a sample's rows are not one per drone")
+        t = np.array([sample["t"] for sample in samples], dtype=np.float64)
+        frame = str(content.get("frame"))
+        return recording_of_samples(names, t, values[..., :9], frame, SMOOTH)
