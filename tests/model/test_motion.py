@@ -28,8 +28,8 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         Phase(f"part {i}", 0, a, b, state=CableState.HITCHED if f else CableState.FREE)
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
-    parts = (PiecewisePolynomial.constant(BREAKS, place) for place in places)
-    return Motion(team, Requirements(), *parts, phases)
+    drones, vertices, legs, tensions = (PiecewisePolynomial.constant(BREAKS, x) for x in places)
+    return Motion(team, Requirements(), drones, vertices, legs, tensions, phases)
 
 
 @pytest.mark.parametrize(

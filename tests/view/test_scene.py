@@ -21,6 +21,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import states_at
 from hitchopt.objects import Section, SolidObject
+from hitchopt.objects.placing import in_world
 from hitchopt.simulation.ropes import linking_matrix
 from hitchopt.values import Array
 from hitchopt.view import film as films
@@ -220,7 +221,7 @@ def test_objects_are_painted_where_they_stand() -> None:
     """All else is far from the box, whose corners bound what is painted there."""
     scene, camera = scene_of(with_box(), 0), Camera.toward(-115.0, 32.0)
     box = scene.motion.requirements.objects["box"]
-    outline = box.section.placed(box.at[:2], box.yaw)
+    outline = in_world(box.pose, np.pad(box.section.core, ((0, 0), (0, 1))))[:, :2]
     expected = camera.seen(np.array([[*corner, z] for corner in outline for z in (0.4, 0.7)]))
     middle = np.mean(expected[:, :2], axis=0)
     polygons = Painter(scene, camera).painted(scene.at(0.0)).polygons
