@@ -155,12 +155,17 @@ HALVINGS = 7
 """Number of halvings of the step of the ladder in which the smallest roll lies: 0.1° are left."""
 
 
+LESS = 0.9
+"""Share of the roll that the reference needs at which other leg lengths have to suffice, for a
+search with all of them to be worth its time."""
+
+
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     """Return leg lengths on one polygon and the roll (clasps,) [rad] that goes with them.
 
     There is no roll where legs keep all limits without. Else it is the smallest one found with
-    which they keep the margin that is wanted, else the limits, as they are or else with other
-    lengths; none where no roll helps. Its sense is that of the task's own roll, upward of q-legs
+    which they keep the margin that is wanted, else the limits, as they are or with other lengths;
+    none where no roll helps. Its sense is that of the task's own roll, upward of q-legs
     without one.
 
     Parameters
@@ -176,9 +181,10 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
     sense = -1.0 if np.sum(own) < 0.0 else 1.0
     for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
         aim = replace(task, margin=margin)
-        roll = _least_roll(aim, sense)
-        if roll is None:
-            roll = _least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, COARSE, 3)
+        given = _least_roll(aim, sense)
+        ladder = COARSE if given is None else (LESS * abs(given),)
+        chosen = _least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, ladder, 3)
+        roll = given if chosen is None else chosen
         if roll is not None:
             return split_slack(_rolled(aim, roll)), np.full(len(own), roll)
     return without or split_slack(task), own

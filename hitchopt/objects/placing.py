@@ -92,11 +92,11 @@ def footing(objects: Mapping[str, SolidObject], name: str) -> float:
 def stacked_on(objects: Mapping[str, SolidObject], name: str, floor: float) -> list[str]:
     """Return the names of loose objects that stand on one, where objects are."""
     loose = [other for other, each in objects.items() if not each.fixed and other != name]
-    found = [(other, _standing(objects, other, floor)) for other in loose]
+    found = [(other, _gap_below(objects, other, floor)) for other in loose]
     return [other for other, (gap, _, under) in found if under == name and abs(gap) <= TOUCH]
 
 
-def _standing(
+def _gap_below(
     objects: Mapping[str, SolidObject], name: str, floor: float
 ) -> tuple[float, float, str | None]:
     """Return the gap [m] below an object, the height [m] of what is there, and whose it is."""
@@ -114,7 +114,7 @@ def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
     for name, each in objects.items():
         if each.fixed:
             continue
-        gap, surface, under = _standing(objects, name, floor)
+        gap, surface, under = _gap_below(objects, name, floor)
         if abs(gap) > TOUCH:
             what = "the ground" if under is None else f"objects.{under}"
             raise InputError(

@@ -318,6 +318,7 @@ OTHERS: dict[str, tuple[str, Change]] = {
         setting("asked", "keep_out", to=[{"polygon": [], "lower": 0, "upper": 1}]),
     ),
     "nothing asked": ("asked", setting("asked", to={})),
+    "no speed asked": ("asked.limits.speed", lambda s, _: s["asked"]["limits"].pop("speed")),
     "no mapping": ("asked", setting("asked", to=[])),
     "not a word": ("asked", lambda settings, _: settings.pop("asked")),
     **{

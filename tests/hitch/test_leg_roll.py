@@ -94,6 +94,16 @@ def test_legs_with_weight_are_split_for_their_distances_in_space(seed: int, n: i
     assert np.min(h.legs) >= 0.149
 
 
+def test_other_lengths_are_chosen_where_they_need_less_roll() -> None:
+    polygon = random_convex_polygon(16, 0.7, np.random.default_rng(4))
+    team = Team(16, float(np.max(polygon.edge_lengths)) + np.linspace(0.5, 0.6, 16), tension=0.6)
+    h = Hitch.spread(team, polygon)
+    as_they_are = Hitch.balanced(team, polygon).least_rolled(Requirements())
+    assert margin(h) >= 1.0
+    assert margin(as_they_are) >= 1.0
+    assert 0.0 < h.roll[0] < 0.9 * as_they_are.roll[0]
+
+
 def test_a_hitch_that_follows_keeps_its_roll_or_gets_one_where_it_must() -> None:
     keep: dict[str, Any] = {"limits": Limits(), "separation": Separation()}
     small = Team(8, 2.2)

@@ -107,3 +107,14 @@ def test_a_plan_that_has_ended_does_not_turn() -> None:
     over = states_at(motion, motion.duration + 1.0)
     assert not np.any(over.body_rates)
     assert not np.any(over.thrust_rates(motion.team))
+
+
+def test_a_part_of_a_motion_has_the_states_of_the_whole() -> None:
+    """Counted from the part's own start."""
+    motion = hitched()
+    start = float(motion.drones.breaks[2])
+    part = motion.taken(slice(2, None), motion.overlapping(start, motion.duration))
+    t = part.duration * np.linspace(0.013, 0.987, 7)
+    here, there = states_at(part, t), states_at(motion, start + t)
+    for name in ("positions", "velocities", "vertices", "cable_forces"):
+        np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-9)

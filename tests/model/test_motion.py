@@ -28,7 +28,7 @@ def resting(formed: tuple[bool, ...]) -> Motion:
         Phase(f"part {i}", 0, a, b, state=CableState.HITCHED if f else CableState.FREE)
         for i, ((a, b), f) in enumerate(zip(pairwise(BREAKS), formed, strict=True))
     )
-    drones, vertices, legs, tensions = (PiecewisePolynomial.constant(BREAKS, p) for p in places)
+    drones, vertices, legs, tensions = (PiecewisePolynomial.constant(BREAKS, x) for x in places)
     return Motion(team, Requirements(), drones, vertices, legs, tensions, phases)
 
 
