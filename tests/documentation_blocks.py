@@ -12,8 +12,8 @@ import re
 import shlex
 from collections.abc import Iterator
 from contextlib import redirect_stdout
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import click
 from click.testing import CliRunner
@@ -28,16 +28,14 @@ TINY = 1e-6
 """Numbers below this are rounding, and differ between processors."""
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """A fenced block: its language, or directive, and its text."""
 
     language: str
     text: str
 
 
-@dataclass(frozen=True)
-class Shown:
+class Shown(NamedTuple):
     """What a block or command prints, what the page shows of it, and a command's exit code."""
 
     code: str
@@ -88,7 +86,7 @@ def file_name(block: Block) -> str:
 def commands(block: Block) -> list[tuple[str, str]]:
     """Return the commands of a console block with what is shown of each."""
     parts = re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]
-    return [(part.partition("\n")[0], part.partition("\n")[2]) for part in parts]
+    return [(first, shown) for first, _, shown in (part.partition("\n") for part in parts)]
 
 
 def run(command: str) -> tuple[int, str]:
@@ -110,19 +108,17 @@ def same(printed: str, shown: str) -> bool:
 
 def _same_line(printed: str, shown: str) -> bool:
     if shown.endswith("…"):
-        shown = shown.removesuffix("…").rstrip()
-        return printed.startswith(shown)
+        return printed.startswith(shown.removesuffix("…").rstrip())
     if NUMBER.sub("#", printed).split() != NUMBER.sub("#", shown).split():
         return False
-    pairs = zip(NUMBER.findall(printed), NUMBER.findall(shown), strict=True)
-    return all(_same_number(a.replace("−", "-"), b.replace("−", "-")) for a, b in pairs)
+    return all(map(_same_number, NUMBER.findall(printed), NUMBER.findall(shown)))
 
 
-def _same_number(a: str, b: str) -> bool:
-    unit = 10.0 ** -max(len(each.partition("e")[0].partition(".")[2]) for each in (a, b))
-    scale = 10.0 ** float(b.partition("e")[2] or 0)
+def _same_number(printed: str, shown: str) -> bool:
+    a, b = printed.replace("−", "-"), shown.replace("−", "-")
     x, y = float(a), float(b)
-    exact = "." not in a + b and "e" not in a + b
-    if exact:
+    if "." not in a + b and "e" not in a + b:
         return x == y
-    return abs(x - y) <= 1.5 * unit * scale or max(abs(x), abs(y)) < TINY
+    places = max(len(each.partition("e")[0].partition(".")[2]) for each in (a, b))
+    unit = 10.0 ** (float(b.partition("e")[2] or 0) - places)
+    return abs(x - y) <= 1.5 * unit or max(abs(x), abs(y)) < TINY

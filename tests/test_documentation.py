@@ -36,10 +36,8 @@ PAGES = [
 ]
 """Written pages. The gallery's index is generated, but has no code."""
 
-RUN = {"python", "console"}
-
-SHOWN = {"", "text", "sh", "yaml", "json"}
-"""Blocks that are not executed; those of YAML are checked against the schema."""
+RUN, SHOWN = {"python", "console"}, {"", "text", "sh", "yaml", "json"}
+"""Blocks that are executed, and not; those of YAML are checked against the schema."""
 
 
 def text_of(page: Path) -> str:
@@ -57,13 +55,13 @@ LONG = {"carry.md", "fit.md", "look_at_a_plan.md", "sweep.md"}
 """Pages whose blocks take longest."""
 
 
-@pytest.mark.parametrize(
-    "page",
-    [
-        pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=name_of(page))
-        for page in RUNNABLE
-    ],
-)
+CASES = [
+    pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=name_of(page))
+    for page in RUNNABLE
+]
+
+
+@pytest.mark.parametrize("page", CASES)
 def test_blocks_print_what_is_shown(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -77,14 +75,19 @@ def test_blocks_print_what_is_shown(
         assert failing == (done.status != 0), f"{done.code}\n{done.printed}"
 
 
-def test_every_block_is_executed_or_text() -> None:
+def test_every_block_is_executed_or_text_and_links_lead_to_files() -> None:
     for page in PAGES:
-        notebook = text_of(page).startswith("---\nfile_format: mystnb")
-        for block in blocks(text_of(page)):
+        text = text_of(page)
+        notebook = text.startswith("---\nfile_format: mystnb")
+        for block in blocks(text):
             directive = block.language.startswith("{")
             code = block.language.startswith("{code-cell}")
             assert code <= notebook, f"{page}: a code cell outside of an executed page"
             assert directive or block.language in RUN | SHOWN, f"{page}: {block.language}"
+        links = re.findall(r"\]\(([^)#]+)[^)]*\)", text)
+        local = [link for link in links if "://" not in link]
+        missing = [link for link in local if not (page.parent / link).exists()]
+        assert not missing, f"{page}: {missing}"
 
 
 YAML_BLOCKS = [
@@ -99,21 +102,9 @@ def test_yaml_has_keys_of_the_schema(block: Block) -> None:
     if given.keys() <= StudyKeys.model_fields.keys():
         StudyKeys.model_validate({"problem": "", **given})
         return
-    whole = file_name(block) or "goal" in given
-    problem = (
-        given
-        if whole
-        else {**yaml.load(problem_text(PACKAGE / "mission" / "template.yaml")), **given}
-    )
+    template = yaml.load(problem_text(PACKAGE / "mission" / "template.yaml"))
+    problem = given if file_name(block) or "goal" in given else {**template, **given}
     jsonschema.validate(problem, problem_schema())
-
-
-def test_links_lead_to_files() -> None:
-    for page in PAGES:
-        links = re.findall(r"\]\(([^)#]+)[^)]*\)", text_of(page))
-        local = [link for link in links if "://" not in link]
-        missing = [link for link in local if not (page.parent / link).exists()]
-        assert not missing, f"{page}: {missing}"
 
 
 def test_the_readme_s_film_moves_and_is_small() -> None:
