@@ -160,6 +160,17 @@ def test_slack_cables_are_named_and_hold_no_clasp() -> None:
     assert {"p0", "p1"} <= set(longer.loose_clasps)
 
 
+def test_spans_hang_by_a_quarter_of_their_chord_by_their_own_tension() -> None:
+    energy, x = resting_energy(random_hitch(3, 4), Conditions(cable_density=0.01))
+    x[:, : energy.drones, 2] -= 1.5  # legs come down, and pull with less than their edge
+    ends, w = x[:, energy.nodes], 9.81 * 0.01
+    legs = ends[:, :, [1, 3]] - ends[:, :, [0, 2]]
+    # By w s²/(8 m), m the tension at the middle of a leg, 0.75 m below that of the edge.
+    quarter = np.max(0.5 * w * np.linalg.norm(legs, axis=-1), axis=-1) + 0.75 * w
+    assert not np.any(energy.law.hanging(ends, quarter * 1.01))
+    assert np.all(energy.law.hanging(ends, quarter * 0.99))
+
+
 def test_samples_settle_as_each_alone() -> None:
     hitch = random_hitch(4, 3, stiffness=8.0)
     rng = np.random.default_rng(4)
