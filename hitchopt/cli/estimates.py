@@ -291,16 +291,18 @@ def _outline(text: str) -> object:
 def _fit_tables(content: dict[str, Any]) -> Iterator[str]:
     """Yield the tables of polygons and of masses."""
     grip, rest = content["grip"] or {}, content["rest"] or {}
-    columns = {
+    polygons = {
         "enclosing [m]": content["enclosing"],
         "gripping [m]": grip.get("polygon"),
-        "wrap [°]": grip.get("wraps_deg"),
         "resting [m]": rest.get("polygon"),
     }
-    rows = [
-        {"vertex": f"p{k}", **{head: values[k] for head, values in columns.items() if values}}
-        for k in range(content["robots"])
-    ]
+    rows = []
+    for k in range(content["robots"]):
+        known = {head: points[k] for head, points in polygons.items() if points}
+        rounded = {head: [round(x, 4) + 0.0 for x in point] for head, point in known.items()}
+        rows.append({"vertex": f"p{k}", **rounded})
+        if grip:
+            rows[k]["wrap [°]"] = grip["wraps_deg"][k]
     yield table(f"Polygons of {content['robots']} cables of {content['cable_length']:.2f} m", rows)
     masses = content["largest_mass"].items()
     held = [{"robots": n, "by": by, **each} for by, found in masses for n, each in found.items()]
