@@ -13,6 +13,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 
 from hitchopt.checks import certify, merged
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
@@ -27,7 +28,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProb
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.steps import Form, Step
+from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
     check_above_ground,
@@ -59,7 +60,7 @@ def solve_problem(
     InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     HitchoptError: a planner failed to find what may exist, and says so.
     """
-    steps, requirements, tell = problem.mission, problem.requirements, progress or _unheard
+    steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
     planned = requirements.planned  # stops on the common clock may use the rest
     situation, assignment = _begun(problem, planned, tell)
     start, parts = situation.hitch, list[StepPlan]()
@@ -89,10 +90,6 @@ def solve_problem(
     if isinstance(problem.start, DronesStart):
         check_above_ground(motion)
     return Certified(replace(motion, assignment=assignment), certificate)
-
-
-def _unheard(message: str) -> None:
-    """Hear what is being done, where nobody else does."""
 
 
 MOST = 32
@@ -178,7 +175,13 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
             when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
         if f"step {first}" not in when and "end of step" not in when:
             when = f"{when} of step {names}".strip()
-        told.append(replace(violation, when=when, remedy=_remedy(violation, len(group) > 1)))
+        told.append(
+            replace(
+                violation,
+                when=when,
+                remedy=_remedy(violation, "leave out blend" * (len(group) > 1)),
+            )
+        )
     return InfeasibleError(told, error.note)
 
 
@@ -190,12 +193,15 @@ def _advised(found: Certified, steps: Sequence[Step]) -> InfeasibleError:
         during = [p for p in found.motion.phases if p.start <= check.time <= p.end]
         around = [steps[i] for p in during for i in (p.step - 1, p.step) if i >= 0]
         blends = check.name != "duration" and any(step.blends for step in around)
-        told.append(replace(violation, remedy=_remedy(violation, blends)))
+        timed = any(isinstance(steps[phase.step], FollowVertex) for phase in during)
+        longer = "give the points more time" * (timed and RULE_OF[check.name].derivative > 0)
+        advice = longer or "leave out blend" * blends
+        told.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(told, error.note)
 
 
-def _remedy(violation: Violation, blended: bool) -> str:
-    return f"{violation.remedy}, or leave out blend" if blended else violation.remedy
+def _remedy(violation: Violation, advice: str) -> str:
+    return f"{violation.remedy}, or {advice}" if advice else violation.remedy
 
 
 SHARE = 1.0 - 1e-6

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -42,9 +42,9 @@ TURNING = SmoothLaw(0.75)
 STRETCHES, SLOWER = 5, 1.5
 """So often a move is slowed until limits hold; by this factor where it is not known how far."""
 
-LOOSE, WEIGHTS = 0.3, 4.0
-"""Tension with which grips are opened [N], and times a cable's weight that it is at the least: the
-less cables pull, the less they hold each other, but the more they sag."""
+LOOSE = (0.3, 0.6)
+"""[N] Tensions with which grips are opened: the less cables pull, the less they hold each other,
+but the more they sag; with the first they are closed where edges would push what stands."""
 
 LEANS, KEPT = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
 """Shares of clasp friction against which legs are tried to lean while a hitch closes or opens, and
@@ -227,10 +227,7 @@ def one_phase(
 
 
 def held_plan(step: Step, task: StepTask, after: Holding, moves: Sequence[Move]) -> StepPlan:
-    """Return the plan of moves one after the other, and that it ends holding ``after``.
-
-    Where the step was given a duration, all are slowed alike.
-    """
+    """Return the plan of moves one after the other, slowed alike, that ends holding ``after``."""
     if step.given_duration is not None:
         total, wanted = sum(move.law.duration for move in moves), step.given_duration
         check_duration(wanted, total, f"of step {task.index}")
@@ -339,25 +336,22 @@ def _passed(
     held, name = holding.held, f"objects.{holding.name}"
     assert isinstance(held, GrippedHitch)
     most = PUSHED * held.body.friction * held.body.mass * GRAVITY
-    team = held.team
-    loose = np.maximum(LOOSE, WEIGHTS * GRAVITY * team.cable_density * team.cable_length)
-    between = np.minimum(holding.tension, loose) if opening else holding.tension
-    push = held.largest_push(between)
-    if push > most:
-        between = np.maximum(np.minimum(between, loose), between * most / push)
-        push = held.largest_push(between)
-    if push > most * (1.0 + 1e-9):
+    low, high = (np.minimum(holding.tension, each) for each in LOOSE)
+    gentle = holding.tension * min(1.0, most / max(held.largest_push(holding.tension), 1e-9))
+    tried = (low, high) if opening else (holding.tension, np.maximum(low, gentle))
+    resting = [each for each in tried if held.largest_push(each) <= most * (1.0 + 1e-9)]
+    if not resting:
+        push, when = held.largest_push(low), "on its support, which its edges push it along"
         remedy = f"give it more weight, raise {name}.friction, or give it a rim"
-        when = "on its support, which its edges push it along as they close around it"
         raise InfeasibleError([Violation("grip", push, most, "max", "N", (name,), when, remedy)])
-    lax = holding_otherwise(task, tension=between)
-    ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
-    first, last = (
-        [changed_move(task, TURNING, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
-        for p, q, at in ends
-    )
-    rubbing, refused = bool(team.cable_friction), list[InfeasibleError]()
-    for lean in LEANS if rubbing else LEANS[-1:]:
+    rubbing, refused = bool(held.team.cable_friction), list[InfeasibleError]()
+    for between, lean in product(resting, LEANS if rubbing else LEANS[-1:]):
+        lax = holding_otherwise(task, tension=between)
+        ends = (tension[0], between, closed[0]), (between, tension[1], closed[1])
+        first, last = (
+            [changed_move(task, TURNING, tension=(p, q), closed=(at, at))] if np.any(p != q) else []
+            for p, q, at in ends
+        )
         try:
             moves = [*first, *_leaning(lax, *closed, -lean if opening else lean), *last]
             motion = held_motion(task, moves, step.name)

@@ -1,12 +1,17 @@
-"""Missions of many steps: one plan, stops where they are asked for, remarks that are kept."""
+"""Missions of many steps: one plan, stops where they are asked for, nothing planned twice."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import is_dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.mission.solving import contents
 from hitchopt.steps import Step
 
 HEXAGON = ho.regular_polygon(6, 1.3, angle=0.2).translated([1.0, 2.0])
@@ -130,3 +135,58 @@ def test_errors_name_the_step_that_they_are_of() -> None:
     short = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), duration=0.1)
     with pytest.raises(ho.InfeasibleError, match=r"duration: .* of step 1 \(move_vertex\)"):
         ho.solve(mission(ho.Hold(0.1), short))
+
+
+def arrays_in(value: Any) -> Iterator[np.ndarray]:
+    """All arrays that a plan holds."""
+    if isinstance(value, np.ndarray):
+        yield value
+    for part in vars(value).values() if is_dataclass(value) else ():
+        yield from arrays_in(part)
+    for part in value if isinstance(value, tuple) else ():
+        yield from arrays_in(part)
+
+
+def test_nothing_can_be_written_into_a_plan() -> None:
+    plan = ho.solve(mission(ho.Hold(1.0)))
+    found = [array for array in arrays_in(plan) if array.size]
+    assert len(found) > 5
+    for array in found:
+        for place in ((0,) * array.ndim, (-1,) * array.ndim):
+            with pytest.raises(ValueError, match="read-only"):
+                array[place] = 7.0
+
+
+KNOWN = "planned before, taken from memory"
+
+
+def test_after_an_edit_only_what_it_changes_is_planned() -> None:
+    def edited(last: float, **kept: object) -> ho.Problem:
+        there = ho.Transport(np.array([last, 2.2, 1.3]), 0.2)
+        return mission(MOVES[3], ho.Hold(1.0), *blended(MOVES[:2]), there, **kept)
+
+    def known(problem: ho.Problem) -> tuple[ho.Plan, list[bool]]:  # of its four motions
+        heard: list[str] = []
+        plan = ho.solve(problem, heard.append)
+        told = [word for word in heard if word == KNOWN or word.startswith("certifying step")]
+        return plan, [word == KNOWN for word in told]
+
+    first, told = known(edited(0.3))
+    assert told == [False] * 4
+    assert known(edited(0.4))[1] == [True, True, True, False]
+    assert known(replace(edited(0.4), title="renamed"))[1] == [True] * 4
+    assert known(edited(0.4, limits=ho.Limits(speed=0.99)))[1] == [False] * 4
+    again, told = known(edited(0.3))
+    assert told == [True] * 4
+    ho.forget()
+    anew, told = known(edited(0.3))
+    assert told == [False] * 4
+    held = [[array.tobytes() for array in arrays_in(plan)] for plan in (first, again, anew)]
+    assert held[0] == held[1] == held[2]
+
+
+def test_requests_of_other_contents_are_told_apart() -> None:
+    array = np.arange(6.0).reshape(2, 3)
+    alike = [1, 1.0, True, "1", (1,), [1], np.float32(1.0), 0.0, -0.0, np.nextafter(1.0, 2.0)]
+    alike += [array, array.reshape(3, 2), np.asfortranarray(array), ho.Release(1.0), ho.Land(1.0)]
+    assert len({repr(contents(value)) for value in [*alike, *alike]}) == len(alike)
