@@ -117,6 +117,10 @@ def export_motion(
     )
     _refuse_taken(place)
     certificate = certify(plan, say)
+    if options.stretch > 1.0 and motion.borne is not None and certificate.violated:
+        words = f"with --stretch {options.stretch:g}: legs lean by the inertia of what is carried"
+        remedy = "stretch it less, or plan the steps with a longer duration"
+        raise InfeasibleError(each.violation(words, remedy) for each in certificate.violated)
     certificate.raise_if_violated()
     if options.hold_tension:
         loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
