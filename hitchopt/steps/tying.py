@@ -71,9 +71,7 @@ class SwapKeys(Keys):
         "Of the axis of turning, upward [°]; 45 without it", None
     )
     seconds: Positive | None = key("Half a turn takes at least this long [s]", None)
-    sense: Literal["up", "down", "auto"] = key(
-        "up: every q goes up first; down; auto: up", "auto"
-    )
+    sense: Literal["up", "down", "auto"] = key("up: every q goes up first; down; auto: up", "auto")
 
 
 def _settings(key: str, value: object) -> object:
