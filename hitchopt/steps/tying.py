@@ -59,12 +59,10 @@ class SwapKeys(Keys):
 
     radius: Positive = key("Smallest semi-axis of the ellipses [m]", SwapSettings.radius)
     tilt_deg: Annotated[float, Field(ge=0.0, lt=90.0)] | None = key(
-        "Of the axis of turning, upward [°]; without it, chosen", None
+        "Of the axis of turning, upward [°]; 45 without it", None
     )
     seconds: Positive | None = key("Half a turn takes at least this long [s]", None)
-    sense: Literal["up", "down", "auto"] = key(
-        "up: every q goes up first; down; auto: chosen for each vertex", "auto"
-    )
+    sense: Literal["up", "down", "auto"] = key("up: every q goes up first; down; auto: up", "auto")
 
 
 def _settings(key: str, value: object) -> object:

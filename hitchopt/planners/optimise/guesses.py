@@ -95,10 +95,7 @@ def _edgewise(first: ConvexPolygon, last: ConvexPolygon, angle: float, s: Array)
 
 
 def _closed_lengths(directions: Array, lengths: Array, shortest: Array) -> Array | None:
-    """Return the lengths (J, n) nearest to ``lengths`` that close every polygon.
-
-    None where one of them would be too short.
-    """
+    """Return the lengths (J, n) nearest to given ones that close; None if one is too short."""
     sides = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
     gaps = np.swapaxes(sides, 1, 2) @ lengths[..., None]
     pushes = np.linalg.solve(np.swapaxes(sides, 1, 2) @ sides, gaps)

@@ -122,10 +122,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
 
 
 def _steady_rate(path: ClockedPath) -> float:
-    """Return a constant x inside of all limits.
-
-    Along constant x every limit allows a stretch from rest on, so less than allowed is inside.
-    """
+    """Return a constant x inside of all limits: less than what they allow is inside as well."""
     rate, p = min(1.0, float(np.min(path.most))), np.zeros((3, len(path.most)))
     for _ in range(200):
         p[0] = rate
@@ -438,11 +435,6 @@ def _newton(
     """Return the residual (count,) of forces at p (3, M), and the factor of Newton's matrix.
 
     By the convex part of the rows where the matrix is indefinite; None where there is no factor.
-
-    Parameters
-    ----------
-    gradients: (3, R, M), of the rows by value and derivatives of x.
-    force, slack: (R · M + count,), of the rows, then of the coefficients.
     """
     rows, shape, inner = program.rows, program.rows.c.shape, program.rows.c.size
     own, stiff = (each[:inner].reshape(shape) for each in (force, force / slack))

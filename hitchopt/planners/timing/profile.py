@@ -137,11 +137,7 @@ def _fastest_squares(programs: Array) -> Array:
     """Return (J + 1,): the largest ṡ² from rest to rest, nan where there is none.
 
     From the last point to the first, the largest ones from which rest can be reached; then as fast
-    as these allow.
-
-    Parameters
-    ----------
-    programs: (J, 3, 2m + 2), of the steps; the next point's bounds are written into them.
+    as these allow. The next point's bounds are written into the programs.
     """
     steps = len(programs)
     lowest, highest = np.array([-HUGE, 0.0]), np.array([HUGE, HUGE])
