@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, ValidationError, model_validator
+from pydantic import ConfigDict, Field, Tag, ValidationError, model_validator
 
 from hitchopt.errors import FileError, InputError, OneLine, short
 from hitchopt.mission.keys import MAX_TITLE
 from hitchopt.mission.wording import translated
-from hitchopt.steps.step_keys import Keys, NotNegative, OneOrEach, Positive, fault
+from hitchopt.steps.step_keys import EACH, FORM, MAPPING, Keys, NotNegative, Positive, fault
 from hitchopt.steps.step_keys import key as option
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 
@@ -57,7 +57,8 @@ class ParameterKeys(Keys):
     grid: GridKeys = option("Values at even distances")
 
 
-Parameter = OneOrEach[ParameterKeys, Annotated[list[Any], Field(min_length=1)]]
+Listed = Annotated[list[Any], Field(min_length=1), Tag(EACH)]
+Parameter = Annotated[Annotated[ParameterKeys, Tag(MAPPING)] | Listed, FORM]
 Values = ParameterKeys | list[Any]
 
 

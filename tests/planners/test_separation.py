@@ -333,8 +333,8 @@ def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
     P, A = sp.csc_array(np.eye(2)), sp.csc_array(np.ones((1, 2)))
     one, two = np.ones(1), np.ones(2)
     for arguments, words in (
-        ((P, np.ones(3), A, -one, one), "objective"),
-        ((P, two, A, -two, one), "bounds"),
+        ((P, np.ones(3), A, -one, one), "shapes P, q"),
+        ((P, two, A, -two, one), "shapes P, q"),
         ((P, two, A, one, -one), "crossed"),
         ((P, two * np.nan, A, -one, one), "nan"),
     ):

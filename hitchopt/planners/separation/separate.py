@@ -34,7 +34,7 @@ from hitchopt.values import Array, Indices
 Progress = Callable[[str], None]
 
 RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
-"""By how much drones give way to the right where they meet, and the duration over that of the
+"""How far drones give way to the right where they meet, and the duration over that of the
 slowest flight (above 1, departures are staggered), in the order in which they are tried."""
 
 ROUNDS = 16
