@@ -66,29 +66,31 @@ HALVINGS = 25
 class Solid:
     """A slab that points, segments and other upright slabs keep off.
 
-    Of a slab the corners of its core are given, first those of its floor, then those of its
-    ceiling. What is round about that core is added to the slab that stands still.
+    Of another slab, which there is where a ``rounding`` is given, the corners of the core are known,
+    first those of its floor, then those of its ceiling. What is round about that core is added to
+    the slab that stands still.
     """
 
     slab: Slab
-    rounding: float = 0.0
+    rounding: float | None = None
 
     @property
     def box(self) -> Array:
         """Lower and upper corner (2, 3) [m] of a box around it."""
-        reach = self.slab.section.circumradius + self.rounding
+        reach = self.slab.section.circumradius + (self.rounding or 0.0)
         return np.array([[-reach, -reach, self.slab.lower], [reach, reach, self.slab.upper]])
 
     def support(self, directions: Array) -> Array:
         """Return how far it reaches (…) [m] along directions (…, 3)."""
-        round_ = self.rounding * np.linalg.norm(directions[..., :2], axis=-1)
-        reach: Array = self.slab.support(directions) + round_
+        reach: Array = self.slab.support(directions)
+        if self.rounding is not None:
+            reach = reach + self.rounding * np.linalg.norm(directions[..., :2], axis=-1)
         return reach
 
     def towards(self, corners: Array) -> Array:
         """Return the directions (…, 3) out of it to what has corners (…, 1, 2 or 2 m, 3)."""
-        if corners.shape[-2] > 2:
-            return self._beside(corners)
+        if self.rounding is not None:
+            return self._beside(corners, self.rounding)
         first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
         if corners.shape[-2] == 1:
             return self.slab.clearance(first).normals
@@ -103,14 +105,14 @@ class Solid:
             lower, upper = np.where(rising, lower, middle), np.where(rising, middle, upper)
         return out(np.where(lower == 0.0, 0.0, upper))
 
-    def _beside(self, corners: Array) -> Array:
+    def _beside(self, corners: Array, rounding: float) -> Array:
         """Return the same of upright slabs; level ones are those in which a side is nearest."""
         floor = corners[..., : corners.shape[-2] // 2, :2]
         sides = np.stack([floor, np.roll(floor, -1, axis=-2)], axis=-2)
         flat = np.concatenate([sides, np.zeros_like(sides[..., :1])], axis=-1)
         normals = from_above(self.slab).towards(flat)[..., :2]  # (…, sides, 2)
         apart = np.min(np.einsum("...sd,...kd->...sk", normals, floor), axis=-1)
-        apart = apart - self.slab.section.support(normals) - self.rounding
+        apart = apart - self.slab.section.support(normals) - rounding
         best = np.argmax(apart, axis=-1)[..., None]
         level = np.maximum(np.take_along_axis(apart, best, axis=-1), 0.0)
         level = level * np.take_along_axis(normals, best[..., None], axis=-2)[..., 0, :]

@@ -71,15 +71,19 @@ def _properties_at(schema: Schema, path: Sequence[str | int]) -> dict[str, Schem
     found = list(_forms(schema, schema))
     for part in path:
         inner = [
-            form["items"]
-            if isinstance(part, int)
-            else form.get("properties", {}).get(part)
-            or next(iter(form.get("patternProperties", {}).values()))  # names that users give
+            form["items"] if isinstance(part, int) else _under(form, part)
             for form in found
             if ("items" in form if isinstance(part, int) else form.get("type") == "object")
         ]
         found = [form for entry in inner for form in _forms(schema, entry)]
     return {key: each for form in found for key, each in form.get("properties", {}).items()}
+
+
+def _under(form: Schema, key: str) -> Schema:
+    """Return what a schema says of a key, or of all names that users give."""
+    others = [*form.get("patternProperties", {}).values(), form.get("additionalProperties")]
+    found: Schema = form.get("properties", {}).get(key) or others[0] or {}
+    return found
 
 
 def _forms(schema: Schema, entry: Schema) -> Iterator[Schema]:
