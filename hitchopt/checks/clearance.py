@@ -66,7 +66,7 @@ HALVINGS = 25
 class Solid:
     """A slab that points, segments and other upright slabs keep off.
 
-    Of another slab, which there is where a ``rounding`` is given, the corners of the core are known,
+    Of another slab, if a ``rounding`` is given, the corners of the core are known,
     first those of its floor, then those of its ceiling. What is round about that core is added to
     the slab that stands still.
     """
