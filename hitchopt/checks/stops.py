@@ -19,7 +19,7 @@ running on, until a stop can begin; a plan that ends at rest has reached rest th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import TypeVar
@@ -66,8 +66,8 @@ or something that is carried, which allow no shorter ones."""
 RATIO, CARRIED_RATIO = 1.25, 1.5
 """Ratios of neighbouring durations that are tried, about; the second while something is carried."""
 
-SPACING, QUICK_SPACING, STARTS = 0.1, 0.2, 10_000
-"""[s] Distances of stops, also while steering, and how many there are at most."""
+SPACING, STARTS = 0.1, 10_000
+"""[s] Distance of stops, and how many there are at most."""
 
 LATEST = 1.5
 """Longest stops, relative to the time until the plan rests by itself."""
@@ -376,17 +376,15 @@ class StopTable:
         return float(self.starts[best]), float(self.durations[best])
 
 
-def stop_table(
-    motion: Motion, limits: ClockLimits | None = None, spacing: float = SPACING
-) -> StopTable:
-    """Return stops that are shown to keep all limits of a motion, ``spacing`` [s] from each other.
+def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
+    """Return stops that are shown to keep all limits of a motion, SPACING [s] from each other.
 
     Each has the shortest duration of a ladder that bisection finds. The end counts as rest only if
     the drones rest there. ``limits`` are those of the motion, where they are known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
-    count = max(2, int(min(np.ceil((end - begin) / spacing), STARTS)) + 1)
+    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
@@ -486,16 +484,13 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Arra
     return paths, np.column_stack(slack) / body.mass
 
 
-def _find(motion: Motion, found: Findings, gamma: float, spacing: float = SPACING) -> Finding:
+def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
     """Return the longest time [s] over all times of the command, and about when that is."""
     del found, gamma
     with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
-        longest, begins = stop_table(motion, spacing=spacing).longest
+        longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))
     return Finding(float(longest[worst]), float(begins[worst]))
 
 
 RULE = ReportRule("stoppable", "s", "max", _find, whole=True)
-
-QUICK = replace(RULE, find=partial(_find, spacing=QUICK_SPACING))
-"""The same of fewer stops, for plans of which many are made: it is larger by their distance."""

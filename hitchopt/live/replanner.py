@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.spans import shared_values
-from hitchopt.checks.stops import QUICK
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -72,7 +71,7 @@ class Retarget(OneLine):
     start: time at which the new plan leaves the old one [s].
     motion: what flies now, from the beginning of steering.
     ahead: the part from the last break before ``start`` on, t = 0 there; of a refusal the motion.
-    certificate: of ``ahead``, all checks but those that need no limit and most time.
+    certificate: of ``ahead``, all checks; what is only reported, that of ``plan`` tells.
     reason: of a refusal, in words.
     """
 
@@ -153,7 +152,7 @@ class Replanner(OneLine):
         turning = math.inf if limits.body_rate is None else GRAVITY * limits.body_rate
         self._limits = replace(limits, jerk=min(limits.jerk, turning))
         """Those of planning, with a jerk that turns a hovering drone at ``body_rate`` at most."""
-        self._certificate = certify(self.motion, reports=(QUICK,))
+        self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
             self._end(self._goal.polygon, self._goal.altitude, chosen=True)
         if not self._certificate.certified:
@@ -350,7 +349,7 @@ def _certificate(ahead: Motion) -> Certificate:
     checked = ahead.untimed
     with shared_values(), rough_bounds():
         known = {QUICK_EQUILIBRIUM.name: QUICK_EQUILIBRIUM.findings(checked)}
-        return certify(checked, reports=(QUICK,), known=known)
+        return certify(checked, reports=(), known=known)
 
 
 def _breaks(brake: float, shift: float, finer: float) -> Array:
