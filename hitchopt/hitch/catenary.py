@@ -42,8 +42,7 @@ def steepness(ratio: ArrayLike) -> Array:
     excess = rho - 1.0
     near = np.sqrt(6.0 * excess / (1.0 + 0.3 * np.minimum(excess, 1.0)))
     wide = np.log(2.0 * np.maximum(rho, 2.0))
-    far = wide + np.log(wide)
-    sigma = np.where(rho < 3.0, near, far)
+    sigma = np.where(rho < 3.0, near, wide + np.log(wide))
     target = np.log1p(excess)
     for _ in range(NEWTON):
         x = np.maximum(sigma, SERIES)
@@ -83,8 +82,7 @@ class Catenary:
     def depth(self, mu: ArrayLike) -> Array:
         """Return the depth of the cables below the chord at μ (…) [m]."""
         level, skew = depth_terms(self.sigma, mu)
-        below: Array = self.length * level + self.rise * skew
-        return below
+        return self.length * level + self.rise * skew
 
     def place(self, share: ArrayLike) -> Array:
         """Return μ (…) at shares (…) of the cable's length from its first end."""
@@ -109,18 +107,15 @@ class Catenary:
         inward, downward = pull_terms(self.sigma)
         offset = second - first
         level = 0.5 * offset * np.array([1.0, 1.0, 0.0]) * inward[..., None]
-        weight = np.zeros((*np.shape(self.length), 2, 3))
-        tipped = 0.5 * offset[..., 2] * downward
-        weight[..., 0, 2] = -0.5 * self.length + tipped
-        weight[..., 1, 2] = -0.5 * self.length - tipped
-        weight[..., 0, :] += level
-        weight[..., 1, :] -= level
+        level[..., 2] = 0.5 * offset[..., 2] * downward
+        weight = np.stack([level, -level], axis=-2)
+        weight[..., 2] -= 0.5 * self.length[..., None]
         return weight
 
 
 def depth_terms(sigma: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     """Return P and Q of the depth, for σ and μ that broadcast."""
-    sigma, mu = np.broadcast_arrays(np.asarray(sigma, np.float64), np.asarray(mu, np.float64))
+    sigma, mu = np.asarray(sigma, np.float64), np.asarray(mu, np.float64)
     x = np.maximum(sigma, SERIES)
     whole = np.sinh(x)
     level = np.sinh(0.5 * (1.0 + mu) * x) * np.sinh(0.5 * (1.0 - mu) * x) / whole
