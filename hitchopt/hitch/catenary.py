@@ -141,10 +141,6 @@ def level_length(rise: Array, length: Array) -> Array:
     return np.sqrt(squared)
 
 
-MAX_POINTS = 1_000_000
-"""Points of one cable."""
-
-
 def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: int = 50) -> Array:
     """Return points (…, points, 3) [m] of a cable that hangs between two ends, in order.
 
@@ -154,7 +150,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     ----------
     first, second: its ends (…, 3) [m]; of several cables at once if there are further axes.
     length: of the cable [m], at least the distance of its ends.
-    points: how many, both ends among them; at most MAX_POINTS.
+    points: how many, both ends among them; at most a million.
 
     Raises
     ------
@@ -171,15 +167,13 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     except ValueError:
         bound = f"of the shape of first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
-    size = positive("length", length)
-    count = whole("points", points, 2, MAX_POINTS)
+    size, count = positive("length", length), whole("points", points, 2, 1_000_000)
     apart = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
     if size < apart:
         bound = f"at least the distance of its ends, {apart:.6g} m"
         raise InputError("length", length, bound, "lengthen the cable or move its ends")
     cable = Catenary.between(a[..., None, :], b[..., None, :], size)
-    shares = np.linspace(0.0, 1.0, count)
-    places = cable.place(shares)[..., None]  # -1 at the first end, 1 at the second one
+    places = cable.place(np.linspace(0.0, 1.0, count))[..., None]
     found: Array = 0.5 * ((1.0 - places) * a[..., None, :] + (1.0 + places) * b[..., None, :])
     found[..., 2] -= cable.depth(places[..., 0])
     found[..., 0, :], found[..., -1, :] = a, b

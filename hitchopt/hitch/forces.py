@@ -242,24 +242,24 @@ def leg_directions(
             load = np.zeros(3) if loads is None else loads.forces[worst]
             raise _unbalanced(point, pulled[worst], load, *pulls)
 
+    rolled, halves, V = None, None, pulled
+    if loads is not None:
+        rolled, V = Series([loads.roll[None]]), pulled - loads.forces
+        halves = Series([loads.halves[None, ..., 0]]), Series([loads.halves[None, ..., 1]])
     with np.errstate(all="ignore"):  # of equal tensions V may be nothing
         found = closed_triangle(
-            Series.of_vectors(pulled if loads is None else pulled - loads.forces),
+            Series.of_vectors(V),
             Series.of_vectors(u + v),
-            loads and _scalar(loads.roll),
-            (_scalar(own[0]), _scalar(own[1])),
-            loads and (_scalar(loads.halves[..., 0]), _scalar(loads.halves[..., 1])),
+            rolled,
+            (Series([own[0][None]]), Series([own[1][None]])),
+            halves,
             check,
         )
     equal = planar & (own[0] == own[1])[..., None]  # exact there
     q, r = -edges, edges.copy()
-    r[..., before, :] = np.where(equal, -u, found[0].vectors)
-    q[..., here, :] = np.where(equal, v, found[1].vectors)
+    r[..., before, :] = np.where(equal, -u, np.moveaxis(found[0].value, 0, -1))
+    q[..., here, :] = np.where(equal, v, np.moveaxis(found[1].value, 0, -1))
     return q, r
-
-
-def _scalar(values: Array) -> Series:
-    return Series([values[None]])
 
 
 def _unbalanced(
@@ -336,21 +336,17 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     return forces
 
 
-STEP = 1e-5
-"""[s] Step of central differences of cable forces: at 1 m/s a leg of 0.1 m turns by 1e-4 in it, so
-that they err by 1e-9 of themselves."""
-
-
 def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
     """Return the derivative by time of ``cable_forces``, (…, 2n, 3) [N/s], by central differences.
 
     Of its arguments' values (drones, vertices, pulls, tautness) and their derivatives by time.
     """
+    step = 1e-5  # [s] At 1 m/s a leg of 0.1 m turns by 1e-4 in it: they err by 1e-9 of themselves.
     later, earlier = (
-        cable_forces(team, *(v + step * r for v, r in zip(values, rates, strict=True)))
-        for step in (STEP, -STEP)
+        cable_forces(team, *(v + sign * r for v, r in zip(values, rates, strict=True)))
+        for sign in (step, -step)
     )
-    return (later - earlier) / (2.0 * STEP)
+    return (later - earlier) / (2.0 * step)
 
 
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:

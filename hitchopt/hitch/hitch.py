@@ -273,7 +273,8 @@ class Hitch(OneLine):
         lengths = self.team.layout.legs_of(self.q_legs, self.slack)
         steep = np.stack(self._directions, axis=1)[..., 2]
         factors = sag_factors(self.team, self.team.tension)[:, None]
-        return lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
+        chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
+        return chords
 
     @property
     def fractions(self) -> Array:

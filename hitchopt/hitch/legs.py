@@ -15,8 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, check_time
-from hitchopt.geometry.vectors import dot, first_smallest, length, unit
-from hitchopt.hitch.forces import leg_directions
+from hitchopt.geometry.vectors import dot, first_smallest, unit
 from hitchopt.hitch.leg_program import (
     LIMIT_MARGIN,
     PENALTY,
@@ -135,31 +134,22 @@ def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
 LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
 """[rad] Rolls that are tried until one suffices: up to 60° clasps hold in simulated ropes."""
 
-COARSE = LADDER[3], LADDER[5]
-"""[rad] Rolls at which other lengths of legs are looked for, which takes longer."""
-
-HALVINGS = 7
-"""Number of halvings of the step of the ladder in which the smallest roll lies: 0.1° are left."""
-
-
-LESS = 0.9
-"""Share of the roll that the reference needs at which other leg lengths have to suffice, for a
-search with all of them to be worth its time."""
+COARSE, LESS = (LADDER[3], LADDER[5]), 0.9
+"""[rad] Rolls at which other lengths of legs are looked for, which takes longer; and the share of
+the roll that the reference needs at which they have to suffice for that to be worth its time."""
 
 
 def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
     """Return leg lengths on one polygon and the roll [rad] that goes with them.
 
-    That of the task where legs keep all limits level. Else it is the smallest one found with
+    The task's own, or none, where legs keep all limits with it. Else the smallest one found with
     which they keep the margin that is wanted, else the limits, as they are or with other lengths;
-    the task's own where no roll helps. Its sense is that of the task's own roll, upward of q-legs
+    the task's own where no roll helps. Its sense is that of the task's own, upward of q-legs
     without one.
     """
     own = 0.0 if task.roll is None else task.roll
-    without = _reference_kept(LegBodies(task, *task.bounds))
-    if without is None and level_margin_bound(task) >= 1.0:
-        without = split_slack(task)
-    if without is not None and without.margin >= 1.0:
+    without = split_slack(task)
+    if without.margin >= 1.0:
         return without, own
     sense = -1.0 if np.sum(own) < 0.0 else 1.0
     for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
@@ -170,27 +160,7 @@ def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
         roll = given if chosen is None else chosen
         if roll is not None:
             return split_slack(replace(aim, roll=roll)), roll
-    return without or split_slack(task), own
-
-
-def level_margin_bound(task: LegTask) -> float:
-    """Return a bound of the margin that any leg lengths have without roll, infinite if unknown.
-
-    A leg of length d at an angle to its own edge ends at most ``d sin`` from it, and d is at most
-    the slack of its cable. Legs that may end beyond the edge do not count.
-    """
-    team, cable = task.team, task.requirements.separation.cable
-    if not task.level or cable == 0.0:
-        return math.inf
-    edges = team.layout.edges(task.polygons)
-    u, reach = unit(edges), task.slack
-    q, r = leg_directions(u, team.tension, team.topology)
-    bound = math.inf
-    for ahead in (dot(q, u), -dot(r, u)):
-        beside = (ahead > 0.0) & (reach * ahead <= length(edges)) & (reach > 0.0)
-        away = reach * np.sqrt(np.maximum(1.0 - ahead**2, 0.0))
-        bound = min(bound, float(np.min(away, where=beside, initial=math.inf)) / cable)
-    return bound
+    return without, own
 
 
 def least_roll(
@@ -198,11 +168,12 @@ def least_roll(
     sense: float = 1.0,
     margin_of: Callable[[LegTask], float] = reference_margin,
     ladder: tuple[float, ...] = LADDER,
-    halvings: int = HALVINGS,
+    halvings: int = 7,
 ) -> float | None:
     """Return the smallest roll [rad] that is found to give the margin wanted, or None.
 
-    Between two rungs of a ladder; one that leaves loads no balance gives none.
+    To a hundredth of the step between two rungs of a ladder; a roll that leaves loads no balance
+    gives none.
     """
 
     def suffices(angle: float) -> bool:

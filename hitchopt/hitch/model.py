@@ -103,10 +103,6 @@ def clasp_legs(
     return directions, (first, second), e
 
 
-UPWARD = np.array([0.0, 0.0, GRAVITY])
-"""[m/s²] What thrusts hold against besides accelerations."""
-
-
 @dataclass(frozen=True, eq=False)
 class FlatJets:
     """Flat outputs at J values of a parameter, with derivatives by it up to the third.
@@ -169,7 +165,7 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
             distances[:, drones] = legs[end].jet[..., 0, :]
         pulls, taut = np.repeat(flat.tensions[..., 0], 2, axis=1), np.ones(team.robots)
         forces = cable_forces(team, positions[..., 0], flat.vertices[..., 0], pulls, taut)
-    thrusts = team.mass[:, None] * (positions[..., 2] + UPWARD) - forces
+    thrusts = team.mass[:, None] * (positions[..., 2] + [0.0, 0.0, GRAVITY]) - forces
     return DroneJets(positions, forces, thrusts, distances.reshape(len(positions), -1, 2, JET))
 
 
@@ -222,8 +218,7 @@ def slipping_drones(
     with np.errstate(all="ignore"):
         points, T = Series.of_jet(vertices), _scalars(tensions)
         u = (points.taken(layout.ends) - points.taken(layout.starts)).direction
-        pull = chord_pull(T, _scalars(along)) if half > 0.0 else T
-        edges = pull * u
+        edges = (chord_pull(T, _scalars(along)) if half > 0.0 else T) * u
         directions = closed_triangle(
             edges.taken(behind) - edges.taken(ahead) - Series.of_jet(loads),
             Series.of_jet(sides),
@@ -232,12 +227,9 @@ def slipping_drones(
             (_scalars(halves[:, behind, 1]), _scalars(halves[:, ahead, 0])) if half > 0.0 else None,
         )
         clasps = points.taken(layout.clasps)
-        sizes = _scalars(legs[:, behind, 1]), _scalars(legs[:, ahead, 0])
-        found = [
-            (clasps + size * direction).jet
-            for size, direction in zip(sizes, directions, strict=True)
-        ]
-    return np.stack(found, axis=2)
+        r = clasps + _scalars(legs[:, behind, 1]) * directions[0]
+        q = clasps + _scalars(legs[:, ahead, 0]) * directions[1]
+        return np.stack([r.jet, q.jet], axis=2)
 
 
 @lru_cache
