@@ -18,7 +18,7 @@ from hitchopt.exports.lint import lint as lint
 from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPolygon
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
-from hitchopt.hitch.assignment import Assignment as Assignment
+from hitchopt.hitch.team import Assignment as Assignment
 from hitchopt.hitch.catenary import hanging_cable as hanging_cable
 from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism
 from hitchopt.hitch.requirements import Separation as Separation

@@ -42,8 +42,7 @@ def steepness(ratio: ArrayLike) -> Array:
     excess = rho - 1.0
     near = np.sqrt(6.0 * excess / (1.0 + 0.3 * np.minimum(excess, 1.0)))
     wide = np.log(2.0 * np.maximum(rho, 2.0))
-    far = wide + np.log(wide)
-    sigma = np.where(rho < 3.0, near, far)
+    sigma = np.where(rho < 3.0, near, wide + np.log(wide))
     target = np.log1p(excess)
     for _ in range(NEWTON):
         x = np.maximum(sigma, SERIES)
@@ -83,8 +82,7 @@ class Catenary:
     def depth(self, mu: ArrayLike) -> Array:
         """Return the depth of the cables below the chord at μ (…) [m]."""
         level, skew = depth_terms(self.sigma, mu)
-        below: Array = self.length * level + self.rise * skew
-        return below
+        return self.length * level + self.rise * skew
 
     def place(self, share: ArrayLike) -> Array:
         """Return μ (…) at shares (…) of the cable's length from its first end."""
@@ -109,18 +107,15 @@ class Catenary:
         inward, downward = pull_terms(self.sigma)
         offset = second - first
         level = 0.5 * offset * np.array([1.0, 1.0, 0.0]) * inward[..., None]
-        weight = np.zeros((*np.shape(self.length), 2, 3))
-        tipped = 0.5 * offset[..., 2] * downward
-        weight[..., 0, 2] = -0.5 * self.length + tipped
-        weight[..., 1, 2] = -0.5 * self.length - tipped
-        weight[..., 0, :] += level
-        weight[..., 1, :] -= level
+        level[..., 2] = 0.5 * offset[..., 2] * downward
+        weight = np.stack([level, -level], axis=-2)
+        weight[..., 2] -= 0.5 * self.length[..., None]
         return weight
 
 
 def depth_terms(sigma: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     """Return P and Q of the depth, for σ and μ that broadcast."""
-    sigma, mu = np.broadcast_arrays(np.asarray(sigma, np.float64), np.asarray(mu, np.float64))
+    sigma, mu = np.asarray(sigma, np.float64), np.asarray(mu, np.float64)
     x = np.maximum(sigma, SERIES)
     whole = np.sinh(x)
     level = np.sinh(0.5 * (1.0 + mu) * x) * np.sinh(0.5 * (1.0 - mu) * x) / whole
@@ -146,10 +141,6 @@ def level_length(rise: Array, length: Array) -> Array:
     return np.sqrt(squared)
 
 
-MAX_POINTS = 1_000_000
-"""Points of one cable."""
-
-
 def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: int = 50) -> Array:
     """Return points (…, points, 3) [m] of a cable that hangs between two ends, in order.
 
@@ -159,7 +150,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     ----------
     first, second: its ends (…, 3) [m]; of several cables at once if there are further axes.
     length: of the cable [m], at least the distance of its ends.
-    points: how many, both ends among them; at most MAX_POINTS.
+    points: how many, both ends among them; at most a million.
 
     Raises
     ------
@@ -176,15 +167,13 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     except ValueError:
         bound = f"of the shape of first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
-    size = positive("length", length)
-    count = whole("points", points, 2, MAX_POINTS)
+    size, count = positive("length", length), whole("points", points, 2, 1_000_000)
     apart = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
     if size < apart:
         bound = f"at least the distance of its ends, {apart:.6g} m"
         raise InputError("length", length, bound, "lengthen the cable or move its ends")
     cable = Catenary.between(a[..., None, :], b[..., None, :], size)
-    shares = np.linspace(0.0, 1.0, count)
-    places = cable.place(shares)[..., None]  # -1 at the first end, 1 at the second one
+    places = cable.place(np.linspace(0.0, 1.0, count))[..., None]
     found: Array = 0.5 * ((1.0 - places) * a[..., None, :] + (1.0 + places) * b[..., None, :])
     found[..., 2] -= cable.depth(places[..., 0])
     found[..., 0, :], found[..., -1, :] = a, b

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,10 +48,6 @@ def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> A
     is_array = isinstance(squared, (float, np.ndarray))
     pull = np.sqrt(np.maximum(squared, 0.0)) if is_array else squared.root
     return pull if rise is None else half * rise + pull
-
-
-Expression = TypeVar("Expression", bound=Any)
-"""Type of arrays, and of casadi's expressions."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,23 +82,17 @@ def cable_of(chords: Array, factors: Array) -> Array:
     return length(chords) * (1.0 + factors * level)
 
 
-def shortening(x: Expression) -> Expression:
+def shortening(x: Any) -> Any:
     """Return the chord of a span over the length of its cable, for ``x = c a² cos²α``.
 
-    With ``s (1 + c s² cos²α) = a`` it is a power series of x, below 1e-2 for cables in use; casadi
-    expressions may take the place of arrays.
+    With ``s (1 + c s² cos²α) = a`` it is a power series of x, below 1e-2 for cables in use: of
+    arrays or ``Series``.
     """
-    ratio: Expression = 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
-    return ratio
+    return 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
 
 
 def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
-    """Return the chords (…, 2 or 3) [m] of legs of cable (…) [m] along unit vectors; level if 2.
-
-    Parameters
-    ----------
-    factors: (…) of ``sag_factors``.
-    """
+    """Return the chords (…, 2 or 3) [m] of legs of cable (…) [m] along unit vectors; level if 2."""
     level = directions[..., 0] ** 2 + directions[..., 1] ** 2
     chords: Array = (cables * shortening(factors * cables**2 * level))[..., None] * directions
     return chords
@@ -111,9 +101,7 @@ def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
 def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) -> Array:
     """Return what cables have left for their legs (…, n) [m], around edges (…, n, 2 or 3) [m].
 
-    Parameters
-    ----------
-    tensions: (…, n) [N]; the team's where they are None.
+    With tensions (…, n) [N]; the team's where they are None.
     """
     factors = sag_factors(team, team.tension if tensions is None else tensions)
     slack: Array = team.cable_length - cable_of(edges, factors)
@@ -145,8 +133,8 @@ def clasp_loads(
     halves = half * np.stack([r_legs[..., layout.behind], q_legs[..., layout.ahead]], axis=-1)
     along = half * (team.cable_length - slack)
     edges = np.stack([along[..., layout.behind], along[..., layout.ahead]], axis=-1)
-    turned = np.zeros(q.shape) if roll is None else np.broadcast_to(roll, q.shape)
-    return ClaspLoads(forces, halves, np.asarray(turned, dtype=np.float64), edges)
+    turned = np.asarray(0.0 if roll is None else roll, dtype=np.float64)
+    return ClaspLoads(forces, halves, np.broadcast_to(turned, q.shape), edges)
 
 
 PASSES = 3
@@ -233,65 +221,51 @@ def leg_directions(
     edges = np.asarray(edge_directions, dtype=np.float64)
     T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])
     layout = layout_of(edges.shape[-2], topology)
-    if leg_pulls is not None and loads is None:
-        shape = (*leg_pulls.shape[:-2], len(layout.clasps))
-        none = np.zeros((*shape, 2))
-        loads = ClaspLoads(np.zeros((*shape, 3)), none, np.zeros(shape), none)
+    planar = loads is None and leg_pulls is None
     if loads is not None and edges.shape[-1] == 2:
         edges = np.concatenate([edges, np.zeros_like(edges[..., :1])], axis=-1)
     before, here = layout.behind, layout.ahead
     u, v = edges[..., here, :], (edges if arriving is None else arriving)[..., before, :]
     own = [T[..., before], T[..., here]]
-    q, r = -edges, edges.copy()
-    onward = Series.of_vectors(u + v)
-    if loads is None:
-        V = Series.of_vectors(own[0][..., None] * v - own[1][..., None] * u)
-        with np.errstate(all="ignore"):  # of equal tensions V may be nothing
-            found = closed_triangle(V, onward, None, (_scalar(own[0]), _scalar(own[1])), None)
-        equal = (own[0] == own[1])[..., None]  # exact there
-        r[..., before, :] = np.where(equal, -u, found[0].vectors)
-        q[..., here, :] = np.where(equal, v, found[1].vectors)
-        return q, r
-    sides = [chord_pull(own[i], loads.edges[..., i])[..., None] for i in range(2)]
-    pulled = sides[0] * v - sides[1] * u
+    sides = own if loads is None else [chord_pull(own[i], loads.edges[..., i]) for i in range(2)]
+    pulled = sides[0][..., None] * v - sides[1][..., None] * u
     if leg_pulls is not None:
         own = [leg_pulls[..., before, 1], leg_pulls[..., here, 0]]
 
     def check(size: Array, behind: Array, ahead: Array) -> None:
         a = (size**2 + ahead**2 - behind**2) / (2.0 * size)
         squared = ((ahead - a) * (ahead + a))[0]
-        if not np.all(squared > 0.0):
+        if not planar and not np.all(squared > 0.0):
             worst = np.unravel_index(int(np.argmin(squared)), squared.shape)
             pulls = (float(np.nan_to_num(pull[0][worst])) for pull in (behind, ahead))
             point = f"p{layout.clasps[worst[-1]]}"
-            raise _unbalanced(point, pulled[worst], loads.forces[worst], *pulls)
+            load = np.zeros(3) if loads is None else loads.forces[worst]
+            raise _unbalanced(point, pulled[worst], load, *pulls)
 
-    found = closed_triangle(
-        Series.of_vectors(pulled - loads.forces),
-        onward,
-        _scalar(loads.roll),
-        (_scalar(own[0]), _scalar(own[1])),
-        (_scalar(loads.halves[..., 0]), _scalar(loads.halves[..., 1])),
-        check,
-    )
-    r[..., before, :], q[..., here, :] = found[0].vectors, found[1].vectors
+    rolled, halves, V = None, None, pulled
+    if loads is not None:
+        rolled, V = Series([loads.roll[None]]), pulled - loads.forces
+        halves = Series([loads.halves[None, ..., 0]]), Series([loads.halves[None, ..., 1]])
+    with np.errstate(all="ignore"):  # of equal tensions V may be nothing
+        found = closed_triangle(
+            Series.of_vectors(V),
+            Series.of_vectors(u + v),
+            rolled,
+            (Series([own[0][None]]), Series([own[1][None]])),
+            halves,
+            check,
+        )
+    equal = planar & (own[0] == own[1])[..., None]  # exact there
+    q, r = -edges, edges.copy()
+    r[..., before, :] = np.where(equal, -u, np.moveaxis(found[0].value, 0, -1))
+    q[..., here, :] = np.where(equal, v, np.moveaxis(found[1].value, 0, -1))
     return q, r
-
-
-def _scalar(values: Array) -> Series:
-    return Series([values[None]])
 
 
 def _unbalanced(
     point: str, edges: Array, load: Array, behind: float, ahead: float
 ) -> InfeasibleError:
-    """Return the refusal of a clasp: legs pull with their tensions' difference to their sum.
-
-    Parameters
-    ----------
-    edges, load: (3,) [N], what its edges pull with, and the outside force.
-    behind, ahead: [N], what its legs pull with.
-    """
+    """Return the refusal of a clasp whose edges, outside load and legs pull with these [N]."""
     pull, whole = behind + ahead, float(length(edges - load))
     if whole < pull:
         remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
@@ -310,18 +284,12 @@ def _unbalanced(
 def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
     """Return the forces (…, clasps) [N] with which cables press on each other at clasps.
 
-    ``2 T_k T_{k-1} sin φ / |V|`` without loads, φ the exterior angle.
-
-    Parameters
-    ----------
-    edge_directions, tensions, topology: as for ``leg_directions``.
+    ``2 T_k T_{k-1} sin φ / |V|`` without loads, φ the exterior angle: what a cable presses with
+    that a clasp bends. Parameters are those of ``leg_directions``.
     """
-    u = np.asarray(edge_directions, dtype=np.float64)
-    q, _ = leg_directions(u, tensions, topology)
-    bend: Array = np.asarray(tensions, dtype=np.float64) * length(
-        u + q
-    )  # what a cable bent by a clasp presses with
-    return bend[..., layout_of(u.shape[-2], topology).ahead]
+    q, _ = leg_directions(edge_directions, tensions, topology)
+    bend: Array = np.asarray(tensions, dtype=np.float64) * length(edge_directions + q)
+    return bend[..., layout_of(q.shape[-2], topology).ahead]
 
 
 def hanging_forces(team: Team, drones: Array) -> Array:
@@ -368,39 +336,32 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     return forces
 
 
-STEP = 1e-5
-"""[s] Step of central differences of cable forces: at 1 m/s a leg of 0.1 m turns by 1e-4 in it, so
-that they err by 1e-9 of themselves."""
-
-
 def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
     """Return the derivative by time of ``cable_forces``, (…, 2n, 3) [N/s], by central differences.
 
     Of its arguments' values (drones, vertices, pulls, tautness) and their derivatives by time.
     """
+    step = 1e-5  # [s] At 1 m/s a leg of 0.1 m turns by 1e-4 in it: they err by 1e-9 of themselves.
     later, earlier = (
-        cable_forces(team, *(v + step * r for v, r in zip(values, rates, strict=True)))
-        for step in (STEP, -STEP)
+        cable_forces(team, *(v + sign * r for v, r in zip(values, rates, strict=True)))
+        for sign in (step, -step)
     )
-    change: Array = (later - earlier) / (2.0 * STEP)
-    return change
-
-
-INTEGRAL = (
-    "an integral in the position loop drives the position error to zero, whatever the tension: the "
-    "cables' lengths set it, and a centimetre changes it by a multiple; turn it off, or measure "
-    "tensions"
-)
-"""What is wrong with an integral."""
-
-NO_FEED_FORWARD = (
-    "without feed-forward of the cable force nothing keeps up the planned tension: drones give way "
-    "until cables hardly pull; export with --hold-tension, which moves the set points outward"
-)
-"""What is wrong without feed-forward."""
+    return (later - earlier) / (2.0 * step)
 
 
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:
     """Return in words why a plan does not determine the tensions; nothing where it does."""
-    found = (INTEGRAL,) if integral else ()
-    return found if feed_forward else (*found, NO_FEED_FORWARD)
+    found = []
+    if integral:
+        found.append(
+            "an integral in the position loop drives the position error to zero, whatever the "
+            "tension: the cables' lengths set it, and a centimetre changes it by a multiple; turn "
+            "it off, or measure tensions"
+        )
+    if not feed_forward:
+        found.append(
+            "without feed-forward of the cable force nothing keeps up the planned tension: drones "
+            "give way until cables hardly pull; export with --hold-tension, which moves the set "
+            "points outward"
+        )
+    return tuple(found)

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, short
 from hitchopt.geometry import ConvexArc, ConvexPolygon, Outline
 from hitchopt.hitch.forces import (
-    ClaspLoads,
     cable_forces,
     cable_slack_of,
     clasp_loads,
@@ -20,18 +19,15 @@ from hitchopt.hitch.forces import (
     shortening,
 )
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
-from hitchopt.hitch.legs import least_roll_of_reference, split_slack, split_with_least_roll
+from hitchopt.hitch.legs import least_roll, reference_margin, split_slack, split_with_least_roll
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, as_array, coordinate, instance
-from hitchopt.values.units import HEIGHT, check_unit
+from hitchopt.values.units import HEIGHT, check_unit, store
 
-FIXED_LEG = 1e-4
+FIXED_LEG, SAGGING_LEG = 1e-4, 1e-2
 """Tolerance of a given leg that is not free, relative to its cable's length, as of cable lengths in
-plans."""
-
-SAGGING_LEG = 1e-2
-"""The same where cables have weight: whoever gives the leg may have left out that edges sag."""
+plans; and where cables have weight: whoever gives it may have left out that edges sag."""
 
 FAR_OFF = 100.0
 """Edge over cable beyond which one of the two is probably in another unit."""
@@ -165,14 +161,12 @@ class Hitch(OneLine):
             raise InputError("legs", q_legs, bound, "give one per robot")
         d = checked_legs(team, d, slack)
         d.setflags(write=False)
-        object.__setattr__(self, "team", team)
-        object.__setattr__(self, "polygon", outline)
-        object.__setattr__(self, "altitude", coordinate("altitude", altitude))
-        check_unit("altitude", self.altitude, HEIGHT)
-        object.__setattr__(self, "q_legs", d)
-        object.__setattr__(self, "roll", checked_roll(team, roll))
-        if self._loads is not None:
-            _ = self._directions  # raises where they cannot carry it
+        height = coordinate("altitude", altitude)
+        check_unit("altitude", height, HEIGHT)
+        angles = checked_roll(team, roll)
+        values = {"team": team, "polygon": outline, "altitude": height, "q_legs": d, "roll": angles}
+        store(self, values)
+        _ = self._directions  # raises where tensions cannot carry the loads
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.robots} robots, {self.team.topology}"
@@ -257,8 +251,8 @@ class Hitch(OneLine):
         Not at all where they keep them without, or where no roll helps.
         """
         task = _leg_task(self.team, self.polygon, self.q_legs, LIMIT_MARGIN, requirements)
-        roll = least_roll_of_reference(task)
-        return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll)
+        roll = None if reference_margin(task) >= 1.0 else least_roll(task)
+        return Hitch(self.team, self.polygon, self.altitude, self.q_legs, roll or 0.0)
 
     @property
     def slack(self) -> Array:
@@ -277,7 +271,7 @@ class Hitch(OneLine):
         Zero where a chain's end has no leg; less than the lengths of cable where that sags.
         """
         lengths = self.team.layout.legs_of(self.q_legs, self.slack)
-        steep = np.stack([direction[:, 2] for direction in self._directions], axis=-1)
+        steep = np.stack(self._directions, axis=1)[..., 2]
         factors = sag_factors(self.team, self.team.tension)[:, None]
         chords: Array = lengths * shortening(factors * lengths**2 * (1.0 - steep**2))
         return chords
@@ -301,14 +295,11 @@ class Hitch(OneLine):
         return np.stack(self._directions, axis=1).reshape(-1, 3)
 
     @property
-    def _loads(self) -> ClaspLoads | None:
-        return clasp_loads(self.team, self.q_legs, self.slack, self.roll)
-
-    @property
     def _directions(self) -> tuple[Array, Array]:
         team, u = self.team, self.polygon.edge_directions
+        loads = clasp_loads(team, self.q_legs, self.slack, self.roll)
         along = np.column_stack([u, np.zeros(len(u))])
-        return leg_directions(along, team.tension, team.topology, self._loads)
+        return leg_directions(along, team.tension, team.topology, loads)
 
     @property
     def drones(self) -> Array:
@@ -334,5 +325,4 @@ def _leg_task(
 ) -> LegTask:
     shortest = requirements.limits.leg * LIMIT_MARGIN
     one = polygon.vertices[None], reference[None]
-    rolled = None if roll is None else roll[None]
-    return LegTask(team, requirements, *one, shortest, margin, roll=rolled)
+    return LegTask(team, requirements, *one, shortest, margin, roll=roll)

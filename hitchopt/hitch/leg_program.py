@@ -1,20 +1,21 @@
 """The convex QP around given leg lengths: bodies, near pairs, and rows that keep them apart.
 
-For a pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
-lower bound of their distance and linear in ``d``; with ν from the present leg lengths it is tight
-there.
+Nodes of a hitch are its points, then the 2n drones (q0, r0, q1, …). Bodies are pairs of nodes: the
+2n drones (both nodes the same), then the taut parts of each cable k: its q-leg ``p_k q_k``, its
+edge ``p_k p_{k+1}``, its r-leg ``p_{k+1} r_k``; a leg that does not exist is no body.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import differences, shortest_offset
+from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, length, unit
 from hitchopt.hitch.forces import (
     cable_slack_of,
@@ -23,14 +24,100 @@ from hitchopt.hitch.forces import (
     leg_vectors,
     sag_factors,
 )
-from hitchopt.hitch.parts import CROSSING, SEPARATION, Parts, end_combinations
-from hitchopt.hitch.requirements import Arena, Requirements
-from hitchopt.hitch.team import Team
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
 from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:
     import casadi as ca
     import scipy.sparse as sp
+
+SEPARATION, CABLE, CROSSING = 0, 1, 2
+"""Kinds of pairs: drone and drone, drone and cable, cable and cable."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The bodies of a hitch: their two nodes (bodies, 2), and the cable that each belongs to."""
+
+    layout: Layout
+    nodes: Indices
+    cable: Indices
+
+    @classmethod
+    @lru_cache(maxsize=64)
+    def of(cls, robots: int, topology: str = CLOSED) -> Parts:
+        """Return the bodies of a hitch of that many cables."""
+        layout = layout_of(robots, topology)
+        k, starts, ends = np.arange(layout.robots), layout.starts, layout.ends
+        drones = layout.points + np.arange(2 * layout.robots)
+        q, r = drones[0::2], drones[1::2]
+        parts = np.stack([starts, q, starts, ends, ends, r], axis=1).reshape(-1, 2)
+        nodes = np.concatenate([np.column_stack([drones, drones]), parts[layout.parts]])
+        return cls(layout, nodes, np.concatenate([np.repeat(k, 2), layout.parts // 3]))
+
+    def kind(self, i: Indices, j: Indices) -> Indices:
+        """Return the kind of each pair of bodies (i below j), or -1 where they are free to touch.
+
+        Free are a drone and its own legs, or its edge if it stands at its end, and parts that meet
+        at a clasp.
+        """
+        layout, drones = self.layout, 2 * self.layout.robots
+        i_drone, j_drone = i < drones, j < drones
+        edges = np.append(np.zeros(drones, np.bool_), layout.parts % 3 == 1)
+        on_leg = layout.has_leg.ravel()[np.minimum(i, drones - 1)]
+        apart = (self.cable[i] != self.cable[j]) | (edges[j] & on_leg)
+        # Only vertices are clasps.
+        (a, b) = (np.where(n < layout.points, n, -1) for n in (self.nodes[i], self.nodes[j]))
+        clasped = np.any((a[:, :, None] == b[:, None, :]) & (a[:, :, None] >= 0), axis=(1, 2))
+        kind = np.where(i_drone | clasped, -1, CROSSING)
+        kind[i_drone & ~j_drone & apart] = CABLE
+        kind[i_drone & j_drone] = SEPARATION
+        return kind
+
+    def near(
+        self, lowest: Array, highest: Array, limits: Array, cutoff: float
+    ) -> tuple[Indices, Indices, Indices, Indices]:
+        """Return (frame, body, body, kind) of all pairs whose boxes come near in a frame.
+
+        Parameters
+        ----------
+        lowest, highest: (J, bodies, 2) [m], opposite corners of the boxes in J frames.
+        limits: (3,) [m], distances by kind; pairs of a kind without one are left out.
+        cutoff: [m]
+        """
+        # A third coordinate keeps the frames apart, so that one index serves them all.
+        step = 4.0 * (cutoff + float(np.max(highest) - np.min(lowest)))
+        bodies = len(self.nodes)
+        level = np.repeat(np.arange(len(lowest)) * step, bodies)
+        corners = (np.column_stack([c.reshape(-1, 2), level]) for c in (lowest, highest))
+        pairs = close_pairs(Boxes(*corners), None, cutoff)
+        frame, i = np.divmod(pairs.first, bodies)
+        j = pairs.second % bodies
+        kind = self.kind(i, j)
+        wanted = (kind >= 0) & (limits[kind] > 0.0)
+        return frame[wanted], i[wanted], j[wanted], kind[wanted]
+
+
+def end_combinations(
+    kind: Indices, first: Indices, second: Indices
+) -> tuple[Indices, Indices, Indices]:
+    """Return (pair, node of the first, node of the second) of all ends of pairs against all.
+
+    Bodies whose ends all lie on their sides of a normal are apart by as much. Of kinds of pairs
+    (m,) and the nodes (m, 2) at the ends of their bodies; a drone's are the same.
+    """
+    found: list[tuple[Indices, Indices, Indices]] = []
+    for which, ends, other_ends in (
+        (SEPARATION, (0,), (0,)),
+        (CABLE, (0,), (0, 1)),
+        (CROSSING, (0, 1), (0, 1)),
+    ):
+        pair = np.flatnonzero(kind == which)
+        found += [(pair, first[pair, a], second[pair, b]) for a in ends for b in other_ends]
+    pairs, a, b = (np.concatenate(column) for column in zip(*found, strict=True))
+    return pairs, a, b
+
 
 SPREAD_MARGIN = 1.5
 """Distance over its limit that the leg lengths called ``spread`` keep."""
@@ -56,7 +143,7 @@ class LegTask:
     margin: each distance is to be at least this many times its limit; one, or one per knot (J,).
     roughness: [m²], weight of the fractions' second differences along the knots; 0 for none.
     fixed: (J,), knots that keep their reference.
-    roll: (J, clasps) [rad], of the legs out of their plane; None for none.
+    roll: one or (J, clasps) [rad], of the legs out of their plane; None for none.
     """
 
     team: Team
@@ -67,7 +154,7 @@ class LegTask:
     margin: float | Array
     roughness: float = 0.0
     fixed: NDArray[np.bool_] | None = None
-    roll: Array | None = None
+    roll: Array | float | None = None
 
     @property
     def level(self) -> bool:
@@ -87,14 +174,12 @@ class LegTask:
 
     @cached_property
     def slack(self) -> Array:
-        """(J, n) [m], read-only: slack of each cable for its two legs."""
-        slack = cable_slack_of(self.team, self.team.layout.edges(self.polygons))
-        slack.setflags(write=False)
-        return slack
+        """(J, n) [m]: slack of each cable for its two legs."""
+        return cable_slack_of(self.team, self.team.layout.edges(self.polygons))
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """The smallest and largest ``d`` (J, n) that leave both legs long enough, read-only.
+        """The smallest and largest ``d`` (J, n) that leave both legs long enough.
 
         The same one at the ends of a chain, where a cable has one leg only.
         """
@@ -104,8 +189,6 @@ class LegTask:
         upper = layout.q_legs_of(slack - shortest, slack)
         if self.fixed is not None:
             lower[self.fixed] = upper[self.fixed] = self.reference[self.fixed]
-        for each in (lower, upper):
-            each.setflags(write=False)
         return lower, upper
 
 
@@ -113,8 +196,7 @@ class LegTask:
 class LegLengths:
     """Leg lengths ``d`` (J, n) [m] that were found, their margin, and ``Σ (d - reference)²`` [m²].
 
-    The margin is the smallest distance over its limit, measured on these lengths; where margins
-    differ from knot to knot, in proportion to the largest of them.
+    The margin is the smallest distance over its limit, measured on these lengths.
     """
 
     q_legs: Array
@@ -132,10 +214,6 @@ class QuadraticProgram:
 
     P (m, m) is symmetric and positive semidefinite; entries of A (r, m) that happen to be zero are
     stored; least and most are (m,) or one bound for all unknowns.
-
-    Raises
-    ------
-    ValueError: data of wrong length, not finite, or with crossed bounds.
     """
 
     P: sp.csc_array[np.float64]
@@ -145,23 +223,6 @@ class QuadraticProgram:
     upper: Array
     least: Array | float = -np.inf
     most: Array | float = np.inf
-
-    def __post_init__(self) -> None:
-        rows, columns = self.A.shape
-        shapes = self.P.shape, self.q.shape, self.lower.shape, self.upper.shape
-        if shapes != ((columns, columns), (columns,), (rows,), (rows,)):
-            raise ValueError(f"shapes P, q, lower, upper {shapes} for {rows} rows of {columns}")
-        if not (np.all(np.isfinite(self.q)) and np.all(np.isfinite(self.A.data))):
-            raise ValueError("a program with nan or inf")
-        if not np.all(self.lower <= self.upper):
-            row = int(np.argmax(~(self.lower <= self.upper)))
-            raise ValueError(f"row {row}: {self.lower[row]} <= {self.upper[row]} is crossed")
-
-    def residual(self, x: Array) -> float:
-        """Return the largest violation of a row or a bound at x."""
-        values = self.A @ x
-        gaps = self.lower - values, values - self.upper, self.least - x, x - self.most
-        return float(max(np.max(gap, initial=0.0) for gap in gaps))
 
 
 class Rows:
@@ -174,12 +235,17 @@ class Rows:
         self._bounds: list[tuple[Array, Array]] = []
 
     def add(
-        self, rows: Indices, columns: Indices, values: Array, lower: Array, upper: Array
+        self,
+        rows: Indices,
+        columns: Indices,
+        values: Array,
+        lower: Array,
+        upper: Array | float = np.inf,
     ) -> int:
         """Add rows, ``rows`` counting from the first of them; return the index of that one."""
         first = self.count
         self._entries.append((first + rows, columns, values))
-        self._bounds.append((lower, upper))
+        self._bounds.append((lower, np.broadcast_to(upper, len(lower))))
         self.count += len(lower)
         return first
 
@@ -190,8 +256,7 @@ class Rows:
     def add_bounds(self, columns: Indices, lower: Array | float, upper: Array | float) -> None:
         """Bound single unknowns."""
         m = len(columns)
-        bounds = np.broadcast_to(lower, m), np.broadcast_to(upper, m)
-        self.add(np.arange(m), columns, np.ones(m), *bounds)
+        self.add(np.arange(m), columns, np.ones(m), np.broadcast_to(lower, m), upper)
 
     def compressed(self) -> tuple[sp.csc_array[np.float64], Array, Array]:
         """Return A, lower and upper; entries that happen to be zero are stored too."""
@@ -222,9 +287,10 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
     rows = {"lba": program.lower, "uba": program.upper}
     solution = solver(h=H, g=program.q, a=A, lbx=program.least, ubx=program.most, **rows)
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    if not np.all(np.isfinite(x)) or program.residual(x) > RESIDUAL:
-        return None
-    return np.clip(x, program.least, program.most)
+    values = program.A @ x
+    gaps = program.lower - values, values - program.upper, program.least - x, x - program.most
+    kept = np.max(np.concatenate(gaps)) <= RESIDUAL  # not of nan
+    return np.clip(x, program.least, program.most) if kept else None
 
 
 PENALTY = 1e3
@@ -246,7 +312,7 @@ class LegBodies:
     def __init__(self, task: LegTask, lowest: Array, highest: Array) -> None:
         J, n = task.reference.shape
         layout, keep = task.team.layout, task.requirements.separation
-        self._task, self._turns = task, task.team.cable_density > 0.0
+        self.task, self._turns = task, task.team.cable_density > 0.0
         self.dimensions = 2 if task.level else 3
         self._points = np.zeros((J, layout.points, self.dimensions))
         self._points[..., :2] = task.polygons
@@ -260,11 +326,27 @@ class LegBodies:
         self.scale = np.ones((3, self.dimensions))
         self.scale[SEPARATION, 2:] = keep.radius / keep.height
         self._lay(task.reference)
-        self._find_pairs(task, Parts.of(n, task.team.topology), lowest, highest)
+        # From above nothing is farther than in space.
+        ends = [self.nodes(lowest)[:, :2]]
+        if highest is not lowest:
+            ends.append(self.nodes(highest)[:, :2])
+        parts = Parts.of(n, task.team.topology)
+        swept = np.stack(ends).reshape(-1, J, self.count, 2)
+        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
+        # From there on a pair has its margin for certain.
+        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
+        cutoff += SWAY if self._turns else 0.0
+        boxes = np.min(corners, axis=0), np.max(corners, axis=0)
+        pairs = np.stack(parts.near(*boxes, self.limits, cutoff))
+        if task.fixed is not None:  # fixed knots cannot change
+            pairs = pairs[:, ~task.fixed[pairs[0]]]
+        self.frame, i, j, self.kind = pairs
+        self.first: Indices = parts.nodes[i] + self.count * self.frame[:, None]
+        self.second: Indices = parts.nodes[j] + self.count * self.frame[:, None]
 
     def _lay(self, d: Array) -> None:
         """Set the lines that drones slide on, as of legs of length d (J, n) [m]."""
-        task, team, p = self._task, self._task.team, self._points
+        task, team, p = self.task, self.task.team, self._points
         layout, slack, shape = team.layout, task.slack, (len(p), -1, self.dimensions)
         loads = None if task.level else clasp_loads(team, d, slack, task.roll)
         q, r = leg_directions(self._edges, team.tension, team.topology, loads)
@@ -295,11 +377,12 @@ class LegBodies:
         between = differences(nodes[self.first], nodes[self.second])
         return shortest_offset(between * self.scale[self.kind][:, None])
 
-    def margins(self, task: LegTask, d: Array) -> Array:
+    def margins(self, d: Array) -> Array:
         """Return the smallest distance over its limit (J,); crossings count up to their margin.
 
         Where margins differ from knot to knot, in proportion to the largest of them.
         """
+        task = self.task
         ratios = length(self.offsets(self.nodes(d))) / self.limits[self.kind]
         enough = task.margins[CROSSING, self.frame] * (1.0 - 1e-9)
         apart = np.where((self.kind == CROSSING) & (ratios >= enough), np.inf, ratios)
@@ -307,42 +390,16 @@ class LegBodies:
         np.minimum.at(smallest, self.frame, apart / task.margins[SEPARATION, self.frame])
         return task.wanted * smallest
 
-    def inside(self, arena: Arena | None, d: Array) -> bool:
-        """Return whether every drone is between the arena's upright walls."""
-        if arena is None:
-            return True
-        drones = self.nodes(d)[self.drones, :2]
-        return bool(np.all((drones >= arena.lower[:2]) & (drones <= arena.upper[:2])))
 
-    def _find_pairs(self, task: LegTask, parts: Parts, lower: Array, upper: Array) -> None:
-        """Find the pairs whose sweeps between two splits come within reach of their limits."""
-        J = len(task.reference)
-        # From above nothing is farther than in space.
-        ends = [self.nodes(lower)[:, :2]]
-        if upper is not lower:
-            ends.append(self.nodes(upper)[:, :2])
-        swept = np.stack(ends).reshape(-1, J, self.count, 2)
-        corners = swept[:, :, parts.nodes].transpose(0, 3, 1, 2, 4).reshape(2 * len(ends), J, -1, 2)
-        # From there on a pair has its margin for certain.
-        cutoff = max(task.wanted, 1.0) * float(np.max(self.limits)) * (1.0 + 1e-9)
-        cutoff += SWAY if self._turns else 0.0
-        lowest, highest = np.min(corners, axis=0), np.max(corners, axis=0)
-        frame, i, j, kind = parts.near(lowest, highest, self.limits, cutoff)
-        if task.fixed is not None:  # fixed knots cannot change
-            moving = ~task.fixed[frame]
-            frame, i, j, kind = frame[moving], i[moving], j[moving], kind[moving]
-        self.frame, self.kind = frame, kind
-        self.first: Indices = parts.nodes[i] + self.count * frame[:, None]
-        self.second: Indices = parts.nodes[j] + self.count * frame[:, None]
-
-
-def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
+def leg_program(bodies: LegBodies, d: Array) -> QuadraticProgram:
     """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
 
-    One slack is that of drones, the other one of crossings and walls: out of reach, these must not
-    leave the rest undecided.
+    For a pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends
+    is a lower bound of their distance and linear in ``d``; with ν from the present leg lengths it
+    is tight there. One slack is that of drones, the other one of crossings and walls: out of reach,
+    these must not leave the rest undecided.
     """
-    size = d.size + 2
+    task, size = bodies.task, d.size + 2
     nodes = bodies.nodes(d)
     middles = nodes[bodies.first].mean(axis=1) - nodes[bodies.second].mean(axis=1)
     normal = unit(bodies.offsets(nodes), unit(middles, EAST[: bodies.dimensions]), 1e-9)
@@ -356,10 +413,18 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     moved = np.sum(nu * bodies.slope[a], axis=1), -np.sum(nu * bodies.slope[b], axis=1)
     columns = np.concatenate([bodies.variable[a], bodies.variable[b], slacks])
     rows = Rows(size)
-    entries = np.concatenate([*moved, limit])
-    rows.add(np.tile(row, 3), columns, entries, least, np.full(len(least), np.inf))
-    if task.requirements.arena is not None:
-        _add_walls(rows, bodies, task.requirements.arena, size - 1)
+    rows.add(np.tile(row, 3), columns, np.concatenate([*moved, limit]), least)
+    arena = task.requirements.arena
+    if arena is not None:  # every drone between its upright walls
+        base, slope = bodies.base[bodies.drones, :2], bodies.slope[bodies.drones, :2]
+        entries = np.concatenate([slope, -slope], axis=1).T.ravel()
+        least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
+        # No leg length moves a drone along a parallel wall: such a row could only be infeasible.
+        free = np.abs(entries) > 1e-9
+        columns = np.tile(bodies.variable[bodies.drones], 4)[free]
+        row = np.arange(len(columns))
+        first = rows.add(row, columns, entries[free], least[free])
+        rows.extend(first + row, np.full(len(row), size - 1), 1.0)
     penalty = np.full(2, PENALTY * task.team.robots)
     lower, upper = (
         np.append(bound.reshape(-1), [end, end])
@@ -369,24 +434,8 @@ def leg_program(task: LegTask, bodies: LegBodies, d: Array) -> QuadraticProgram:
     return QuadraticProgram(_hessian(task, size), gradient, *rows.compressed(), lower, upper)
 
 
-def _add_walls(rows: Rows, bodies: LegBodies, arena: Arena, slack: int) -> None:
-    """Add rows that keep every drone between the arena's upright walls, with a common slack."""
-    base, slope = bodies.base[bodies.drones, :2], bodies.slope[bodies.drones, :2]
-    entries = np.concatenate([slope, -slope], axis=1).T.ravel()
-    least = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1).T.ravel()
-    # No leg length moves a drone along a parallel wall: such a row could only be infeasible.
-    free = np.abs(entries) > 1e-9
-    columns = np.tile(bodies.variable[bodies.drones], 4)[free]
-    row, count = np.arange(len(columns)), len(columns)
-    first = rows.add(row, columns, entries[free], least[free], np.full(count, np.inf))
-    rows.extend(first + row, np.full(count, slack), 1.0)
-
-
 def _hessian(task: LegTask, size: int) -> sp.csc_array[np.float64]:
-    """Return the Hessian of half the sum of squares of lengths, and of the fractions' roughness.
-
-    That is their squared second differences along the knots.
-    """
+    """Return the Hessian of half the sum of squares of lengths, and of fractions' roughness."""
     import scipy.sparse as sp
 
     squares = np.append(np.ones(size - 2), [0.0, 0.0])

@@ -1,11 +1,9 @@
 """Leg lengths: the split of every cable's slack between its two legs that keeps distances.
 
-On a given polygon every drone slides along a fixed line, so positions are affine in ``d``. For a
-pair of bodies and any unit vector ν, ``ν·(a - b)`` taken at its smallest over their ends is a
-lower bound of their distance and linear in ``d``. With ν from the present leg lengths the
-bounds are tight there: they make a convex QP whose every solution keeps the true distances at least
-as well as the QP says. Repeated, the penalised deviation never grows (a convex inner approximation,
-Marks and Wright 1978).
+On a given polygon every drone slides along a fixed line, so positions are affine in ``d`` and lower
+bounds of distances make a convex QP (``leg_program``) whose every solution keeps the true distances
+at least as well as it says. Repeated, the penalised deviation never grows (a convex inner
+approximation, Marks and Wright 1978).
 """
 
 from __future__ import annotations
@@ -13,13 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import chain
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, check_time
-from hitchopt.geometry.vectors import dot, first_smallest, length, unit
-from hitchopt.hitch.forces import leg_directions
+from hitchopt.geometry.vectors import dot, first_smallest, unit
 from hitchopt.hitch.leg_program import (
     LIMIT_MARGIN,
     PENALTY,
@@ -42,43 +38,28 @@ SETTLED, QUICKLY_SETTLED = 1e-9, 1e-5
 taken: a round that changes so little does not raise the margin either."""
 
 
-def split_slack(task: LegTask) -> LegLengths:
+def split_slack(task: LegTask, *, first: bool = False) -> LegLengths:
     """Return the leg lengths nearest to the reference that keep the margin, else the best found.
 
     The search is local: it starts from the reference and, where that fails on a single polygon,
     from a few uneven splits as well (along a path the fixed ends leave little freedom). Its cost
-    is linear in J·n.
+    is linear in J·n. The ``first`` ones that keep the margin are found many times as fast.
     """
     bodies = LegBodies(task, *task.bounds)
-    kept = _reference_kept(task, bodies)
-    if kept is not None:
-        return kept
-    best = _refined(task, bodies, task.reference)
-    if len(task.reference) > 1 or (_keeps(task, best) and best.deviation <= 1e-12):
+    best = _reference_kept(bodies) or _refined(bodies, task.reference, first)
+    if len(task.reference) > 1 or (_keeps(task, best) and (first or best.deviation <= 1e-12)):
         return best
     for fractions in _uneven_fractions(task):
-        found = _refined(task, bodies, fractions * task.slack)
+        found = _refined(bodies, fractions * task.slack, first)
         if _merit(task, found) < (1.0 - GAIN) * _merit(task, best):
             best = found
+        if first and _keeps(task, best):
+            break
     return best
 
 
-def quick_split(task: LegTask) -> LegLengths:
-    """Return leg lengths on one polygon that keep the margin, else the best found.
-
-    The first ones that keep it, near the reference or else near uneven splits: ``split_slack``
-    takes many times as long to come nearest.
-    """
-    bodies, tried = LegBodies(task, *task.bounds), list[LegLengths]()
-    for start in chain([task.reference], _uneven_fractions(task)[:, None] * task.slack):
-        tried.append(_refined(task, bodies, start, first=True))
-        if _keeps(task, tried[-1]):
-            return tried[-1]
-    return max(tried, key=lambda found: found.margin)
-
-
 def reference_margin(task: LegTask) -> float:
-    """Return the margin of the reference itself: the smallest distance over its limit.
+    """Return the smallest distance over its limit of the reference itself.
 
     Pairs beyond the wanted margin may be left out.
     """
@@ -87,17 +68,21 @@ def reference_margin(task: LegTask) -> float:
 
 def reference_margins(task: LegTask) -> Array:
     """Return the same (J,) of every polygon by itself."""
-    return LegBodies(task, task.reference, task.reference).margins(task, task.reference)
+    return LegBodies(task, task.reference, task.reference).margins(task.reference)
 
 
-def _reference_kept(task: LegTask, bodies: LegBodies) -> LegLengths | None:
+def _reference_kept(bodies: LegBodies) -> LegLengths | None:
     """Return the reference if it keeps the margin and all bounds to the last bit, else None."""
+    task, arena = bodies.task, bodies.task.requirements.arena
     start = np.clip(task.reference, *task.bounds)
-    if task.roughness == 0.0 and np.array_equal(start, task.reference):
-        margin = float(np.min(bodies.margins(task, start)))
-        if margin >= task.wanted and bodies.inside(task.requirements.arena, start):
-            return LegLengths(start, margin, 0.0)
-    return None
+    if task.roughness > 0.0 or not np.array_equal(start, task.reference):
+        return None
+    margin, drones = float(np.min(bodies.margins(start))), bodies.nodes(start)[bodies.drones, :2]
+    if margin < task.wanted or (
+        arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
+    ):
+        return None
+    return LegLengths(start, margin, 0.0)
 
 
 def _uneven_fractions(task: LegTask) -> Array:
@@ -125,116 +110,76 @@ def _merit(task: LegTask, found: LegLengths) -> float:
     return PENALTY * task.team.robots * (short if short > 1e-7 else 0.0) + 0.5 * found.deviation
 
 
-def _refined(task: LegTask, bodies: LegBodies, start: Array, *, first: bool = False) -> LegLengths:
+def _refined(bodies: LegBodies, start: Array, first: bool) -> LegLengths:
     """Return the leg lengths that repeated convex approximation reaches from ``start``.
 
     Or the ``first`` ones on the way that keep the margin.
     """
+    task = bodies.task
     d, settled = np.clip(start, *task.bounds), QUICKLY_SETTLED if first else SETTLED
     for _ in range(ROUNDS):
         check_time()
-        x = solve_qp(leg_program(task, bodies, d))
+        x = solve_qp(leg_program(bodies, d))
         if x is None:
             break
         before, d = d, x[: d.size].reshape(d.shape)
         if float(np.max(np.abs(d - before))) < settled:
             break
-        if first and np.min(bodies.margins(task, d)) >= task.wanted * (1.0 - 1e-9):
+        if first and np.min(bodies.margins(d)) >= task.wanted * (1.0 - 1e-9):
             break
-    margin = float(np.min(bodies.margins(task, d)))
+    margin = float(np.min(bodies.margins(d)))
     return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))
 
 
 LADDER = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0))
 """[rad] Rolls that are tried until one suffices: up to 60° clasps hold in simulated ropes."""
 
-COARSE = LADDER[3], LADDER[5]
-"""[rad] Rolls at which other lengths of legs are looked for, which takes longer."""
-
-HALVINGS = 7
-"""Number of halvings of the step of the ladder in which the smallest roll lies: 0.1° are left."""
+COARSE, LESS = (LADDER[3], LADDER[5]), 0.9
+"""[rad] Rolls at which other lengths of legs are looked for, which takes longer; and the share of
+the roll that the reference needs at which they have to suffice for that to be worth its time."""
 
 
-LESS = 0.9
-"""Share of the roll that the reference needs at which other leg lengths have to suffice, for a
-search with all of them to be worth its time."""
+def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array | float]:
+    """Return leg lengths on one polygon and the roll [rad] that goes with them.
 
-
-def split_with_least_roll(task: LegTask) -> tuple[LegLengths, Array]:
-    """Return leg lengths on one polygon and the roll (clasps,) [rad] that goes with them.
-
-    There is no roll where legs keep all limits without. Else it is the smallest one found with
+    The task's own, or none, where legs keep all limits with it. Else the smallest one found with
     which they keep the margin that is wanted, else the limits, as they are or with other lengths;
-    none where no roll helps. Its sense is that of the task's own roll, upward of q-legs
+    the task's own where no roll helps. Its sense is that of the task's own, upward of q-legs
     without one.
-
-    Parameters
-    ----------
-    task: of one polygon; its own roll is what legs have without need.
     """
-    own = np.zeros(len(task.team.layout.clasps)) if task.roll is None else task.roll[0]
-    without = _reference_kept(task, LegBodies(task, *task.bounds))
-    if without is None and level_margin_bound(task) >= 1.0:
-        without = split_slack(task)
-    if without is not None and without.margin >= 1.0:
+    own = 0.0 if task.roll is None else task.roll
+    without = split_slack(task)
+    if without.margin >= 1.0:
         return without, own
     sense = -1.0 if np.sum(own) < 0.0 else 1.0
     for margin in dict.fromkeys((task.wanted, LIMIT_MARGIN)):
         aim = replace(task, margin=margin)
-        given = _least_roll(aim, sense)
+        given = least_roll(aim, sense)
         ladder = COARSE if given is None else (LESS * abs(given),)
-        chosen = _least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, ladder, 3)
+        chosen = least_roll(aim, sense, lambda rolled: split_slack(rolled).margin, ladder, 3)
         roll = given if chosen is None else chosen
         if roll is not None:
-            return split_slack(_rolled(aim, roll)), np.full(len(own), roll)
-    return without or split_slack(task), own
+            return split_slack(replace(aim, roll=roll)), roll
+    return without, own
 
 
-def least_roll_of_reference(task: LegTask) -> Array:
-    """Return the smallest roll (clasps,) [rad] with which the reference itself keeps all limits.
-
-    None, which is zero, where it keeps them without, or where no roll is found to help.
-    """
-    none = np.zeros(len(task.team.layout.clasps))
-    kept = reference_margin(task) >= 1.0
-    return none + ((None if kept else _least_roll(task, 1.0)) or 0.0)
-
-
-def level_margin_bound(task: LegTask) -> float:
-    """Return a bound of the margin that any leg lengths have without roll, infinite if unknown.
-
-    A leg of length d at an angle to its own edge ends at most ``d sin`` from it, and d is at most
-    the slack of its cable. Legs that may end beyond the edge do not count.
-    """
-    team, cable = task.team, task.requirements.separation.cable
-    if not task.level or cable == 0.0:
-        return math.inf
-    edges = team.layout.edges(task.polygons)
-    u, reach = unit(edges), task.slack
-    q, r = leg_directions(u, team.tension, team.topology)
-    bound = math.inf
-    for ahead in (dot(q, u), -dot(r, u)):
-        beside = (ahead > 0.0) & (reach * ahead <= length(edges)) & (reach > 0.0)
-        away = reach * np.sqrt(np.maximum(1.0 - ahead**2, 0.0))
-        bound = min(bound, float(np.min(away, where=beside, initial=math.inf)) / cable)
-    return bound
-
-
-def _least_roll(
+def least_roll(
     task: LegTask,
-    sense: float,
+    sense: float = 1.0,
     margin_of: Callable[[LegTask], float] = reference_margin,
     ladder: tuple[float, ...] = LADDER,
-    halvings: int = HALVINGS,
+    halvings: int = 7,
 ) -> float | None:
     """Return the smallest roll [rad] that is found to give the margin wanted, or None.
 
-    Between two rungs of a ladder; one that leaves loads no balance gives none.
+    To a hundredth of the step between two rungs of a ladder; a roll that leaves loads no balance
+    gives none.
     """
 
     def suffices(angle: float) -> bool:
         try:
-            return margin_of(_rolled(task, sense * angle)) >= task.wanted * (1.0 - 5e-7)
+            rolled = replace(task, roll=sense * angle)
+            return margin_of(rolled) >= task.wanted * (1.0 - 5e-7)
         except InfeasibleError:
             return False
 
@@ -246,7 +191,3 @@ def _least_roll(
         middle = 0.5 * (lower + upper)
         lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
     return sense * upper
-
-
-def _rolled(task: LegTask, roll: float) -> LegTask:
-    return replace(task, roll=np.full((1, len(task.team.layout.clasps)), roll))

@@ -38,11 +38,6 @@ class Series:
         """Return the constant of vectors (…, rows), by value alone."""
         return cls([np.moveaxis(vectors, -1, 0)])
 
-    @property
-    def vectors(self) -> Array:
-        """(…, rows): the value of arrays."""
-        return np.moveaxis(self.value, 0, -1)
-
     @classmethod
     def of_jet(cls, jet: Array) -> Series:
         """Return the series of jets (…, rows, JET), derivatives from order zero on.

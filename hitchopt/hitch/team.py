@@ -1,9 +1,9 @@
-"""The team: quadrotors, cables, and the tensions of the cables."""
+"""The team: quadrotors, cables, the tensions of the cables, and which robot flies which role."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -23,8 +23,6 @@ from hitchopt.values import (
     whole,
 )
 from hitchopt.values.units import check_lift, check_unit, store
-
-Index = Indices
 
 CLOSED, OPEN = "closed", "open"
 
@@ -68,11 +66,6 @@ class Layout:
         """(parts,): taut cable parts ``3 k + type``, type 0 a q-leg, 1 an edge, 2 an r-leg."""
         exists = np.insert(self.has_leg, 1, True, axis=1)
         return np.flatnonzero(exists)
-
-    @cached_property
-    def drones_with_legs(self) -> Indices:
-        """(legs,): the drones that hang on a leg, in order."""
-        return np.flatnonzero(self.has_leg)
 
     def edges(self, points: Array, axis: int = -2) -> Array:
         """Return the edge vectors: points (…, points, d) to (…, n, d), along ``axis``."""
@@ -262,32 +255,33 @@ class Team(OneLine):
     @property
     def mass(self) -> NDArray[np.float64]:
         """(2n,) [kg]: mass of each drone, in the order q0, r0, q1, r1, …."""
-        return self._per_drone([kind.mass for kind in self.quadrotor])
+        return self._per_drone("mass")
 
     @property
     def max_thrust(self) -> NDArray[np.float64]:
         """(2n,) [N]: largest thrust of each drone, in the order q0, r0, q1, r1, …."""
-        return self._per_drone([kind.max_thrust for kind in self.quadrotor])
+        return self._per_drone("max_thrust")
 
     @property
     def stiffness(self) -> NDArray[np.float64]:
         """(2n,) [N/m]: stiffness of each drone's position loop, infinite where it is rigid."""
-        given = [kind.stiffness for kind in self.quadrotor]
-        return self._per_drone([np.inf if each is None else each for each in given])
+        given = self._per_drone("stiffness")  # None is nan as a number
+        return np.where(np.isnan(given), np.inf, given)
 
     @property
     def integral(self) -> NDArray[np.bool_]:
         """(2n,): whether each drone's controller drives its position error to zero."""
-        return self._per_drone([kind.integral for kind in self.quadrotor]).astype(np.bool_)
+        return self._per_drone("integral") > 0.0
 
     @property
     def feed_forward(self) -> NDArray[np.bool_]:
         """(2n,): whether each drone's controller adds the cable force that its set points hold."""
-        return self._per_drone([kind.feed_forward for kind in self.quadrotor]).astype(np.bool_)
+        return self._per_drone("feed_forward") > 0.0
 
-    def _per_drone(self, values: Sequence[float]) -> NDArray[np.float64]:
-        """Return one value per drone from one per kind; both drones of a robot are of its kind."""
-        return np.repeat(np.array(values, dtype=np.float64), self.drones // len(values))
+    def _per_drone(self, name: str) -> NDArray[np.float64]:
+        """Return one value per drone; both drones of a robot are of its kind."""
+        values = np.array([getattr(kind, name) for kind in self.quadrotor], dtype=np.float64)
+        return np.repeat(values, self.drones // len(values))
 
     @property
     def point_names(self) -> tuple[str, ...]:
@@ -307,7 +301,6 @@ class Team(OneLine):
 
 @lru_cache(maxsize=64)
 def _names(kinds: str, count: int) -> tuple[str, ...]:
-    """Return one name of every kind with the number 0, then with 1, and so on."""
     return tuple(f"{kind}{k}" for k in range(count) for kind in kinds)
 
 
@@ -344,4 +337,61 @@ class Swarm(Team):
     @property
     def drone_names(self) -> tuple[str, ...]:
         """(N,): d0, d1, …."""
-        return tuple(f"d{i}" for i in range(self.drones))
+        return _names("d", self.drones)
+
+
+@dataclass(frozen=True)
+class Assignment(OneLine):
+    """An assignment of robots to roles, of which role k holds edge k.
+
+    Parameters
+    ----------
+    robots: for every role the robot that flies it, each once.
+    flipped: for every role whether that robot's q and r are exchanged.
+
+    Raises
+    ------
+    InputError: no such assignment.
+    """
+
+    robots: tuple[int, ...]
+    flipped: tuple[bool, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("robots", "flipped"):
+            object.__setattr__(self, name, sequence(f"assignment.{name}", getattr(self, name)))
+        n = len(self.robots)
+        for i, robot in enumerate(self.robots):
+            whole(f"assignment.robots[{i}]", robot, 0)
+        if sorted(self.robots) != list(range(n)):
+            raise InputError("assignment.robots", self.robots, f"0 to {n - 1}, each once", "sort")
+        if len(self.flipped) != n:
+            bound = f"{n} truth values"
+            raise InputError("assignment.flipped", self.flipped, bound, "give one per role")
+
+    @classmethod
+    def fixed(cls, robots: int) -> Assignment:
+        """Return the assignment under which robot k flies role k as it is."""
+        return cls(tuple(range(robots)), (False,) * robots)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the assignment as files store it."""
+        return {"robots": list(self.robots), "flipped": list(self.flipped)}
+
+    def team(self, team: Team) -> Team:
+        """Return the team in the order of its roles."""
+        order = list(self.robots)
+        return replace(
+            team,
+            cable_length=team.cable_length[order],
+            tension=team.tension[order],
+            quadrotor=tuple(team.quadrotor[i] for i in order),
+        )
+
+    def drones(self, drones: Array) -> Array:
+        """Return robots' drones (2n, 3) in the order of their roles."""
+        pairs = drones.reshape(-1, 2, 3)[list(self.robots)]
+        flipped = np.array(self.flipped, dtype=np.bool_)
+        pairs = np.where(flipped[:, None, None], pairs[:, ::-1], pairs)
+        ordered: Array = pairs.reshape(-1, 3)
+        return ordered

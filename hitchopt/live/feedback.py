@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.segments import differences, shortest_offset
-from hitchopt.hitch.parts import SEPARATION, Parts, end_combinations
+from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.statics.settle import Conditions, energy_of, samples_of
@@ -364,7 +364,7 @@ class _Distances:
         i, j = np.triu_indices(len(parts.nodes), 1)
         kind = parts.kind(i, j)
         i, j, kind = i[kind >= 0], j[kind >= 0], kind[kind >= 0]
-        legs = layout.drones_with_legs  # pairs of a drone and a point as well
+        legs = np.flatnonzero(layout.has_leg)  # pairs of a drone and a point as well
         ends = [np.stack([x, x], axis=1) for x in (legs + layout.points, layout.anchors[legs])]
         first = np.concatenate([parts.nodes[i], ends[0]])
         second = np.concatenate([parts.nodes[j], ends[1]])

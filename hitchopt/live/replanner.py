@@ -20,7 +20,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, fitting_polygon
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
-from hitchopt.hitch.legs import quick_split
+from hitchopt.hitch.legs import split_slack
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.retarget_path import MovingState, RetargetPath
 from hitchopt.motion.motion import Motion, Phase
@@ -280,7 +280,7 @@ class Replanner(OneLine):
             wanted = team.layout.q_legs_of(q_legs, slack)[None]
             shortest = LIMIT_MARGIN * need.limits.leg
             task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
-            q_legs = quick_split(task).q_legs[0]
+            q_legs = split_slack(task, first=True).q_legs[0]
         return Hitch(team, outline, altitude, q_legs)
 
     def _past(self, at: float) -> Motion:

@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Limits
-from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph import jets
 from hitchopt.planners.timing.flight import Flight

@@ -22,8 +22,8 @@ from hitchopt.errors import (
     Violation,
 )
 from hitchopt.hitch import GRAVITY, Hitch
-from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Prism, Requirements
+from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProblem
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject

@@ -18,8 +18,8 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Team
-from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL

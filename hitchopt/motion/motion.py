@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import Team
-from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import Assignment
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Quadrotor, Swarm, Team
-from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.asked import asked_of, check_asked, objects_at_first, values_of
 from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion, Phase
 from hitchopt.objects import Rim, Section, SolidObject

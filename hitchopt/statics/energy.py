@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from hitchopt.hitch.team import Index
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 SAG_RATIO = 4.0
 """A cable is slack where a level span as long as its longest one would hang by more than its chord
@@ -186,8 +185,8 @@ class HitchEnergy:
     loads: (S, nodes, 3) [N], forces of feed-forward on drones and of loads on clasps.
     """
 
-    nodes: Index
-    points: Index
+    nodes: Indices
+    points: Indices
     free: NDArray[np.bool_]
     law: Cables
     places: Array

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.segments import differences, shortest_offset
 from hitchopt.geometry.vectors import unit
-from hitchopt.hitch.parts import CABLE, CROSSING, Parts
+from hitchopt.hitch.leg_program import CABLE, CROSSING, Parts
 from hitchopt.motion.motion import CableState, Motion
 
 Array = NDArray[np.float64]

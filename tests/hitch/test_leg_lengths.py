@@ -8,8 +8,14 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_program import QuadraticProgram, solve_qp
-from hitchopt.hitch.parts import CABLE, CROSSING, SEPARATION, Parts
+from hitchopt.hitch.leg_program import (
+    CABLE,
+    CROSSING,
+    SEPARATION,
+    Parts,
+    QuadraticProgram,
+    solve_qp,
+)
 from problems.random_morph import random_convex_polygon
 
 TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hitchopt import Hitch, Quadrotor, Team
-from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.mission.repair import Edit, outlines_scaled, team_edit, with_edits
 from hitchopt.steps import Hold

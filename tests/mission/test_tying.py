@@ -13,7 +13,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.hitch.assignment import Assignment
+from hitchopt.hitch.team import Assignment
 
 Array = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import hitchopt as ho
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assigned

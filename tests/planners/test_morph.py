@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
-from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_program import LegTask
-from hitchopt.hitch.legs import level_margin_bound, reference_margin, split_slack
+from hitchopt.hitch.legs import reference_margin
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
@@ -76,15 +74,3 @@ def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
     start, end = (Hitch.balanced(team, p) for p in (square, np.roll(square, 2, axis=0)))
     with pytest.raises(InfeasibleError, match=r"convexity: 0 deg .* at p"):
         StraightMorph(start, end, Requirements()).solve()
-
-
-@pytest.mark.parametrize("n", [12, 36])
-def test_no_level_legs_have_a_larger_margin_than_their_bound(n: int) -> None:
-    team = Team(n, 2.0)
-    for stretch in (1.0, 1.1):
-        polygon = regular_polygon(n, 1.3).vertices * [1.0, stretch]
-        task = LegTask(
-            team, Requirements(), polygon[None], np.full((1, n), 0.3), 0.15, 1.5, roll=None
-        )
-        bound = level_margin_bound(task)
-        assert split_slack(task).margin <= bound * (1.0 + 1e-9)

@@ -7,14 +7,12 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.hitch.leg_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
@@ -327,19 +325,6 @@ def test_fastest_ramps_are_those_of_another_library(d: float, v: float, a: float
     assert duration == pytest.approx(found.duration, rel=1e-6)
     assert 2.0 * rise <= duration * (1.0 + 1e-12)
     assert d <= v * (duration - rise) * (1.0 + 1e-9)
-
-
-def test_mistakes_that_osqp_keeps_silent_about_are_refused() -> None:
-    P, A = sp.csc_array(np.eye(2)), sp.csc_array(np.ones((1, 2)))
-    one, two = np.ones(1), np.ones(2)
-    for arguments, words in (
-        ((P, np.ones(3), A, -one, one), "shapes P, q"),
-        ((P, two, A, -two, one), "shapes P, q"),
-        ((P, two, A, one, -one), "crossed"),
-        ((P, two * np.nan, A, -one, one), "nan"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            QuadraticProgram(*arguments)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))

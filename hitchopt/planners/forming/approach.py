@@ -20,9 +20,9 @@ from scipy.spatial.distance import pdist
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
-from hitchopt.hitch.assignment import Assignment
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import stage

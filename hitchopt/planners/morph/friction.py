@@ -26,10 +26,10 @@ from scipy.interpolate import BSpline
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import chord_pull
+from hitchopt.hitch.model import slipping_drones
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.series import JET
 from hitchopt.hitch.team import Layout
-from hitchopt.model.evaluation import slipping_drones
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import cable_along

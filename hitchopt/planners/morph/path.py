@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.forces import cable_slack_of, sag_factors
+from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.series import JET
-from hitchopt.model.evaluation import DroneJets, FlatJets, drone_jets
 from hitchopt.planners.morph import jets
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array

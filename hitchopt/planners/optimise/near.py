@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.hitch.parts import Parts
+from hitchopt.hitch.leg_program import Parts
 from hitchopt.hitch.requirements import Separation
 from hitchopt.values import Array, Indices
 
@@ -21,7 +21,7 @@ class NearPairs:
     ----------
     frame: (m,), the instant.
     first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
-    kind: (m,), as in ``hitch.parts``.
+    kind: (m,), as in ``hitch.leg_program``.
     normal: (m, 2), unit vector from the second body to the first where they are closest.
     enforced: (m,) [m], the distance to enforce.
     """

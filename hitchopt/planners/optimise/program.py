@@ -23,8 +23,8 @@ from scipy import sparse
 from hitchopt.errors import check_time, time_left
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.parts import SEPARATION, end_combinations
-from hitchopt.model.planar import planar
+from hitchopt.hitch.leg_program import SEPARATION, end_combinations
+from hitchopt.hitch.model import planar
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep, variable_bounds
 from hitchopt.planners.optimise.near import NearPairs, near_pairs
 from hitchopt.values import Array, Indices

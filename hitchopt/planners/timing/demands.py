@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Limits
-from hitchopt.model.evaluation import drone_jets
 from hitchopt.planners.morph.path import Path
 from hitchopt.values import Array
 

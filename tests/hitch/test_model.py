@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from hitchopt.hitch import Hitch
-from hitchopt.model.evaluation import FlatJets, drone_jets, slipping_drones
-from hitchopt.model.planar import planar
+from hitchopt.hitch.model import FlatJets, drone_jets, planar, slipping_drones
 from hitchopt.planners.morph.friction import cables_of_legs
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.model.evaluation import slipping_drones
+from hitchopt.hitch.model import slipping_drones
 
 Array = NDArray[np.float64]
 

@@ -1,1 +1,0 @@
-"""The casadi model: from flat outputs (vertices, legs, tensions) to drones and thrusts."""
