@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -28,7 +27,7 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, fly
+from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, cable_error, fly
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
 
@@ -73,15 +72,6 @@ class Action:
         slack = cable_slack(self.start.team, self.polygon)
         return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
 
-    @property
-    def vertices(self) -> PiecewisePolynomial:
-        """The vertices' path, of shape (n, 3) over s from 0 to 1 [m]."""
-        if self.track is not None:
-            return self.track
-        start, points = self.start, self.polygon.vertices
-        end = np.column_stack([points, np.full(len(points), start.altitude)])
-        return PiecewisePolynomial(WHOLE, np.stack([start.vertices, end], axis=-1)[None])
-
     def path(self, end: Hitch | None = None) -> ShapePath:
         """Return the path that ends with a hitch's legs and roll, those kept if None.
 
@@ -93,7 +83,13 @@ class Action:
         share = PiecewisePolynomial.constant(WHOLE, self.share)
         law = LegLaw(PiecewisePolynomial(WHOLE, length), share)
         roll = roll_between(self.start, self.start if end is None else end, tuple(grown))
-        return ShapePath(self.start.team, self.vertices, law, roll=roll)
+        track = self.track
+        if track is None:
+            points = self.polygon.vertices
+            last = np.column_stack([points, np.full(len(points), self.start.altitude)])
+            both = np.stack([self.start.vertices, last], axis=-1)
+            track = PiecewisePolynomial(WHOLE, both[None])
+        return ShapePath(self.start.team, track, law, roll=roll)
 
 
 def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ...]:
@@ -237,9 +233,6 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     return PiecewisePolynomial(times, coefficients)
 
 
-PLACES = np.array([0.21, 0.5, 0.79])
-"""Places in a piece where its polynomials are compared with the model."""
-
 PROBES = 65
 """Number of points of a path at which it is determined which drones its law moves."""
 
@@ -262,90 +255,63 @@ class Flying:
     worst: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class ActionFlight:
-    """The planner of an action, further cables sliding where a limit binds on the path.
+def fly_action(
+    action: Action, end: Hitch, requirements: Requirements, duration: float | None = None
+) -> Flying:
+    """Return the flight of an action to a hitch, cables sliding where a limit binds on the path.
 
-    Attributes
+    Parameters
     ----------
     action: what moves, and by which law.
     end: the hitch after it; its legs may differ from those that the law keeps.
     requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InfeasibleError, TimingError: as of ``straight_flight``.
     """
-
-    action: Action
-    end: Hitch
-    requirements: Requirements
-    duration: float | None = None
-
-    @cached_property
-    def path(self) -> ShapePath:
-        """The path by the action's own law; raises InfeasibleError where it is shut."""
-        path = self.action.path(self.end)
-        try:
-            check_shapes(path)
-        except InfeasibleError as error:  # other legs may do if there is slack
-            slack = np.sum(shapes_along(path, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
-            if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
-                raise
-        return path
-
-    @property
-    def problem(self) -> ShapePath:
-        """The path that is flown; raises InfeasibleError as that of StraightMorph."""
-        timed = self.action.seconds is not None
-        path = with_legs_clear(self.path, self.requirements, few=True, at_rest=timed)
-        check_shapes(path)
-        check_loads(path, self.requirements.limits)
-        return path
-
-    def solve(self) -> Flying:
-        """Return the flight to ``end``; errors as of StraightMorph."""
-        start, seconds = self.action.start, self.action.seconds
-        if seconds is None and np.max(np.abs(self.end.drones - start.drones)) < MOVES:
-            return Flying(None)
-        path = self.problem
-        if seconds is None:
-            flight = fly(path, self.requirements.limits, self.duration)
-        else:
-            flight = fly_timed(path, seconds)
-        worst = None if path is self.path else worst_place(self.path, self.requirements)
-        names = np.array(start.team.drone_names)
-        places = drones_along(self.action.path(), np.linspace(0.0, 1.0, PROBES)).positions[..., 0]
-        own = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
-        hulls = flight.drones.coefficients
-        away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
-        further = (away > MOVES) & ~np.isin(names, self.action.named)
-        turning, sliding = (tuple(names[further & some].tolist()) for some in (own, ~own))
-        return Flying(flight, turning, sliding, worst)
+    team, seconds, limits = action.start.team, action.seconds, requirements.limits
+    if seconds is None and np.max(np.abs(end.drones - action.start.drones)) < MOVES:
+        return Flying(None)
+    own, s = action.path(end), np.linspace(0.0, 1.0, PROBES)
+    try:
+        check_shapes(own)
+    except InfeasibleError as error:  # other legs may do if there is slack
+        slack = np.sum(shapes_along(own, s).legs, axis=-1)
+        if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
+            raise
+    path = with_legs_clear(own, requirements, few=True, at_rest=seconds is not None)
+    check_shapes(path)
+    check_loads(path, limits)
+    flight = fly(path, limits, duration) if seconds is None else fly_timed(path, seconds)
+    places = drones_along(action.path(), s).positions[..., 0]
+    turned = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
+    hulls = flight.drones.coefficients
+    away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+    names = np.array(team.drone_names)
+    further = (away > MOVES) & ~np.isin(names, action.named)
+    turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
+    return Flying(flight, turning, sliding, None if path is own else worst_place(own, requirements))
 
 
 def fly_timed(path: ShapePath, seconds: float) -> Flight:
     """Return the flight on which the path's s is time over ``seconds`` [s].
 
-    Pieces of the vertices' path stay apart, so that no polynomial smooths over a joint of them.
+    Pieces of the vertices' path stay apart, so that no polynomial smooths over a joint of them; all
+    are halved until the flight fits the model.
     """
-    parts = [_on_piece(path, i) for i in range(path.vertices.pieces)]
-    drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
-    tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
-    return Flight(drones, vertices, legs, tensions).lasting(seconds)
-
-
-def _on_piece(path: ShapePath, piece: int) -> list[PiecewisePolynomial]:
-    """Return drones, vertices and legs over s on one piece, halved until they fit the model."""
-    track = path.vertices.taken(slice(piece, piece + 1))
-    own = replace(path, vertices=track)
     count = 1
     while True:
-        breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
-        parts = [polynomials_through(breaks, jets) for jets in path_jets(own, breaks)[:3]]
-        probes = (breaks[:-1, None] + np.diff(breaks)[:, None] * PLACES).reshape(-1)
-        drones, _, legs = (
-            np.max(np.abs(part.at(probes) - jets[..., 0]))
-            for part, jets in zip(parts, path_jets(own, probes), strict=False)
-        )
-        error = 2.0 * drones + legs
-        if count >= FINEST or error <= MODEL_ERROR * np.min(path.team.cable_length):
-            return parts
+        parts = []
+        for i in range(path.vertices.pieces):
+            track = path.vertices.taken(slice(i, i + 1))
+            breaks = np.linspace(*track.breaks, count + 1)
+            found = path_jets(replace(path, vertices=track), breaks)[:3]
+            parts.append([polynomials_through(breaks, each) for each in found])
+        drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
+        tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
+        flight = Flight(drones, vertices, legs, tensions)
+        if drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
+            return flight.lasting(seconds)
         count *= 2

@@ -85,9 +85,6 @@ GRID = 160
 MODEL_ERROR = 1e-6
 """Largest relative error of a cable's length: a tenth of what a plan guarantees."""
 
-PAIRS = 32_000
-"""Pairs of a time and a drone at which cables are looked at in one go: arrays fit in the caches."""
-
 FINEST = 400
 """Number of pieces at which refining for the sake of MODEL_ERROR ends."""
 
@@ -131,7 +128,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, finer))
         flight = _polynomials(path, jerk_limited(clock, lambda s: Demands.along(path, aimed, s)))
-        if flight.drones.pieces >= FINEST or _cable_error(path.team, flight) <= MODEL_ERROR:
+        if flight.drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
             break
         finer *= 2
     curves = (flight.drones, flight.vertices, flight.pulls)
@@ -160,19 +157,15 @@ def _polynomials(path: Path, clock: Clock) -> Flight:
     return Flight(drones, vertices, legs, constant if steady else timed(tensions))
 
 
-def _cable_error(team: Team, flight: Flight) -> float:
+def cable_error(team: Team, flight: Flight) -> float:
     """Return the largest relative error of a cable's length at samples between the breaks."""
     inner, breaks = (np.arange(5) + 0.5) / 5, flight.drones.breaks
     times = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
-    error, many = 0.0, max(1, PAIRS // team.drones)
-    for first in range(0, len(times), many):
-        t = times[first : first + many]
-        p, sag = flight.vertices.at(t), sag_factors(team, flight.tensions.at(t))
-        legs = flight.drones.at(t) - p[:, team.layout.anchors]
-        spans = (legs[:, 0::2], team.layout.edges(p), legs[:, 1::2])
-        cables = np.sum([cable_of(span, sag) for span in spans], axis=0)
-        error = max(error, float(np.max(np.abs(cables / team.cable_length - 1.0))))
-    return error
+    p, sag = flight.vertices.at(times), sag_factors(team, flight.tensions.at(times))
+    legs = flight.drones.at(times) - p[:, team.layout.anchors]
+    spans = (legs[:, 0::2], team.layout.edges(p), legs[:, 1::2])
+    cables = np.sum([cable_of(span, sag) for span in spans], axis=0)
+    return float(np.max(np.abs(cables / team.cable_length - 1.0)))
 
 
 WIDEST = 1.0 / 12.0
