@@ -17,7 +17,7 @@ from hitchopt.planners.timing.clock import (
     SplineBasis,
     fastest_rate,
 )
-from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.profile import Demands
 
 LIMITS = Limits(speed=1.1, acceleration=1.7, jerk=9.0, tilt=math.radians(24.0))
 few = settings(max_examples=20)

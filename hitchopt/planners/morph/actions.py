@@ -306,7 +306,7 @@ def fly_timed(path: ShapePath, seconds: float) -> Flight:
         parts = []
         for i in range(path.vertices.pieces):
             track = path.vertices.taken(slice(i, i + 1))
-            breaks = np.linspace(*track.breaks, count + 1)
+            breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
             found = path_jets(replace(path, vertices=track), breaks)[:3]
             parts.append([polynomials_through(breaks, each) for each in found])
         drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))

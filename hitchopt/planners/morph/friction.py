@@ -134,10 +134,7 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
     layout = motion.team.layout
     coarse, longest = motion.drones.breaks, motion.duration / (FINER * slip.pieces)
     parts = np.maximum(1, np.ceil(np.diff(coarse) / longest - 1e-9).astype(np.intp))
-    each = zip(coarse[:-1], coarse[1:], parts, strict=True)
-    breaks = np.append(
-        np.concatenate([np.linspace(*one, endpoint=False) for one in each]), coarse[-1:]
-    )
+    breaks = jets.divided(coarse, parts)
     drones, vertices, legs, tensions = (
         on_breaks(part, breaks)
         for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)

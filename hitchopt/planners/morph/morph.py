@@ -186,4 +186,5 @@ def _gone(vertices: Array, fractions: Array) -> Array:
     """Return (J,): share of the distance covered so far in all coordinates together."""
     rows = np.concatenate([vertices.reshape(len(vertices), -1), fractions], axis=1)
     gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
-    return gone / gone[-1]
+    share: Array = gone / gone[-1]
+    return share

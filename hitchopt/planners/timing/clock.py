@@ -26,8 +26,7 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.morph.jets import chained, chained_rates, quintic_spline
-from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.profile import SpeedProfile, TimingError
+from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, SpeedProfile, TimingError
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]

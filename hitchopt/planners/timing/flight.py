@@ -26,11 +26,14 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.jets import chained, polynomials_through
 from hitchopt.planners.morph.path import Path, path_jets
 from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
-from hitchopt.planners.timing.demands import FINAL_SHARE, LIMIT_SHARE, Demands, loads_at_rest
 from hitchopt.planners.timing.profile import (
+    FINAL_SHARE,
+    LIMIT_SHARE,
+    Demands,
     SpeedProfile,
     acceleration_ramp,
     fastest_profile,
+    loads_at_rest,
     path_grid,
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein

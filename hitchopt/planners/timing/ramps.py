@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import HitchoptError, InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.requirements import Limits
-from hitchopt.planners.morph.jets import chained
+from hitchopt.planners.morph.jets import chained, divided
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
@@ -51,37 +51,24 @@ def fastest_clock(
 ) -> PiecewisePolynomial:
     """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
-    The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used.
-
     Parameters
     ----------
     goal: positive, in any unit.
     speed, acceleration, jerk: limits, in that unit and seconds.
     """
-    from ruckig import InputParameter, Result, Ruckig, Trajectory
-
-    task = InputParameter(1)
-    task.current_position, task.target_position = [0.0], [goal]
-    task.max_velocity, task.max_acceleration, task.max_jerk = [speed], [acceleration], [jerk]
-    trajectory = Trajectory(1)
-    result = Ruckig(1).calculate(task, trajectory)
-    if result not in {Result.Working, Result.Finished}:
-        raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
-    profile = trajectory.profiles[0][0]
-    phases = np.array([profile.t, profile.j], dtype=np.float64)
-    seconds, jerks = phases[:, phases[0] > SHORTEST]
-    return _integrated(goal, seconds, jerks)
-
-
-def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomial:
-    """Return the cubics of phases of constant jerk; the end is met exactly."""
+    duration, rise = (float(each[0]) for each in fastest_ramps([goal], speed, acceleration, jerk))
+    bend = min(acceleration / jerk, 0.5 * rise)
+    up = [bend, rise - 2.0 * bend, bend]
+    seconds = np.array([*up, duration - 2.0 * rise, *up])
+    jerks = jerk * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    lasting = seconds > SHORTEST
     jets = [np.zeros(4)]
-    for duration, jerk in zip(seconds, jerks, strict=True):
-        jets[-1][3] = jerk
-        jets.append(advanced(jets[-1], duration))
+    for each, constant in zip(seconds[lasting], jerks[lasting], strict=True):
+        jets[-1][3] = constant
+        jets.append(advanced(jets[-1], each))
     x = np.stack(jets, axis=1)[:3]
     x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
-    breaks = np.concatenate([[0.0], np.cumsum(seconds)])
+    breaks = np.append(0.0, np.cumsum(seconds[lasting]))
     return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
 
 
@@ -104,17 +91,8 @@ def flown(
     most: largest advance of the clock on one piece.
     reserve: largest acceleration of any of them [m/s²].
     """
-    drones = _fitted(curve, clock, most)
-    factors = []
-    for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
-        largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
-        factors.append((float(largest) / (SHARE * limit)) ** (1.0 / order))
-    return drones.stretched(max(factors))
-
-
-def _fitted(curve: Curve, clock: PiecewisePolynomial, most: float) -> PiecewisePolynomial:
-    """Return polynomials that meet position, velocity, acceleration and jerk at every break."""
-    breaks = _times(clock, most)
+    counts = np.maximum(1, np.ceil(np.diff(clock.at(clock.breaks)) / most).astype(np.intp))
+    breaks = divided(clock.breaks, counts)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
     ends = []
@@ -124,27 +102,15 @@ def _fitted(curve: Curve, clock: PiecewisePolynomial, most: float) -> PiecewiseP
         outer = np.stack([curve(inner[:, 0], k) for k in range(4)], axis=-1)
         ends.append(np.moveaxis(chained(outer, inner[:, None, None, :]), -1, 0))
     left, right = ends
-    first, last = clock.at(clock.breaks[[0, -1]])
-    left[:3, 0] = _at_rest(curve, first)
-    right[:3, -1] = _at_rest(curve, last)
+    left[0, 0], right[0, -1] = curve(clock.at(clock.breaks[[0, -1]]), 0)
+    left[1:3, 0] = right[1:3, -1] = 0.0
     left[:3, 1:] = right[:3, :-1]
-    return PiecewisePolynomial.hermite(breaks, left, right)
-
-
-def _times(clock: PiecewisePolynomial, most: float) -> Array:
-    """Return the clock's breaks and times in between (…,) [s], about ``most`` apart or less."""
-    times = [clock.breaks[:1]]
-    advances = np.diff(clock.at(clock.breaks))
-    for first, last, advance in zip(clock.breaks[:-1], clock.breaks[1:], advances, strict=True):
-        count = max(1, int(np.ceil(advance / most)))
-        times.append(np.linspace(first, last, count + 1)[1:])
-    return np.concatenate(times)
-
-
-def _at_rest(curve: Curve, parameter: float) -> Array:
-    """Return the jets (3, drones, 3) of drones at rest on the curve."""
-    places = curve(np.array([parameter]), 0)[0]
-    return np.stack([places, *np.zeros((2, *places.shape))])
+    drones = PiecewisePolynomial.hermite(breaks, left, right)
+    factors = []
+    for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
+        largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
+        factors.append((float(largest) / (SHARE * limit)) ** (1.0 / order))
+    return drones.stretched(max(factors))
 
 
 def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
