@@ -77,7 +77,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     if found is None or found.turned < SMALLEST:
         return None
     leaned = found.motion
-    factor = needed_stretch(motion.team, limits, leaned.drones, leaned.vertices, leaned.pulls)
+    factor = needed_stretch(motion.team, limits, leaned)
     if factor > 1.0 and (not slower or not math.isfinite(factor)):
         return None
     return replace(found, motion=leaned.slowed(max(factor, 1.0)))

@@ -13,7 +13,7 @@ from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.profile import flight_estimate, grid_demands
+from hitchopt.planners.timing.profile import demands_along, flight_estimate
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
@@ -175,7 +175,7 @@ def _slopes(path: ShapePath, limits: Limits) -> Array:
     A drone's derivative by s is linear in its leg's, which moves it along the leg.
     """
     ends, n = np.array([0.0, 1.0]), path.team.robots
-    usual = grid_demands(path, limits).drones[[0, -1], ..., 1].reshape(2, n, 2, -1)
+    usual = demands_along(path, limits).drones[[0, -1], ..., 1].reshape(2, n, 2, -1)
     slid = drones_along(_slid(path, np.ones((2, n))), ends)
     along = slid.positions[..., 1].reshape(2, n, 2, -1) - usual
     size = np.sum(along**2, axis=(2, 3))

@@ -15,8 +15,8 @@ from hitchopt.hitch.team import Layout
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.flight import GRID, Flight, fly, timing_demands
-from hitchopt.planners.timing.profile import path_grid
+from hitchopt.planners.timing.flight import GRID, Flight, fly
+from hitchopt.planners.timing.profile import demands_along, path_grid
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -111,7 +111,7 @@ def check_loads(path: Path, limits: Limits) -> None:
 
     At the points at which the path is timed.
     """
-    s, demands = path_grid(GRID), timing_demands(path, limits)
+    s, demands = path_grid(GRID), demands_along(path, limits, GRID)
     thrust, tilt = demands.at_rest()
     most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))
     for name, unit, ratios, most, remedy in (

@@ -16,13 +16,9 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Team
-from hitchopt.hitch.forces import (
-    cable_force_rates,
-    cable_forces,
-    cable_of,
-    sag_factors,
-)
+from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
 from hitchopt.hitch.requirements import Limits
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.jets import chained, polynomials_through
 from hitchopt.planners.morph.path import Path, path_jets
 from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
@@ -32,6 +28,7 @@ from hitchopt.planners.timing.profile import (
     Demands,
     SpeedProfile,
     acceleration_ramp,
+    demands_along,
     fastest_profile,
     loads_at_rest,
     path_grid,
@@ -100,12 +97,6 @@ SHORTEST_FLIGHT = 0.05
 above their rounding."""
 
 
-@lru_cache(maxsize=1)
-def timing_demands(path: Path, limits: Limits) -> Demands:
-    """Return the demands of a path on toppra's grid; those of the last path are stored."""
-    return Demands.along(path, limits, path_grid(GRID))
-
-
 def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     """Return the flight along a path, from rest to rest.
 
@@ -120,7 +111,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     InfeasibleError: ``duration`` is shorter than the limits allow.
     TimingError: no timing was found.
     """
-    demands, aimed = timing_demands(path, limits), limits
+    demands, aimed = demands_along(path, limits, GRID), limits
     if limits.body_rate is not None:  # thrusts turn with the jerk, and are least at rest
         least = float(np.min(length(demands.loads) / demands.mass))
         aimed = replace(limits, jerk=min(limits.jerk, limits.body_rate * least))
@@ -134,8 +125,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
         if flight.drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
             break
         finer *= 2
-    curves = (flight.drones, flight.vertices, flight.pulls)
-    fastest = needed_stretch(path.team, limits, *curves) * flight.duration
+    fastest = needed_stretch(path.team, limits, flight) * flight.duration
     if duration is None:
         return flight.lasting(max(fastest, SHORTEST_FLIGHT))
     check_duration(duration, fastest)
@@ -214,21 +204,16 @@ def time_mesh(profile: SpeedProfile, ramp: float, finer: int = 1) -> Array:
     busy[1:] |= busy[:-1]
     fine = max(ramp / PER_RAMP, SHORTEST)
     widths = np.where(busy, np.minimum(fine, WIDEST * whole), WIDEST * whole)
-    widths = np.maximum(_graded(t, widths), SHORTEST)
+    # No width exceeds another by more than GRADING of its distance, on the left and on the right.
+    left = np.minimum.accumulate(widths - GRADING * t) + GRADING * t
+    right = np.minimum.accumulate((widths + GRADING * t)[::-1])[::-1] - GRADING * t
+    widths = np.maximum(np.minimum(left, right), SHORTEST)
     density = 0.5 * (1.0 / widths[1:] + 1.0 / widths[:-1]) * np.diff(t)
     pieces = np.append(0.0, np.cumsum(density))
     count = finer * max(int(np.ceil(min(pieces[-1], MOST))), 4)
     knots: Array = np.interp(np.linspace(0.0, pieces[-1], count + 1), pieces, t)
     knots[0], knots[-1] = 0.0, whole
     return knots
-
-
-def _graded(t: Array, widths: Array) -> Array:
-    """Return the widths lowered until none exceeds another by more than GRADING of its distance."""
-    # min over u of w(u) + g |t - u|, from the left and from the right.
-    left = np.minimum.accumulate(widths - GRADING * t) + GRADING * t
-    right = np.minimum.accumulate((widths + GRADING * t)[::-1])[::-1] - GRADING * t
-    return np.minimum(left, right)
 
 
 SPANS, ENCLOSING = 8, 8
@@ -245,23 +230,13 @@ PRECISION = 1e-4
 """Relative precision of a stretch."""
 
 
-def needed_stretch(
-    team: Team,
-    limits: Limits,
-    drones: PiecewisePolynomial,
-    vertices: PiecewisePolynomial,
-    pulls: PiecewisePolynomial,
-) -> float:
+def needed_stretch(team: Team, limits: Limits, flight: Flight | Motion) -> float:
     """Return how many times slower a flight must be to satisfy its limits.
 
     Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
     coefficients, which lie close to it on a short span of time.
-
-    Parameters
-    ----------
-    drones, vertices: of shapes (2n, 3) and (n, 3) [m], on common breaks.
-    pulls: of shape (2n,) [N], of the cables on the drones.
     """
+    drones, vertices, pulls = flight.drones, flight.vertices, flight.pulls
     factor, still = 1e-12, np.zeros(0)
     for some in _chunks(team, drones):
         rates = length(_on_spans(vertices, some, 1))

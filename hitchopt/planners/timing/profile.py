@@ -358,10 +358,10 @@ RAMP_SHARE = 0.5
 a change from rest to full speed."""
 
 
-@lru_cache(maxsize=2)
-def grid_demands(path: Path, limits: Limits) -> Demands:
-    """Return the demands of a path on the grid of estimates; those of the last paths are stored."""
-    return Demands.along(path, limits, path_grid(GRID))
+@lru_cache(maxsize=3)
+def demands_along(path: Path, limits: Limits, steps: int = GRID) -> Demands:
+    """Return the demands of a path on a grid of ``steps``; those of the last paths are stored."""
+    return Demands.along(path, limits, path_grid(steps))
 
 
 @lru_cache(maxsize=16)
@@ -370,7 +370,7 @@ def flight_estimate(path: Path, limits: Limits) -> float:
 
     Flights are mostly longer, by up to a tenth of the ramp.
     """
-    demands = grid_demands(path, limits)
+    demands = demands_along(path, limits)
     try:
         profile = fastest_profile(path_grid(GRID), demands)
     except TimingError:
