@@ -432,18 +432,11 @@ def _given(key: str, value: Any) -> Any:
 class Adjust(ActionStep):
     """Cables slide through their clasps; the outline stays."""
 
+    told: ClassVar[tuple[str, ...]] = ()
+
     legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_given)] = "balanced"
     duration: Seconds = None
     blend: Blend = False
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import adjust
-        from hitchopt.steps.certified_motions import end_of_morph
-
-        start = task.hitch
-        wanted = end_of_morph(start, start.polygon, self.legs, task.requirements).hitch
-        return adjust(start, wanted.q_legs)
 
 
 MIN_GAP = 1e-3

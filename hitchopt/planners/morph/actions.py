@@ -5,15 +5,15 @@ An action tells which vertices move, and which legs keep their lengths meanwhile
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.jets import polynomials_through, quintic_spline
@@ -53,7 +53,6 @@ class Action:
     start: the hitch before.
     polygon: the outline after.
     length, share: (n,) [m] and without unit; the legs kept are ``d = length + share · slack``.
-    named: the drones that move by this law where tensions are equal.
     track: of shape (n, 3) over s from 0 to 1 [m], the vertices in between; None for straight lines.
     seconds: [s] how long, where s is time already; else None.
     """
@@ -62,7 +61,6 @@ class Action:
     polygon: Outline
     length: Array
     share: Array
-    named: tuple[str, ...]
     track: PiecewisePolynomial | None = None
     seconds: float | None = None
 
@@ -92,17 +90,6 @@ class Action:
         return ShapePath(self.start.team, track, law, roll=roll)
 
 
-def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ...]:
-    """Return the names of drones ``q_k`` and ``r_k`` in the order of the team.
-
-    Indices are cyclic; in an open chain those beyond its ends name none.
-    """
-    n, closed = team.robots, team.layout.closed
-    wanted = {f"q{k % n}" for k in q if closed or 0 <= k < n}
-    wanted |= {f"r{k % n}" for k in r if closed or 0 <= k < n}
-    return tuple(name for name in team.drone_names if name in wanted)
-
-
 SAME_PLACE = 1e-6
 """[m] Largest distance of a point at t = 0 from the vertex."""
 
@@ -116,21 +103,12 @@ def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
     return Action(start, polygon, *vertex_law(start, vertex))
 
 
-def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return length and share of the law by which a vertex moves, and the drones that it names.
-
-    ``e_k`` is kept, else ``d``. The paper names four drones, fewer near a chain's ends. At its very
-    ends the edge's cable has one leg only, whose drone moves as the edge's length does.
-    """
-    closed, n = start.team.layout.closed, start.team.robots
-    length, share = start.q_legs.copy(), np.zeros(n)
-    if closed or vertex < n:
+def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array]:
+    """Return length and share of the law by which a vertex moves: ``e_k`` is kept, else ``d``."""
+    length, share = start.q_legs.copy(), np.zeros(start.team.robots)
+    if start.team.layout.closed or vertex < start.team.robots:
         length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
-    q, r = [vertex, vertex + 1], [vertex - 1, vertex - 2]
-    if not closed:
-        r += [0] if vertex == 0 else []
-        q += [vertex - 1] if vertex == n else []
-    return length, share, drone_names(start.team, q, r)
+    return length, share
 
 
 def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
@@ -146,31 +124,15 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
     after = edge + 1
     if start.team.layout.closed or after < n:
         length[after % n], share[after % n] = -start.r_legs[after % n], 1.0
-    q, r = [edge, edge + 1], [edge, edge - 1]
-    if _turned(start, polygon, edge - 1):
-        r.append(edge - 2)
-    if _turned(start, polygon, edge + 1):
-        q.append(edge + 2)
-    return Action(start, polygon, length, share, drone_names(start.team, q, r))
+    return Action(start, polygon, length, share)
 
 
-def adjust(start: Hitch, q_legs: Array) -> Action:
-    """Return the paper's action 4: cables slide through their clasps to ``q_legs`` (n,) [m].
+def adjust(start: Hitch, polygon: Outline) -> Action:
+    """Return the paper's action 4: cables slide through their clasps, the outline stays.
 
     Drones move of those cables only whose legs change.
     """
-    sliding = np.flatnonzero(np.abs(q_legs - start.q_legs) > MOVES).tolist()
-    named = drone_names(start.team, sliding, sliding)
-    return Action(start, start.polygon, start.q_legs, np.zeros(start.team.robots), named)
-
-
-def _turned(start: Hitch, polygon: Outline, edge: int) -> bool:
-    """Return whether an edge changes its direction; False for one beyond a chain's end."""
-    count = start.team.robots
-    if not start.team.layout.closed and not 0 <= edge < count:
-        return False
-    before, after = (p.edge_directions[edge % count] for p in (start.polygon, polygon))
-    return bool(np.linalg.norm(after - before) * polygon.edge_lengths[edge % count] > MOVES)
+    return Action(start, polygon, start.q_legs, np.zeros(start.team.robots))
 
 
 def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) -> Action:
@@ -244,7 +206,7 @@ class Flying:
     Attributes
     ----------
     flight: None where nothing moves.
-    turning: names of the drones beyond the named ones that the action's own law moves.
+    turning: names of the drones that its law moves only as tensions differ, or for weight.
     sliding: names of those that move only because its law could not be kept.
     worst: s where the law broke a limit on the path, or None.
     """
@@ -285,14 +247,24 @@ def fly_action(
     check_shapes(path)
     check_loads(path, limits)
     flight = fly(path, limits, duration) if seconds is None else fly_timed(path, seconds)
-    places = drones_along(action.path(), s).positions[..., 0]
-    turned = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
+    # Which drones the action means: those that its law moves if tensions and weights are alike.
+    own_law = action.path()
+    meant = action.path(end) if action.polygon is action.start.polygon else own_law
+    alike = replace(team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0)
+    turned, named = (_moving(each, s) for each in (own_law, replace(meant, team=alike, roll=None)))
     hulls = flight.drones.coefficients
     away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
-    names = np.array(team.drone_names)
-    further = (away > MOVES) & ~np.isin(names, action.named)
+    names, further = np.array(team.drone_names), (away > MOVES) & ~named
     turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
     return Flying(flight, turning, sliding, None if path is own else worst_place(own, requirements))
+
+
+def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
+    """Return which drones (2n,) are elsewhere at one of the points s of a path."""
+    places = drones_along(path, s).positions[..., 0]
+    moving: NDArray[np.bool_]
+    moving = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
+    return moving
 
 
 def fly_timed(path: ShapePath, seconds: float) -> Flight:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import BSpline
 
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.requirements import Limits, Separation
@@ -72,8 +72,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     slower: whether it may last longer; else None is returned where it would have to. So it is where
         legs at rest pull their drones beyond a limit.
     """
-    slip = counted_on(motion, share)
-    found = None if slip is None else _leaned(motion, slip)
+    found = _leaned(motion, counted_on(motion, share))
     if found is None or found.turned < SMALLEST:
         return None
     leaned = found.motion
@@ -86,7 +85,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
 def worth_leaning(motion: Motion) -> bool:
     """Return whether legs would lean by more than the least, if limits allowed it."""
     slip = counted_on(motion, 1.0)
-    found = None if slip is None else _leaned(motion, slip)
+    found = _leaned(motion, slip)
     return slip is not None and (found is None or found.turned >= SMALLEST)
 
 
@@ -129,8 +128,10 @@ def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
     return found, float(np.min(borne))
 
 
-def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
-    """Return the motion with pulls ``T e^slip``; None where a clasp cannot balance so."""
+def _leaned(motion: Motion, slip: PiecewisePolynomial | None) -> Leaning | None:
+    """Return the motion with pulls ``T e^slip``; None without, or if a clasp cannot balance so."""
+    if slip is None:
+        return None
     layout = motion.team.layout
     coarse, longest = motion.drones.breaks, motion.duration / (FINER * slip.pieces)
     parts = np.maximum(1, np.ceil(np.diff(coarse) / longest - 1e-9).astype(np.intp))
@@ -153,7 +154,8 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
         return None
     places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
     clasps = p[:, layout.clasps][..., 0][:, :, None]
-    turned = _angles_between(places - clasps, found[..., 0] - clasps)
+    before, after = places - clasps, found[..., 0] - clasps
+    turned = np.arctan2(length(np.cross(before, after)), dot(before, after))
     d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = found[:, :, 0], found[:, :, 1]
     leaned = replace(
         motion,
@@ -187,14 +189,6 @@ def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
     """Return the polynomials with given jets (2 pieces, *shape, 4): first all left ends."""
     left, right = np.split(np.moveaxis(both, -1, 0), 2, axis=1)
     return PiecewisePolynomial.hermite(breaks, left, right)
-
-
-def _angles_between(a: Array, b: Array) -> Array:
-    """Return the angles (…) [rad] between vectors (…, 3); 0 where one has no length."""
-    sizes = length(a) * length(b)
-    cosine = np.divide(np.sum(a * b, axis=-1), sizes, out=np.ones_like(sizes), where=sizes > 0.0)
-    angles: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return angles
 
 
 DEGREE = 5

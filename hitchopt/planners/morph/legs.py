@@ -68,23 +68,18 @@ def _laws_nearby(path: ShapePath, requirements: Requirements, at_rest: bool) -> 
     Ends early where no leg lengths at the knots are clear.
     """
     for count, margin in ROUNDS:
-        task = _task_at(path, requirements, count, margin)
+        s = np.linspace(0.0, 1.0, count)
+        inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
+        margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
+        task = leg_task_along(path, requirements, s, margins)
         found = split_slack(replace(task, shortest_leg=margin * requirements.limits.leg))
         if found.margin < CLEAR:
             return
         fractions = found.q_legs / task.slack
-        s = np.linspace(0.0, 1.0, count)
         rest = quintic_spline(s, fractions, (1, 2)) if at_rest else None
         spline = rest or make_interp_spline(s, fractions, k=5)
         law = LegLaw.of_fractions(PiecewisePolynomial.from_spline(spline))
         yield replace(path, legs=law)
-
-
-def _task_at(path: ShapePath, requirements: Requirements, count: int, margin: float) -> LegTask:
-    """Return the task of choosing leg lengths at knots, towards the path's ends of less margin."""
-    inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
-    margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
-    return leg_task_along(path, requirements, np.linspace(0.0, 1.0, count), margins)
 
 
 def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
