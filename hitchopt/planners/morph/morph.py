@@ -16,7 +16,7 @@ from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.flight import GRID, Flight, fly
-from hitchopt.planners.timing.profile import demands_along, path_grid
+from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -111,20 +111,10 @@ def check_loads(path: Path, limits: Limits) -> None:
 
     At the points at which the path is timed.
     """
-    s, demands = path_grid(GRID), demands_along(path, limits, GRID)
-    thrust, tilt = demands.at_rest()
-    most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))
-    for name, unit, ratios, most, remedy in (
-        ("thrust", "N", thrust, demands.max_thrust, "give the drone more thrust"),
-        ("tilt", "deg", tilt, most_tilt, "allow more tilt, or use heavier drones"),
-    ):
-        j, i = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
-        if ratios[j, i] >= demands.share:
-            found, limit = float(ratios[j, i] * most[i]), float(demands.share * most[i])
-            reserved = f"{1.0 - demands.share:.1%} of it being reserved to move by"
-            when = f"at rest, {s[j]:.0%} of the path on, {reserved}"
-            where, eased = (path.team.drone_names[i],), f"{remedy}, or lower team.tension"
-            raise InfeasibleError([Violation(name, found, limit, "max", unit, where, when, eased)])
+    when = [f"at rest, {s:.0%} of the path on" for s in path_grid(GRID)]
+    thrust, tilt = "give the drone more thrust", "allow more tilt, or use heavier drones"
+    remedies = f"{thrust}, or lower team.tension", f"{tilt}, or lower team.tension"
+    check_hover(path.team, limits, demands_along(path, limits, GRID).loads, when, remedies)
 
 
 FINE = 2001

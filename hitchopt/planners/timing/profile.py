@@ -8,6 +8,7 @@ its classes take three times as long to set these up as to solve them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PPoly
 from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 
-from hitchopt.errors import HitchoptError
+from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.requirements import Limits
@@ -154,17 +155,39 @@ class Demands:
         slowest: Array = np.max(np.where(shut, math.inf, slower), axis=0)
         return slowest
 
-    def at_rest(self) -> tuple[Array, Array]:
-        """Return (J, 2n) each: thrust at rest over its limit, tilt at rest over its limit."""
-        thrust = length(self.loads) / self.max_thrust
-        level = np.hypot(self.loads[..., 0], self.loads[..., 1])
-        return thrust, np.arctan2(level, self.loads[..., 2]) / self.limits.tilt
-
 
 def loads_at_rest(team: Team, cable_forces: Array) -> Array:
     """Return the thrust (…, 2n, 3) [N] of drones at rest: ``m g ẑ - cable force``."""
     loads: Array = team.mass[:, None] * np.array([0.0, 0.0, GRAVITY]) - cable_forces
     return loads
+
+
+def rest_ratios(team: Team, limits: Limits, loads: Array) -> Array:
+    """Return (2, J, 2n): thrust and tilt of drones at rest over their limits."""
+    tilt = np.arctan2(np.hypot(loads[..., 0], loads[..., 1]), loads[..., 2])
+    return np.stack([length(loads) / team.max_thrust, tilt / limits.tilt])
+
+
+def check_hover(
+    team: Team, limits: Limits, loads: Array, when: Sequence[str], remedies: tuple[str, str]
+) -> None:
+    """Raise InfeasibleError where hovering alone leaves nothing of a limit to move by.
+
+    Parameters
+    ----------
+    loads: (J, 2n, 3) [N], thrusts at rest.
+    when: J words for where on the flight that is.
+    remedies: for too much thrust and too much tilt.
+    """
+    kinds = ("thrust", "N", team.max_thrust), ("tilt", "deg", np.degrees([limits.tilt]))
+    found = rest_ratios(team, limits, loads)
+    for (name, unit, limit), ratios, remedy in zip(kinds, found, remedies, strict=True):
+        j, i = divmod(int(np.argmax(ratios)), team.drones)
+        if ratios[j, i] >= LIMIT_SHARE:
+            most = float(np.broadcast_to(limit, team.drones)[i])
+            told = name, float(ratios[j, i]) * most, LIMIT_SHARE * most, "max", unit
+            words = f"{when[j]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
+            raise InfeasibleError([Violation(*told, (team.drone_names[i],), words, remedy)])
 
 
 def _products(pair: Array) -> Array:
