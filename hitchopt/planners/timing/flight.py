@@ -113,7 +113,7 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     """
     demands, aimed = demands_along(path, limits, GRID), limits
     if limits.body_rate is not None:  # thrusts turn with the jerk, and are least at rest
-        least = float(np.min(length(demands.loads) / demands.mass))
+        least = float(np.min(length(demands.loads) / path.team.mass))
         aimed = replace(limits, jerk=min(limits.jerk, limits.body_rate * least))
         demands = replace(demands, limits=aimed)
     profile = fastest_profile(path_grid(GRID), demands)
@@ -247,8 +247,8 @@ def needed_stretch(team: Team, limits: Limits, flight: Flight | Motion) -> float
             places, values = (_on_spans(part, some) for part in (vertices, pulls))
             pull = cable_forces(team, jets[..., 0], places, values, np.ones(team.robots))
         loads = loads_at_rest(team, pull)
-        given = (still, loads, team.mass, team.max_thrust, limits, FINAL_SHARE)
-        factor = max(factor, fastest, float(np.max(Demands(jets, *given).stretches())))
+        demands = Demands(jets, still, loads, team, limits, FINAL_SHARE)
+        factor = max(factor, fastest, float(np.max(demands.stretches())))
     taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
     return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), factor)
 

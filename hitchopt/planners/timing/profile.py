@@ -46,15 +46,14 @@ class Demands:
     drones: (J, 2n, 3, 4) [m], positions and derivatives by the path's parameter.
     vertex_speed: (J,) [m], largest first derivative of a vertex.
     loads: (J, 2n, 3) [N], thrust at rest: weight and the cable's pull held against.
-    mass, max_thrust: (2n,) [kg], [N]
+    team: whose masses and thrusts.
     limits: of which ``share`` is used.
     """
 
     drones: Array
     vertex_speed: Array
     loads: Array
-    mass: Array
-    max_thrust: Array
+    team: Team
     limits: Limits
     share: float = LIMIT_SHARE
 
@@ -65,9 +64,7 @@ class Demands:
         drones = drone_jets(path.team, flat)
         vertex_speed = np.max(length(flat.vertices[..., 1]), axis=1)
         loads = loads_at_rest(path.team, drones.cable_forces)
-        return cls(
-            drones.positions, vertex_speed, loads, path.team.mass, path.team.max_thrust, limits
-        )
+        return cls(drones.positions, vertex_speed, loads, path.team, limits)
 
     @property
     def speed_bound(self) -> Array:
@@ -125,12 +122,12 @@ class Demands:
         forms = [squares / (self.share * self.limits.acceleration) ** 2]
         slopes, shut = [], np.zeros(loads.shape[:-1], dtype=np.bool_)
         rest, cone = dot(loads, loads), 1.0 + math.tan(self.share * self.limits.tilt) ** 2
-        thrust = rest - (self.share * self.max_thrust) ** 2
+        thrust = rest - (self.share * self.team.max_thrust) ** 2
         for c, slope2 in ((thrust, 0.0), (rest - cone * loads[..., 2] ** 2, cone)):
             shut |= c >= 0.0
-            inverse = (self.mass / np.where(c < 0.0, -c, 1.0))[..., None]
+            inverse = (self.team.mass / np.where(c < 0.0, -c, 1.0))[..., None]
             slopes.append(inverse * (along - slope2 * lift * upward))
-            form = self.mass[:, None] * inverse * (squares - slope2 * upwards)
+            form = self.team.mass[:, None] * inverse * (squares - slope2 * upwards)
             forms.append(form + _products(slopes[-1]))
         return np.stack(forms), np.stack(slopes), shut
 
