@@ -100,15 +100,10 @@ def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
     ``e_k`` and ``d_{k-1}`` are kept, so ``q_k``, ``r_{k-1}`` go with the vertex and ``q_{k+1}``,
     ``r_{k-2}`` turn with its edges; where tensions differ, so may others at ``p_{k-1}, p_{k+1}``.
     """
-    return Action(start, polygon, *vertex_law(start, vertex))
-
-
-def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array]:
-    """Return length and share of the law by which a vertex moves: ``e_k`` is kept, else ``d``."""
     length, share = start.q_legs.copy(), np.zeros(start.team.robots)
     if start.team.layout.closed or vertex < start.team.robots:
         length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
-    return length, share
+    return Action(start, polygon, length, share)
 
 
 def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
@@ -166,7 +161,7 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
     coefficients[:, vertex, :2] = track.coefficients
     seconds = float(times[-1])
     path = PiecewisePolynomial(times / seconds, coefficients)
-    return Action(start, polygon, *vertex_law(start, vertex), path, seconds)
+    return replace(move_vertex(start, polygon, vertex), track=path, seconds=seconds)
 
 
 def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:

@@ -141,8 +141,10 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial | None) -> Leaning | None:
         for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
     )
     # From both sides of every break: jerks jump where timed points begin to be followed.
-    at = [_end_jets(part) for part in (drones, vertices, legs, tensions)]
-    d, p, lengths, T = (np.concatenate(pair) for pair in at)
+    d, p, lengths, T = (
+        np.stack([np.concatenate(part.ends(order)) for order in range(JET)], axis=-1)
+        for part in (drones, vertices, legs, tensions)
+    )
     logs = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
     grown = jets.chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
     pulls = np.repeat(T[:, :, None], 2, axis=2)
@@ -176,13 +178,6 @@ def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -
     if team.cable_density == 0.0:
         return None
     return cable_along(team, chords, np.repeat(tensions, 2, axis=1)).reshape(lengths.shape)
-
-
-def _end_jets(part: PiecewisePolynomial) -> tuple[Array, Array]:
-    """Return the jets (pieces, *shape, 4) at both ends of every piece."""
-    ends = [part.ends(order) for order in range(JET)]
-    left, right = zip(*ends, strict=True)
-    return np.stack(left, axis=-1), np.stack(right, axis=-1)
 
 
 def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
@@ -243,8 +238,6 @@ def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
     share: of the friction that legs can bear, in (0, 1].
     """
     layout = motion.team.layout
-    if np.max(np.abs(motion.legs.differentiated().coefficients)) <= STILL:
-        return None
     start, duration = float(motion.drones.breaks[0]), motion.duration
     count = min(max(FEWEST, round(duration / SPACING)), MOST)
     inner = np.linspace(0.0, duration, count + 1)

@@ -147,7 +147,13 @@ def blended_flight(hitches: Sequence[Hitch], requirements: Requirements) -> tupl
     rolled = roll if np.any(roll.coefficients) else None
     path = ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions), roll=rolled)
     check_shapes(path)
-    check_turns(path)
+    grid = np.linspace(0.0, 1.0, GRID + 1)
+    speed = np.max(length(drones_along(path, grid).positions[..., 1]), axis=1)
+    slowest, ratio = int(np.argmin(speed)), float(np.min(speed) / np.mean(speed))
+    if ratio < SLOWEST:
+        unit, when = "of the mean speed", f"at {grid[slowest]:.0%} of the path"
+        remedy = "the path turns back on itself there: go by another one"
+        raise InfeasibleError([Violation("blend", ratio, SLOWEST, "min", unit, (), when, remedy)])
     check_loads(path, requirements.limits)
     flight = fly(path, requirements.limits)
     # The distance that vertices and fractions have covered is the same on path and flight.
@@ -157,19 +163,6 @@ def blended_flight(hitches: Sequence[Hitch], requirements: Requirements) -> tupl
     by_t = _gone(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
     times: Array = np.interp(np.interp(s[1:-1], fine, by_s), by_t, t)
     return flight, times
-
-
-def check_turns(path: ShapePath) -> None:
-    """Raise InfeasibleError where the path turns back on itself at a point of the timing grid."""
-    s = np.linspace(0.0, 1.0, GRID + 1)
-    drones = drones_along(path, s).positions[..., 1]
-    speed = np.max(np.linalg.norm(drones, axis=-1), axis=1)
-    slowest = int(np.argmin(speed))
-    ratio = float(speed[slowest] / np.mean(speed))
-    if ratio < SLOWEST:
-        unit, when = "of the mean speed", f"at {s[slowest]:.0%} of the path"
-        remedy = "the path turns back on itself there: go by another one"
-        raise InfeasibleError([Violation("blend", ratio, SLOWEST, "min", unit, (), when, remedy)])
 
 
 def _gone(vertices: Array, fractions: Array) -> Array:

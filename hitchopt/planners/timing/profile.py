@@ -75,18 +75,9 @@ class Demands:
         return bound
 
     def reach(self, u: Array, x: Array) -> Array:
-        """Return how far along rays (u, x) in the plane of s̈ and ṡ² every drone's limits hold.
+        """Return how far (J, m) along rays (u, x) of s̈ and ṡ², (J, m) each, all limits hold.
 
-        The set that they allow is convex (norms and a cone of an affine function), so the ends of
-        rays span an inner approximation of it.
-
-        Parameters
-        ----------
-        u, x: (J, m), ray directions.
-
-        Returns
-        -------
-        (J, m), the largest factor on each ray, 0 where rest itself breaks a limit.
+        0 where rest itself breaks a limit.
         """
         linear, quadratic = np.stack([u, x], axis=1), np.stack([u * u, 2.0 * u * x, x * x], axis=1)
         factors, many = np.empty(u.shape), max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
@@ -108,11 +99,9 @@ class Demands:
         With ``a ρ² + 2 b ρ + c = 0`` where a limit is reached, and c < 0 as at rest it is kept,
         ``1 / ρ = -b / c + √((b / c)² - a / c)``, in which nothing cancels.
 
-        Returns
-        -------
-        (3, J, 2n, 3), forms of (u², 2 u x, x²): the inverse's square for the acceleration, what is
-        under the root for thrust and tilt; (2, J, 2n, 2), forms of (u, x): -b / c for these two;
-        (J, 2n), whether rest itself breaks a limit.
+        Forms (3, J, 2n, 3) of (u², 2 u x, x²) are the inverse's square for the acceleration, and
+        what is under the root for thrust and tilt; (2, J, 2n, 2) of (u, x) are -b / c for these
+        two; (J, 2n) tells whether rest itself breaks a limit.
         """
         q1, q2, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
         squares = np.stack([dot(q1, q1), dot(q1, q2), dot(q2, q2)], axis=-1)
