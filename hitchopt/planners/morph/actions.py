@@ -17,8 +17,8 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.jets import polynomials_through, quintic_spline
-from hitchopt.planners.morph.legs import with_legs_clear, worst_place
-from hitchopt.planners.morph.morph import SHORTEST_LEG, check_loads, check_shapes
+from hitchopt.planners.morph.legs import PROBES, with_legs_clear, worst_place
+from hitchopt.planners.morph.morph import SAME, SHORTEST_LEG, check_loads, check_shapes
 from hitchopt.planners.morph.path import (
     LegLaw,
     ShapePath,
@@ -31,17 +31,8 @@ from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, cable_e
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
 
-MOVES = 1e-9
-"""[m] Distance from its first place within which a drone or vertex counts as at rest."""
-
 WHOLE = np.array([0.0, 1.0])
 """Breaks of s, of a path in one piece."""
-
-LINEAR = (0.0, 1.0)
-"""Bernstein coefficients of s: how a deviation from the kept legs grows along a path."""
-
-AT_REST = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
-"""The same at rest at both ends, for paths that are flown by their own time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +67,8 @@ class Action:
         What they differ by from the kept ones is made up along the path.
         """
         deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.kept_legs
-        grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
+        # Along s; at rest at both ends where it is time.
+        grown = np.array([0.0, 1.0] if self.seconds is None else [0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
         length = (self.length[:, None] + deviation[:, None] * grown)[None]
         share = PiecewisePolynomial.constant(WHOLE, self.share)
         law = LegLaw(PiecewisePolynomial(WHOLE, length), share)
@@ -171,7 +163,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     one in the sense of least jerk; it is at rest at both ends.
     """
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    resting = gaps < MOVES
+    resting = gaps < SAME
     # A stretch ends where the vertex stops or starts.
     changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
@@ -188,10 +180,6 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
         coefficients[span, :, 0] = places[first:last]
         coefficients[span, :, -1] = places[first + 1 : last + 1]
     return PiecewisePolynomial(times, coefficients)
-
-
-PROBES = 65
-"""Number of points of a path at which it is determined which drones its law moves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +217,7 @@ def fly_action(
     InfeasibleError, TimingError: as of ``straight_flight``.
     """
     team, seconds, limits = action.start.team, action.seconds, requirements.limits
-    if seconds is None and np.max(np.abs(end.drones - action.start.drones)) < MOVES:
+    if seconds is None and np.max(np.abs(end.drones - action.start.drones)) < SAME:
         return Flying(None)
     own, s = action.path(end), np.linspace(0.0, 1.0, PROBES)
     try:
@@ -249,7 +237,7 @@ def fly_action(
     turned, named = (_moving(each, s) for each in (own_law, replace(meant, team=alike, roll=None)))
     hulls = flight.drones.coefficients
     away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
-    names, further = np.array(team.drone_names), (away > MOVES) & ~named
+    names, further = np.array(team.drone_names), (away > SAME) & ~named
     turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
     return Flying(flight, turning, sliding, None if path is own else worst_place(own, requirements))
 
@@ -258,7 +246,7 @@ def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
     """Return which drones (2n,) are elsewhere at one of the points s of a path."""
     places = drones_along(path, s).positions[..., 0]
     moving: NDArray[np.bool_]
-    moving = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
+    moving = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > SAME
     return moving
 
 

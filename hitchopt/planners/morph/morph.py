@@ -21,7 +21,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 SAME = 1e-9
-"""[m] Hitches of which no drone is farther from its place in the other one are the same."""
+"""[m] What is no farther from its other place than this is at rest there."""
 
 
 def straight_flight(

@@ -16,10 +16,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
@@ -66,7 +66,7 @@ class Clock:
     @property
     def breaks(self) -> Array:
         """(K + 1,) [s], t at the knots."""
-        nodes, weights = gauss_points(8)
+        nodes, weights = leggauss(8)
         h = np.diff(self.knots)
         tau = self.knots[:-1, None] + 0.5 * h[:, None] * (1.0 + nodes)
         steps = 0.5 * h * (1.0 / np.sqrt(self.squared_rate(tau)) @ weights)
@@ -74,9 +74,10 @@ class Clock:
 
     def jets(self) -> Array:
         """Return (K + 1, 4): s and its derivatives by t at the knots."""
-        return chained(
-            _spline_jet(self.progress, self.knots), _rate_jet(self.squared_rate, self.knots)
-        )
+        x, x1, x2 = (self.squared_rate(self.knots, order) for order in range(3))
+        root = np.sqrt(x)
+        by_t = np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)  # of τ
+        return chained(_spline_jet(self.progress, self.knots), by_t)
 
 
 def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
@@ -97,7 +98,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     ------
     TimingError: no rate, however slow, keeps the limits at the samples.
     """
-    nodes, weights = gauss_points(SAMPLES)
+    nodes, weights = leggauss(SAMPLES)
     half = 0.5 * np.diff(clock.knots)[:, None]
     tau = (clock.knots[:-1, None] + half * (1.0 + nodes)).ravel()
     progress, spline = _spline_jet(clock.progress, tau), clock.squared_rate
@@ -131,21 +132,8 @@ def _steady_rate(path: ClockedPath) -> float:
     raise TimingError("no constant speed along the path keeps the limits")
 
 
-@lru_cache
-def gauss_points(count: int) -> tuple[Array, Array]:
-    """Return the points (count,) in [-1, 1] of Gauss's quadrature and their weights."""
-    return np.polynomial.legendre.leggauss(count)
-
-
 def _spline_jet(spline: BSpline, tau: Array) -> Array:
     return np.stack([spline(tau, order) for order in range(4)], axis=-1)
-
-
-def _rate_jet(spline: BSpline, tau: Array) -> Array:
-    """Return the jet of τ(t): 0 (unused), √x, x'/2, x''√x/2."""
-    x, x1, x2 = (spline(tau, order) for order in range(3))
-    root = np.sqrt(x)
-    return np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
