@@ -30,7 +30,7 @@ Point = dict[str, Plain]
 MAX_CASES = 1_000_000  # Largest number of points of one study; more are a typing error
 
 # Packages whose versions are part of every case's digest
-LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "mujoco")
+LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp", "ruckig", "mujoco")
 
 
 class GridKeys(Keys):

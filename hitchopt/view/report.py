@@ -39,7 +39,7 @@ from hitchopt.view.style import (
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
 """Endings of files that a plan can be written to."""
 
-PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp")
+PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
 DIGESTED = ("plan.npz", "setpoints.csv")
 """What a report states, besides hitchopt's version: of packages versions, of files digests."""
 
