@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import hanging_forces
@@ -52,16 +52,24 @@ def fastest_clock(
 ) -> PiecewisePolynomial:
     """Return the fastest profile from 0 to ``goal``, from rest to rest, a cubic per phase.
 
+    The phases are exact: ruckig's jerks and durations, integrated. No waypoints are used.
+
     Parameters
     ----------
     goal: positive, in any unit.
     speed, acceleration, jerk: limits, in that unit and seconds.
     """
-    duration, rise = (float(each[0]) for each in fastest_ramps([goal], speed, acceleration, jerk))
-    bend = min(acceleration / jerk, 0.5 * rise)
-    up = [bend, rise - 2.0 * bend, bend]
-    seconds = np.array([*up, duration - 2.0 * rise, *up])
-    jerks = jerk * np.array([1.0, 0.0, -1.0, 0.0, -1.0, 0.0, 1.0])
+    from ruckig import InputParameter, Result, Ruckig, Trajectory
+
+    task = InputParameter(1)
+    task.current_position, task.target_position = [0.0], [goal]
+    task.max_velocity, task.max_acceleration, task.max_jerk = [speed], [acceleration], [jerk]
+    trajectory = Trajectory(1)
+    result = Ruckig(1).calculate(task, trajectory)
+    if result not in {Result.Working, Result.Finished}:
+        raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
+    profile = trajectory.profiles[0][0]
+    seconds, jerks = np.array([profile.t, profile.j], dtype=np.float64)
     lasting = seconds > SHORTEST
     jets = [np.zeros(4)]
     for each, constant in zip(seconds[lasting], jerks[lasting], strict=True):
