@@ -347,8 +347,7 @@ def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool 
         leaning, used = found
         motion = leaning.motion
         words = f"drones swing by up to {math.degrees(leaning.turned):.2g}°"
-        curves = motion.drones, motion.vertices, motion.pulls
-        factor = needed_stretch(motion.team, requirements.limits, *curves)
+        factor = needed_stretch(motion.team, requirements.limits, motion)
         if factor > 1.0 and seconds is None and factor <= LONGER:
             motion = motion.slowed(factor)
         if used < WHOLE:

@@ -179,8 +179,7 @@ def within_limits(task: StepTask, move: Move, *rules: CheckRule) -> Move:
     for _ in range(STRETCHES):
         try:
             motion = held_motion(task, [move], "")
-            curves = motion.drones, motion.vertices, motion.pulls
-            factor = needed_stretch(motion.team, task.requirements.limits, *curves)
+            factor = needed_stretch(motion.team, task.requirements.limits, motion)
             checks = (rule.check(motion) for rule in rules)
             if factor <= 1.0 and any(check and not check.holds for check in checks):
                 factor = math.inf

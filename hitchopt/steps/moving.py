@@ -162,11 +162,10 @@ class ActionStep(ShapeStep):
 
     def own_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion of the action to the hitch that it ends with."""
-        from hitchopt.planners.morph.actions import ActionFlight
+        from hitchopt.planners.morph.actions import fly_action
 
         action = self.action(task)
-        planner = ActionFlight(action, end.hitch, task.requirements, self.given_duration)
-        found = planner.solve()
+        found = fly_action(action, end.hitch, task.requirements, self.given_duration)
         return self.motion(task, found.flight, end.hitch, self._remark(action, end, found))
 
     def _remark(self, action: Action, end: End, found: Flying) -> str:
@@ -314,10 +313,10 @@ class Morph(ShapeStep):
 
     def own_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion along straight lines."""
-        from hitchopt.planners.morph.morph import StraightMorph
+        from hitchopt.planners.morph.morph import straight_flight
 
-        planner = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
-        return self.motion(task, planner.solve(), end.hitch)
+        flight = straight_flight(task.hitch, end.hitch, task.requirements, self.duration)
+        return self.motion(task, flight, end.hitch)
 
 
 class MoveStep(ActionStep):
@@ -433,18 +432,11 @@ def _given(key: str, value: Any) -> Any:
 class Adjust(ActionStep):
     """Cables slide through their clasps; the outline stays."""
 
+    told: ClassVar[tuple[str, ...]] = ()
+
     legs: Annotated[SlackSplit, Key(Legs, LEGS_TEXT, ("balanced",), check=_given)] = "balanced"
     duration: Seconds = None
     blend: Blend = False
-
-    def action(self, task: StepTask) -> Action:
-        """Return the action."""
-        from hitchopt.planners.morph.actions import adjust
-        from hitchopt.steps.certified_motions import end_of_morph
-
-        start = task.hitch
-        wanted = end_of_morph(start, start.polygon, self.legs, task.requirements).hitch
-        return adjust(start, wanted.q_legs)
 
 
 MIN_GAP = 1e-3
@@ -576,7 +568,7 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     when its step's hitch is passed. Raises InputError for a step that moves nothing.
     """
     from hitchopt.motion.motion import Phase
-    from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
+    from hitchopt.planners.morph.morph import SAME, blended_flight
     from hitchopt.steps.certified_motions import against_friction, flying
 
     requirements, hitches = task.requirements, [task.hitch]
@@ -589,9 +581,7 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
-    planner = BlendedMorph(hitches, requirements)
-    whole, flight = planner.problem, planner.solve()
-    passed = passing_times(whole.path, whole.s[1:-1], flight)
+    flight, passed = blended_flight(hitches, requirements)
     times = [0.0, *passed.tolist(), flight.duration]
     remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
     phases = [

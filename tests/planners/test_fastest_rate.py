@@ -17,7 +17,7 @@ from hitchopt.planners.timing.clock import (
     SplineBasis,
     fastest_rate,
 )
-from hitchopt.planners.timing.demands import Demands
+from hitchopt.planners.timing.profile import Demands
 
 LIMITS = Limits(speed=1.1, acceleration=1.7, jerk=9.0, tilt=math.radians(24.0))
 few = settings(max_examples=20)
@@ -39,7 +39,7 @@ def clocked(seed: int, samples: int, robots: int = 3) -> ClockedPath:
         team.mass[:, None] * np.array([0.0, 0.0, 9.81]) - pull, (samples, drones, 3)
     )
     jets = np.stack([np.zeros_like(first), first, second, third], axis=-1)
-    demands = Demands(jets, np.zeros(samples), loads, team.mass, team.max_thrust, LIMITS)
+    demands = Demands(jets, np.zeros(samples), loads, team, LIMITS)
     return ClockedPath(demands, first, second, third, np.full(samples, 1.5))
 
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from hitchopt import Hitch, Limits, Separation, Team
 from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import ShapePath, drones_along
-from hitchopt.planners.timing.demands import Demands
 from hitchopt.planners.timing.flight import GRID, Flight, fly
 from hitchopt.planners.timing.profile import (
+    Demands,
     SpeedProfile,
     TimingError,
     fastest_profile,

@@ -28,7 +28,8 @@ from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
 from hitchopt.planners.separation import SeparationTask, separate
-from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
+from hitchopt.planners.timing.profile import LIMIT_SHARE
+from hitchopt.planners.timing.ramps import accelerations, fastest_clock, flown
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -99,7 +100,9 @@ class Approach:
         task: start, goal, names, tethers and separation of the bodies.
         """
         limits, separation = self.requirements.limits, task.pop("separation")
-        rates = {name: SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")}
+        rates = {
+            name: LIMIT_SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")
+        }
         own = accelerations(self.team, limits, places).reshape(len(task["names"]), -1).min(axis=1)
         limited = replace(limits, **rates)
         requirements = replace(self.requirements, limits=limited, separation=separation)

@@ -20,7 +20,8 @@ import numpy as np
 
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Separation
-from hitchopt.planners.timing.ramps import SHARE, accelerations, fastest_clock, flown
+from hitchopt.planners.timing.profile import LIMIT_SHARE
+from hitchopt.planners.timing.ramps import accelerations, fastest_clock, flown
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -175,7 +176,9 @@ def straight(
         return PiecewisePolynomial.constant([0.0, PAUSE], end)
     share = np.linspace(0.0, 1.0, PROBES)[:, None, None]
     reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))
-    clock = fastest_clock(max(distance, least), SHARE * limits.speed, reserve, SHARE * limits.jerk)
+    clock = fastest_clock(
+        max(distance, least), LIMIT_SHARE * limits.speed, reserve, LIMIT_SHARE * limits.jerk
+    )
     s = clock.coefficients[:, None, None, :] / clock.coefficients[-1, -1]
     s = np.clip(s, 0.0, 1.0)  # rounding must not lead through the floor
     curves = start[..., None] * (1.0 - s) + end[..., None] * s

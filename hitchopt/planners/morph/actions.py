@@ -5,21 +5,20 @@ An action tells which vertices move, and which legs keep their lengths meanwhile
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.jets import polynomials_through, quintic_spline
-from hitchopt.planners.morph.legs import with_legs_clear, worst_place
-from hitchopt.planners.morph.morph import SHORTEST_LEG, check_loads, check_shapes
+from hitchopt.planners.morph.legs import PROBES, with_legs_clear, worst_place
+from hitchopt.planners.morph.morph import SAME, SHORTEST_LEG, check_loads, check_shapes
 from hitchopt.planners.morph.path import (
     LegLaw,
     ShapePath,
@@ -28,21 +27,12 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, fly
+from hitchopt.planners.timing.flight import FINEST, MODEL_ERROR, Flight, cable_error, fly
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array
 
-MOVES = 1e-9
-"""[m] Distance from its first place within which a drone or vertex counts as at rest."""
-
 WHOLE = np.array([0.0, 1.0])
 """Breaks of s, of a path in one piece."""
-
-LINEAR = (0.0, 1.0)
-"""Bernstein coefficients of s: how a deviation from the kept legs grows along a path."""
-
-AT_REST = (0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
-"""The same at rest at both ends, for paths that are flown by their own time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +44,6 @@ class Action:
     start: the hitch before.
     polygon: the outline after.
     length, share: (n,) [m] and without unit; the legs kept are ``d = length + share · slack``.
-    named: the drones that move by this law where tensions are equal.
     track: of shape (n, 3) over s from 0 to 1 [m], the vertices in between; None for straight lines.
     seconds: [s] how long, where s is time already; else None.
     """
@@ -63,7 +52,6 @@ class Action:
     polygon: Outline
     length: Array
     share: Array
-    named: tuple[str, ...]
     track: PiecewisePolynomial | None = None
     seconds: float | None = None
 
@@ -73,38 +61,25 @@ class Action:
         slack = cable_slack(self.start.team, self.polygon)
         return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
 
-    @property
-    def vertices(self) -> PiecewisePolynomial:
-        """The vertices' path, of shape (n, 3) over s from 0 to 1 [m]."""
-        if self.track is not None:
-            return self.track
-        start, points = self.start, self.polygon.vertices
-        end = np.column_stack([points, np.full(len(points), start.altitude)])
-        return PiecewisePolynomial(WHOLE, np.stack([start.vertices, end], axis=-1)[None])
-
     def path(self, end: Hitch | None = None) -> ShapePath:
         """Return the path that ends with a hitch's legs and roll, those kept if None.
 
         What they differ by from the kept ones is made up along the path.
         """
         deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.kept_legs
-        grown = np.asarray(LINEAR if self.seconds is None else AT_REST)
+        # Along s; at rest at both ends where it is time.
+        grown = np.array([0.0, 1.0] if self.seconds is None else [0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
         length = (self.length[:, None] + deviation[:, None] * grown)[None]
         share = PiecewisePolynomial.constant(WHOLE, self.share)
         law = LegLaw(PiecewisePolynomial(WHOLE, length), share)
         roll = roll_between(self.start, self.start if end is None else end, tuple(grown))
-        return ShapePath(self.start.team, self.vertices, law, roll=roll)
-
-
-def drone_names(team: Team, q: Iterable[int], r: Iterable[int]) -> tuple[str, ...]:
-    """Return the names of drones ``q_k`` and ``r_k`` in the order of the team.
-
-    Indices are cyclic; in an open chain those beyond its ends name none.
-    """
-    n, closed = team.robots, team.layout.closed
-    wanted = {f"q{k % n}" for k in q if closed or 0 <= k < n}
-    wanted |= {f"r{k % n}" for k in r if closed or 0 <= k < n}
-    return tuple(name for name in team.drone_names if name in wanted)
+        track = self.track
+        if track is None:
+            points = self.polygon.vertices
+            last = np.column_stack([points, np.full(len(points), self.start.altitude)])
+            both = np.stack([self.start.vertices, last], axis=-1)
+            track = PiecewisePolynomial(WHOLE, both[None])
+        return ShapePath(self.start.team, track, law, roll=roll)
 
 
 SAME_PLACE = 1e-6
@@ -117,24 +92,10 @@ def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
     ``e_k`` and ``d_{k-1}`` are kept, so ``q_k``, ``r_{k-1}`` go with the vertex and ``q_{k+1}``,
     ``r_{k-2}`` turn with its edges; where tensions differ, so may others at ``p_{k-1}, p_{k+1}``.
     """
-    return Action(start, polygon, *vertex_law(start, vertex))
-
-
-def vertex_law(start: Hitch, vertex: int) -> tuple[Array, Array, tuple[str, ...]]:
-    """Return length and share of the law by which a vertex moves, and the drones that it names.
-
-    ``e_k`` is kept, else ``d``. The paper names four drones, fewer near a chain's ends. At its very
-    ends the edge's cable has one leg only, whose drone moves as the edge's length does.
-    """
-    closed, n = start.team.layout.closed, start.team.robots
-    length, share = start.q_legs.copy(), np.zeros(n)
-    if closed or vertex < n:
+    length, share = start.q_legs.copy(), np.zeros(start.team.robots)
+    if start.team.layout.closed or vertex < start.team.robots:
         length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
-    q, r = [vertex, vertex + 1], [vertex - 1, vertex - 2]
-    if not closed:
-        r += [0] if vertex == 0 else []
-        q += [vertex - 1] if vertex == n else []
-    return length, share, drone_names(start.team, q, r)
+    return Action(start, polygon, length, share)
 
 
 def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
@@ -150,31 +111,15 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
     after = edge + 1
     if start.team.layout.closed or after < n:
         length[after % n], share[after % n] = -start.r_legs[after % n], 1.0
-    q, r = [edge, edge + 1], [edge, edge - 1]
-    if _turned(start, polygon, edge - 1):
-        r.append(edge - 2)
-    if _turned(start, polygon, edge + 1):
-        q.append(edge + 2)
-    return Action(start, polygon, length, share, drone_names(start.team, q, r))
+    return Action(start, polygon, length, share)
 
 
-def adjust(start: Hitch, q_legs: Array) -> Action:
-    """Return the paper's action 4: cables slide through their clasps to ``q_legs`` (n,) [m].
+def adjust(start: Hitch, polygon: Outline) -> Action:
+    """Return the paper's action 4: cables slide through their clasps, the outline stays.
 
     Drones move of those cables only whose legs change.
     """
-    sliding = np.flatnonzero(np.abs(q_legs - start.q_legs) > MOVES).tolist()
-    named = drone_names(start.team, sliding, sliding)
-    return Action(start, start.polygon, start.q_legs, np.zeros(start.team.robots), named)
-
-
-def _turned(start: Hitch, polygon: Outline, edge: int) -> bool:
-    """Return whether an edge changes its direction; False for one beyond a chain's end."""
-    count = start.team.robots
-    if not start.team.layout.closed and not 0 <= edge < count:
-        return False
-    before, after = (p.edge_directions[edge % count] for p in (start.polygon, polygon))
-    return bool(np.linalg.norm(after - before) * polygon.edge_lengths[edge % count] > MOVES)
+    return Action(start, polygon, start.q_legs, np.zeros(start.team.robots))
 
 
 def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) -> Action:
@@ -208,7 +153,7 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
     coefficients[:, vertex, :2] = track.coefficients
     seconds = float(times[-1])
     path = PiecewisePolynomial(times / seconds, coefficients)
-    return Action(start, polygon, *vertex_law(start, vertex), path, seconds)
+    return replace(move_vertex(start, polygon, vertex), track=path, seconds=seconds)
 
 
 def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
@@ -218,7 +163,7 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     one in the sense of least jerk; it is at rest at both ends.
     """
     gaps = np.linalg.norm(np.diff(places, axis=0), axis=1)
-    resting = gaps < MOVES
+    resting = gaps < SAME
     # A stretch ends where the vertex stops or starts.
     changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
     bounds = [0, *changes.tolist(), len(gaps)]
@@ -237,13 +182,6 @@ def vertex_track(times: Array, places: Array) -> PiecewisePolynomial:
     return PiecewisePolynomial(times, coefficients)
 
 
-PLACES = np.array([0.21, 0.5, 0.79])
-"""Places in a piece where its polynomials are compared with the model."""
-
-PROBES = 65
-"""Number of points of a path at which it is determined which drones its law moves."""
-
-
 @dataclass(frozen=True, eq=False)
 class Flying:
     """The flight of an action, and which drones move in it.
@@ -251,7 +189,7 @@ class Flying:
     Attributes
     ----------
     flight: None where nothing moves.
-    turning: names of the drones beyond the named ones that the action's own law moves.
+    turning: names of the drones that its law moves only as tensions differ, or for weight.
     sliding: names of those that move only because its law could not be kept.
     worst: s where the law broke a limit on the path, or None.
     """
@@ -262,90 +200,73 @@ class Flying:
     worst: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class ActionFlight:
-    """The planner of an action, further cables sliding where a limit binds on the path.
+def fly_action(
+    action: Action, end: Hitch, requirements: Requirements, duration: float | None = None
+) -> Flying:
+    """Return the flight of an action to a hitch, cables sliding where a limit binds on the path.
 
-    Attributes
+    Parameters
     ----------
     action: what moves, and by which law.
     end: the hitch after it; its legs may differ from those that the law keeps.
     requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InfeasibleError, TimingError: as of ``straight_flight``.
     """
+    team, seconds, limits = action.start.team, action.seconds, requirements.limits
+    if seconds is None and np.max(np.abs(end.drones - action.start.drones)) < SAME:
+        return Flying(None)
+    own, s = action.path(end), np.linspace(0.0, 1.0, PROBES)
+    try:
+        check_shapes(own)
+    except InfeasibleError as error:  # other legs may do if there is slack
+        slack = np.sum(shapes_along(own, s).legs, axis=-1)
+        if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
+            raise
+    path = with_legs_clear(own, requirements, few=True, at_rest=seconds is not None)
+    check_shapes(path)
+    check_loads(path, limits)
+    flight = fly(path, limits, duration) if seconds is None else fly_timed(path, seconds)
+    # Which drones the action means: those that its law moves if tensions and weights are alike.
+    own_law = action.path()
+    meant = action.path(end) if action.polygon is action.start.polygon else own_law
+    alike = replace(team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0)
+    turned, named = (_moving(each, s) for each in (own_law, replace(meant, team=alike, roll=None)))
+    hulls = flight.drones.coefficients
+    away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+    names, further = np.array(team.drone_names), (away > SAME) & ~named
+    turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
+    return Flying(flight, turning, sliding, None if path is own else worst_place(own, requirements))
 
-    action: Action
-    end: Hitch
-    requirements: Requirements
-    duration: float | None = None
 
-    @cached_property
-    def path(self) -> ShapePath:
-        """The path by the action's own law; raises InfeasibleError where it is shut."""
-        path = self.action.path(self.end)
-        try:
-            check_shapes(path)
-        except InfeasibleError as error:  # other legs may do if there is slack
-            slack = np.sum(shapes_along(path, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
-            if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
-                raise
-        return path
-
-    @property
-    def problem(self) -> ShapePath:
-        """The path that is flown; raises InfeasibleError as that of StraightMorph."""
-        timed = self.action.seconds is not None
-        path = with_legs_clear(self.path, self.requirements, few=True, at_rest=timed)
-        check_shapes(path)
-        check_loads(path, self.requirements.limits)
-        return path
-
-    def solve(self) -> Flying:
-        """Return the flight to ``end``; errors as of StraightMorph."""
-        start, seconds = self.action.start, self.action.seconds
-        if seconds is None and np.max(np.abs(self.end.drones - start.drones)) < MOVES:
-            return Flying(None)
-        path = self.problem
-        if seconds is None:
-            flight = fly(path, self.requirements.limits, self.duration)
-        else:
-            flight = fly_timed(path, seconds)
-        worst = None if path is self.path else worst_place(self.path, self.requirements)
-        names = np.array(start.team.drone_names)
-        places = drones_along(self.action.path(), np.linspace(0.0, 1.0, PROBES)).positions[..., 0]
-        own = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > MOVES
-        hulls = flight.drones.coefficients
-        away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
-        further = (away > MOVES) & ~np.isin(names, self.action.named)
-        turning, sliding = (tuple(names[further & some].tolist()) for some in (own, ~own))
-        return Flying(flight, turning, sliding, worst)
+def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
+    """Return which drones (2n,) are elsewhere at one of the points s of a path."""
+    places = drones_along(path, s).positions[..., 0]
+    moving: NDArray[np.bool_]
+    moving = np.max(np.linalg.norm(places - places[:1], axis=-1), axis=0) > SAME
+    return moving
 
 
 def fly_timed(path: ShapePath, seconds: float) -> Flight:
     """Return the flight on which the path's s is time over ``seconds`` [s].
 
-    Pieces of the vertices' path stay apart, so that no polynomial smooths over a joint of them.
+    Pieces of the vertices' path stay apart, so that no polynomial smooths over a joint of them; all
+    are halved until the flight fits the model.
     """
-    parts = [_on_piece(path, i) for i in range(path.vertices.pieces)]
-    drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
-    tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
-    return Flight(drones, vertices, legs, tensions).lasting(seconds)
-
-
-def _on_piece(path: ShapePath, piece: int) -> list[PiecewisePolynomial]:
-    """Return drones, vertices and legs over s on one piece, halved until they fit the model."""
-    track = path.vertices.taken(slice(piece, piece + 1))
-    own = replace(path, vertices=track)
     count = 1
     while True:
-        breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
-        parts = [polynomials_through(breaks, jets) for jets in path_jets(own, breaks)[:3]]
-        probes = (breaks[:-1, None] + np.diff(breaks)[:, None] * PLACES).reshape(-1)
-        drones, _, legs = (
-            np.max(np.abs(part.at(probes) - jets[..., 0]))
-            for part, jets in zip(parts, path_jets(own, probes), strict=False)
-        )
-        error = 2.0 * drones + legs
-        if count >= FINEST or error <= MODEL_ERROR * np.min(path.team.cable_length):
-            return parts
+        parts = []
+        for i in range(path.vertices.pieces):
+            track = path.vertices.taken(slice(i, i + 1))
+            breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
+            found = path_jets(replace(path, vertices=track), breaks)[:3]
+            parts.append([polynomials_through(breaks, each) for each in found])
+        drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
+        tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
+        flight = Flight(drones, vertices, legs, tensions)
+        if drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
+            return flight.lasting(seconds)
         count *= 2

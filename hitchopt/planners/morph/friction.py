@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import BSpline
 
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import slipping_drones
@@ -72,12 +72,11 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
     slower: whether it may last longer; else None is returned where it would have to. So it is where
         legs at rest pull their drones beyond a limit.
     """
-    slip = counted_on(motion, share)
-    found = None if slip is None else _leaned(motion, slip)
+    found = _leaned(motion, counted_on(motion, share))
     if found is None or found.turned < SMALLEST:
         return None
     leaned = found.motion
-    factor = needed_stretch(motion.team, limits, leaned.drones, leaned.vertices, leaned.pulls)
+    factor = needed_stretch(motion.team, limits, leaned)
     if factor > 1.0 and (not slower or not math.isfinite(factor)):
         return None
     return replace(found, motion=leaned.slowed(max(factor, 1.0)))
@@ -86,7 +85,7 @@ def leaning(motion: Motion, limits: Limits, share: float, *, slower: bool) -> Le
 def worth_leaning(motion: Motion) -> bool:
     """Return whether legs would lean by more than the least, if limits allowed it."""
     slip = counted_on(motion, 1.0)
-    found = None if slip is None else _leaned(motion, slip)
+    found = _leaned(motion, slip)
     return slip is not None and (found is None or found.turned >= SMALLEST)
 
 
@@ -129,22 +128,23 @@ def settling(rest: Motion, share: float) -> tuple[Leaning, float] | None:
     return found, float(np.min(borne))
 
 
-def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
-    """Return the motion with pulls ``T e^slip``; None where a clasp cannot balance so."""
+def _leaned(motion: Motion, slip: PiecewisePolynomial | None) -> Leaning | None:
+    """Return the motion with pulls ``T e^slip``; None without, or if a clasp cannot balance so."""
+    if slip is None:
+        return None
     layout = motion.team.layout
     coarse, longest = motion.drones.breaks, motion.duration / (FINER * slip.pieces)
     parts = np.maximum(1, np.ceil(np.diff(coarse) / longest - 1e-9).astype(np.intp))
-    each = zip(coarse[:-1], coarse[1:], parts, strict=True)
-    breaks = np.append(
-        np.concatenate([np.linspace(*one, endpoint=False) for one in each]), coarse[-1:]
-    )
+    breaks = jets.divided(coarse, parts)
     drones, vertices, legs, tensions = (
         on_breaks(part, breaks)
         for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
     )
     # From both sides of every break: jerks jump where timed points begin to be followed.
-    at = [_end_jets(part) for part in (drones, vertices, legs, tensions)]
-    d, p, lengths, T = (np.concatenate(pair) for pair in at)
+    d, p, lengths, T = (
+        np.stack([np.concatenate(part.ends(order)) for order in range(JET)], axis=-1)
+        for part in (drones, vertices, legs, tensions)
+    )
     logs = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
     grown = jets.chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
     pulls = np.repeat(T[:, :, None], 2, axis=2)
@@ -156,7 +156,8 @@ def _leaned(motion: Motion, slip: PiecewisePolynomial) -> Leaning | None:
         return None
     places = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
     clasps = p[:, layout.clasps][..., 0][:, :, None]
-    turned = _angles_between(places - clasps, found[..., 0] - clasps)
+    before, after = places - clasps, found[..., 0] - clasps
+    turned = np.arctan2(length(np.cross(before, after)), dot(before, after))
     d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = found[:, :, 0], found[:, :, 1]
     leaned = replace(
         motion,
@@ -179,25 +180,10 @@ def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -
     return cable_along(team, chords, np.repeat(tensions, 2, axis=1)).reshape(lengths.shape)
 
 
-def _end_jets(part: PiecewisePolynomial) -> tuple[Array, Array]:
-    """Return the jets (pieces, *shape, 4) at both ends of every piece."""
-    ends = [part.ends(order) for order in range(JET)]
-    left, right = zip(*ends, strict=True)
-    return np.stack(left, axis=-1), np.stack(right, axis=-1)
-
-
 def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
     """Return the polynomials with given jets (2 pieces, *shape, 4): first all left ends."""
     left, right = np.split(np.moveaxis(both, -1, 0), 2, axis=1)
     return PiecewisePolynomial.hermite(breaks, left, right)
-
-
-def _angles_between(a: Array, b: Array) -> Array:
-    """Return the angles (…) [rad] between vectors (…, 3); 0 where one has no length."""
-    sizes = length(a) * length(b)
-    cosine = np.divide(np.sum(a * b, axis=-1), sizes, out=np.ones_like(sizes), where=sizes > 0.0)
-    angles: Array = np.arccos(np.clip(cosine, -1.0, 1.0))
-    return angles
 
 
 DEGREE = 5
@@ -252,8 +238,6 @@ def counted_on(motion: Motion, share: float) -> PiecewisePolynomial | None:
     share: of the friction that legs can bear, in (0, 1].
     """
     layout = motion.team.layout
-    if np.max(np.abs(motion.legs.differentiated().coefficients)) <= STILL:
-        return None
     start, duration = float(motion.drones.breaks[0]), motion.duration
     count = min(max(FEWEST, round(duration / SPACING)), MOST)
     inner = np.linspace(0.0, duration, count + 1)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 
 def product(a: Array, b: Array) -> Array:
@@ -66,6 +66,13 @@ def polynomials_through(breaks: Array, jets: Array) -> PiecewisePolynomial:
     """Return the polynomials with jets (J, *shape, m) at breaks (J,), of degree 2m - 1."""
     orders = np.moveaxis(jets, -1, 0)
     return PiecewisePolynomial.hermite(breaks, orders[:, :-1], orders[:, 1:])
+
+
+def divided(breaks: Array, counts: Indices) -> Array:
+    """Return the breaks (J,) of pieces divided into ``counts`` (J - 1,) equal parts each."""
+    each = zip(breaks[:-1], breaks[1:], counts, strict=True)
+    inner = [np.linspace(first, last, count, endpoint=False) for first, last, count in each]
+    return np.append(np.concatenate(inner), breaks[-1])
 
 
 def quintic_spline(s: Array, values: Array, still: tuple[int, int]) -> BSpline:

@@ -13,7 +13,7 @@ from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.profile import flight_estimate, grid_demands
+from hitchopt.planners.timing.profile import demands_along, flight_estimate
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
@@ -68,23 +68,18 @@ def _laws_nearby(path: ShapePath, requirements: Requirements, at_rest: bool) -> 
     Ends early where no leg lengths at the knots are clear.
     """
     for count, margin in ROUNDS:
-        task = _task_at(path, requirements, count, margin)
+        s = np.linspace(0.0, 1.0, count)
+        inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
+        margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
+        task = leg_task_along(path, requirements, s, margins)
         found = split_slack(replace(task, shortest_leg=margin * requirements.limits.leg))
         if found.margin < CLEAR:
             return
         fractions = found.q_legs / task.slack
-        s = np.linspace(0.0, 1.0, count)
         rest = quintic_spline(s, fractions, (1, 2)) if at_rest else None
         spline = rest or make_interp_spline(s, fractions, k=5)
         law = LegLaw.of_fractions(PiecewisePolynomial.from_spline(spline))
         yield replace(path, legs=law)
-
-
-def _task_at(path: ShapePath, requirements: Requirements, count: int, margin: float) -> LegTask:
-    """Return the task of choosing leg lengths at knots, towards the path's ends of less margin."""
-    inward = np.minimum(np.arange(count), np.arange(count)[::-1]) / RAMP
-    margins = CLEAR + (margin - CLEAR) * np.minimum(inward, 1.0)
-    return leg_task_along(path, requirements, np.linspace(0.0, 1.0, count), margins)
 
 
 def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
@@ -175,7 +170,7 @@ def _slopes(path: ShapePath, limits: Limits) -> Array:
     A drone's derivative by s is linear in its leg's, which moves it along the leg.
     """
     ends, n = np.array([0.0, 1.0]), path.team.robots
-    usual = grid_demands(path, limits).drones[[0, -1], ..., 1].reshape(2, n, 2, -1)
+    usual = demands_along(path, limits).drones[[0, -1], ..., 1].reshape(2, n, 2, -1)
     slid = drones_along(_slid(path, np.ones((2, n))), ends)
     along = slid.positions[..., 1].reshape(2, n, 2, -1) - usual
     size = np.sum(along**2, axis=(2, 3))

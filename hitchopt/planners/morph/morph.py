@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -17,63 +15,42 @@ from hitchopt.hitch.team import Layout
 from hitchopt.planners.morph.jets import quintic_spline
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, Shapes, drones_along, shapes_along
-from hitchopt.planners.timing.flight import GRID, Flight, fly, timing_demands
-from hitchopt.planners.timing.profile import path_grid
+from hitchopt.planners.timing.flight import GRID, Flight, fly
+from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-STILL = 1e-9
-"""[m] Distance within which a morph moves nothing."""
+SAME = 1e-9
+"""[m] What is no farther from its other place than this is at rest there."""
 
 
-@dataclass(frozen=True, eq=False)
-class StraightMorph:
-    """The planner of a morph on which vertices go straight.
+def straight_flight(
+    start: Hitch, end: Hitch, requirements: Requirements, duration: float | None = None
+) -> Flight | None:
+    """Return the flight on which vertices go straight, or None where the hitches are the same.
 
     Legs change so that distances hold on the path. Whether all limits hold for all t is for the
     certificate to say.
 
-    Attributes
+    Parameters
     ----------
     start, end: the hitches before and after.
     requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
+
+    Raises
+    ------
+    InfeasibleError: the polygon loses its convexity, a leg or the thrust at rest gives out, or
+        ``duration`` is too short.
+    TimingError: no timing was found.
     """
-
-    start: Hitch
-    end: Hitch
-    requirements: Requirements
-    duration: float | None = None
-
-    @cached_property
-    def path(self) -> ShapePath:
-        """The straight path, fractions changing evenly; raises InfeasibleError where it is shut."""
-        path = ShapePath.straight(self.start, self.end)
-        check_shapes(path)
-        return path
-
-    @cached_property
-    def problem(self) -> ShapePath:
-        """The path that is timed.
-
-        Raises InfeasibleError where the polygon loses its convexity, or a leg or the thrust at rest
-        gives out.
-        """
-        path = with_legs_clear(self.path, self.requirements)
-        check_loads(path, self.requirements.limits)
-        return path
-
-    def solve(self) -> Flight | None:
-        """Return the flight from one hitch to the other, or None where they are the same.
-
-        Raises
-        ------
-        InfeasibleError: as ``problem``, or ``duration`` is too short.
-        TimingError: no timing was found.
-        """
-        if np.max(np.abs(self.end.drones - self.start.drones)) < STILL:
-            return None
-        return fly(self.problem, self.requirements.limits, self.duration)
+    if np.max(np.abs(end.drones - start.drones)) < SAME:
+        return None
+    straight = ShapePath.straight(start, end)
+    check_shapes(straight)
+    path = with_legs_clear(straight, requirements)
+    check_loads(path, requirements.limits)
+    return fly(path, requirements.limits, duration)
 
 
 FLATTEST = math.radians(0.01)
@@ -134,20 +111,10 @@ def check_loads(path: Path, limits: Limits) -> None:
 
     At the points at which the path is timed.
     """
-    s, demands = path_grid(GRID), timing_demands(path, limits)
-    thrust, tilt = demands.at_rest()
-    most_tilt = np.full(len(path.team.mass), math.degrees(limits.tilt))
-    for name, unit, ratios, most, remedy in (
-        ("thrust", "N", thrust, demands.max_thrust, "give the drone more thrust"),
-        ("tilt", "deg", tilt, most_tilt, "allow more tilt, or use heavier drones"),
-    ):
-        j, i = np.unravel_index(int(np.argmax(ratios)), ratios.shape)
-        if ratios[j, i] >= demands.share:
-            found, limit = float(ratios[j, i] * most[i]), float(demands.share * most[i])
-            reserved = f"{1.0 - demands.share:.1%} of it being reserved to move by"
-            when = f"at rest, {s[j]:.0%} of the path on, {reserved}"
-            where, eased = (path.team.drone_names[i],), f"{remedy}, or lower team.tension"
-            raise InfeasibleError([Violation(name, found, limit, "max", unit, where, when, eased)])
+    when = [f"at rest, {s:.0%} of the path on" for s in path_grid(GRID)]
+    thrust, tilt = "give the drone more thrust", "allow more tilt, or use heavier drones"
+    remedies = f"{thrust}, or lower team.tension", f"{tilt}, or lower team.tension"
+    check_hover(path.team, limits, demands_along(path, limits, GRID).loads, when, remedies)
 
 
 FINE = 2001
@@ -156,57 +123,18 @@ FINE = 2001
 SLOWEST = 1e-6
 """Share of a path's mean speed by its parameter below which it cannot be timed."""
 
-SAME = 1e-9
-"""[m] Hitches in a row that are closer than this are one."""
 
-
-@dataclass(frozen=True, eq=False)
-class BlendedPath:
-    """A path and where on it each of its hitches is.
-
-    Attributes
-    ----------
-    path: through all hitches, smooth up to the snap.
-    s: (J,), from 0 to 1.
-    """
-
-    path: ShapePath
-    s: Array
-
-
-@dataclass(frozen=True, eq=False)
-class BlendedMorph:
-    """The planner of a morph through several hitches without a stop.
-
-    Attributes
-    ----------
-    hitches: three or more, no two neighbours of them the same.
-    requirements: limits of motion.
-    """
-
-    hitches: Sequence[Hitch]
-    requirements: Requirements
-
-    @cached_property
-    def problem(self) -> BlendedPath:
-        """The path through all hitches; raises InfeasibleError where it cannot be flown."""
-        blend = blended(self.hitches)
-        check_shapes(blend.path)
-        check_turns(blend)
-        check_loads(blend.path, self.requirements.limits)
-        return blend
-
-    def solve(self) -> Flight:
-        """Return the flight along the path; errors as of StraightMorph."""
-        return fly(self.problem.path, self.requirements.limits)
-
-
-def blended(hitches: Sequence[Hitch]) -> BlendedPath:
-    """Return the path through three hitches or more, no two neighbours of them the same.
+def blended_flight(hitches: Sequence[Hitch], requirements: Requirements) -> tuple[Flight, Array]:
+    """Return the flight through hitches without a stop, and when (J - 2,) [s] it is at inner ones.
 
     Vertices, fractions and roll are natural quintic splines: of all curves through the hitches
     those with the least third derivative. Their parameter is nearly the distance of the farthest
-    drone.
+    drone. Errors are those of ``straight_flight``.
+
+    Parameters
+    ----------
+    hitches: (J,), three or more, no two neighbours of them the same.
+    requirements: limits of motion.
     """
     places = np.stack([hitch.drones for hitch in hitches])
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=1)
@@ -217,40 +145,29 @@ def blended(hitches: Sequence[Hitch]) -> BlendedPath:
         for values in zip(*((h.vertices, h.fractions, h.roll) for h in hitches), strict=True)
     )
     rolled = roll if np.any(roll.coefficients) else None
-    return BlendedPath(
-        ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions), roll=rolled), s
-    )
-
-
-def check_turns(blend: BlendedPath) -> None:
-    """Raise InfeasibleError where the path turns back on itself at a point of the timing grid."""
-    s = np.linspace(0.0, 1.0, GRID + 1)
-    drones = drones_along(blend.path, s).positions[..., 1]
-    speed = np.max(np.linalg.norm(drones, axis=-1), axis=1)
-    slowest = int(np.argmin(speed))
-    ratio = float(speed[slowest] / np.mean(speed))
+    path = ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions), roll=rolled)
+    check_shapes(path)
+    grid = np.linspace(0.0, 1.0, GRID + 1)
+    speed = np.max(length(drones_along(path, grid).positions[..., 1]), axis=1)
+    slowest, ratio = int(np.argmin(speed)), float(np.min(speed) / np.mean(speed))
     if ratio < SLOWEST:
-        unit, when = "of the mean speed", f"at {s[slowest]:.0%} of the path"
+        unit, when = "of the mean speed", f"at {grid[slowest]:.0%} of the path"
         remedy = "the path turns back on itself there: go by another one"
         raise InfeasibleError([Violation("blend", ratio, SLOWEST, "min", unit, (), when, remedy)])
-
-
-def passing_times(path: ShapePath, s: Array, flight: Flight) -> Array:
-    """Return when (J,) [s] a flight along a path is at the inner points s (J,) of it.
-
-    The distance that vertices and drones have covered together is the same on path and flight.
-    """
-    t = np.linspace(0.0, flight.duration, FINE)
-    fine = np.linspace(0.0, 1.0, FINE)
-    flown = flight.legs.at(t)
-    gone_by_s = _gone(path.vertices.at(fine), path.legs.share.at(fine))
-    gone_by_t = _gone(flight.vertices.at(t), flown[..., 0] / np.sum(flown, axis=-1))
-    share = np.interp(s, fine, gone_by_s / gone_by_s[-1])
-    times: Array = np.interp(share, gone_by_t / gone_by_t[-1], t)
-    return times
+    check_loads(path, requirements.limits)
+    flight = fly(path, requirements.limits)
+    # The distance that vertices and fractions have covered is the same on path and flight.
+    t, fine = np.linspace(0.0, flight.duration, FINE), np.linspace(0.0, 1.0, FINE)
+    legs = flight.legs.at(t)
+    by_s = _gone(path.vertices.at(fine), path.legs.share.at(fine))
+    by_t = _gone(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
+    times: Array = np.interp(np.interp(s[1:-1], fine, by_s), by_t, t)
+    return flight, times
 
 
 def _gone(vertices: Array, fractions: Array) -> Array:
-    """Return (J,): distance covered so far in all coordinates together."""
+    """Return (J,): share of the distance covered so far in all coordinates together."""
     rows = np.concatenate([vertices.reshape(len(vertices), -1), fractions], axis=1)
-    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
+    gone = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(rows, axis=0), axis=1)))
+    share: Array = gone / gone[-1]
+    return share

@@ -106,8 +106,7 @@ class ShapePath:
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
         vertices = self.vertices.jet(s, count)
-        tensions = np.zeros((len(s), self.team.robots, count))
-        tensions[..., 0] = self.team.tension
+        tensions = _steady(self.team.tension, len(s), count)
         if self.tensions is not None:
             tensions = self.tensions.jet(s, count)
         roll = None if self.roll is None else self.roll.jet(s, count)
@@ -220,22 +219,21 @@ class RigidPath:
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets by s at s (J,), of ``count`` numbers each."""
         hitch = self.start
-        arms = hitch.vertices[:, :2] - self.centroid[:2]
+        arms = (hitch.vertices[:, :2] - self.centroid[:2]) @ [1.0, 1.0j]
+        turned = np.exp(1.0j * self.yaw * s)[:, None] * arms
+        turned = turned[..., None] * (1.0j * self.yaw) ** np.arange(count)
         vertices = np.zeros((len(s), len(arms), 3, count))
-        for order in range(count):  # each derivative of a rotation is a quarter turn ahead
-            angle = self.yaw * s + 0.5 * np.pi * order
-            c, sin = self.yaw**order * np.cos(angle), self.yaw**order * np.sin(angle)
-            vertices[:, :, 0, order] = c[:, None] * arms[:, 0] - sin[:, None] * arms[:, 1]
-            vertices[:, :, 1, order] = sin[:, None] * arms[:, 0] + c[:, None] * arms[:, 1]
+        vertices[:, :, 0], vertices[:, :, 1] = turned.real, turned.imag
         offset = self.to - self.centroid
         vertices[..., 0] += (self.centroid + s[:, None] * offset)[:, None]
         vertices[..., 1:2] += offset[:, None]
-        q_legs = np.zeros((len(s), self.team.robots, count))
-        q_legs[..., 0] = hitch.q_legs
-        tensions = np.zeros_like(q_legs)
-        tensions[..., 0] = self.team.tension
-        roll = None
-        if np.any(hitch.roll):
-            roll = np.zeros((len(s), len(hitch.roll), count))
-            roll[..., 0] = hitch.roll
-        return FlatJets(vertices, q_legs, tensions, roll)
+        constant = hitch.q_legs, hitch.team.tension, hitch.roll
+        q_legs, tensions, roll = (_steady(values, len(s), count) for values in constant)
+        return FlatJets(vertices, q_legs, tensions, roll if np.any(hitch.roll) else None)
+
+
+def _steady(values: Array, points: int, count: int) -> Array:
+    """Return the jets (points, k, count) of what keeps its values (k,)."""
+    found = np.zeros((points, len(values), count))
+    found[..., 0] = values
+    return found

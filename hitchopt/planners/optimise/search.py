@@ -23,7 +23,13 @@ from hitchopt.planners.optimise.guesses import guesses
 from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.flight import Flight
-from hitchopt.planners.timing.profile import TimingError, flight_estimate, grid_demands
+from hitchopt.planners.timing.profile import (
+    LIMIT_SHARE,
+    TimingError,
+    demands_along,
+    flight_estimate,
+    rest_ratios,
+)
 from hitchopt.values import Array
 
 ROUNDS = ((1, 1.03), (2, 1.05))
@@ -278,8 +284,8 @@ def clear(knots: KnotPath, search: Search) -> bool:
         return False
     if not _distances_hold(path, requirements, shapes.chosen(DISTANCES)):
         return False
-    demands = grid_demands(path, requirements.limits)
-    if max(float(np.max(ratios)) for ratios in demands.at_rest()) >= demands.share:
+    demands = demands_along(path, requirements.limits)
+    if np.max(rest_ratios(path.team, requirements.limits, demands.loads)) >= LIMIT_SHARE:
         return False
     arena, drones = requirements.arena, demands.drones[..., 0]
     return arena is None or bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))

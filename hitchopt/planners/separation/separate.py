@@ -26,8 +26,8 @@ from hitchopt.planners.separation.program import (
 )
 from hitchopt.planners.separation.setting import Setting, setting_of
 from hitchopt.planners.separation.task import Separated, SeparationTask
-from hitchopt.planners.timing.demands import LIMIT_SHARE
 from hitchopt.planners.timing.flight import turning_stretch
+from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 

@@ -16,18 +16,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.planners.morph.jets import chained, chained_rates, quintic_spline
-from hitchopt.planners.timing.demands import LIMIT_SHARE, Demands
-from hitchopt.planners.timing.profile import SpeedProfile, TimingError
+from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, SpeedProfile, TimingError
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]
@@ -67,7 +66,7 @@ class Clock:
     @property
     def breaks(self) -> Array:
         """(K + 1,) [s], t at the knots."""
-        nodes, weights = gauss_points(8)
+        nodes, weights = leggauss(8)
         h = np.diff(self.knots)
         tau = self.knots[:-1, None] + 0.5 * h[:, None] * (1.0 + nodes)
         steps = 0.5 * h * (1.0 / np.sqrt(self.squared_rate(tau)) @ weights)
@@ -75,9 +74,10 @@ class Clock:
 
     def jets(self) -> Array:
         """Return (K + 1, 4): s and its derivatives by t at the knots."""
-        return chained(
-            _spline_jet(self.progress, self.knots), _rate_jet(self.squared_rate, self.knots)
-        )
+        x, x1, x2 = (self.squared_rate(self.knots, order) for order in range(3))
+        root = np.sqrt(x)
+        by_t = np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)  # of τ
+        return chained(_spline_jet(self.progress, self.knots), by_t)
 
 
 def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
@@ -98,7 +98,7 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     ------
     TimingError: no rate, however slow, keeps the limits at the samples.
     """
-    nodes, weights = gauss_points(SAMPLES)
+    nodes, weights = leggauss(SAMPLES)
     half = 0.5 * np.diff(clock.knots)[:, None]
     tau = (clock.knots[:-1, None] + half * (1.0 + nodes)).ravel()
     progress, spline = _spline_jet(clock.progress, tau), clock.squared_rate
@@ -132,21 +132,8 @@ def _steady_rate(path: ClockedPath) -> float:
     raise TimingError("no constant speed along the path keeps the limits")
 
 
-@lru_cache
-def gauss_points(count: int) -> tuple[Array, Array]:
-    """Return the points (count,) in [-1, 1] of Gauss's quadrature and their weights."""
-    return np.polynomial.legendre.leggauss(count)
-
-
 def _spline_jet(spline: BSpline, tau: Array) -> Array:
     return np.stack([spline(tau, order) for order in range(4)], axis=-1)
-
-
-def _rate_jet(spline: BSpline, tau: Array) -> Array:
-    """Return the jet of τ(t): 0 (unused), √x, x'/2, x''√x/2."""
-    x, x1, x2 = (spline(tau, order) for order in range(3))
-    root = np.sqrt(x)
-    return np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +160,7 @@ class ClockedPath:
         ----------
         p: (3, M): x, x', x''.
         """
-        limits, m = self.demands.limits, self.demands.mass[:, None]
+        limits, m = self.demands.limits, self.demands.team.mass[:, None]
         x, x1, x2 = p[..., None, None]
         a = x * self.second + 0.5 * x1 * self.first
         j = np.sqrt(x) * (x * self.third + 1.5 * x1 * self.second + 0.5 * x2 * self.first)
@@ -182,7 +169,7 @@ class ClockedPath:
             [
                 length(a) / limits.acceleration,
                 length(j) / limits.jerk,
-                length(f) / self.demands.max_thrust,
+                length(f) / self.demands.team.max_thrust,
                 np.arctan2(np.hypot(f[..., 0], f[..., 1]), f[..., 2]) / limits.tilt,
             ]
         )
@@ -225,25 +212,24 @@ class RateRows:
         # (4, M, R', 3) each, then by p: (4, M, R', 3, 3)
         q1, q2, q3 = (each[samples, drones] for each in (path.first, path.second, path.third))
         accelerations = np.stack([q2, 0.5 * q1, 0.0 * q1], axis=-1)
-        loads, mass = demands.loads[samples, drones], demands.mass[drones][..., None]
-        forces, most = mass[..., None] * accelerations, demands.max_thrust[drones[2]][..., None]
-        weight = length(loads[3])[..., None]
         A = accelerations[0] / limits.acceleration
         J = np.stack([q3, 1.5 * q2, 0.5 * q1], axis=-1)[1] / limits.jerk
-        F, thrust = forces[2] / most[..., None], loads[2] / most
-        G, pull = forces[3] / weight[..., None], loads[3] / weight
+        loads, mass = demands.loads[samples, drones][2:], demands.team.mass[drones[2:]]
+        scales = np.stack([demands.team.max_thrust[drones[2]], length(loads[1])])[..., None]
+        F, G = (mass[..., None] / scales)[..., None] * accelerations[2:]
+        thrust, pull = loads / scales
         slope = np.tan(LIMIT_SHARE * limits.tilt)
         rise, lift = slope * G[..., 2:, :], slope * pull[..., 2:]
         G, pull = G[..., :2, :], pull[..., :2]
         flat = np.zeros(A.shape[:2])
-        none, full, zero = flat[..., None], flat + share, np.zeros(A.shape)
+        none, full, zero = np.zeros((*flat.shape, 3)), flat + share, np.zeros(A.shape)
         speed = np.zeros((len(samples), 1, 3))
         speed[:, 0, 0] = 1.0 / path.most
         tilt = dot(pull, pull) - dot(lift, lift)
         rows = (
             (zero[:, :1], zero[:, :1], speed, flat[:, :1] - 1.0, flat[:, :1]),
-            (_square(A), zero, none + speed * 0.0, -full, flat),
-            (_square(J), zero, none + speed * 0.0, flat, full),
+            (_square(A), zero, none, -full, flat),
+            (_square(J), zero, none, flat, full),
             (_square(F), zero, _double(F, thrust), dot(thrust, thrust) - share, flat),
             (_square(G), _square(rise), _double(G, pull) - _double(rise, lift), tilt, flat),
         )
@@ -307,8 +293,8 @@ SHRINK = 1e-3
 BACKTRACK, SMALLEST = 0.7, 1e-8
 """Factor by which a step is shortened that breaks a row, and the share at which that ends."""
 
-LEAST_LEFT = 0.1
-"""Least share of the gap after the predictor's step that sets the centring."""
+CENTRING = 0.1
+"""Share of the gap that a step aims at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,39 +378,39 @@ class RateProgram:
 def fastest_rate(program: RateProgram, start: Array) -> Array:
     """Return the coefficients of the fastest rate that is found from a start inside of all rows.
 
-    A primal-dual interior-point method with a predictor, after Mehrotra. Every row sees four
-    neighbouring coefficients, so that Newton's matrix has seven diagonals: a step costs as much as
-    looking at the rows. Every iterate satisfies all rows strictly, so the last one is a solution
-    whatever ended the search. The start itself is returned where it is not inside.
+    A primal-dual interior-point method. Every row sees four neighbouring coefficients, so that
+    Newton's matrix has seven diagonals: a step costs as much as looking at the rows. Every iterate
+    satisfies all rows strictly, so the last one is a solution whatever ended the search. The start
+    itself is returned where it is not inside.
     """
     found = program.slack(start)
     if found is None:
         return start
-    c, slack = start, found
-    force = 0.1 * program.duration(program.basis.at(c)) / len(slack) / slack
+    c, slack, basis, shape = start, found, program.basis, program.rows.c.shape
+    force = CENTRING * program.duration(basis.at(c)) / len(slack) / slack
     for _ in range(STEPS):
         check_time()
-        p = program.basis.at(c)
-        duration, gap = program.duration(p), float(force @ slack)
+        p, gap = basis.at(c), float(force @ slack)
+        done = GAP * program.duration(p)
         gradients = program.rows.gradients(p)
         residual, factor = _newton(program, p, gradients, force, slack)
-        if gap < GAP * duration and np.abs(residual).max() < GAP * duration:
+        if factor is None or (gap < done and np.abs(residual).max() < done):
             break
-        if factor is None:
-            break
-        system = (program, gradients, residual, factor, force, slack)
-        dc, dslack, dforce = _step(*system, aim=0.0)
-        left = (slack + _share(slack, dslack) * dslack) @ (force + _share(force, dforce) * dforce)
-        aim = max(gap * float(np.clip(left / gap, LEAST_LEFT, 1.0)) ** 3, 0.1 * GAP * duration)
-        dc, dslack, dforce = _step(*system, aim=aim / len(slack))
+        # Towards products of slacks and forces that are all the same.
+        pull = max(CENTRING * gap, 0.1 * done) / len(slack) / slack - force
+        inner = pull[: program.rows.c.size].reshape(shape)
+        pushed = basis.transposed(np.einsum("rm,irm->im", inner, gradients))
+        dc: Array = dpbtrs(factor, pull[program.rows.c.size :] - residual - pushed, lower=True)[0]
+        dslack = np.append(-np.einsum("irm,im->rm", gradients, basis.at(dc)).ravel(), dc)
+        dforce = pull - force / slack * dslack
         share = _share(slack, dslack)
-        left_over, least = program.slack(c + share * dc), SHRINK * slack
-        while left_over is None or (left_over < least).any():
+        left, least = program.slack(c + share * dc), SHRINK * slack
+        while left is None or (left < least).any():
             share *= BACKTRACK
             if share < SMALLEST:
                 return c
-            left_over = program.slack(c + share * dc)
-        c, slack = c + share * dc, left_over
+            left = program.slack(c + share * dc)
+        c, slack = c + share * dc, left
         force = force + _share(force, dforce) * dforce
     return c
 
@@ -450,25 +436,6 @@ def _newton(
         if not failed:
             return residual, factor
     return residual, None
-
-
-def _step(
-    program: RateProgram,
-    gradients: Array,
-    residual: Array,
-    factor: Array,
-    force: Array,
-    slack: Array,
-    *,
-    aim: float,
-) -> tuple[Array, Array, Array]:
-    """Return the steps of coefficients, slack and forces towards products of ``aim`` each."""
-    basis, shape, inner = program.basis, program.rows.c.shape, program.rows.c.size
-    pull = aim / slack - force
-    pushed = np.einsum("rm,irm->im", pull[:inner].reshape(shape), gradients)
-    dc: Array = dpbtrs(factor, pull[inner:] - residual - basis.transposed(pushed), lower=True)[0]
-    dslack = np.append(-np.einsum("irm,im->rm", gradients, basis.at(dc)).ravel(), dc)
-    return dc, dslack, pull - force / slack * dslack
 
 
 def _share(values: Array, steps: Array) -> float:

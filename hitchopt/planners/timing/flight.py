@@ -16,21 +16,21 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import Team
-from hitchopt.hitch.forces import (
-    cable_force_rates,
-    cable_forces,
-    cable_of,
-    sag_factors,
-)
+from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
 from hitchopt.hitch.requirements import Limits
+from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.jets import chained, polynomials_through
 from hitchopt.planners.morph.path import Path, path_jets
 from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
-from hitchopt.planners.timing.demands import FINAL_SHARE, LIMIT_SHARE, Demands, loads_at_rest
 from hitchopt.planners.timing.profile import (
+    FINAL_SHARE,
+    LIMIT_SHARE,
+    Demands,
     SpeedProfile,
     acceleration_ramp,
+    demands_along,
     fastest_profile,
+    loads_at_rest,
     path_grid,
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -85,9 +85,6 @@ GRID = 160
 MODEL_ERROR = 1e-6
 """Largest relative error of a cable's length: a tenth of what a plan guarantees."""
 
-PAIRS = 32_000
-"""Pairs of a time and a drone at which cables are looked at in one go: arrays fit in the caches."""
-
 FINEST = 400
 """Number of pieces at which refining for the sake of MODEL_ERROR ends."""
 
@@ -98,12 +95,6 @@ of microseconds in flights of a month."""
 SHORTEST_FLIGHT = 0.05
 """[s] Shortest duration chosen: a move of micrometres would be over before its polynomials are
 above their rounding."""
-
-
-@lru_cache(maxsize=1)
-def timing_demands(path: Path, limits: Limits) -> Demands:
-    """Return the demands of a path on toppra's grid; those of the last path are stored."""
-    return Demands.along(path, limits, path_grid(GRID))
 
 
 def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
@@ -120,9 +111,9 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     InfeasibleError: ``duration`` is shorter than the limits allow.
     TimingError: no timing was found.
     """
-    demands, aimed = timing_demands(path, limits), limits
+    demands, aimed = demands_along(path, limits, GRID), limits
     if limits.body_rate is not None:  # thrusts turn with the jerk, and are least at rest
-        least = float(np.min(length(demands.loads) / demands.mass))
+        least = float(np.min(length(demands.loads) / path.team.mass))
         aimed = replace(limits, jerk=min(limits.jerk, limits.body_rate * least))
         demands = replace(demands, limits=aimed)
     profile = fastest_profile(path_grid(GRID), demands)
@@ -131,11 +122,10 @@ def fly(path: Path, limits: Limits, duration: float | None = None) -> Flight:
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, finer))
         flight = _polynomials(path, jerk_limited(clock, lambda s: Demands.along(path, aimed, s)))
-        if flight.drones.pieces >= FINEST or _cable_error(path.team, flight) <= MODEL_ERROR:
+        if flight.drones.pieces >= FINEST or cable_error(path.team, flight) <= MODEL_ERROR:
             break
         finer *= 2
-    curves = (flight.drones, flight.vertices, flight.pulls)
-    fastest = needed_stretch(path.team, limits, *curves) * flight.duration
+    fastest = needed_stretch(path.team, limits, flight) * flight.duration
     if duration is None:
         return flight.lasting(max(fastest, SHORTEST_FLIGHT))
     check_duration(duration, fastest)
@@ -160,19 +150,15 @@ def _polynomials(path: Path, clock: Clock) -> Flight:
     return Flight(drones, vertices, legs, constant if steady else timed(tensions))
 
 
-def _cable_error(team: Team, flight: Flight) -> float:
+def cable_error(team: Team, flight: Flight) -> float:
     """Return the largest relative error of a cable's length at samples between the breaks."""
     inner, breaks = (np.arange(5) + 0.5) / 5, flight.drones.breaks
     times = np.append(breaks[:-1, None] + np.diff(breaks)[:, None] * inner, breaks)
-    error, many = 0.0, max(1, PAIRS // team.drones)
-    for first in range(0, len(times), many):
-        t = times[first : first + many]
-        p, sag = flight.vertices.at(t), sag_factors(team, flight.tensions.at(t))
-        legs = flight.drones.at(t) - p[:, team.layout.anchors]
-        spans = (legs[:, 0::2], team.layout.edges(p), legs[:, 1::2])
-        cables = np.sum([cable_of(span, sag) for span in spans], axis=0)
-        error = max(error, float(np.max(np.abs(cables / team.cable_length - 1.0))))
-    return error
+    p, sag = flight.vertices.at(times), sag_factors(team, flight.tensions.at(times))
+    legs = flight.drones.at(times) - p[:, team.layout.anchors]
+    spans = (legs[:, 0::2], team.layout.edges(p), legs[:, 1::2])
+    cables = np.sum([cable_of(span, sag) for span in spans], axis=0)
+    return float(np.max(np.abs(cables / team.cable_length - 1.0)))
 
 
 WIDEST = 1.0 / 12.0
@@ -218,21 +204,16 @@ def time_mesh(profile: SpeedProfile, ramp: float, finer: int = 1) -> Array:
     busy[1:] |= busy[:-1]
     fine = max(ramp / PER_RAMP, SHORTEST)
     widths = np.where(busy, np.minimum(fine, WIDEST * whole), WIDEST * whole)
-    widths = np.maximum(_graded(t, widths), SHORTEST)
+    # No width exceeds another by more than GRADING of its distance, on the left and on the right.
+    left = np.minimum.accumulate(widths - GRADING * t) + GRADING * t
+    right = np.minimum.accumulate((widths + GRADING * t)[::-1])[::-1] - GRADING * t
+    widths = np.maximum(np.minimum(left, right), SHORTEST)
     density = 0.5 * (1.0 / widths[1:] + 1.0 / widths[:-1]) * np.diff(t)
     pieces = np.append(0.0, np.cumsum(density))
     count = finer * max(int(np.ceil(min(pieces[-1], MOST))), 4)
     knots: Array = np.interp(np.linspace(0.0, pieces[-1], count + 1), pieces, t)
     knots[0], knots[-1] = 0.0, whole
     return knots
-
-
-def _graded(t: Array, widths: Array) -> Array:
-    """Return the widths lowered until none exceeds another by more than GRADING of its distance."""
-    # min over u of w(u) + g |t - u|, from the left and from the right.
-    left = np.minimum.accumulate(widths - GRADING * t) + GRADING * t
-    right = np.minimum.accumulate((widths + GRADING * t)[::-1])[::-1] - GRADING * t
-    return np.minimum(left, right)
 
 
 SPANS, ENCLOSING = 8, 8
@@ -249,23 +230,13 @@ PRECISION = 1e-4
 """Relative precision of a stretch."""
 
 
-def needed_stretch(
-    team: Team,
-    limits: Limits,
-    drones: PiecewisePolynomial,
-    vertices: PiecewisePolynomial,
-    pulls: PiecewisePolynomial,
-) -> float:
+def needed_stretch(team: Team, limits: Limits, flight: Flight | Motion) -> float:
     """Return how many times slower a flight must be to satisfy its limits.
 
     Rates are not sampled but enclosed: a vector polynomial stays within the hull of its
     coefficients, which lie close to it on a short span of time.
-
-    Parameters
-    ----------
-    drones, vertices: of shapes (2n, 3) and (n, 3) [m], on common breaks.
-    pulls: of shape (2n,) [N], of the cables on the drones.
     """
+    drones, vertices, pulls = flight.drones, flight.vertices, flight.pulls
     factor, still = 1e-12, np.zeros(0)
     for some in _chunks(team, drones):
         rates = length(_on_spans(vertices, some, 1))
@@ -276,8 +247,8 @@ def needed_stretch(
             places, values = (_on_spans(part, some) for part in (vertices, pulls))
             pull = cable_forces(team, jets[..., 0], places, values, np.ones(team.robots))
         loads = loads_at_rest(team, pull)
-        given = (still, loads, team.mass, team.max_thrust, limits, FINAL_SHARE)
-        factor = max(factor, fastest, float(np.max(Demands(jets, *given).stretches())))
+        demands = Demands(jets, still, loads, team, limits, FINAL_SHARE)
+        factor = max(factor, fastest, float(np.max(demands.stretches())))
     taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
     return turning_stretch(team, limits.body_rate, (drones, vertices, pulls, taut), factor)
 

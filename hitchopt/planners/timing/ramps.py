@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import HitchoptError, InfeasibleError, Violation
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Team
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.requirements import Limits
-from hitchopt.planners.morph.jets import chained
+from hitchopt.planners.morph.jets import chained, divided
+from hitchopt.planners.timing.profile import LIMIT_SHARE, check_hover, loads_at_rest, rest_ratios
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advanced
 from hitchopt.values import Array
@@ -68,28 +69,20 @@ def fastest_clock(
     if result not in {Result.Working, Result.Finished}:
         raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
     profile = trajectory.profiles[0][0]
-    phases = np.array([profile.t, profile.j], dtype=np.float64)
-    seconds, jerks = phases[:, phases[0] > SHORTEST]
-    return _integrated(goal, seconds, jerks)
-
-
-def _integrated(goal: float, seconds: Array, jerks: Array) -> PiecewisePolynomial:
-    """Return the cubics of phases of constant jerk; the end is met exactly."""
+    seconds, jerks = np.array([profile.t, profile.j], dtype=np.float64)
+    lasting = seconds > SHORTEST
     jets = [np.zeros(4)]
-    for duration, jerk in zip(seconds, jerks, strict=True):
-        jets[-1][3] = jerk
-        jets.append(advanced(jets[-1], duration))
+    for each, constant in zip(seconds[lasting], jerks[lasting], strict=True):
+        jets[-1][3] = constant
+        jets.append(advanced(jets[-1], each))
     x = np.stack(jets, axis=1)[:3]
     x[:, -1] = goal, 0.0, 0.0  # rounding goes into the last phase, where it is all but nothing
-    breaks = np.concatenate([[0.0], np.cumsum(seconds)])
+    breaks = np.append(0.0, np.cumsum(seconds[lasting]))
     return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
 
 
 Curve = Callable[[Array, int], Array]
 """Function of parameters (J,) and the order of a derivative by them; gives (J, drones, 3) [m]."""
-
-SHARE = 0.999
-"""Share of every limit that plans use."""
 
 
 def flown(
@@ -104,17 +97,8 @@ def flown(
     most: largest advance of the clock on one piece.
     reserve: largest acceleration of any of them [m/s²].
     """
-    drones = _fitted(curve, clock, most)
-    factors = []
-    for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
-        largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
-        factors.append((float(largest) / (SHARE * limit)) ** (1.0 / order))
-    return drones.stretched(max(factors))
-
-
-def _fitted(curve: Curve, clock: PiecewisePolynomial, most: float) -> PiecewisePolynomial:
-    """Return polynomials that meet position, velocity, acceleration and jerk at every break."""
-    breaks = _times(clock, most)
+    counts = np.maximum(1, np.ceil(np.diff(clock.at(clock.breaks)) / most).astype(np.intp))
+    breaks = divided(clock.breaks, counts)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
     ends = []
@@ -124,27 +108,15 @@ def _fitted(curve: Curve, clock: PiecewisePolynomial, most: float) -> PiecewiseP
         outer = np.stack([curve(inner[:, 0], k) for k in range(4)], axis=-1)
         ends.append(np.moveaxis(chained(outer, inner[:, None, None, :]), -1, 0))
     left, right = ends
-    first, last = clock.at(clock.breaks[[0, -1]])
-    left[:3, 0] = _at_rest(curve, first)
-    right[:3, -1] = _at_rest(curve, last)
+    left[0, 0], right[0, -1] = curve(clock.at(clock.breaks[[0, -1]]), 0)
+    left[1:3, 0] = right[1:3, -1] = 0.0
     left[:3, 1:] = right[:3, :-1]
-    return PiecewisePolynomial.hermite(breaks, left, right)
-
-
-def _times(clock: PiecewisePolynomial, most: float) -> Array:
-    """Return the clock's breaks and times in between (…,) [s], about ``most`` apart or less."""
-    times = [clock.breaks[:1]]
-    advances = np.diff(clock.at(clock.breaks))
-    for first, last, advance in zip(clock.breaks[:-1], clock.breaks[1:], advances, strict=True):
-        count = max(1, int(np.ceil(advance / most)))
-        times.append(np.linspace(first, last, count + 1)[1:])
-    return np.concatenate(times)
-
-
-def _at_rest(curve: Curve, parameter: float) -> Array:
-    """Return the jets (3, drones, 3) of drones at rest on the curve."""
-    places = curve(np.array([parameter]), 0)[0]
-    return np.stack([places, *np.zeros((2, *places.shape))])
+    drones = PiecewisePolynomial.hermite(breaks, left, right)
+    factors = []
+    for order, limit in ((1, limits.speed), (2, reserve), (3, limits.jerk)):
+        largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
+        factors.append((float(largest) / (LIMIT_SHARE * limit)) ** (1.0 / order))
+    return drones.stretched(max(factors))
 
 
 def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
@@ -159,41 +131,18 @@ def accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     InfeasibleError: hovering alone takes more thrust or tilt than there is, or a cable with weight
         is too short for its drones' places.
     """
-    _check_reach(team, drones)
-    mass = team.mass
-    loads = np.zeros(drones.shape)
-    loads[..., 2] = mass * GRAVITY
-    loads -= hanging_forces(team, drones)
-    size = np.linalg.norm(loads, axis=-1)
-    tilt = np.arctan2(np.hypot(loads[..., 0], loads[..., 1]), loads[..., 2])
-    thrust_left = SHARE * team.max_thrust - size
-    tilt_left = SHARE * limits.tilt - tilt
-    for name, left, used, limit, unit in (
-        ("thrust", thrust_left, size, team.max_thrust, "N"),
-        ("tilt", tilt_left, np.degrees(tilt), np.full(len(mass), math.degrees(limits.tilt)), "deg"),
-    ):
-        j, i = np.unravel_index(int(np.argmin(left)), left.shape)
-        if left[j, i] <= 0.0:
-            where, when = (team.drone_names[i],), "hovering with a hanging cable"
-            remedy = "use lighter cables, or stronger drones that may tilt more"
-            value, most = float(used[j, i]), float(limit[i])
-            raise InfeasibleError([Violation(name, value, most, "max", unit, where, when, remedy)])
-    free = np.minimum(thrust_left, size * np.sin(tilt_left)) / mass
-    reserve: Array = np.minimum(np.min(free, axis=0), SHARE * limits.acceleration)
+    if team.cable_density > 0.0:  # the pull of a cable that is too short has no bound
+        spans = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
+        cable, worst = int(np.argmax(np.max(spans, axis=0))), float(np.max(spans))
+        if worst >= 1.0:
+            where, when = (f"cable {cable}",), "between its drones' places"
+            remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
+            raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
+    loads = loads_at_rest(team, hanging_forces(team, drones))
+    remedy = "use lighter cables, or stronger drones that may tilt more"
+    check_hover(team, limits, loads, ["hovering with a hanging cable"] * len(drones), (remedy,) * 2)
+    thrust_left, tilt_left = LIMIT_SHARE - rest_ratios(team, limits, loads)
+    sideways = length(loads) * np.sin(limits.tilt * tilt_left)
+    free = np.minimum(team.max_thrust * thrust_left, sideways) / team.mass
+    reserve: Array = np.minimum(np.min(free, axis=0), LIMIT_SHARE * limits.acceleration)
     return reserve
-
-
-def _check_reach(team: Team, drones: Array) -> None:
-    """Raise InfeasibleError where a cable with weight is shorter than its drones are apart.
-
-    Its pull has no bound there, and would hide the reason.
-    """
-    if team.cable_density == 0.0:
-        return
-    spans = np.linalg.norm(drones[:, 1::2] - drones[:, 0::2], axis=-1) / team.cable_length
-    cable = int(np.argmax(np.max(spans, axis=0)))
-    worst = float(np.max(spans))
-    if worst >= 1.0:
-        where, when = (f"cable {cable}",), "between its drones' places"
-        remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
-        raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
