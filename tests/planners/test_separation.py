@@ -19,8 +19,8 @@ from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Sepa
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.planners.separation import Separated, SeparationTask, separate
-from hitchopt.planners.separation.planes import hull_points
-from hitchopt.planners.separation.routes import routes_around
+from hitchopt.planners.separation.guesses import routes_around
+from hitchopt.planners.separation.program import hull_points
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import antipodal_circle
 
