@@ -6,7 +6,6 @@ Everything is deterministic, and noise on the input of the size of rounding chan
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -50,16 +49,16 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     given = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
     acceleration = np.minimum(np.broadcast_to(given, n), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
-    straight, routes = np.linalg.norm(task.goal - task.start, axis=1), routes_around(task)
+    straight, routes = length(task.goal - task.start), routes_around(task)
+    lengths = np.array([np.sum(length(np.diff(route, axis=0))) for route in routes])
     (bound, _), (durations, own_rises) = (
-        fastest_ramps(lengths, limits.speed, acceleration, limits.jerk)
-        for lengths in (straight, routes.lengths)
+        fastest_ramps(each, limits.speed, acceleration, limits.jerk) for each in (straight, lengths)
     )
     slowest = int(np.argmax(durations))
     alone = float(durations[slowest])
     rise = max(float(own_rises[slowest]), SHORTEST_RAMP * alone)
-    size = max(float(np.max(routes.lengths)), 2.0 * task.requirements.separation.radius)
-    going = float(routes.lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
+    size = max(float(np.max(lengths)), 2.0 * task.requirements.separation.radius)
+    going = float(lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
     cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
     first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
     middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
@@ -70,7 +69,7 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
     if patience > 1.0 and going:
         lasts = np.maximum(durations / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
-        np.divide(own_rises, durations, out=rises, where=routes.lengths > 0.0)
+        np.divide(own_rises, durations, out=rises, where=lengths > 0.0)
         rank = np.argsort(tied_order(-lasts, 1.0))  # who flies longest leaves first
         leaving = (1.0 - lasts) * rank / max(1, n - 1)
         each = zip(leaving, lasts, rises, strict=True)
@@ -79,7 +78,8 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
         shares = [_progress(s, 1.0 / breaks[-1])] * n
     nominal = np.zeros((n, grid.count, 3))
     nominal[:, :HELD], nominal[:, -HELD:] = task.start[:, None], task.goal[:, None]
-    missing = routes.points(np.stack(shares)) - grid.sampled(s) @ nominal
+    wanted = np.stack([points_along(*each) for each in zip(routes, shares, strict=True)])
+    missing = wanted - grid.sampled(s) @ nominal
     nominal[:, grid.free] = grid.fitting(s) @ missing
     return Setting(task, grid, nominal, caps, float(np.max(bound)), alone, size)
 
@@ -104,51 +104,35 @@ TIGHT = 1e-6
 """Smallest distance of a route's corners to what they stay out of, relative to the radius."""
 
 
-@dataclass(frozen=True, eq=False)
-class Routes:
-    """Routes of all drones.
-
-    Attributes
-    ----------
-    corners: (N,) lists of points (m, 3) [m], from start to goal.
-    lengths: (N,) [m]
-    """
-
-    corners: list[Array]
-    lengths: Array
-
-    def points(self, shares: Array) -> Array:
-        """Return the points (N, m, 3) [m] of all routes at shares (N, m) of their lengths."""
-        points = np.empty((*shares.shape, 3))
-        for i, route in enumerate(self.corners):
-            along = np.append(0.0, np.cumsum(length(np.diff(route, axis=0))))
-            for axis in range(3):
-                points[i, :, axis] = np.interp(shares[i] * along[-1], along, route[:, axis])
-        return points
+def points_along(route: Array, shares: Array) -> Array:
+    """Return the points (m, 3) [m] of a route (corners, 3) at shares (m,) of its length."""
+    along = np.append(0.0, np.cumsum(length(np.diff(route, axis=0))))
+    return np.stack([np.interp(shares * along[-1], along, axis) for axis in route.T], axis=-1)
 
 
-def routes_around(task: SeparationTask) -> Routes:
-    """Return the shortest routes: straight lines where no prism is in between.
+def routes_around(task: SeparationTask) -> list[Array]:
+    """Return shortest routes, N lists of corners (m, 3) [m]: straight where no prism is in between.
+
+    Corners stand off the prisms by a little more than drones must. They are taken at the altitudes
+    of a drone's start and goal and just above and below the prisms.
 
     Raises
     ------
     InfeasibleError: every route that was found is too narrow.
     """
     radius = task.requirements.separation.radius
-    corners = list(np.stack([task.start, task.goal], axis=1))
-    lengths = np.linalg.norm(task.goal - task.start, axis=1)
+    routes = list(np.stack([task.start, task.goal], axis=1))
     for i in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
         check_time()
-        tried = (_route(task, corners[i], off * radius) for off in (STAND_OFF, 1.0 + TIGHT))
+        tried = (_route(task, routes[i], off * radius) for off in (STAND_OFF, 1.0 + TIGHT))
         route = next((each for each in tried if each is not None), None)
         if route is None:
             remedy = "widen the gap between the prisms, or between them and the arena"
             when, where = "on every route found from its start to its goal", (task.names[i],)
             shut = Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)
             raise InfeasibleError([shut])
-        corners[i] = route
-        lengths[i] = np.sum(length(np.diff(route, axis=0)))
-    return Routes(corners, lengths)
+        routes[i] = route
+    return routes
 
 
 def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
@@ -252,6 +236,10 @@ FADING = 0.5
 
 def pushed_apart(setting: Setting, side: float) -> Array:
     """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so.
+
+    Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
+    filter makes curves of the pushes. Where two meet head on there is no offset to speak of: at
+    first all give way to the same side.
 
     Parameters
     ----------
@@ -357,9 +345,10 @@ all of them."""
 def roundabout(setting: Setting) -> Array | None:
     """Return the coefficients (N, count, 3) [m] of curves around a crowd; None where there is none.
 
-    A crowd meets half way, at one place. With ``x`` the distance from there over WIDTH radii of a
-    ring of all its drones, the offset to the right is ``(1 - x²)²`` times the radius of a layer's
-    ring, and that upward ``(1 - x⁶)²`` times the layer's altitude.
+    A crowd meets half way, at one place, where pushes between pairs would amplify rounding. With
+    ``x`` the distance from there over WIDTH radii of a ring of all its drones, the offset to the
+    right is ``(1 - x²)²`` times the radius of a layer's ring, and that upward ``(1 - x⁶)²`` times
+    the layer's altitude.
     """
     task, grid, separation = setting.task, setting.grid, setting.task.requirements.separation
     s = _samples(grid)
