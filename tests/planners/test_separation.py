@@ -17,8 +17,8 @@ from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Sepa
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.planners.separation import Separated, SeparationTask, separate
-from hitchopt.planners.separation.planes import hull_points
-from hitchopt.planners.separation.routes import routes_around
+from hitchopt.planners.separation.guesses import points_along, routes_around
+from hitchopt.planners.separation.program import hull_points
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import antipodal_circle
 
@@ -343,13 +343,14 @@ def test_no_point_of_a_hull_is_nearer_than_the_one_that_is_found(seed: int, away
 def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
     start, goal = np.array([[-2.0, 0.1, 1.0]]), np.array([[2.0, 0.0, 1.0]])
     task = SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(PILLAR,)))
-    routes = routes_around(task)
+    (route,) = routes_around(task)
     off = 1.25 * task.requirements.separation.radius
     corners = [[-0.3 - off, 0.4 + off], [0.5 + off, 0.4 + off]]
     by_hand = np.vstack([start[0, :2], corners, goal[0, :2]])
     length = float(np.sum(np.linalg.norm(np.diff(by_hand, axis=0), axis=1)))
-    assert routes.lengths[0] == pytest.approx(length, rel=1e-6)
-    points = routes.points(np.linspace(0.0, 1.0, 500)[None])[0]
+    steps = np.linalg.norm(np.diff(route, axis=0), axis=1)
+    assert np.sum(steps) == pytest.approx(length, rel=1e-6)
+    points = points_along(route, np.linspace(0.0, 1.0, 500))
     assert np.min(PILLAR.clearance(points).distance) > task.requirements.separation.radius
     np.testing.assert_allclose(points[[0, -1]], [start[0], goal[0]], atol=1e-12)
 
@@ -357,11 +358,11 @@ def test_the_way_around_a_pillar_is_the_shortest_and_stays_out() -> None:
 def test_a_low_prism_is_flown_over_where_that_is_shorter() -> None:
     low = Prism(PILLAR.polygon, 0.0, 0.9)
     start, goal = np.array([[-2.0, 0.1, 0.8]]), np.array([[2.0, 0.0, 0.8]])
-    routes = routes_around(
+    (route,) = routes_around(
         SeparationTask(start, goal, Requirements(Limits(), Separation(), keep_out=(low,)))
     )
-    assert np.max(routes.points(np.linspace(0.0, 1.0, 99)[None])[..., 2]) > 1.0
-    assert routes.lengths[0] < 4.2
+    assert np.max(points_along(route, np.linspace(0.0, 1.0, 99))[:, 2]) > 1.0
+    assert np.sum(np.linalg.norm(np.diff(route, axis=0), axis=1)) < 4.2
 
 
 def test_a_slit_is_told_with_the_drone() -> None:

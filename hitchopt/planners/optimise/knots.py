@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -61,14 +61,6 @@ class Columns:
         return np.concatenate([self.vertices, self.drones])
 
 
-@lru_cache(maxsize=64)
-def columns_of(n: int) -> Columns:
-    """Return the columns of n robots."""
-    parts = np.split(np.arange(9 * n), np.cumsum([2 * n, n, n, 4 * n]))
-    vertices, q_legs, r_legs, drones, tensions = parts
-    return Columns(vertices.reshape(-1, 2), q_legs, r_legs, drones.reshape(-1, 2), tensions)
-
-
 @dataclass(frozen=True, eq=False)
 class KnotPath:
     """A hitch at J + 1 knots, evenly spaced in the path's parameter.
@@ -98,17 +90,10 @@ class KnotPath:
         s = np.linspace(0.0, 1.0, len(polygons))[:, None]
         tensions = np.tile(start.team.tension, (len(polygons), 1))
         roll = start.roll + s * (end.roll - start.roll)
-        bare = cls(
-            name,
-            start.team,
-            start.altitude,
-            polygons,
-            np.zeros_like(tensions),
-            tensions,
-            roll if np.any(roll) else None,
-        )
-        fractions = start.fractions + s * (end.fractions - start.fractions)
-        return replace(bare, q_legs=fractions * bare.slack)
+        slack = cable_slack_of(start.team, start.team.layout.edges(polygons), tensions)
+        q_legs = (start.fractions + s * (end.fractions - start.fractions)) * slack
+        own = roll if np.any(roll) else None
+        return cls(name, start.team, start.altitude, polygons, q_legs, tensions, own)
 
     @property
     def steps(self) -> int:
@@ -138,9 +123,9 @@ class KnotPath:
             None if self.roll is None else _knot_spline(self.roll),
         )
 
-    def resampled(self, count: int) -> KnotPath:
-        """Return the same path at ``count`` knots, evaluated on its spline."""
-        return self.at(np.linspace(0.0, 1.0, count))
+    def resampled(self, steps: int) -> KnotPath:
+        """Return the same path with so many steps, evaluated on its spline."""
+        return self.at(np.linspace(0.0, 1.0, steps + 1))
 
     def at(self, s: Array) -> KnotPath:
         """Return the hitches at s (K,) of its path, as if they were knots."""
@@ -151,10 +136,13 @@ class KnotPath:
             self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions, roll=shapes.roll
         )
 
-    @property
+    @cached_property
     def columns(self) -> Columns:
         """The columns of its table."""
-        return columns_of(self.team.robots)
+        n = self.team.robots
+        parts = np.split(np.arange(9 * n), np.cumsum([2 * n, n, n, 4 * n]))
+        vertices, q_legs, r_legs, drones, tensions = parts
+        return Columns(vertices.reshape(-1, 2), q_legs, r_legs, drones.reshape(-1, 2), tensions)
 
     @cached_property
     def table(self) -> Array:
@@ -182,17 +170,8 @@ class KnotPath:
 
 def _knot_spline(values: Array) -> PiecewisePolynomial:
     """Return the spline through values (J + 1, *shape) at evenly spaced s in [0, 1]."""
-    units = _unit_splines(len(values))
-    joined = values.reshape(len(values), -1).T @ units.coefficients
-    shape = (units.pieces, *values.shape[1:], SPLINE_DEGREE + 1)
-    return PiecewisePolynomial(units.breaks, joined.reshape(shape))
-
-
-@lru_cache(maxsize=64)
-def _unit_splines(count: int) -> PiecewisePolynomial:
-    """Return the splines (count,) that are 1 at one of ``count`` knots and 0 at the others."""
-    s = np.linspace(0.0, 1.0, count)
-    return PiecewisePolynomial.from_spline(make_interp_spline(s, np.eye(count), k=SPLINE_DEGREE))
+    s = np.linspace(0.0, 1.0, len(values))
+    return PiecewisePolynomial.from_spline(make_interp_spline(s, values, k=SPLINE_DEGREE))
 
 
 INSET = 5e-3
@@ -259,13 +238,7 @@ class Search:
 
 
 def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Array, Array]:
-    """Return bounds of the inner knots' variables: legs, walls, a stride, static tensions.
-
-    Parameters
-    ----------
-    path, search: around which the bounds are, and what it must satisfy.
-    stride: [m], how far a coordinate of a vertex or drone may go.
-    """
+    """Return bounds of the inner knots' variables: legs, walls, a stride [m], static tensions."""
     columns, table, team = path.columns, path.table[1:-1], path.team
     margins = search.margins(path.steps, np.arange(1.0, path.steps))
     arena, limits = search.requirements.arena, search.requirements.limits
@@ -279,7 +252,11 @@ def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Arra
     else:
         least, most = search.tension
         inset = TENSION_INSET * (most - least)
-        static = static_tension(team, limits.tilt)
+        # Against a level pull both drones of a robot must be able to hover.
+        lift = team.mass * GRAVITY + team.cable_weight
+        spare = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
+        static = np.minimum(spare, lift * math.tan(STATIC_SHARE * limits.tilt))
+        static = static.reshape(-1, 2).min(axis=1)
         lower[:, columns.tensions] = least + inset
         upper[:, columns.tensions] = np.maximum(least + inset, np.minimum(most - inset, static))
     rise = (margins - 1.0) / max(search.margin - 1.0, 1e-9)
@@ -290,15 +267,3 @@ def variable_bounds(path: KnotPath, search: Search, stride: float) -> tuple[Arra
     upper[:, nodes] = np.minimum(upper[:, nodes], table[:, nodes] + stride)
     # A guess may stand outside the arena: then the walls are what it is pulled towards.
     return np.minimum(lower, upper).ravel(), np.maximum(lower, upper).ravel()
-
-
-def static_tension(team: Team, tilt: float) -> Array:
-    """Return (n,) [N]: the largest pull against which both drones of each robot can hover.
-
-    Legs that are level count, with half of the cable's weight.
-    """
-    lift = team.mass * GRAVITY + team.cable_weight
-    by_thrust = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
-    by_tilt = lift * math.tan(STATIC_SHARE * tilt)
-    largest: Array = np.min(np.minimum(by_thrust, by_tilt).reshape(-1, 2), axis=1)
-    return largest

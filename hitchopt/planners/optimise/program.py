@@ -13,20 +13,22 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from types import FrameType
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy import sparse
 
 from hitchopt.errors import check_time, time_left
-from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.leg_program import SEPARATION, end_combinations
+from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
 from hitchopt.hitch.model import planar
+from hitchopt.hitch.requirements import Separation
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep, variable_bounds
-from hitchopt.planners.optimise.near import NearPairs, near_pairs
 from hitchopt.values import Array, Indices
 
 BEND = 0.1
@@ -53,10 +55,15 @@ ITERATIONS, FASTEST_ITERATIONS = 100, 40
 20 or, where all drones bind at once, not at all."""
 
 
-class Draft:
-    """A program ``min f(x)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x) ≤ ubg`` as it is collected."""
+class MorphProgram:
+    """A program ``min f(x)`` over ``lbx ≤ x ≤ ubx`` and ``lbg ≤ g(x) ≤ ubg`` around a path.
 
-    def __init__(self) -> None:
+    It is collected row by row. Its variables start with those of the inner knots, and it is given
+    up after so many ``iterations``.
+    """
+
+    def __init__(self, path: KnotPath, iterations: int) -> None:
+        self.path, self.iterations = path, iterations
         self._x: list[ca.MX] = []
         self._g: list[ca.MX] = []
         self._boxes: list[tuple[Array, Array, Array]] = []
@@ -98,58 +105,40 @@ class Draft:
         return {name: np.concatenate(each) for name, each in zip(names, columns, strict=True)}
 
 
-@dataclass(frozen=True, eq=False)
-class MorphProgram:
-    """A program around a path.
-
-    Attributes
-    ----------
-    draft: its variables start with those of the inner knots.
-    path: around which it is, to read the solution.
-    iterations: after which it is given up.
-    """
-
-    draft: Draft
-    path: KnotPath
-    iterations: int
-
-
 def build_program(path: KnotPath, search: Search, step: SolverStep) -> MorphProgram:
     """Return the program around a path: its near pairs and their normals are the path's."""
     columns, table, n, steps = path.columns, path.table, path.team.robots, path.steps
-    draft, limits = Draft(), search.requirements.limits
-    x = draft.variables(table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
-    tie_drones(draft, x, path)
-    keep_apart(draft, x, path, search, step)
+    program = MorphProgram(path, FASTEST_ITERATIONS if step.fastest else ITERATIONS)
+    limits = search.requirements.limits
+    x = program.variables(table[1:-1].ravel(), *variable_bounds(path, search, step.stride))
+    _tie_drones(program, x)
+    _keep_apart(program, x, search, step)
     # Places of vertices and drones at all knots (6n, steps + 1), in units of time.
     whole = ca.horzcat(ca.DM(table[0]), ca.reshape(x, columns.size, steps - 1), ca.DM(table[-1]))
     slowness = 1.0 / np.repeat([limits.vertex_speed, limits.speed], [2 * n, 4 * n])
     places = whole[columns.nodes.ravel().tolist(), :] * ca.repmat(ca.DM(slowness), 1, steps + 1)
     energy, bend = _roughness(places, n)
     if search.tension is not None:
-        ratio = whole[columns.tensions.tolist(), :] / ca.repmat(
-            ca.DM(path.team.tension), 1, steps + 1
-        )
+        usual = ca.repmat(ca.DM(path.team.tension), 1, steps + 1)
+        ratio = whole[columns.tensions.tolist(), :] / usual
         change, bent = _roughness(ratio, 1)
         eased = ca.sumsqr(ratio) / steps + TENSION_CHANGE * (change + BEND * bent)
-        draft.cost += TENSION_WEIGHT * eased / n
+        program.cost += TENSION_WEIGHT * eased / n
     if not step.fastest:
-        draft.cost += energy + BEND * bend
-        return MorphProgram(draft, path, ITERATIONS)
+        program.cost += energy + BEND * bend
+        return program
     # Every step takes as long as its longest segment.
-    lengths = np.linalg.norm(
-        np.diff(table[:, columns.nodes] * slowness.reshape(-1, 2), axis=0), axis=-1
-    )
+    lengths = length(np.diff(table[:, columns.nodes] * slowness.reshape(-1, 2), axis=0))
     longest = np.max(lengths, axis=1)
-    times = draft.variables(1.01 * longest, np.zeros(steps), np.full(steps, np.inf))
+    times = program.variables(1.01 * longest, np.zeros(steps), np.full(steps, np.inf))
     at_step, node = np.nonzero(lengths > LAGGING * longest[:, None])
     place = 2 * (3 * n * at_step + node)
     flat = ca.vec(places[:, 1:] - places[:, :-1])
     squared = flat[place.tolist()] ** 2 + flat[(place + 1).tolist()] ** 2
     lags = squared - times[at_step.tolist()] ** 2
-    draft.bound(lags, np.full(len(place), -np.inf), np.zeros(len(place)))
-    draft.cost += ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * bend
-    return MorphProgram(draft, path, FASTEST_ITERATIONS)
+    program.bound(lags, np.full(len(place), -np.inf), np.zeros(len(place)))
+    program.cost += ca.sum1(times) + TIME_ENERGY * energy + TIME_BEND * bend
+    return program
 
 
 def _roughness(values: ca.MX, n: int) -> tuple[ca.MX, ca.MX]:
@@ -164,13 +153,9 @@ FLATTEST = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
 
 
-def tie_drones(draft: Draft, x: ca.MX, path: KnotPath) -> None:
-    """Tie drones and r-legs to the flat outputs, and keep every vertex a corner.
-
-    Parameters
-    ----------
-    x: the variables of the inner knots.
-    """
+def _tie_drones(program: MorphProgram, x: ca.MX) -> None:
+    """Tie drones and r-legs to the flat outputs, and keep every vertex a corner."""
+    path = program.path
     layout, n, team, inner = path.columns, path.team.robots, path.team, path.steps - 1
     starts = layout.size * np.arange(inner)[:, None, None]
 
@@ -190,10 +175,10 @@ def tie_drones(draft: Draft, x: ca.MX, path: KnotPath) -> None:
     given = [*map(at_knots, (around, legs, pulls)), *(ca.MX(ca.DM(values)) for values in own)]
     place, turn = planar(rolled, choice).map(n * inner).call(given)
     tied = at_knots(np.column_stack([layout.drones.reshape(n, 4), layout.r_legs]))
-    draft.bound(ca.vec(place - tied), *np.zeros((2, 5 * n * inner)))
+    program.bound(ca.vec(place - tied), *np.zeros((2, 5 * n * inner)))
     sharpest = min(np.min(ConvexPolygon(path.polygons[end]).exterior_angles) for end in (0, -1))
     flattest = math.sin(min(FLATTEST, 0.5 * float(sharpest)))
-    draft.bound(ca.vec(turn), np.full(n * inner, flattest), np.full(n * inner, np.inf))
+    program.bound(ca.vec(turn), np.full(n * inner, flattest), np.full(n * inner, np.inf))
 
 
 def _clasp_numbers(path: KnotPath) -> tuple[Array, ...]:
@@ -219,22 +204,68 @@ BETWEEN = 0.4
 otherwise."""
 
 
-def keep_apart(draft: Draft, x: ca.MX, path: KnotPath, search: Search, step: SolverStep) -> None:
+class NearPairs(NamedTuple):
+    """Pairs of bodies that come near one another, each at one of K instants.
+
+    Attributes
+    ----------
+    frame: (m,), the instant.
+    first, second: (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same.
+    kind: (m,), as in ``hitch.parts``.
+    normal: (m, 2), unit vector from the second body to the first where they are closest.
+    enforced: (m,) [m], the distance to enforce.
+    """
+
+    frame: Indices
+    first: Indices
+    second: Indices
+    kind: Indices
+    normal: Array
+    enforced: Array
+
+    def chosen(self, which: NDArray[np.bool_]) -> NearPairs:
+        """Return the pairs where ``which`` (m,) holds."""
+        return NearPairs._make(each[which] for each in self)
+
+
+def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Array) -> NearPairs:
+    """Return the pairs of nodes (K, 3n, 2) [m] within ``reach`` (K,) [m] of margins (K,)."""
+    parts = Parts.of(nodes.shape[1] // 3)
+    limits = np.array([2.0 * separation.radius, separation.cable, separation.crossing])
+    corners = nodes[:, parts.nodes]
+    cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
+    frame, i, j, kind = parts.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)
+    one, other = (nodes[frame[:, None], parts.nodes[body]] for body in (i, j))
+    offset = shortest_offset(differences(one, other))
+    normal = unit(offset, unit((one - other).mean(axis=1)), 1e-6)
+    enforced = limits[kind] * margins[frame]
+    found = NearPairs(frame, parts.nodes[i], parts.nodes[j], kind, normal, enforced)
+    return found.chosen(length(offset) < enforced + reach[frame])
+
+
+def _keep_apart(program: MorphProgram, x: ca.MX, search: Search, step: SolverStep) -> None:
     """Keep all near pairs apart: drones at the knots by squares, all others by their normals.
 
     Between the knots the path is its chord from knot to knot and a bow, which is taken to stay.
     Those that are too near now, as in a first guess, are parted as far as a step can.
     """
-    columns, inner, parts = path.columns, path.table[1:-1], step.parts
+    path, parts = program.path, step.parts
+    columns, inner = path.columns, path.table[1:-1]
     places = np.arange(1, parts * path.steps) / parts
     there = inner if parts == 1 else path.at(places / path.steps).table
     at_knot = places % 1.0 == 0.0
     margins = search.margins(path.steps, places)
     reach = np.where(at_knot, 1.0, BETWEEN) * step.reach
-    pairs = near_pairs(there[:, columns.nodes], search.requirements.separation, margins, reach)
+    pairs = _near_pairs(there[:, columns.nodes], search.requirements.separation, margins, reach)
     by_squares = (pairs.kind == SEPARATION) & at_knot[pairs.frame]
-    _keep_drones_apart(draft, x, path, pairs.chosen(by_squares), parts)
-    others = pairs.chosen(~by_squares)
+    drones, others = pairs.chosen(by_squares), pairs.chosen(~by_squares)
+    knot = columns.size * (drones.frame[:, None] // parts)
+    first, second = (knot + columns.nodes[node[:, 0]] for node in (drones.first, drones.second))
+    apart, scale = drones.enforced, 0.5 / drones.enforced  # of squares to about metres
+    across, along = (x[first[:, i].tolist()] - x[second[:, i].tolist()] for i in (0, 1))
+    now = inner.ravel()
+    squared = np.sum((now[first] - now[second]) ** 2, axis=1)
+    program.soft_bound((across**2 + along**2) * ca.DM(scale), scale * apart**2, scale * squared)
     # Bodies whose ends all lie on their sides of a normal are apart by as much.
     pair, *ends = end_combinations(others.kind, others.first, others.second)
     nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
@@ -243,41 +274,19 @@ def keep_apart(draft: Draft, x: ca.MX, path: KnotPath, search: Search, step: Sol
     sums = sparse.csr_matrix((*entries, 4 * np.arange(len(pair) + 1)), (len(pair), there.size))
     share = np.maximum(1.0 - np.abs(places[:, None] - np.arange(1.0, path.steps)), 0.0)
     rows = sparse.csc_matrix(sums @ sparse.kron(share, sparse.eye(columns.size), "csr"))
-    now = rows @ inner.ravel()
-    bow = sums @ there.ravel() - now
+    bow = sums @ there.ravel() - rows @ now
     pattern = ca.Sparsity(*rows.shape, rows.indptr.tolist(), rows.indices.tolist())
     moved = ca.MX(ca.DM(pattern, rows.data)) @ x
-    draft.soft_bound(moved, others.enforced[pair] - bow, now)
-
-
-def _keep_drones_apart(
-    draft: Draft, x: ca.MX, path: KnotPath, drones: NearPairs, parts: int
-) -> None:
-    """Keep pairs of drones apart at knots, by squares."""
-    columns, now = path.columns, path.table[1:-1].ravel()
-    knot = drones.frame[:, None] // parts
-    first, second = (
-        columns.size * knot + columns.nodes[node[:, 0]] for node in (drones.first, drones.second)
-    )
-    apart, scale = drones.enforced, 0.5 / drones.enforced  # of squares to about metres
-    across, along = (x[first[:, i].tolist()] - x[second[:, i].tolist()] for i in (0, 1))
-    squared = np.sum((now[first] - now[second]) ** 2, axis=1)
-    draft.soft_bound((across**2 + along**2) * ca.DM(scale), scale * apart**2, scale * squared)
+    program.soft_bound(moved, others.enforced[pair] - bow, rows @ now)
 
 
 TOLERANCE = 1e-3
 """Tolerance of the scaled conditions: paths are iterated and verified anyway."""
 
-LINEAR_SOLVER: dict[str, int | str] = {
-    "mumps_permuting_scaling": 0,
-    "mumps_scaling": 0,
-    "mumps_pivot_order": 0,
-    "fast_step_computation": "yes",
-}
-"""Options of IPOPT's linear algebra: rows and variables are of one size already, so that MUMPS need
-not permute or scale them first, which takes a fifth of a solve; solutions are verified anyway.
-Pivots are ordered by approximate minimum degree, as knots in a row suit it: for n = 100 orders that
-MUMPS chooses itself make a solve take two and a half times as long."""
+LINEAR_SOLVER = {"mumps_permuting_scaling": 0, "mumps_scaling": 0, "mumps_pivot_order": 0}
+"""Rows and variables are of one size already, so that MUMPS need not permute or scale them. Pivots
+are ordered by approximate minimum degree, as knots in a row suit it: for n = 100 orders that MUMPS
+chooses itself make a solve take two and a half times as long."""
 
 LEAST_TIME = 1e-3
 """[s] Least limit of time given to IPOPT, which must be positive."""
@@ -311,23 +320,24 @@ def solve_program(program: MorphProgram) -> KnotPath | None:
     The solver's status proves no more than that: distances are measured on the path.
     """
     left = time_left()
-    options: dict[str, int | float | str] = {
+    ipopt: dict[str, int | float | str] = {
+        **LINEAR_SOLVER,
+        "fast_step_computation": "yes",
         "print_level": 0,
         "sb": "yes",
         "max_iter": program.iterations,
         "tol": TOLERANCE,
         "mu_strategy": "adaptive",
-        **LINEAR_SOLVER,
         **({"max_wall_time": max(left, LEAST_TIME)} if math.isfinite(left) else {}),
     }
     solver = ca.nlpsol(
         "path",
         "ipopt",
-        {**program.draft.expressions},
-        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": options},
+        {**program.expressions},
+        {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False, "ipopt": ipopt},
     )
     with answered_later():
-        solution = solver(**program.draft.numbers)
+        solution = solver(**program.numbers)
     check_time()  # what has been cut short is no solution
     x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
     if not solver.stats()["success"] or not np.all(np.isfinite(x)):
@@ -345,16 +355,12 @@ def answered_later() -> Iterator[None]:
     Only where Python code answers them, and in the main thread: no other one ever does.
     """
     waiting: list[tuple[int, FrameType | None]] = []
-
-    def wait(number: int, frame: FrameType | None) -> None:
-        waiting.append((number, frame))
-
     main = threading.current_thread() is threading.main_thread()
     handlers = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM) if main}
     answered = {n: handler for n, handler in handlers.items() if callable(handler)}
     try:
         for number in answered:
-            signal.signal(number, wait)
+            signal.signal(number, lambda *told: waiting.append(told))
         yield
     finally:
         for number, handler in answered.items():

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import chain
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.geometry.outline import centroids
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Hitch
 from hitchopt.hitch.leg_program import LegTask
-from hitchopt.hitch.legs import reference_margin, reference_margins
+from hitchopt.hitch.legs import reference_margins
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.morph.legs import CLEAR, leg_task_of
-from hitchopt.planners.morph.morph import check_shapes_at, exterior_angles
-from hitchopt.planners.morph.path import ShapePath, Shapes, shapes_along
-from hitchopt.planners.optimise.guesses import guesses
+from hitchopt.planners.morph.legs import legs_clear
+from hitchopt.planners.morph.morph import check_shapes, exterior_angles
 from hitchopt.planners.optimise.knots import Judge, KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.flight import Flight
@@ -57,22 +55,35 @@ LENGTH = 0.9
 FEWEST_KNOTS, MOST_KNOTS = 8, 16
 """Bounds of the number of steps between the first knots."""
 
-HOPELESS = 1.3
-"""Factor on the duration of the fastest path found: slower guesses are not optimised."""
+HOPELESS, WORSE = 1.3, 1.1
+"""Factors on the duration of the fastest path found: slower guesses are not optimised, slower
+estimates are not refined."""
 
-WORSE = 1.1
-"""Factor on the duration of the fastest path found: slower estimates are not refined."""
+CLOSEST = 0.3
+"""Share of their limits that the distances of a guess must exceed for it to be tried."""
+
+SHARPEST_LOSS = 0.1
+"""Share of its ends' smallest exterior angle and shortest edge that a guess must exceed."""
+
+WIDEST = 1.1
+"""Largest margin of any round; larger ones need not be told apart."""
+
+BELOW = 1.0 - 1e-4
+"""Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
+
+SAME = 0.05
+"""[m] Paths that differ by less at every knot count as one."""
+
+SHORTEST_EDGE = 0.3
+"""Least share of the shorter of an edge's two lengths on a path of edges that turn."""
+
+OTHER_TURN = 0.75 * math.pi
+"""[rad] Smallest turn for which turning in the other direction is a guess as well."""
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A path that the judge has accepted.
-
-    Attributes
-    ----------
-    name: of the guess that it came from.
-    flight: along it.
-    """
+    """A flight that the judge has accepted, and the name of the guess that it came from."""
 
     name: str
     flight: Flight
@@ -96,116 +107,113 @@ class OptimisedMorph:
     judge: Judge
     tension: tuple[float, float] | None = None
 
-    @cached_property
-    def guesses(self) -> dict[str, Array]:
-        """First guesses (J, n, 2) [m] by name, the straight one first."""
-        first, last = self.start.polygon, self.end.polygon
-        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
-            return {}
-        return guesses(first, last, FEWEST_KNOTS + 1)
-
     @property
     def problem(self) -> list[KnotPath]:
         """Paths that the search starts from: hitches everywhere, if possible not in one heap."""
-        named = self.guesses.items()
+        first, last = self.start.polygon, self.end.polygon
+        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
+            return []
+        named = guesses(first, last, FEWEST_KNOTS + 1).items()
         paths = [KnotPath.through(name, self.start, self.end, each) for name, each in named]
-        whole = [path for path in paths if sound(path)]
-        bare = replace(self.requirements, arena=None)
-
-        def smallest(path: KnotPath) -> float:
-            return float(np.min(margins(bare, path.team, path.polygons, path.q_legs, path.roll)))
-
-        return [path for path in whole if smallest(path) >= CLOSEST] or whole
+        whole = [path for path in paths if _sound(path)]
+        return [path for path in whole if np.min(self._margins(path)) >= CLOSEST] or whole
 
     def solve(self) -> list[Candidate]:
-        """Return the paths found, the fastest first."""
-        bare, ends = replace(self.requirements, arena=None), (self.start, self.end)
-        named = ((end.polygon.vertices, end.q_legs, end.roll) for end in ends)
-        places = (np.stack(each) for each in zip(*named, strict=True))
-        first, last = BELOW * margins(bare, self.start.team, *places)
-        own = (float(first), float(last))
-        return searched(self.problem, Search(self.requirements, self.judge, self.tension, own))
+        """Return the paths found, the fastest first.
+
+        Guesses that take the least time as they are come first, edges that turn before whole
+        polygons: those like one that led to a path are left out, as are paths that come to one
+        seen before.
+        """
+        found: list[Candidate] = []
+        seen: list[KnotPath] = []
+        fastest, paths = math.inf, self.problem
+        if not paths:
+            return []
+        first, last = (BELOW * self._margins(paths[0]))[[0, -1]].tolist()
+        search = Search(self.requirements, self.judge, self.tension, (first, last))
+        firsts = [path.resampled(_steps(path)) for path in reversed(paths)]
+        estimates = [_estimate(path, self.requirements) for path in firsts]
+        for k in np.argsort(estimates, kind="stable"):
+            if estimates[k] > HOPELESS * fastest:
+                break
+            if any(_same(firsts[k], other) for other in seen):
+                continue
+            moved = [*iterates(firsts[k], search, FIRST_STEP, FIRST_STEPS)]
+            if not moved or any(_same(moved[-1], other) for other in seen):
+                continue
+            settled = moved[-1]
+            seen.append(settled)
+            if _estimate(settled, self.requirements) > WORSE * fastest:
+                continue
+            flight = _refined(settled, search)
+            if flight is not None:
+                found.append(Candidate(settled.name, flight))
+                seen.append(firsts[k])
+                fastest = min(fastest, flight.duration)
+        return sorted(found, key=lambda candidate: candidate.flight.duration)
+
+    def _margins(self, path: KnotPath) -> Array:
+        """Return how many times their limits the distances at the knots (J + 1,) are."""
+        bare, places = replace(self.requirements, arena=None), (path.polygons, path.q_legs)
+        return reference_margins(LegTask(path.team, bare, *places, 0.0, WIDEST, roll=path.roll))
 
 
-def searched(paths: Sequence[KnotPath], search: Search) -> list[Candidate]:
-    """Return the paths found from the given first ones, the fastest first.
+def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
+    """Return first guesses (count, n, 2) [m], each of another homotopy, by their names.
 
-    Those that take the least time as they are come first, edges that turn before whole polygons
-    where guesses are one: guesses like one that led to a path are left out, and others that come to
-    the same path are given up.
+    Straight lines need not stay convex, and a half turn along them collapses to a point. Turning
+    the edges' directions evenly, with the nearest lengths that close, gives convex polygons; so
+    does turning the whole polygon while its shape changes, where the shapes are alike.
     """
-    found: list[Candidate] = []
-    led: list[KnotPath] = []
-    seen: list[KnotPath] = []
-    fastest = np.inf
-    firsts = [path.resampled(_steps(path) + 1) for path in reversed(paths)]
-    estimates = [estimate(path, search.requirements) for path in firsts]
-    for k in np.argsort(estimates, kind="stable"):
-        if estimates[k] > HOPELESS * fastest:
-            break
-        if any(same(firsts[k], other) for other in led):
-            continue
-        settled = _settled(firsts[k], search, seen)
-        if settled is None or estimate(settled, search.requirements) > WORSE * fastest:
-            continue
-        refined = _refined(settled, search)
-        if refined is not None:
-            found.append(refined)
-            led.append(firsts[k])
-            fastest = min(fastest, refined.flight.duration)
-    return sorted(found, key=lambda candidate: candidate.flight.duration)
-
-
-def _settled(knots: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
-    """Return the path of least energy near a guess; None where it is one that was seen before."""
-    found: KnotPath | None = None
-    before = tuple(seen)
-    for moved in iterates(knots, search, FIRST_STEP, FIRST_STEPS):
-        if any(same(moved, other) for other in before):
-            return None
-        found = moved
-        seen.append(moved)
+    s = np.linspace(0.0, 1.0, count)
+    found = {"straight": _line(first.vertices, last.vertices, s)}
+    start, goal = (_directions(polygon) for polygon in (first, last))
+    # Edges turn by amounts that differ by less than a full turn: one unwrapping serves them all.
+    mean = float(np.mean(goal - start))
+    turn = mean - 2.0 * math.pi * math.ceil((mean - math.pi) / (2.0 * math.pi))
+    other = turn - math.copysign(2.0 * math.pi, turn)
+    centres = _line(first.centroid, last.centroid, s)[:, None]
+    for angle in (turn, other) if abs(turn) > OTHER_TURN else (turn,):
+        name = f"turned {math.degrees(angle):.0f}°"
+        shape = _rotated(last.vertices - last.centroid, np.array([-angle]))[0]
+        shapes = _line(first.vertices - first.centroid, shape, s)
+        found[name] = centres + _rotated(shapes, angle * s)
+        sides = _line(start, goal + angle - mean, s)[..., None]
+        sides = np.concatenate([np.cos(sides), np.sin(sides)], axis=-1)
+        lengths, across = _line(first.edge_lengths, last.edge_lengths, s), np.swapaxes(sides, 1, 2)
+        lengths -= (sides @ np.linalg.solve(across @ sides, across @ lengths[..., None]))[..., 0]
+        if np.all(lengths >= SHORTEST_EDGE * np.minimum(first.edge_lengths, last.edge_lengths)):
+            edges = lengths[..., None] * sides
+            corners = np.cumsum(edges, axis=1) - edges
+            found[f"edges {name}"] = corners + centres - centroids(corners)[:, None]
     return found
 
 
-def _refined(path: KnotPath, search: Search) -> Candidate | None:
-    """Return a path of least energy refined, or a faster one near it, with its flight.
-
-    Where limits are broken between the knots, rows are added there, then knots; a path on which
-    none is has its least energy already.
-    """
-    steps = path.steps
-    for finer, margin in ROUNDS:
-        if path.steps != finer * steps:
-            path = path.resampled(finer * steps + 1)
-        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, PARTS)
-        as_it_is = [path] if finer == 1 else []
-        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
-            path = moved
-            if clear(path, search):
-                break
-        else:
-            continue
-        quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
-        faster = [moved for moved in quicker if clear(moved, search)]
-        choices = [*faster, path]
-        best = min(choices, key=lambda each: estimate(each, search.requirements))
-        found = _flown(dict.fromkeys([best, path]), search)
-        if found is not None:
-            return found
-    return None
+def _directions(polygon: ConvexPolygon) -> Array:
+    """Return the edges' directions (n,) [rad], falling by the exterior angles from edge to edge."""
+    u = polygon.edge_directions[0]
+    start = math.atan2(u[1], u[0])
+    return start - np.append(0.0, np.cumsum(polygon.exterior_angles[1:]))
 
 
-def _flown(paths: Iterable[KnotPath], search: Search) -> Candidate | None:
-    """Return the first path that the judge accepts, with its flight."""
-    for choice in paths:
-        try:
-            flight = search.judge(choice.path)
-        except (InfeasibleError, TimingError):
-            continue
-        if flight is not None:
-            return Candidate(choice.name, flight)
-    return None
+def _line(first: Array, last: Array, s: Array) -> Array:
+    """Return what changes evenly, at s (J,)."""
+    return first + np.multiply.outer(s, last - first)
+
+
+def _rotated(points: Array, angles: Array) -> Array:
+    """Return (J, n, 2): points (n, 2) or (J, n, 2) turned by angles (J,)."""
+    c, s = np.cos(angles), np.sin(angles)
+    turned: Array = points @ np.moveaxis(np.array([[c, s], [-s, c]]), -1, 0)
+    return turned
+
+
+def _sound(path: KnotPath) -> bool:
+    """Return whether a guess is a hitch everywhere: convex, with edges, legs and slack."""
+    values = exterior_angles(path.team.layout, path.edges), length(path.edges)
+    lost = (np.min(each) <= SHARPEST_LOSS * np.min(each[[0, -1]]) for each in values)
+    return bool(np.min(path.slack) > 0.0) and not any(lost)
 
 
 def _steps(path: KnotPath) -> int:
@@ -214,90 +222,60 @@ def _steps(path: KnotPath) -> int:
     return int(np.clip(np.ceil(longest / LENGTH), FEWEST_KNOTS, MOST_KNOTS))
 
 
-CLOSEST = 0.3
-"""Share of their limits that the distances of a guess must exceed for it to be tried."""
-
-SHARPEST_LOSS = 0.1
-"""Share of its ends' smallest exterior angle and shortest edge that a guess must exceed."""
-
-WIDEST = 1.1
-"""Largest margin of any round; larger ones need not be told apart."""
-
-BELOW = 1.0 - 1e-4
-"""Factor on an end's own margin: the end is to satisfy it in spite of rounding."""
-
-SAME = 0.05
-"""[m] Paths that differ by less at every knot count as one."""
-
-PROBES = 33
-"""Number of points at which a path's distances are evaluated before the judge decides, and again
-near each end; its shapes at twice as many."""
-
-NEAR_END = 0.1
-"""Share of the path that is near an end."""
-
-SPARSE, DENSE = (np.linspace(0.0, 1.0, count) for count in (PROBES, 2 * PROBES - 1))
-
-NEAR_ENDS = np.concatenate([NEAR_END * SPARSE[1:-1], 1.0 - NEAR_END * SPARSE[1:-1]])
-
-PLACES = np.unique(np.concatenate([DENSE, NEAR_ENDS]))
-"""Where a path's shapes are evaluated."""
-
-DISTANCES = np.isin(PLACES, np.concatenate([SPARSE, NEAR_ENDS]))
-"""(PLACES,): whether its distances are evaluated there too."""
+def _estimate(path: KnotPath, requirements: Requirements) -> float:
+    """Return an estimate of how long a flight along a path takes [s], clear or not."""
+    return flight_estimate(path.path, requirements.limits)
 
 
-def sound(path: KnotPath) -> bool:
-    """Return whether a guess is a hitch everywhere: convex, with edges, legs and slack."""
-    lengths = length(path.edges)
-    angles = exterior_angles(path.team.layout, path.edges)
-    smallest, shortest = (np.min(values[[0, -1]]) for values in (angles, lengths))
-    return bool(
-        np.min(path.slack) > 0.0
-        and np.min(angles) > SHARPEST_LOSS * smallest
-        and np.min(lengths) > SHARPEST_LOSS * shortest
-    )
-
-
-def margins(
-    requirements: Requirements, team: Team, polygons: Array, q_legs: Array, roll: Array | None
-) -> Array:
-    """Return how many times their limits the distances of hitches (J,) are."""
-    return reference_margins(LegTask(team, requirements, polygons, q_legs, 0.0, WIDEST, roll=roll))
-
-
-def same(path: KnotPath, other: KnotPath) -> bool:
+def _same(path: KnotPath, other: KnotPath) -> bool:
     """Return whether two guesses have come to one and the same path."""
     if path.steps != other.steps:
-        other = other.resampled(path.steps + 1)
+        other = other.resampled(path.steps)
     apart = (path.polygons - other.polygons, path.q_legs - other.q_legs)
     return max(float(np.max(np.abs(part))) for part in apart) < SAME
 
 
-def clear(knots: KnotPath, search: Search) -> bool:
+def _refined(path: KnotPath, search: Search) -> Flight | None:
+    """Return the flight along a path of least energy refined, or a faster one near it.
+
+    Where limits are broken between the knots, rows are added there, then knots; a path on which
+    none is has its least energy already.
+    """
+    steps = path.steps
+    for finer, margin in ROUNDS:
+        path = path if finer == 1 else path.resampled(finer * steps)
+        closer, step = replace(search, margin=margin), SolverStep(LATER_STRIDE, PARTS)
+        as_it_is = [path] if finer == 1 else []
+        for moved in chain(as_it_is, iterates(path, closer, step, LATER_STEPS, STILL)):
+            path = moved
+            if _clear(path, search):
+                break
+        else:
+            continue
+        quicker = iterates(path, closer, replace(step, fastest=True), FASTEST_STEPS, STILL)
+        choices = [*(moved for moved in quicker if _clear(moved, search)), path]
+        best = min(choices, key=lambda each: _estimate(each, search.requirements))
+        for choice in dict.fromkeys([best, path]):
+            try:
+                flight = search.judge(choice.path)
+            except (InfeasibleError, TimingError):
+                continue
+            if flight is not None:
+                return flight
+    return None
+
+
+def _clear(knots: KnotPath, search: Search) -> bool:
     """Return whether a path looks as if it could be flown: cheap, the judge decides later."""
     path, requirements = knots.path, search.requirements
-    shapes = shapes_along(path, PLACES)
     try:
-        check_shapes_at(PLACES, shapes, path.team.layout)
+        check_shapes(path)
     except InfeasibleError:
         return False
-    if not _distances_hold(path, requirements, shapes.chosen(DISTANCES)):
+    if not legs_clear(path, requirements):
         return False
     demands = demands_along(path, requirements.limits)
     if np.max(rest_ratios(path.team, requirements.limits, demands.loads)) >= LIMIT_SHARE:
         return False
     arena, drones = requirements.arena, demands.drones[..., 0]
     return arena is None or bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
-
-
-def estimate(path: KnotPath, requirements: Requirements) -> float:
-    """Return an estimate of how long a flight along a path takes [s], clear or not."""
-    return flight_estimate(path.path, requirements.limits)
-
-
-def _distances_hold(path: ShapePath, requirements: Requirements, shapes: Shapes) -> bool:
-    """Return whether legs are long enough and distances hold at shapes of a path."""
-    if np.min(shapes.legs[1:-1]) < requirements.limits.leg:
-        return False
-    return reference_margin(leg_task_of(path, requirements, shapes, CLEAR)) >= CLEAR

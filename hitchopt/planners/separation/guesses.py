@@ -1,12 +1,6 @@
-"""Initial guesses: nominal curves, pushed apart where they meet until they are nearly clear.
+"""First curves: along routes around prisms, then pushed apart, or all around a crowd.
 
-Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
-filter makes curves of the pushes. Where two drones meet head on there is no offset to speak of:
-at first all give way to the same side, as in a roundabout. Everything
-is deterministic. One round takes O(M log M) for M samples of drones, and what pairs are close.
-
-A crowd that meets in one place goes around it, all on the same side. Pushes between pairs amplify
-rounding a million times where tens of drones meet at once; a roundabout is closed form.
+Everything is deterministic, and noise on the input of the size of rounding changes nothing.
 """
 
 from __future__ import annotations
@@ -14,12 +8,212 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from hitchopt.errors import check_time
-from hitchopt.geometry.vectors import EAST, TIE, unit
-from hitchopt.planners.separation.setting import Grid, Setting, inside
+from hitchopt.errors import InfeasibleError, Violation, check_time
+from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, length, tied_order, unit
+from hitchopt.hitch.requirements import Prism
+from hitchopt.planners.separation.task import HELD, Grid, SeparationTask, Setting, inside
+from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
+
+RAMP_PIECES = 3
+"""Number of pieces of a ramp: the fastest flight is resolved to within 2 %."""
+
+MOST_PIECES = 20
+"""Maximum number of pieces between the ramps; with fewer, each is as long as a ramp."""
+
+SHORTEST_RAMP = 1e-5
+"""Shortest ramp, as a share of the duration: splines do not resolve shorter ones."""
+
+SHORTEST = 0.2
+"""Shortest flight, as a share of the longest one."""
+
+
+def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
+    """Return the task on a grid that suits the drone with the longest flight.
+
+    Parameters
+    ----------
+    patience: duration over that of the slowest flight; above 1, drones leave one after the other,
+        and at 1 all leave at once.
+
+    Raises
+    ------
+    InfeasibleError: the prisms leave no route.
+    """
+    limits, n = task.requirements.limits, task.drones
+    given = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
+    acceleration = np.minimum(np.broadcast_to(given, n), limits.acceleration)
+    caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
+    straight, routes = length(task.goal - task.start), routes_around(task)
+    lengths = np.array([np.sum(length(np.diff(route, axis=0))) for route in routes])
+    (bound, _), (durations, own_rises) = (
+        fastest_ramps(each, limits.speed, acceleration, limits.jerk) for each in (straight, lengths)
+    )
+    slowest = int(np.argmax(durations))
+    alone = float(durations[slowest])
+    rise = max(float(own_rises[slowest]), SHORTEST_RAMP * alone)
+    size = max(float(np.max(lengths)), 2.0 * task.requirements.separation.radius)
+    going = float(lengths[slowest]) > 1e-6 * size  # else nobody goes anywhere
+    cruise = max(patience * alone / rise - 2.0, 0.0) if going else 0.0  # as long as how many ramps
+    first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
+    middle = min(math.ceil(patience * MOST_PIECES), math.ceil(cruise - 1e-9))
+    lasting = 1.0 + np.linspace(0.0, cruise, middle + 1)
+    breaks = np.concatenate([first[:-1], lasting, 1.0 + cruise + first[1:]])
+    grid = Grid(breaks / breaks[-1])
+    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+    if patience > 1.0 and going:
+        lasts = np.maximum(durations / alone, SHORTEST) / patience
+        rises = np.full(n, 0.5)
+        np.divide(own_rises, durations, out=rises, where=lengths > 0.0)
+        rank = np.argsort(tied_order(-lasts, 1.0))  # who flies longest leaves first
+        leaving = (1.0 - lasts) * rank / max(1, n - 1)
+        each = zip(leaving, lasts, rises, strict=True)
+        shares = [_progress((s - leave) / share, float(rise)) for leave, share, rise in each]
+    else:
+        shares = [_progress(s, 1.0 / breaks[-1])] * n
+    nominal = np.zeros((n, grid.count, 3))
+    nominal[:, :HELD], nominal[:, -HELD:] = task.start[:, None], task.goal[:, None]
+    wanted = np.stack([points_along(*each) for each in zip(routes, shares, strict=True)])
+    missing = wanted - grid.sampled(s) @ nominal
+    nominal[:, grid.free] = grid.fitting(s) @ missing
+    return Setting(task, grid, nominal, caps, float(np.max(bound)), alone, size)
+
+
+def _progress(s: Array, ramp: float) -> Array:
+    """Return the share of a route flown at times ``s``, 0 to 1, with ramps of ``ramp`` ≤ ½."""
+    fine = np.linspace(0.0, 1.0, 1001)
+    rising, falling = (np.clip(x / ramp, 0.0, 1.0) for x in (fine, 1.0 - fine))
+    speed = rising**2 * (3.0 - 2.0 * rising) * falling**2 * (3.0 - 2.0 * falling)
+    gone = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
+    share: Array = np.interp(s, fine, gone / gone[-1])
+    return share
+
+
+STAND_OFF = 1.25
+"""Distance of a route's corners to prisms, in radii; the radius itself where that shuts all."""
+
+HIGH = 1e6
+"""[m] Altitude above, and depth below, everything that flies."""
+
+TIGHT = 1e-6
+"""Smallest distance of a route's corners to what they stay out of, relative to the radius."""
+
+
+def points_along(route: Array, shares: Array) -> Array:
+    """Return the points (m, 3) [m] of a route (corners, 3) at shares (m,) of its length."""
+    along = np.append(0.0, np.cumsum(length(np.diff(route, axis=0))))
+    return np.stack([np.interp(shares * along[-1], along, axis) for axis in route.T], axis=-1)
+
+
+def routes_around(task: SeparationTask) -> list[Array]:
+    """Return shortest routes, N lists of corners (m, 3) [m]: straight where no prism is in between.
+
+    Corners stand off the prisms by a little more than drones must. They are taken at the altitudes
+    of a drone's start and goal and just above and below the prisms.
+
+    Raises
+    ------
+    InfeasibleError: every route that was found is too narrow.
+    """
+    radius = task.requirements.separation.radius
+    routes = list(np.stack([task.start, task.goal], axis=1))
+    for i in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
+        check_time()
+        tried = (_route(task, routes[i], off * radius) for off in (STAND_OFF, 1.0 + TIGHT))
+        route = next((each for each in tried if each is not None), None)
+        if route is None:
+            remedy = "widen the gap between the prisms, or between them and the arena"
+            when, where = "on every route found from its start to its goal", (task.names[i],)
+            shut = Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)
+            raise InfeasibleError([shut])
+        routes[i] = route
+    return routes
+
+
+def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
+    """Return whether segments between points (m, 3) come too close to a prism, (m,)."""
+    blocked = np.zeros(len(first), dtype=np.bool_)
+    for prism in task.requirements.keep_out:
+        reach = task.requirements.separation.radius * (1.0 - TIGHT)
+        into, out = _crossed(prism, reach, first, last)
+        blocked |= into < out
+    return blocked
+
+
+def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
+    """Return the shortest route whose corners keep a distance [m] from all prisms, or None."""
+    prisms, arena = task.requirements.keep_out, task.requirements.arena
+    flat = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
+    levels = [[prism.lower - distance, prism.upper + distance] for prism in prisms]
+    heights = np.unique([ends[:, 2], *levels])
+    nodes = np.column_stack([np.tile(flat, (len(heights), 1)), np.repeat(heights, len(flat))])
+    nodes = np.vstack([nodes, *(_over(prism, ends, distance) for prism in prisms)])
+    if arena is not None:
+        nodes = nodes[np.all((nodes >= arena.lower) & (nodes <= arena.upper), axis=1)]
+    nodes = np.vstack([ends, nodes[~_blocked(task, nodes, nodes)]])
+    i, j = np.triu_indices(len(nodes), 1)
+    seen = ~_blocked(task, nodes[i], nodes[j])
+    i, j = i[seen], j[seen]
+    lengths = length(nodes[i] - nodes[j])
+    # Of routes that are equally long, one is preferred by its places.
+    places = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
+    places = (places - np.min(places)) / max(float(np.ptp(places)), 1e-9)
+    preferred = lengths + TIE * float(np.max(lengths, initial=0.0)) * (places[i] + places[j])
+    graph = sp.csr_matrix((preferred, (i, j)), shape=(len(nodes), len(nodes)))
+    start = np.array([0])
+    found, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    if not np.isfinite(found[0, 1]):
+        return None
+    route = [1]
+    while route[-1] != 0:
+        route.append(int(before[0, route[-1]]))
+    return nodes[route[::-1]]
+
+
+def _over(prism: Prism, ends: Array, distance: float) -> Array:
+    """Return points (m, 3) over and under a prism where the straight route enters and leaves."""
+    tower = Prism(prism.polygon, -HIGH, HIGH)
+    (into,), (out,) = _crossed(tower, distance, ends[:1], ends[1:])
+    if into >= out:
+        return np.zeros((0, 3))
+    flat = ends[0, :2] + np.array([[into], [out]]) * (ends[1] - ends[0])[:2]
+    levels = np.repeat([prism.lower - distance, prism.upper + distance], 2)
+    return np.column_stack([np.vstack([flat, flat]), levels])
+
+
+def _crossed(prism: Prism, distance: float, first: Array, last: Array) -> tuple[Array, Array]:
+    """Return the shares (m,) where segments enter a widened prism and leave it.
+
+    They miss it where they leave before they enter.
+    """
+    edges = prism.polygon.edge_vectors
+    sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
+    reach = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
+    normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
+    offsets = np.concatenate([reach, [-prism.lower, prism.upper]]) + distance
+    before, after = (points @ normals.T - offsets for points in (first, last))
+    change = after - before
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = -before / change
+    into = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
+    out = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
+    aside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # along a side, outside of it
+    return np.where(aside, 1.0, into), out
+
+
+def _widened(outline: Array, distance: float) -> Array:
+    """Return the corners of a clockwise outline whose sides are moved out by a distance [m]."""
+    edges = np.roll(outline, -1, axis=0) - outline
+    outward = unit(np.column_stack([-edges[:, 1], edges[:, 0]]))
+    middle = np.roll(outward, 1, axis=0) + outward
+    widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
+    return widened
+
 
 SAMPLES = 3
 """Number of samples of every piece at which guesses are pushed."""
@@ -42,6 +236,10 @@ FADING = 0.5
 
 def pushed_apart(setting: Setting, side: float) -> Array:
     """Return the coefficients (N, count, 3) [m] of curves that are clear, or nearly so.
+
+    Drones that come too close are pushed apart at samples of time, along their offset; a smoothing
+    filter makes curves of the pushes. Where two meet head on there is no offset to speak of: at
+    first all give way to the same side.
 
     Parameters
     ----------
@@ -116,8 +314,8 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
         pushes += missing[..., None] * clearance.normals
     first, second, longest = task.tether_arrays
     offset = points[:, first] - points[:, second]
-    length = np.linalg.norm(offset, axis=-1)
-    excess = np.maximum(length - longest, 0.0) / np.maximum(length, longest)
+    apart = length(offset)
+    excess = np.maximum(apart - longest, 0.0) / np.maximum(apart, longest)
     pull = np.swapaxes(0.5 * excess[..., None] * offset, 0, 1)
     by_drone = np.swapaxes(pushes, 0, 1)
     np.add.at(by_drone, first, -pull)
@@ -147,9 +345,10 @@ all of them."""
 def roundabout(setting: Setting) -> Array | None:
     """Return the coefficients (N, count, 3) [m] of curves around a crowd; None where there is none.
 
-    A crowd meets half way, at one place. With ``x`` the distance from there over WIDTH radii of a
-    ring of all its drones, the offset to the right is ``(1 - x²)²`` times the radius of a layer's
-    ring, and that upward ``(1 - x⁶)²`` times the layer's altitude.
+    A crowd meets half way, at one place, where pushes between pairs would amplify rounding. With
+    ``x`` the distance from there over WIDTH radii of a ring of all its drones, the offset to the
+    right is ``(1 - x²)²`` times the radius of a layer's ring, and that upward ``(1 - x⁶)²`` times
+    the layer's altitude.
     """
     task, grid, separation = setting.task, setting.grid, setting.task.requirements.separation
     s = _samples(grid)

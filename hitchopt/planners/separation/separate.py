@@ -16,16 +16,16 @@ from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.separation.guesses import pushed_apart, roundabout
-from hitchopt.planners.separation.planes import Planes, close_pieces, planes_between, walls_before
+from hitchopt.planners.separation.guesses import pushed_apart, roundabout, setting_of
 from hitchopt.planners.separation.program import (
     MARGIN,
+    Planes,
     ProgramError,
     moved_curves,
-    trust_radius,
+    planes_between,
+    walls_before,
 )
-from hitchopt.planners.separation.setting import Setting, setting_of
-from hitchopt.planners.separation.task import Separated, SeparationTask
+from hitchopt.planners.separation.task import Separated, SeparationTask, Setting
 from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
@@ -82,8 +82,8 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
     InfeasibleError: the task cannot be met, or the search found no curves; the violations name the
         pair and the time.
     """
-    say = progress if progress is not None else _silent
-    check_ends(task)
+    say = progress or (lambda _: None)
+    _check_ends(task)
     setting = setting_of(task)
     if task.duration is not None and task.duration < setting.bound:
         raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
@@ -96,10 +96,6 @@ def separate(task: SeparationTask, progress: Progress | None = None) -> Separate
             return Separated(curves, found.closest, setting.bound, remark)
         tried.append(found)
     return _last_resort(task, tried, say)
-
-
-def _silent(_: str) -> None:
-    pass
 
 
 def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
@@ -156,19 +152,19 @@ def _planes(setting: Setting, here: Evaluation, known: Indices) -> tuple[Planes,
     task, separation = setting.task, setting.task.requirements.separation
     pieces = setting.grid.pieces_of(here.coefficients)
     few = task.drones >= LARGE and not here.clear
-    sides = close_pieces(pieces, separation, 1.0 + MARGIN + (NARROW if few else REACH))
-    planes = planes_between(pieces, separation, np.unique(np.vstack([known, sides]), axis=0))
+    cutoff = 1.0 + MARGIN + (NARROW if few else REACH)
+    planes = planes_between(pieces, separation, cutoff, known)
     moving = np.ones(task.drones, dtype=np.bool_)
     close = np.min(planes.gaps, axis=1) < 1.0 + MARGIN + CLOSE
     if few and np.any(close):
         moving[:] = False
         moving[planes.sides[close, 1:]] = True
-    cutoff = separation.radius + 2.0 * trust_radius(setting)
+    reach = separation.radius + 2.0 * setting.trust
     walls = [
-        walls_before(pieces, prism, separation.radius, cutoff)
+        walls_before(pieces, prism, separation.radius, reach)
         for prism in task.requirements.keep_out
     ]
-    return Planes.joined([planes, *walls]), moving
+    return Planes._make(map(np.concatenate, zip(planes, *walls, strict=True))), moving
 
 
 def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -> Separated:
@@ -281,7 +277,7 @@ def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     return [named(check) for check in found if check is not None]
 
 
-def check_ends(task: SeparationTask) -> None:
+def _check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError where starts or goals are too close, outside or within a prism."""
     ends = (task.start, "at the start (t = 0)"), (task.goal, "at the goals (the plan's end)")
     found = [

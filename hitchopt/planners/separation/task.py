@@ -1,14 +1,16 @@
-"""The separation planner's task, and its result."""
+"""The separation planner's task and result, and the splines on a time grid that it works on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.interpolate import BSpline
 
 from hitchopt.errors import InputError
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices, positive
 
@@ -88,3 +90,140 @@ class Separated:
     closest: float
     bound: float
     remark: str
+
+
+DEGREE = 5
+"""Degree of the curves, with which jerk is continuous as well."""
+
+HELD = 3
+"""Number of coefficients at each end that hold position, zero velocity and acceleration."""
+
+TRUST = 2.5
+"""Trust radius: largest move of a coefficient in one program, in drone radii."""
+
+WALL = 1e-9
+"""Distance of curves to an arena's walls, relative to its coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """The span of time [0, 1] cut into pieces, and the splines on it.
+
+    Attributes
+    ----------
+    breaks: (pieces + 1,) from 0 to 1.
+    """
+
+    breaks: Array
+
+    @property
+    def pieces(self) -> int:
+        """Number of pieces."""
+        return len(self.breaks) - 1
+
+    @property
+    def count(self) -> int:
+        """Number of coefficients of a spline."""
+        return self.pieces + DEGREE
+
+    @property
+    def free(self) -> slice:
+        """The coefficients that the ends do not hold."""
+        return slice(HELD, self.count - HELD)
+
+    @cached_property
+    def splines(self) -> BSpline:
+        """The basis functions, a clamped spline each."""
+        ends = np.ones(DEGREE)
+        return BSpline(np.concatenate([0.0 * ends, self.breaks, ends]), np.eye(self.count), DEGREE)
+
+    @cached_property
+    def extraction(self) -> Array:
+        """(pieces, DEGREE + 1, DEGREE + 1): maps a piece's coefficients to Bernstein ones.
+
+        Piece m is shaped by the spline's coefficients m … m + DEGREE.
+        """
+        each = PiecewisePolynomial.from_spline(self.splines)
+        index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
+        local: Array = np.take_along_axis(each.coefficients, index[..., None], axis=1)
+        return np.swapaxes(local, 1, 2)
+
+    def sampled(self, s: Array, derivative: int = 0) -> Array:
+        """Return the basis functions, or a derivative of theirs, at ``s`` as (*s.shape, count)."""
+        return self.splines(np.clip(s, 0.0, 1.0), derivative)
+
+    def fitting(self, s: Array, stiffness: float = 0.0) -> Array:
+        """Return what maps values at ``s`` to the free coefficients that fit them best.
+
+        Parameters
+        ----------
+        stiffness: shortest bend that passes, as a share of the duration.
+        """
+        free, bends = self.sampled(s)[:, self.free], self.sampled(s, 3)[:, self.free]
+        square = free.T @ free + stiffness**6 * bends.T @ bends
+        return np.asarray(np.linalg.solve(square, free.T), dtype=np.float64)
+
+    @cached_property
+    def energies(self) -> tuple[Array, Array]:
+        """Matrices (count, count) of a spline's mean square and of its third derivative's."""
+        x, w = np.polynomial.legendre.leggauss(DEGREE + 1)  # exact for squares of splines
+        h = np.diff(self.breaks)[:, None]
+        s, weights = (self.breaks[:-1, None] + 0.5 * h * (x + 1.0)).ravel(), (0.5 * h * w).ravel()
+        value, third = self.sampled(s), self.sampled(s, 3)
+        return value.T @ (weights[:, None] * value), third.T @ (weights[:, None] * third)
+
+    @cached_property
+    def rates(self) -> list[Array]:
+        """Matrices (count - k, count), k = 1, 2, 3, to coefficients of the k-th derivative.
+
+        A derivative lies within the hull of its coefficients.
+        """
+        return [self.splines.derivative(k).c[: self.count - k] for k in (1, 2, 3)]
+
+    def pieces_of(self, coefficients: Array) -> Array:
+        """Return Bernstein coefficients (pieces, N, 3, DEGREE + 1) of splines (N, count, 3)."""
+        index = np.arange(self.pieces)[:, None] + np.arange(DEGREE + 1)
+        local = coefficients[:, index]  # (N, pieces, DEGREE + 1, 3)
+        pieces: Array = np.einsum("pbk,npkd->pndb", self.extraction, local, optimize=True)
+        return pieces
+
+    def curves(self, coefficients: Array, duration: float) -> PiecewisePolynomial:
+        """Return the splines (N, count, 3) [m] flown in ``duration`` [s]."""
+        return PiecewisePolynomial(duration * self.breaks, self.pieces_of(coefficients))
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A task on its grid.
+
+    Attributes
+    ----------
+    task: starts, goals and requirements.
+    grid: the pieces of time.
+    nominal: (N, count, 3) [m]: coefficients of the curves to stay near to.
+    caps: (3, N): largest norms of the first three derivatives of each drone, by time.
+    bound: no flight of all drones takes less [s].
+    alone: estimate of the longest flight on routes around prisms, without other drones [s].
+    size: the longest route [m], by which deviations are measured.
+    """
+
+    task: SeparationTask
+    grid: Grid
+    nominal: Array
+    caps: Array
+    bound: float
+    alone: float
+    size: float
+
+    @property
+    def trust(self) -> float:
+        """How far one program may move any coefficient along any axis [m]."""
+        return TRUST * self.task.requirements.separation.radius
+
+
+def inside(arena: Arena | None, points: Array) -> Array:
+    """Return points (…, 3) [m], clipped to the arena with a margin for rounding."""
+    if arena is None:
+        return points
+    room = WALL * (np.abs(arena.lower) + np.abs(arena.upper))
+    return np.clip(points, arena.lower + room, arena.upper - room)
