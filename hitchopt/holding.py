@@ -337,7 +337,7 @@ class GripTask:
         """Return the slip load over friction [N] of a grip within all limits, or what it lacks."""
         edges = np.roll(grip.vertices, -1, axis=0) - grip.vertices
         turns = _turn(edges, np.roll(edges, -1, axis=0))
-        if np.any(turns >= 0.0) or np.sum(turns) < -3.0 * math.pi:  # not once around, clockwise
+        if not np.all(turns < 0.0) or np.sum(turns) < -3.0 * math.pi:  # not once around, clockwise
             return -math.inf
         scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
         unbalanced = float(np.max(np.abs(grip.imbalance) / scale)) - BALANCED
@@ -401,14 +401,38 @@ def _starts(task: GripTask) -> list[Array]:
 
 
 def _refined(task: GripTask, start: Array, iterations: int) -> Array:
-    """Return the vertices (n, 2) [m] that sequential quadratic programs reach from a polygon."""
-    values = _program(task, start)
+    """Return the vertices (n, 2) [m] that sequential quadratic programs reach from a polygon.
+
+    A disc has no moment, however it is gripped, and all turned grips of it are equal: there the
+    third imbalance is how far vertices turn from where they start.
+    """
+    turning = None
+    if len(task.section.core) == 1:
+        away = start - task.section.centroid
+        turning = (away[:, ::-1] * [-1.0, 1.0]).ravel() / np.linalg.norm(away)
+
+    def smallest(margins: Array) -> Array:
+        if margins.shape[-1] <= ALL:
+            return margins
+        return np.sort(np.partition(margins, SMALLEST - 1)[..., :SMALLEST])
+
+    def values(x: Array) -> Array:
+        """Return slip load, imbalances and margins (…, rows), by vertices x (…, 2 n) [m]."""
+        grip = task.grip(x.reshape(*x.shape[:-1], *start.shape))
+        margins = [smallest(each) for each in (*task.distances(grip).values(), grip.wraps.angles)]
+        goal = grip.slip_load(1.0)[..., None] / task.tension
+        unbalanced = grip.imbalance / task.tension
+        if turning is not None:
+            unbalanced[..., 2] = (x - start.ravel()) @ turning
+        return np.concatenate([goal, unbalanced, *margins], axis=-1)
 
     @lru_cache(maxsize=1)
     def at(x: tuple[float, ...]) -> tuple[Array, Array]:
         """Return values (rows,) at vertices x (2 n,) [m], and their slopes by differences."""
         moves = STEP * np.eye(len(x))
-        here, *around = values(x + np.concatenate([np.zeros((1, len(x))), moves, -moves]))
+        here, *around = values(
+            np.asarray(x) + np.concatenate([np.zeros((1, len(x))), moves, -moves])
+        )
         after, before = np.split(np.array(around), 2)
         return here, ((after - before) / (2.0 * STEP)).T
 
@@ -430,34 +454,6 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
         options={"maxiter": iterations, "ftol": 1e-7},
     )
     return np.asarray(found.x).reshape(start.shape)
-
-
-def _program(task: GripTask, start: Array) -> Callable[[Array], Array]:
-    """Return slip load, imbalances and smallest margins (…, rows), by vertices (…, 2 n) [m].
-
-    A disc has no moment, however it is gripped, and all turned grips of it are equal: there the
-    third imbalance is how far vertices turn from where they start.
-    """
-    turning = None
-    if len(task.section.core) == 1:
-        x, y = (start - task.section.centroid).T
-        turning = np.column_stack([-y, x]).ravel() / math.hypot(*x, *y)
-
-    def smallest(margins: Array) -> Array:
-        if margins.shape[-1] <= ALL:
-            return margins
-        return np.sort(np.partition(margins, SMALLEST - 1)[..., :SMALLEST])
-
-    def values(x: Array) -> Array:
-        grip = task.grip(x.reshape(*x.shape[:-1], *start.shape))
-        kept = [smallest(each) for each in (*task.distances(grip).values(), grip.wraps.angles)]
-        goal = grip.slip_load(1.0)[..., None] / task.tension
-        unbalanced = grip.imbalance / task.tension
-        if turning is not None:
-            unbalanced[..., 2] = (x - start.ravel()) @ turning
-        return np.concatenate([goal, unbalanced, *kept], axis=-1)
-
-    return values
 
 
 def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
