@@ -31,7 +31,7 @@ from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import before, beside_objects, followed, resting, rests, retimed
 from hitchopt.objects.placing import STILL, in_world
-from hitchopt.planners.forming.turns import straight
+from hitchopt.planners.forming.stages import straight
 from hitchopt.steps import Land, Release
 from hitchopt.steps.certified_motions import infeasible, lifted
 from hitchopt.steps.step import Situation, StepTask

@@ -24,7 +24,7 @@ from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import followed
 from hitchopt.motion.states import States, states_at
-from hitchopt.planners.forming.turns import smallest_separation
+from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.simulation.task import Task
 from hitchopt.trajectory import PiecewisePolynomial
@@ -152,7 +152,7 @@ class Reactions:
         nearest = min(
             _to_lost(motion, states.positions[others], swung),
             _to_lost(motion, moved[others], swung[np.argmin(swung[:, 2])][None]),
-            smallest_separation(moved[others], moved[others], motion.requirements.separation),
+            smallest_separation(moved[None, others], motion.requirements.separation),
         )
         return float(np.max(pulled[beside])), nearest
 

@@ -17,8 +17,15 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import object_outline, outline_of_geometry
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Quadrotor
-from hitchopt.holding.capacity import Capacity, rest_capacity
-from hitchopt.holding.grip import Grip, GripTask, best_grip, grip_capacity, largest_tension
+from hitchopt.holding import (
+    Capacity,
+    Grip,
+    GripTask,
+    best_grip,
+    grip_capacity,
+    largest_tension,
+    rest_capacity,
+)
 from hitchopt.objects import Section
 from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable

@@ -432,7 +432,7 @@ def tying_site(
     floor, clearance = requirements.floor, CLEARANCE * requirements.separation.cable
     drawn = (pre.drones + share * (hitch.drones - pre.drones) for share in TIGHTENING)
     hanging = (hover_altitude(hitch.team, drones, floor, clearance) for drones in drawn)
-    altitude = max(hitch.altitude, floor + clearance + pre.measures.lowest, *hanging)
+    altitude = max(hitch.altitude, floor + clearance + pre.lowest, *hanging)
     by = altitude - hitch.altitude
     if by <= SAME_ALTITUDE:
         return hitch, pre

@@ -185,14 +185,14 @@ def _approach(task: StepTask, goal: Array) -> Motion:
     Raises InfeasibleError: none; says what binds on the first of them.
     """
     from hitchopt.motion.motion import joined_motions
-    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+    from hitchopt.planners.forming.approach import Approach
     from hitchopt.steps.certified_motions import tried
 
-    asked = task.before.team, task.before.drones, goal, task.requirements, task.index
-    routes = (DirectApproach(*asked), GatheredApproach(*asked))
+    before = task.before
+    approach = Approach(before.team, before.drones, goal, task.requirements, task.index)
     refused = list[HitchoptError]()
-    for route in routes:
-        found = tried(lambda route=route: StepPlan(joined_motions(route.solve()), task.before))  # type: ignore[misc]
+    for route in (approach.direct, approach.gathered):
+        found = tried(lambda route=route: StepPlan(joined_motions(route()), before))  # type: ignore[misc]
         if isinstance(found, StepPlan):
             return found.motion
         refused.append(found)
@@ -239,8 +239,7 @@ class Land(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down."""
         from hitchopt.motion.motion import CableState
-        from hitchopt.planners.forming.stages import stage
-        from hitchopt.planners.forming.turns import straight
+        from hitchopt.planners.forming.stages import stage, straight
 
         before, requirements = task.before, task.requirements
         down = before.drones.copy()

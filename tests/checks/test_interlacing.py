@@ -15,8 +15,7 @@ from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import CableState, Motion, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import stage, tied, undone
-from hitchopt.planners.forming.turns import straight, swap
+from hitchopt.planners.forming.stages import stage, straight, swap, tied, undone
 from hitchopt.trajectory import PiecewisePolynomial
 
 KEPT = Requirements(Limits(), Separation(), None)

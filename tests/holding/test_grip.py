@@ -13,8 +13,7 @@ from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding.grip import GripTask, best_grip, grip_capacity, largest_tension
-from hitchopt.holding.wraps import wraps_around
+from hitchopt.holding import GripTask, best_grip, grip_capacity, largest_tension, wraps_around
 from hitchopt.planners.carrying.grip import balanced, contacts_of
 from hitchopt.values import Array
 

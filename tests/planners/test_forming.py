@@ -20,11 +20,9 @@ from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import (
     PULL_SECONDS,
     rise_seconds,
+    straight,
     tied,
     undone,
-)
-from hitchopt.planners.forming.turns import (
-    straight,
 )
 from hitchopt.planners.timing.ramps import fastest_clock
 from problems.random_morph import random_convex_polygon

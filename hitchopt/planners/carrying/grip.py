@@ -21,8 +21,7 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import clasp_loads, leg_directions, leg_vectors, sag_factors
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding.grip import GripTask, best_grip, largest_tension
-from hitchopt.holding.wraps import Bends, Wraps, wraps_around
+from hitchopt.holding import Bends, GripTask, Wraps, best_grip, largest_tension, wraps_around
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
@@ -134,12 +133,12 @@ class GrippedHitch:
         Where an edge meets another corner, the straight part that sags is longer or shorter at
         once; moves before and after it, which ends at ``share``, meet halfway.
         """
-        polygon, core = self._polygon(np.asarray(share)), self.body.section.core
+        polygon, section = self._polygon(np.asarray(share)), self.body.section
         beyond = self._bends(np.clip(share + BEYOND * np.array([-1.0, 1.0]), 0.0, None))
         others = [each for each in (beyond[0], beyond[1]) if each.differ(bends)]
         spans = []
         for each in (bends, *others[:1]):
-            contacts = contacts_of(polygon, wraps_around(self.body.section, polygon, each), core)
+            contacts = contacts_of(polygon, wraps_around(section, polygon, each), section.core)
             spans.append(_span(*straight_parts(polygon, contacts, np.zeros(len(polygon)))))
         return 0.5 * (spans[-1] - spans[0])
 
@@ -186,7 +185,7 @@ class GrippedHitch:
         weight: Array,
         bends: Bends,
         pulled: tuple[Array, Array] | None = None,
-        lean: Array | None = None,
+        lean: Array | float = 0.0,
         seam: Array | float = 0.0,
     ) -> dict[str, Array]:
         """Return drones, vertices, legs, tensions and contacts in the object's frame.
@@ -203,15 +202,14 @@ class GrippedHitch:
         bends: (n,), about what edges turn.
         pulled: (…, 2) [N], level force on the object, and (…) what share of it edges bear, from 0
             of an object that stands; None for no force.
-        lean: (…), as of Move; None for none.
+        lean: (…), as of Move.
         seam: (…, n) [m³], what ``_span`` is taken to be larger.
         """
         team, section, T = self.team, self.body.section, tension
         planned = polygon = self._polygon(share)
         wraps = wraps_around(section, polygon, bends)
         contacts = contacts_of(polygon, wraps, section.core)
-        centre = self.body.centre_of_mass[:2]
-        z = np.zeros(polygon.shape[:-1])
+        centre, z = self.body.centre_of_mass[:2], np.zeros(polygon.shape[:-1])
         if pulled is not None and np.any(pulled[1]):
             force, borne = pulled
             load = np.concatenate([force, weight[..., None]], axis=-1)
@@ -227,8 +225,10 @@ class GrippedHitch:
                 _check_balance(straight_parts(polygon, contacts, z), T, load, borne)
         leaving, arriving = straight_parts(polygon, contacts, z)
         free = length(leaving) + length(arriving)
-        if lean is not None and np.any(lean):
-            T = tension * edge_ratios(team.cable_friction * lean, wraps.clasp_angles)
+        pulls = np.stack([tension, tension], axis=-1)
+        leaning = pulls if np.any(lean) else None
+        if leaning is not None:
+            T = tension * edge_ratios(team.cable_friction * np.asarray(lean), wraps.clasp_angles)
         factors = sag_factors(team, T)
         edges = wraps.arcs + free
         if team.cable_density > 0.0:
@@ -236,8 +236,6 @@ class GrippedHitch:
         slack = team.cable_length - edges
         q_legs = (self.open_fractions + share[..., None] * (0.5 - self.open_fractions)) * slack
         loads = clasp_loads(team, q_legs, slack, None)
-        pulls = np.stack([tension, tension], axis=-1)
-        leaning = None if lean is None or not np.any(lean) else pulls
         q, r = leg_directions(unit(leaving), T, team.topology, loads, unit(arriving), leaning)
         d, e = leg_vectors(q_legs, q, factors), leg_vectors(slack - q_legs, r, factors)
         both = np.stack([d, e], axis=-2)
@@ -283,6 +281,9 @@ def _span(leaving: Array, arriving: Array) -> Array:
 SOFT = 1e-2
 """Damping over stiffness: clasps do not turn about objects that are nearly round."""
 
+PROBE = 1e-6
+"""[m] Step of differences of what edges pull."""
+
 FARTHEST = 0.5
 """Longest step of a clasp over the shorter of its straight parts, at most as far as which edges
 pull nearly as their derivatives say."""
@@ -314,10 +315,7 @@ def balanced(
 ) -> Array:
     """Return clasps (…, n, 3) [m], moved and turned together and raised, whose edges bear a load.
 
-    One damped step of Newton's for where they are, shortened where it is long: moved across itself
-    a straight part of length t turns, and pulls with ``T / t`` more per metre. No edge turns a
-    disc. Risen by z it lifts with ``T z / t``: of all lifts that bear the weight without a moment
-    about level axes clasps take the nearest to equal ones.
+    One damped step of Newton's, shortened where it is long. No edge turns a disc.
 
     Parameters
     ----------
@@ -327,65 +325,65 @@ def balanced(
     back: (…, n, 2) [m], clasps as planned, and (…) the share by which they are moved from there;
         None for all.
     """
-    polygon = clasps[..., :2]
-    n, size = T.shape[-1], np.mean(length(arms), axis=(-2, -1))[..., None, None]
-    parts = np.concatenate(straight_parts(polygon, arms, clasps[..., 2]), axis=-2)
-    along = unit(parts) * np.repeat([-1.0, 1.0], n)[:, None]  # from contacts to clasps
-    pulls = np.concatenate([T, T], axis=-1)[..., None] * along
-    rates = np.concatenate([T, T], axis=-1) / length(parts)
-    ends = np.concatenate([polygon, np.roll(polygon, -1, axis=-2)], axis=-2)
-    arms = np.concatenate([arms[..., 0, :], arms[..., 1, :]], axis=-2)
-    stiff = rates[..., None, None] * (np.eye(3) - along[..., :, None] * along[..., None, :])
-    rows, moved = _with_moments(arms / size), _with_moments(ends / size)
-    lifts = np.concatenate([np.ones_like(arms[..., :1]), arms], axis=-1) * rates[..., None]
-    means = _at_clasps(lifts) / _at_clasps(rates[..., None])  # (…, n, 3), of force and moments
-    wanted = load[..., 2:] * ([1.0, 0.0, 0.0] - np.mean(means, axis=-2))
-    whole = np.swapaxes(means, -1, -2) @ means
-    forces = load[..., 2:] / n + (means @ np.linalg.solve(whole, wanted[..., None]))[..., 0]
-    upright = _at_clasps(stiff[..., 2, 2:])
-    rise = (forces[..., None] - _at_clasps(pulls[..., 2:])) / upright  # where none is moved
-    raised = _at_clasps((stiff[..., 2:, :2] @ moved)[..., 0, :]) / upright
-    sideways = _at_clasps(np.einsum("...mij,...mi->...mj", rows, stiff[..., :2, 2]))
-    lacking = np.append(load[..., :2], np.zeros((*load.shape[:-1], 1)), axis=-1)
-    lacking = lacking - np.einsum("...mij,...mi->...j", rows, pulls[..., :2])
-    lacking = lacking - np.sum(sideways * rise, axis=-2)
-    stiffness = np.einsum("...mij,...mik->...jk", rows, stiff[..., :2, :2] @ moved)
-    stiffness = stiffness - np.swapaxes(sideways, -1, -2) @ raised
+    polygon, z = clasps[..., :2], clasps[..., 2]
+    size = np.mean(length(arms), axis=(-2, -1))[..., None, None]
+    at = np.stack([arms[..., 0, :], np.roll(arms[..., 1, :], 1, axis=-2)], axis=-2)
+    pull = np.stack([T, np.roll(T, 1, axis=-1)], axis=-1)
+    turn = np.stack([-polygon[..., 1], polygon[..., 0]], axis=-1) / size
+    moves = np.stack([0.0 * turn + [1.0, 0.0], 0.0 * turn + [0.0, 1.0], turn])
+
+    def lacking(there: Array) -> Array:
+        """Return level force, and moment over size (…, 3) [N], that edges lack."""
+        parts = _parts(there, _raised(there, z, pull, at, load[..., 2]), at)
+        pulls = pull[..., None] * unit(parts)
+        moments = at[..., 0] * pulls[..., 1] - at[..., 1] * pulls[..., 0]
+        pulls[..., 2] = moments / size
+        lacks: Array = load * [1.0, 1.0, 0.0] - np.sum(pulls, axis=(-3, -2))
+        return lacks
+
+    after, before = (lacking(polygon + step * moves) for step in (PROBE, -PROBE))
+    stiffness = np.moveaxis(before - after, 0, -1) / (2.0 * PROBE)
     soft = (SOFT * np.linalg.norm(stiffness, axis=(-2, -1)))[..., None, None] ** 2 * np.eye(3)
     transposed = np.swapaxes(stiffness, -2, -1)
-    right = transposed @ lacking[..., None]
+    right = transposed @ lacking(polygon)[..., None]
     found = np.linalg.solve(transposed @ stiffness + soft, right)[..., 0]
-    step = np.einsum("...nij,...j->...ni", _with_moments(polygon / size), found)
+    there = polygon + np.einsum("j...ni,...j->...ni", moves, found)
     if back is not None:
         planned, share = back
-        step = planned - polygon + share[..., None, None] * (polygon + step - planned)
-    level = np.concatenate([step, np.roll(step, -1, axis=-2)], axis=-2)
-    lifted = np.einsum("...mi,...mi->...m", stiff[..., 2, :2], level)
-    rise = rise - _at_clasps(lifted[..., None]) / upright
-    step = np.concatenate([step, rise], axis=-1)
-    ahead, behind = np.split(length(parts), 2, axis=-1)
-    reach = FARTHEST * np.minimum(ahead, np.roll(behind, 1, axis=-1))
+        there = planned + share[..., None, None] * (there - planned)
+    raised = _raised(there, z, pull, at, load[..., 2])
+    step = np.concatenate([there, raised[..., None]], axis=-1) - clasps
+    reach = FARTHEST * np.min(length(_parts(polygon, z, at)), axis=-1)
     part = np.min(reach / np.maximum(length(step), reach), axis=-1)
     stepped: Array = clasps + part[..., None, None] * step
     return stepped
 
 
-def _at_clasps(parts: Array) -> Array:
-    """Return what parts (…, 2n, k) have at clasps (…, n, k), leaving and arriving ones summed."""
-    n = parts.shape[-2] // 2
-    at: Array = parts[..., :n, :] + np.roll(parts[..., n:, :], 1, axis=-2)
-    return at
+def _parts(polygon: Array, z: Array, at: Array) -> Array:
+    """Return the straight parts (…, n, 2, 3) [m] from contacts (…, n, 2, 2) to their clasps."""
+    level = polygon[..., None, :] - at
+    height = np.broadcast_to(z[..., None, None], (*level.shape[:-1], 1))
+    parts: Array = np.concatenate([level, height], axis=-1)
+    return parts
 
 
-def _with_moments(arms: Array) -> Array:
-    """Return rows (…, n, 2, 3): level forces at arms (…, n, 2) times them are force and moment.
+def _raised(polygon: Array, z: Array, pull: Array, at: Array, weight: Array) -> Array:
+    """Return the clasps' heights (…, n) [m], after a step of Newton's towards bearing a weight.
 
-    Times a small displacement and turn they are how far the arms' ends move.
+    Of all lifts that bear it without a moment about level axes they have the nearest to equal ones.
     """
-    rows = np.zeros((*arms.shape, 3))
-    rows[..., :2] = np.eye(2)
-    rows[..., 0, 2], rows[..., 1, 2] = -arms[..., 1], arms[..., 0]
-    return rows
+    parts = _parts(polygon, z, at)
+    rates = pull / length(parts)
+    lifts = np.concatenate([np.ones_like(at[..., :1]), at], axis=-1) * rates[..., None]
+    whole = np.sum(rates, axis=-1)
+    means = np.sum(lifts, axis=-2) / whole[..., None]  # (…, n, 3), of force and moments
+    wanted = weight[..., None] * ([1.0, 0.0, 0.0] - np.mean(means, axis=-2))
+    squares = np.swapaxes(means, -1, -2) @ means
+    forces = weight[..., None] / z.shape[-1]
+    forces = forces + (means @ np.linalg.solve(squares, wanted[..., None]))[..., 0]
+    stiff = np.sum(rates * (1.0 - unit(parts)[..., 2] ** 2), axis=-1)
+    raised: Array = z + (forces - whole * z) / stiff
+    return raised
 
 
 ROUNDS = 20
@@ -466,13 +464,13 @@ def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
     most, binding = largest_tension(requirements, team.quadrotor[0])
     if tension <= most:
         return
-    own = requirements.limits
+    tilt = np.degrees(requirements.limits.tilt)
     remedy = f"grasp with a tension of {most:.3g} N or less"
     if binding == "tilt":
         needed = np.degrees(np.arctan(tension / (9.81 * team.mass[0])))
         remedy = (
             f"level pulls of {tension:.3g} N need limits.tilt_deg of {np.ceil(needed) + 5:.0f}, "
-            f"above {np.degrees(own.tilt):.3g}; or {remedy}"
+            f"above {tilt:.3g}; or {remedy}"
         )
     raise InfeasibleError(
         [Violation(binding, tension, most, "max", "N", (), "to grip at rest", remedy)]
@@ -501,11 +499,9 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     if friction == 0.0 or np.any(hitch.roll):
         return
     here = hitch.polygon.vertices
-    inward = [np.roll(here, shift, axis=0) - here for shift in (-1, 1)]
-    ahead, behind = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in inward)
-    outward = -(ahead + behind) / np.linalg.norm(ahead + behind, axis=1, keepdims=True)
+    ahead, behind = (unit(np.roll(here, shift, axis=0) - here) for shift in (-1, 1))
     moved = (around - np.mean(around, axis=0)) - (here - np.mean(here, axis=0))
-    opened = np.sum(outward * moved, axis=1) > OUTWARD
+    opened = -np.sum(unit(ahead + behind) * moved, axis=1) > OUTWARD
     edges = np.arccos(np.clip(np.sum(ahead * behind, axis=1), -1.0, 1.0))
     d, e = hitch.legs[layout.ahead, 0], hitch.legs[layout.behind, 1]
     apart = 2.0 * requirements.separation.radius
@@ -538,9 +534,9 @@ def grip_left(legs: Array, tension: Array, clasp_friction: float, friction: floa
     clasp_friction: coefficient of cables on each other.
     friction: coefficient of cables on the object.
     """
-    ways = unit(legs)
-    between = np.arccos(np.clip(np.sum(ways[:, 0] * ways[:, 1], axis=-1), -1.0, 1.0))
+    one, other = np.moveaxis(unit(legs), 1, 0)
+    between = np.arccos(np.clip(np.sum(one * other, axis=-1), -1.0, 1.0))
     half = _other_half(np.asarray(clasp_friction), between)
-    rubbed = np.exp(-clasp_friction * (half + 0.5 * between))
+    harder = float(np.max(np.exp(clasp_friction * (half + 0.5 * between))))
     wrapped = max(2.0 * float(np.sum(half)) - (len(legs) - 2) * math.pi, 0.0)
-    return friction * float(np.max(tension) / np.min(rubbed)) * wrapped
+    return friction * float(np.max(tension)) * harder * wrapped

@@ -145,32 +145,24 @@ def move_motion(held: Held, move: Move, requirements: Requirements, phase: Phase
     ------
     InfeasibleError: a weight that the tensions cannot carry.
     """
-    moves = bool(np.any(move.start != move.end)) or move.below[0] != move.below[1]
-    moves |= move.closed[0] != move.closed[1]
-    turns = move.start[3] != move.end[3]
-    changes = bool(np.any(move.tension[0] != move.tension[1])) or move.borne[0] != move.borne[1]
-    changes |= move.closed[0] != move.closed[1] or move.lean[0] != move.lean[1]
-    longest = LONGEST if turns or changes or not moves else STEADY
+    closes = move.closed[0] != move.closed[1]
+    moves = closes or bool(np.any(move.start != move.end)) or move.below[0] != move.below[1]
+    changes = closes or bool(np.any(move.tension[0] != move.tension[1]))
+    changes |= move.borne[0] != move.borne[1] or move.lean[0] != move.lean[1]
+    longest = LONGEST if changes or move.start[3] != move.end[3] or not moves else STEADY
     breaks = move.law.breaks(longest)
     t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
     values = held.curves(move, t)
-    centre = len(STENCIL) // 2
     parts: dict[str, Any] = {}
     for name, each in values.items():
-        jets = [
-            each[:, centre],
-            np.tensordot(FIRST / PROBE, each, (0, 1)),
-            np.tensordot(SECOND / PROBE**2, each, (0, 1)),
-        ]
-        for jet in jets[1:]:
-            jet[[0, -1]] = 0.0
-        constant = np.all(each == each[:1, :1])
-        whole = np.stack(jets)
-        parts[name] = (
-            PiecewisePolynomial.constant(breaks, each[0, 0])
-            if constant
-            else PiecewisePolynomial.hermite(breaks, whole[:, :-1], whole[:, 1:])
-        )
+        if np.all(each == each[:1, :1]):
+            parts[name] = PiecewisePolynomial.constant(breaks, each[0, 0])
+            continue
+        first = np.tensordot(FIRST / PROBE, each, (0, 1))
+        second = np.tensordot(SECOND / PROBE**2, each, (0, 1))
+        first[[0, -1]] = second[[0, -1]] = 0.0
+        jets = np.stack([each[:, len(STENCIL) // 2], first, second])
+        parts[name] = PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])
     assert phase.hold is not None
     index = list(requirements.objects).index(phase.hold.object)
     pose, borne = parts.pop("pose").coefficients, parts["borne"].coefficients
@@ -184,11 +176,15 @@ def move_motion(held: Held, move: Move, requirements: Requirements, phase: Phase
     return Motion(held.team, requirements, **parts, phases=phases)
 
 
-STEP = np.array([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
-"""Coefficients, in rising powers, of a step from 0 to 1 with three zero derivatives at its ends."""
+STEP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
+"""A step from 0 to 1 with three zero derivatives at its ends."""
 
 STEEPEST, BENDING = 2.1875, 7.52
 """Largest first and second derivative of that step."""
+
+
+RAMP_PIECES = 10
+"""Pieces of a ramp: legs follow their clasps' balance between them within 1e-4 of the tension."""
 
 
 @dataclass(frozen=True)
@@ -227,9 +223,8 @@ class SmoothLaw:
         longest: of the cruise's pieces [s].
         """
         ramp = np.linspace(0.0, self.ramp, RAMP_PIECES + 1)
-        cruise = self.ramp + self.cruise * np.linspace(
-            0.0, 1.0, max(1, math.ceil(self.cruise / longest)) + 1
-        )
+        pieces = max(1, math.ceil(self.cruise / longest))
+        cruise = self.ramp + np.linspace(0.0, self.cruise, pieces + 1)
         times = np.concatenate([ramp, cruise[1:], self.ramp + self.cruise + ramp[1:]])
         kept: Array = times[np.append(True, np.diff(times) > 1e-9)]
         kept[-1] = self.duration
@@ -241,18 +236,8 @@ class SmoothLaw:
         begun = np.clip(t / self.ramp, 0.0, 1.0)
         ended = np.clip((t - self.ramp - self.cruise) / self.ramp, 0.0, 1.0)
         there = np.clip(t - self.ramp, 0.0, self.cruise)
-        rising, falling = _powers(begun), _powers(ended)
-        share = top * (self.ramp * (rising[0] + ended - falling[0]) + there)
-        speed = top * (rising[1] - falling[1])
-        change = top * (rising[2] - falling[2]) / self.ramp
-        return np.stack([share, speed, change], axis=-1)
-
-
-RAMP_PIECES = 10
-"""Pieces of a ramp: legs follow their clasps' balance between them within 1e-4 of the tension."""
-
-
-def _powers(x: Array) -> tuple[Array, Array, Array]:
-    """Return the step's integral, the step, and its derivative at x (…)."""
-    step = np.polynomial.Polynomial(STEP)
-    return step.integ()(x), step(x), step.deriv()(x)
+        area, slope = STEP.integ(), STEP.deriv()
+        share = self.ramp * (area(begun) + ended - area(ended)) + there
+        speed = STEP(begun) - STEP(ended)
+        change = (slope(begun) - slope(ended)) / self.ramp
+        return top * np.stack([share, speed, change], axis=-1)

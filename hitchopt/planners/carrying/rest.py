@@ -105,7 +105,7 @@ class HeldHitch:
         total = forces if own is None else forces + own.forces
         roll = np.broadcast_to(self.roll, forces.shape[:-1])
         loads = ClaspLoads(total, halves, roll, edge_halves)
-        along = np.broadcast_to(edges / np.linalg.norm(edges, axis=-1, keepdims=True), forces.shape)
+        along = np.broadcast_to(unit(edges), forces.shape)
         left, pulls = tension, None
         if taken is not None:
             legs = np.broadcast_to(tension, forces.shape[:-1])
@@ -116,8 +116,7 @@ class HeldHitch:
         d, e = (leg_vectors(lengths[..., i], (q, r)[i], factors) for i in (0, 1))
         both = np.stack([d, e], axis=-2)
         anchors = self.places[team.layout.anchors].reshape(*both.shape[-3:])
-        chords = np.linalg.norm(both, axis=-1)
-        return (anchors + both).reshape(*both.shape[:-3], -1, 3), chords
+        return (anchors + both).reshape(*both.shape[:-3], -1, 3), length(both)
 
     def at_rest(self, tension: Array, mass: float) -> Array:
         """Return drones (2n, 3) [m] in the object's frame where a mass [kg] hangs at the clasps.
@@ -160,10 +159,10 @@ class HeldHitch:
         else:
             weight = GRAVITY * self.body.mass * self.supports.shares
             forces[..., 2] = -course.borne[..., None] * weight
-        edges = np.linalg.norm(np.roll(self.places, -1, axis=0) - self.places, axis=-1)
+        edges = length(np.roll(self.places, -1, axis=0) - self.places)
+        squared = course.borne**2
         strut = strut_share(self.team, self.body.mass, edges, course.tension)
         saved = rim_savings(self.team, self.body, self.places[:, :2], course.tension)
-        squared = course.borne**2
         saved = squared[..., None, None] * saved
         drones, legs = self.drones(course.tension, forces, squared * strut, saved)
         below = course.between(*move.below) + self.drop(course.tension, course.borne)
@@ -216,8 +215,12 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     """
     assert body.rim is not None
     rim, centre = body.rim.section, body.centre_of_mass[:2]
-    frame, size = _axes(rim.core, rim.rounding)
-    shapes = _shapes(robots)  # (shapes, n, 2)
+    frame, size = _axes(rim)
+    angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
+    corners = angles[:, None] - 2.0 * math.pi * np.arange(robots) / robots
+    regular = math.sqrt(2.0) * np.stack([np.cos(corners), np.sin(corners)], axis=-1)
+    wide = np.geomspace(0.5, 2.0, ASPECTS)[:, None, None] ** [0.5, -0.5]
+    shapes = (regular[:, None] * wide).reshape(-1, robots, 2)
     places = (shapes[:, None] * SHRINKS[:, None, None] * size) @ frame.T + centre
     inside = -np.max(rim.clearance(places)[0], axis=-1)
     outward, offsets = _sides(places)
@@ -227,41 +230,26 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
         inset = np.minimum(inset, np.min(offsets - body.stem.support(outward), axis=-1))
     best = np.unravel_index(int(np.argmax(inset + 1e-3 * width)), inset.shape)
     if inset[best] < LEAST_INSET:
-        value = float(inset[best])
+        value, words = float(inset[best]), "below the rim of the object"
         remedy = (
             f"give objects.{name} a wider rim, or use another number of robots: `hitchopt fit` "
             "tells with which its outline is held"
         )
-        words = "below the rim of the object"
-        raise InfeasibleError(
-            [Violation("support", value, LEAST_INSET, "min", "m", (name,), words, remedy)]
-        )
-    sections = rim, body.section
-    return HoldPolygons.about(places[best], centre, sections, gap)
+        broken = Violation("support", value, LEAST_INSET, "min", "m", (name,), words, remedy)
+        raise InfeasibleError([broken])
+    return HoldPolygons.about(places[best], centre, (rim, body.section), gap)
 
 
-def _axes(core: Array, rounding: float) -> tuple[Array, Array]:
+def _axes(section: Section) -> tuple[Array, Array]:
     """Return the axes (2, 2) of a section as columns, and half of its widths along them [m]."""
+    core = section.core
     if len(core) < 3:
-        return np.eye(2), np.full(2, rounding)
-    sides = np.roll(core, -1, axis=0) - core
-    sides = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+        return np.eye(2), np.full(2, section.rounding)
+    sides = unit(np.roll(core, -1, axis=0) - core)
     turned = np.stack([sides, np.stack([-sides[:, 1], sides[:, 0]], axis=1)], axis=2)
     widths = np.ptp(np.einsum("pd,sdi->spi", core, turned), axis=1)  # (sides, 2)
     best = int(np.argmin(np.prod(widths, axis=1)))
     return turned[best], 0.5 * widths[best]
-
-
-def _shapes(robots: int) -> Array:
-    """Return regular polygons (shapes, n, 2) of radius 1, clockwise, turned and stretched."""
-    angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
-    corners = angles[:, None] - 2.0 * math.pi * np.arange(robots) / robots
-    regular = np.stack([np.cos(corners), np.sin(corners)], axis=-1)
-    aspects = np.geomspace(0.5, 2.0, ASPECTS)
-    stretch = np.stack([np.sqrt(aspects), 1.0 / np.sqrt(aspects)], axis=-1)
-    stretch *= math.sqrt(2.0)
-    found: Array = (regular[:, None] * stretch[:, None]).reshape(-1, robots, 2)
-    return found
 
 
 ALIKE, STRETCHES = np.ones(1), np.geomspace(0.25, 4.0, 81)
@@ -304,8 +292,12 @@ class HoldPolygons:
         """
         away = closed - centre
         axes = np.linalg.eigh(away.T @ away)[1]
-        stretch = np.stack([np.sqrt(stretches), 1.0 / np.sqrt(stretches)], axis=-1)
-        found = [_off(away @ (axes * each) @ axes.T, centre, sections, gap) for each in stretch]
+        found = []
+        for wide in np.sqrt(stretches):
+            there = away @ (axes * [wide, 1.0 / wide]) @ axes.T
+            outward, reach = _sides(there)
+            needed = [each.support(outward) + gap - outward @ centre for each in sections]
+            found.append(float(np.max(np.max(needed, axis=0) / reach)) * there)
         around = min(found, key=lambda each: float(np.max(length(np.roll(each, -1, 0) - each))))
         return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(closed).vertices)
 
@@ -315,11 +307,3 @@ def _sides(polygon: Array) -> tuple[Array, Array]:
     onward = np.roll(polygon, -1, axis=-2) - polygon
     outward = unit(np.stack([-onward[..., 1], onward[..., 0]], axis=-1))
     return outward, np.sum(outward * polygon, axis=-1)
-
-
-def _off(away: Array, centre: Array, sections: tuple[Section, ...], gap: float) -> Array:
-    """Return vertices (n, 2) [m] about a centre, enlarged until edges keep off sections."""
-    outward, reach = _sides(away)
-    needed = [each.support(outward) + gap - outward @ centre for each in sections]
-    enlarged: Array = float(np.max(np.max(needed, axis=0) / reach)) * away
-    return enlarged

@@ -2,16 +2,15 @@
 
 Two are planned, the simpler one first; the certificate judges them. *Direct*: all drones fly
 at once through the separation planner, the two of a cable tethered. *Gathered*: every robot first
-draws its two drones together, so that its cable hangs within a disc seen from above; discs avoid
-each other and turn meanwhile, and open at the other end. Chords within discs that never meet cannot
-tangle.
+draws its two drones together, turned as at the goal, so that its cable hangs within a disc seen
+from above; discs avoid each other, and open at the other end. Chords within discs that never meet
+cannot tangle.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,15 +20,14 @@ from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
-from hitchopt.planners.forming.stages import stage
-from hitchopt.planners.forming.turns import PAUSE, PIECE, STILL, straight
+from hitchopt.planners.forming.stages import PAUSE, STILL, stage, straight
 from hitchopt.planners.separation import SeparationTask, separate
 from hitchopt.planners.timing.profile import LIMIT_SHARE
-from hitchopt.planners.timing.ramps import accelerations, fastest_clock, flown
+from hitchopt.planners.timing.ramps import accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -64,21 +62,91 @@ class Approach:
     requirements: Requirements
     index: int = 0
 
-    def stage(
+    def direct(self) -> list[Motion]:
+        """Return the motions of the flight, all of it raised where cables come near the ground.
+
+        Drones that come closer together let their cable hang lower than at both ends.
+        """
+        here, goal, separation = self._risen(), self.goal, self.requirements.separation
+        rise = self._line("take-off", self.start, here, CableState.GROUND)
+        if np.max(np.abs(goal - here)) < STILL:
+            still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
+            return [*rise, self._stage("approach", still)]
+        spans = enumerate((SPAN * self.team.cable_length).tolist())
+        tethers = tuple((2 * k, 2 * k + 1, span) for k, span in spans)
+        places = np.stack([here, goal])
+        bodies: Any = {"names": self.team.drone_names, "tethers": tethers}
+        drones = self._apart(places, here, goal, separation, **bodies)
+        at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
+        lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
+        missing = self.requirements.floor + CLEARANCE * separation.cable - lowest
+        if missing <= 0.0:
+            return [*rise, self._stage("approach", drones)]
+        up = np.array([0.0, 0.0, missing + 0.1 * separation.cable])
+        higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
+        return [
+            *rise,
+            *self._line("climb", here, here + up),
+            self._stage("approach", higher),
+            *self._line("descend", goal + up, goal),
+        ]
+
+    def gathered(self) -> list[Motion]:
+        """Return the motions: gathering, turning, flying as discs, and opening.
+
+        No robot may pass over another's hanging cable. On straight lines pairs turn by 90° at most
+        and keep apart: half of the turn is flown as they gather.
+        """
+        own = self.requirements.separation
+        height = float(np.max(self.team.cable_length))
+        discs = replace(own, radius=(1.0 + DRAWN) * own.radius, height=height)
+
+        def across(middles: Array, headings: Array) -> Array:
+            """Return the drones (…, 2n, 3) [m] across circles about middles (…, n, 3) [m]."""
+            arms = np.column_stack([np.cos(headings), np.sin(headings), 0.0 * headings])
+            arms *= DRAWN * own.radius
+            pairs = np.stack([middles - arms, middles + arms], axis=-2)
+            return pairs.reshape(*pairs.shape[:-3], -1, 3)
+
+        ends = self.start, self.goal
+        start, goal = (0.5 * (each[0::2] + each[1::2]) for each in ends)
+        first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
+        halfway = first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi)
+        here = self._risen(across(start, halfway), self.goal)
+        closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
+        wider = max(1.0, 2.0 * ROOM * discs.radius / closest)
+        goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
+        start[:, 2] = goal[:, 2] = np.max(here[:, 2])
+        gathered, turned = across(start, halfway), across(start, last)
+        opened = self.goal.copy()
+        opened[:, 2] = np.maximum(opened[:, 2], goal[0, 2])
+        names = tuple(f"cable {k}" for k in range(self.team.robots))
+        flight = self._apart(np.stack([here, turned]), start, goal, discs, names=names)
+        carried = np.moveaxis(across(np.moveaxis(flight.coefficients, -1, 1), last), 1, -1)
+        return [
+            *self._line("take-off", self.start, here, CableState.GROUND),
+            *self._line("gather", here, gathered),
+            *self._line("turn", gathered, turned),
+            self._stage("approach", PiecewisePolynomial(flight.breaks, carried)),
+            *self._line("open", across(goal, last), opened),
+            *self._line("descend", opened, self.goal),
+        ]
+
+    def _stage(
         self, name: str, drones: PiecewisePolynomial, state: CableState = CableState.FREE
     ) -> Motion:
-        """Return the motion of drones (2n, 3) [m] as a phase."""
         return stage(name, drones, self.team, self.requirements, self.index, state)
 
-    def line(
+    def _line(
         self, name: str, start: Array, end: Array, state: CableState = CableState.FREE
     ) -> list[Motion]:
         """Return the motion of all drones on straight lines; none where they are there."""
         if np.max(np.abs(end - start)) < STILL:
             return []
-        return [self.stage(name, straight(self.team, self.requirements.limits, start, end), state)]
+        flight = straight(self.team, self.requirements.limits, start, end)
+        return [self._stage(name, flight, state)]
 
-    def risen(self, *others: Array) -> Array:
+    def _risen(self, *others: Array) -> Array:
         """Return where the drones (2n, 3) [m] are after a take-off, if one is needed.
 
         Its altitude lets cables hang free there, and at all ``others`` (2n, 3) as well.
@@ -91,155 +159,25 @@ class Approach:
             here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
         return here
 
-    def separated(self, places: Array, **task: Any) -> SeparationTask:
-        """Return the task of bodies that fly apart, with a reserve for the certificate's bounds.
+    def _apart(
+        self, places: Array, start: Array, goal: Array, separation: Separation, **bodies: Any
+    ) -> PiecewisePolynomial:
+        """Return the flight of bodies apart, with a reserve for the certificate's bounds.
 
-        Parameters
-        ----------
-        places: (J, 2n, 3) [m], of the drones, which tell how much bodies may accelerate.
-        task: start, goal, names, tethers and separation of the bodies.
+        ``places`` (J, 2n, 3) [m] of drones tell how much bodies may accelerate; ``bodies`` are
+        their names and tethers.
         """
-        limits, separation = self.requirements.limits, task.pop("separation")
+        limits = self.requirements.limits
+        own = accelerations(self.team, limits, places).reshape(len(start), -1).min(axis=1)
         rates = {
             name: LIMIT_SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")
         }
-        own = accelerations(self.team, limits, places).reshape(len(task["names"]), -1).min(axis=1)
-        limited = replace(limits, **rates)
-        requirements = replace(self.requirements, limits=limited, separation=separation)
-        return SeparationTask(requirements=requirements, acceleration=own, **task)
-
-
-@dataclass(frozen=True, eq=False)
-class DirectApproach(Approach):
-    """The planner of an approach in which all drones fly at once, those of a cable tethered."""
-
-    @property
-    def problem(self) -> SeparationTask:
-        """The flight after the take-off."""
-        here, lengths = self.risen(), (SPAN * self.team.cable_length).tolist()
-        return self.separated(
-            np.stack([here, self.goal]),
-            start=here,
-            goal=self.goal,
-            separation=self.requirements.separation,
-            names=self.team.drone_names,
-            tethers=tuple((2 * k, 2 * k + 1, length) for k, length in enumerate(lengths)),
+        requirements = replace(
+            self.requirements, limits=replace(limits, **rates), separation=separation
         )
-
-    def solve(self) -> list[Motion]:
-        """Return the motions of the flight, all of it raised where cables come near the ground.
-
-        Drones that come closer together let their cable hang lower than at both ends.
-        """
-        here, goal = self.risen(), self.goal
-        rise = self.line("take-off", self.start, here, CableState.GROUND)
-        if np.max(np.abs(goal - here)) < STILL:
-            return [*rise, self.stage("approach", PiecewisePolynomial.constant([0.0, PAUSE], goal))]
-        drones = separate(self.problem).drones
-        clearance = self.requirements.separation.cable
-        at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
-        lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
-        missing = self.requirements.floor + CLEARANCE * clearance - lowest
-        if missing <= 0.0:
-            return [*rise, self.stage("approach", drones)]
-        up = np.array([0.0, 0.0, missing + 0.1 * clearance])
-        higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        climb, descend = self.line("climb", here, here + up), self.line("descend", goal + up, goal)
-        return [*rise, *climb, self.stage("approach", higher), *descend]
-
-
-@dataclass(frozen=True, eq=False)
-class GatheredApproach(Approach):
-    """The planner of an approach in which every robot draws its drones together to fly as one.
-
-    They are across a circle then, from which they do not depart until the goal.
-    """
-
-    @cached_property
-    def headings(self) -> tuple[Array, Array]:
-        """(n,) [rad] each: from q to r seen from above, at the start, and turned to the goal's."""
-        offsets = (places[1::2] - places[0::2] for places in (self.start, self.goal))
-        first, last = (np.arctan2(offset[:, 1], offset[:, 0]) for offset in offsets)
-        return first, first + (last - first + math.pi) % (2.0 * math.pi) - math.pi
-
-    @cached_property
-    def gathered(self) -> Array:
-        """(2n, 3) [m]: the drones after gathering, level, so high that cables hang free."""
-        gathered = self.across(_middles(self.start), self.headings[0])
-        gathered[:, 2] = np.max(self.risen(gathered, self.goal)[:, 2])
-        return gathered
-
-    def across(self, centres: Array, headings: Array, size: Array | float = 1.0) -> Array:
-        """Return the drones (…, 2n, 3) [m] across circles about centres (…, n, 3) [m].
-
-        Parameters
-        ----------
-        headings: (…, n) [rad]
-        size: (n,), of the circles over their radius.
-        """
-        radius = DRAWN * self.requirements.separation.radius * np.asarray(size)[..., None]
-        arms = radius * np.stack([np.cos(headings), np.sin(headings), 0.0 * headings], axis=-1)
-        pairs = np.stack([centres - arms, centres + arms], axis=-2)
-        return pairs.reshape(*pairs.shape[:-3], -1, 3)
-
-    @property
-    def problem(self) -> SeparationTask:
-        """The flight of the robots as discs: no one may pass over another's hanging cable."""
-        own, height = self.requirements.separation, float(np.max(self.team.cable_length))
-        discs = replace(own, radius=(1.0 + DRAWN) * own.radius, height=height)
-        start, goal = _middles(self.start), _middles(self.goal)
-        apart = pdist(goal[:, :2])
-        wider = max(1.0, 2.0 * ROOM * discs.radius / max(float(np.min(apart)), 1e-9))
-        goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
-        start[:, 2] = goal[:, 2] = self.gathered[0, 2]
-        places = np.stack([self.risen(self.gathered, self.goal), self.gathered])
-        names = tuple(f"cable {k}" for k in range(self.team.robots))
-        return self.separated(places, start=start, goal=goal, separation=discs, names=names)
-
-    def solve(self) -> list[Motion]:
-        """Return the motions: gathering, turning, flying and opening."""
-        task, (_, headings) = self.problem, self.headings
-        here, opened = self.risen(self.gathered, self.goal), self.goal.copy()
-        opened[:, 2] = np.maximum(opened[:, 2], task.goal[:1, 2])
-        flight = separate(task).drones
-        pairs = self.across(np.moveaxis(flight.coefficients, -1, 1), headings)
-        carried = PiecewisePolynomial(flight.breaks, np.moveaxis(pairs, 1, -1))
-        return [
-            *self.line("take-off", self.start, here, CableState.GROUND),
-            *self.line("gather", here, self.gathered),
-            self.stage("turn", self._turned(task.start)),
-            self.stage("approach", carried),
-            *self.line("open", self.across(task.goal, headings), opened),
-            *self.line("descend", opened, self.goal),
-        ]
-
-    def _turned(self, centres: Array) -> PiecewisePolynomial:
-        """Return the drones (2n, 3) [m] that turn in place to their headings, all on one clock."""
-        first, last = self.headings
-        largest, start = float(np.max(np.abs(last - first))), self.across(centres, first)
-        if largest < LEAST_TURN:
-            return PiecewisePolynomial.constant([0.0, PAUSE], start)
-        share, limits = (last - first) / largest, self.requirements.limits
-        size = DRAWN * self.requirements.separation.radius
-
-        def curve(angle: Array, order: int) -> Array:
-            headings = first + angle[:, None] * share + 0.5 * math.pi * order
-            return self.across(centres if order == 0 else 0.0 * centres, headings, share**order)
-
-        reserve = float(np.min(accelerations(self.team, limits, start[None])))
-        speed = min(limits.speed / size, math.sqrt(0.5 * reserve / size))
-        clock = fastest_clock(largest, speed, 0.8 * reserve / size, 0.7 * limits.jerk / size)
-        return flown(curve, clock, PIECE, limits, reserve)
-
-
-LEAST_TURN = 1e-6
-"""[rad] Smallest angle that is turned."""
-
-
-def _middles(drones: Array) -> Array:
-    """Return the middles (n, 3) [m] of cables' drones."""
-    middles: Array = 0.5 * (drones[0::2] + drones[1::2])
-    return middles
+        return separate(
+            SeparationTask(start, goal, requirements, acceleration=own, **bodies)
+        ).drones
 
 
 def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -> float:
@@ -263,9 +201,8 @@ def _lowest(team: Team, drones: Array) -> Array:
 def assigned(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
     """Return the assignment of robots to edges, and of their drones to the edges' ends.
 
-    A cable that leaves less than two legs on an edge does not take it while others do. The
-    costs are squared distances to the edges' ends: straight lines of the least sum do not cross.
-    Quadratic in n in memory, cubic at worst in time (seconds for a thousand robots).
+    A cable that leaves less than two legs on an edge does not take it while others do. Costs are
+    squared distances to the edges' ends: straight lines of the least sum do not cross.
 
     Parameters
     ----------

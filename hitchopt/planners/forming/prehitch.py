@@ -1,10 +1,10 @@
 """The pre-hitch: where the swap begins, so that no cable comes taut and no drone meets a cable.
 
-Shortened legs: every pair stands as it will in the hitch, its legs shortened by a common share, no
-nearer than a smallest radius. The share is searched downward, then the polygon is made smaller, so
-that cables reach, or larger, so that pairs on short edges keep off each other, there and on their
-way out to the hitch. Where no such place suffices and chords of pairs are too oblique for cables to
-clasp, pairs stand across their vertices, whatever their legs.
+Every pair stands as it will in the hitch, its legs shortened by a common share, no nearer than a
+smallest radius. The share is searched downward, then the polygon is made smaller, so that cables
+reach, or larger, so that pairs on short edges keep off each other, there and on their way out to
+the hitch. Where no such place suffices and chords of pairs are too oblique for cables to clasp,
+pairs stand across their vertices, whatever their legs.
 """
 
 from __future__ import annotations
@@ -21,13 +21,6 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Separation
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.turns import (
-    APART,
-    Turns,
-    rise_that_clears,
-    smallest_separation,
-)
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
@@ -39,6 +32,9 @@ SCALES = (1.0, 0.9, 0.8, 0.7, 0.6, 1.15, 1.3, 1.5, 1.8)
 TILT = math.radians(45.0)
 """[rad] Tilt of the axis of turning where none is given: it keeps drones out of hanging cables for
 any number of robots; level axes do so up to about seven."""
+
+APART = 1.05
+"""Separation [1] of a pair while it turns."""
 
 SPAN = 0.97
 """Largest share of a cable that its drones may be apart while it hangs."""
@@ -54,7 +50,62 @@ ANGLES = 73
 """Number of angles that are measured; the certificate bounds all of them."""
 
 PLACES = np.linspace(0.0, 1.0, 41)
-"""Shares of a hanging cable's length at which it is measured."""
+"""Shares of a hanging cable's length, and of straight flights, at which they are measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """Ellipses at the clasps on which pairs of drones turn about each other, all on one clock.
+
+    At clasp k the drones ``q_k`` and ``r_{k-1}`` turn about the middle c of their chord, on
+
+        q_k = c + a cos θ t + h sin θ w,      r_{k-1} = c - a cos θ t - h sin θ w,
+
+    t along the chord, w normal to it. The axis of turning is the outward normal of the chord,
+    tilted upward, so that the upper drone passes inside and the lower one outside: it would fly
+    into the loop of its neighbour's hanging cable else, where edges are nearly in line.
+
+    Attributes
+    ----------
+    team: whose drones.
+    centres: (c, 3) [m]
+    along: (c, 3), t: unit vectors, level, from ``r_{k-1}`` to ``q_k``.
+    upward: (c, 3), w: unit vectors normal to t, upward and tilted inward.
+    half: (c,) [m], a: half of the chord.
+    rise: (c,) [m], h: the other semi-axis, positive; negative where q_k goes down first.
+    ends: (k, 3) [m]: drones that do not turn, those at the ends of a chain.
+    """
+
+    team: Team
+    centres: Array
+    along: Array
+    upward: Array
+    half: Array
+    rise: Array
+    ends: Array
+
+    def drones(self, angle: Array | float, derivative: int = 0) -> Array:
+        """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative by the angle."""
+        theta = np.asarray(angle, dtype=np.float64)[..., None, None] + 0.5 * np.pi * derivative
+        offset = (self.half[:, None] * self.along) * np.cos(theta)
+        offset = offset + (self.rise[:, None] * self.upward) * np.sin(theta)
+        middle = self.centres if derivative == 0 else np.zeros_like(self.centres)
+        layout = self.team.layout
+        places = np.zeros((*offset.shape[:-2], 2 * layout.robots, 3))
+        places[..., 2 * layout.ahead, :] = middle + offset
+        places[..., 2 * layout.behind + 1, :] = middle - offset
+        if derivative == 0:
+            places[..., ~layout.has_leg.ravel(), :] = self.ends
+        return places
+
+    def raised(self, by: float) -> Turns:
+        """Return the same ellipses higher up [m]."""
+        up = np.array([0.0, 0.0, by])
+        return replace(self, centres=self.centres + up, ends=self.ends + up)
+
+    def with_senses(self, senses: Array) -> Turns:
+        """Return the same ellipses, q_k going up first where ``senses`` (c,) are 1, down at -1."""
+        return replace(self, rise=np.abs(self.rise) * senses)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,21 +116,21 @@ class PreHitch:
     ----------
     turns: the ellipses, at the altitude of the swap.
     share: of the hitch's legs.
-    scale: of the hitch's polygon.
-    measures: spans and distances of the swaps, angle by angle.
+    lowest: largest depth of a cable below the drones' plane during the swaps [m].
+    linked: whether cables cross at all clasps once pairs are exchanged.
     shortfall: relative violation of the requirements; none if at most zero.
     """
 
     turns: Turns
     share: float
-    scale: float
-    measures: Measures
+    lowest: float
+    linked: bool
     shortfall: float
 
     @property
     def drones(self) -> Array:
         """(2n, 3) [m]: places of the drones before and after the swaps."""
-        return self.turns.drones(np.asarray(0.0))
+        return self.turns.drones(0.0)
 
 
 def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) -> PreHitch:
@@ -90,40 +141,15 @@ def find_prehitch(hitch: Hitch, separation: Separation, settings: SwapSettings) 
     """
     looked_at: list[PreHitch] = []
     for across, scale, share in itertools.product((False, True), SCALES, LEG_SHARES):
-        if across and all(found.measures.linked >= LINKED for found in looked_at):
+        if across and all(found.linked for found in looked_at):
             break
         check_time()
         turns = _turns(hitch, separation, settings, share, scale, across)
-        measures = measured(turns, separation)
-        found = PreHitch(turns, share, scale, measures, _shortfall(measures, separation))
-        if found.shortfall <= 0.0:
-            drawn = _drawing_shortfall(found, hitch, separation)
-            found = replace(found, shortfall=max(found.shortfall, drawn))
+        found = _measured(turns, hitch, separation, share)
         if found.shortfall <= 0.0:
             return found
         looked_at.append(found)
     return min(looked_at, key=lambda found: found.shortfall)
-
-
-def _shortfall(measures: Measures, separation: Separation) -> float:
-    """Return the relative violation of the worst quantity."""
-    radius = separation.radius
-    needed = [
-        (measures.span, SPAN),
-        (2.0 * APART * radius - measures.opening + radius, radius),
-        (LINKED - measures.linked + radius, radius),
-        (1.0, measures.apart / (0.99 * APART)),
-    ]
-    if separation.cable > 0.0:
-        needed.append((CLEARANCE, max(measures.clearance, 1e-9) / separation.cable))
-    return max(value / limit - 1.0 for value, limit in needed)
-
-
-def _drawing_shortfall(pre: PreHitch, hitch: Hitch, separation: Separation) -> float:
-    """Return the relative violation on the way out to the hitch."""
-    worst = 1.0 / smallest_separation(pre.drones, hitch.drones, separation)
-    points = clasp_places(pre.turns, pre.scale, hitch, pre.drones)
-    return max(worst, largest_reach(hitch.team, pre.drones, points)) - 1.0
 
 
 def _turns(
@@ -153,48 +179,24 @@ def _turns(
         along = unit(edges[layout.behind] + edges[layout.ahead])
         beyond -= np.sum(beyond * along, axis=1, keepdims=True) * along
     outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
-    middles = vertices + share * beyond + (scale - 1.0) * (vertices - centre)
-    rise = rise_that_clears(separation, tilt, settings.radius)
+    upward = math.cos(tilt) * np.array([0.0, 0.0, 1.0]) - math.sin(tilt) * outward
+    # Scaled, chord and w stay orthogonal: each axis of the ellipse has to clear by itself.
+    w = separation.scale * [0.0, math.sin(tilt), math.cos(tilt)]
+    rise = max(settings.radius, 0.5 * APART / float(np.linalg.norm(w)))
     alone = drones[~layout.has_leg.ravel()]
-    up = np.array([0.0, 0.0, 1.0])
     return Turns(
         hitch.team,
-        middles,
+        vertices + share * beyond + (scale - 1.0) * (vertices - centre),
         along,
-        math.cos(tilt) * up - math.sin(tilt) * outward,
+        upward,
         np.maximum(0.5 * share * lengths, max(settings.radius, APART * separation.radius)),
         (settings.sense or 1) * np.full(len(along), rise),
         alone + (scale - 1.0) * (alone - centre),
-        hitch.vertices,
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Measures:
-    """Extremes over two swaps.
-
-    Attributes
-    ----------
-    span: largest share of a cable between its drones.
-    opening: smallest distance, along the edge, from q to r before the swaps [m]: at a smaller one
-        pairs would be on the wrong side of each other's cables.
-    linked: smallest length of two cables beyond the point where their chords cross at a clasp, seen
-        from above, when its pair is exchanged [m]; negative where they do not cross.
-    clearance: smallest distance of a drone to its partner's cable [m].
-    apart: smallest ratio of drones of pairs next to each other.
-    lowest: largest depth of a cable below the drones' plane [m].
-    """
-
-    span: float
-    opening: float
-    linked: float
-    clearance: float
-    apart: float
-    lowest: float
-
-
-def measured(turns: Turns, separation: Separation) -> Measures:
-    """Return the extremes over two swaps on these ellipses; linear in the number of pairs."""
+def _measured(turns: Turns, hitch: Hitch, separation: Separation, share: float) -> PreHitch:
+    """Return the pre-hitch with these ellipses, measured over two swaps and on the way out."""
     drones = turns.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
     q, r = drones[:, 0::2], drones[:, 1::2]
     layout, length = turns.team.layout, turns.team.cable_length
@@ -202,25 +204,35 @@ def measured(turns: Turns, separation: Separation) -> Measures:
     mu = cables.place(PLACES[:, None, None])
     points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (places, angles, n, 3)
     points[..., 2] -= cables.depth(mu)
-    clear = np.inf
-    for drone, cable in ((q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)):
-        distance = np.linalg.norm(points[:, :, cable] - drone, axis=-1)
-        clear = min(clear, float(np.min(distance)))
-    along = unit(layout.edges(turns.vertices))
-    return Measures(
-        float(np.max(np.linalg.norm(r - q, axis=-1) / length)),
-        float(np.min(np.sum((r[0] - q[0]) * along, axis=-1))),
-        _linked(turns),
-        clear,
-        _apart(turns, drones, separation),
-        float(turns.centres[0, 2]) - float(np.min(points[..., 2])),
-    )
+    lowest = float(turns.centres[0, 2]) - float(np.min(points[..., 2]))
+    # From q to r along the edge: pairs would be on the wrong side of each other's cables else.
+    opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
+    linked, radius = _linked(turns), separation.radius
+    lacking = [
+        float(np.max(np.linalg.norm(r - q, axis=-1) / length)) / SPAN,
+        (2.0 * APART * radius - opening + radius) / radius,
+        (LINKED - linked + radius) / radius,
+        0.99 * APART / smallest_separation(drones, separation),
+    ]
+    if separation.cable > 0.0:
+        pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
+        offsets = [points[:, :, cable] - drone for drone, cable in pairs]
+        clear = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
+        lacking.append(CLEARANCE * separation.cable / max(clear, 1e-9))
+    if max(lacking) <= 1.0:
+        here, out = drones[0], hitch.drones - drones[0]
+        lacking.append(1.0 / smallest_separation(here + PLACES[:, None, None] * out, separation))
+        lacking.append(_reach(hitch.team, here, clasp_places(turns, hitch)))
+    return PreHitch(turns, share, lowest, linked >= LINKED, max(lacking) - 1.0)
 
 
 def _linked(turns: Turns) -> float:
-    """Return ``Measures.linked``, half a turn from the beginning, when pairs are exchanged."""
+    """Return the least length of two cables beyond where their chords cross at a clasp [m].
+
+    Seen from above, half a turn from the beginning; negative where they do not cross.
+    """
     layout = turns.team.layout
-    drones = turns.drones(np.asarray(math.pi))[:, :2]
+    drones = turns.drones(math.pi)[:, :2]
     r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
     back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
     turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
@@ -232,71 +244,35 @@ def _linked(turns: Turns) -> float:
     return float(np.min(beyond, initial=np.inf))
 
 
-def _apart(turns: Turns, drones: Array, separation: Separation) -> float:
-    """Return the smallest ratio of drones at neighbouring clasps, and at the next but one."""
-    layout = turns.team.layout
-    pairs = np.stack([drones[:, 2 * layout.ahead], drones[:, 2 * layout.behind + 1]], axis=2)
-    closest = np.inf
-    count = pairs.shape[1]
-    for step in range(1, 1 + min(2, count // 2 if layout.closed else count - 1)):
-        others = np.roll(pairs, -step, axis=1)
-        offset = pairs[:, :, :, None] - others[:, :, None]
-        if not layout.closed:
-            offset = offset[:, : count - step]
-        ratios = np.linalg.norm(offset * separation.scale, axis=-1)
-        closest = min(closest, float(np.min(ratios, initial=np.inf)))
-    return closest
+def smallest_separation(places: Array, separation: Separation) -> float:
+    """Return the smallest separation [1] of drones, at any of the times of places (J, m, 3) [m]."""
+    from scipy.spatial import cKDTree
+
+    scaled = places * separation.scale
+    return min(float(np.min(cKDTree(there).query(there, k=[2])[0])) for there in scaled)
 
 
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Shares of the line from pre-hitch to hitch that are tried as places of the clasps."""
 
 
-def clasps_drawn_out(
-    turns: Turns, scale: float, hitch: Hitch, flight: PiecewisePolynomial
-) -> PiecewisePolynomial:
-    """Return where the clasps may lie (points, 3) [m] while the drones fly out.
-
-    They move along with the drones, between places that all cables reach around at both ends of
-    the flight. Lengths are convex: cables that reach at both ends of a straight flight reach in
-    between.
-    """
-    here = clasp_places(turns, scale, hitch, turns.drones(np.asarray(0.0)))
-    start, end = flight.coefficients[0, ..., 0], flight.coefficients[-1, ..., -1]
-    gone = flight.coefficients - start[..., None]
-    farthest = int(np.argmax(np.linalg.norm(end - start, axis=1)))
-    whole = (end - start)[farthest]
-    size = float(whole @ whole)
-    s = np.einsum("d,pdm->pm", whole, gone[:, farthest]) / size if size > 0.0 else np.ones(1)
-    s = np.clip(s, 0.0, 1.0)[..., None, None, :]
-    points = here[..., None] * (1.0 - s) + hitch.vertices[..., None] * s
-    shape = (flight.pieces, *points.shape[-3:])
-    return PiecewisePolynomial(flight.breaks, np.broadcast_to(points, shape))
-
-
-def clasp_places(turns: Turns, scale: float, hitch: Hitch, drones: Array) -> Array:
+def clasp_places(turns: Turns, hitch: Hitch) -> Array:
     """Return the places (points, 3) [m] of the clasps that cables reach around most easily.
 
-    Candidates are the middles of the pairs, the pre-hitch's vertices, and places between them and
-    the hitch's; the ends of chains are where their drones are.
+    They are on the lines from the pairs' middles to the hitch's vertices; the ends of chains are
+    where their drones are.
     """
-    layout = hitch.team.layout
-    centre = np.append(hitch.polygon.centroid, hitch.altitude)
+    layout, drones = hitch.team.layout, turns.drones(0.0)
     middles = hitch.vertices.copy()
     middles[layout.clasps] = turns.centres
+    found = [middles + share * (hitch.vertices - middles) for share in SHARES]
     alone = np.flatnonzero(~layout.has_leg.ravel())
-    best, least = hitch.vertices, np.inf
-    for first in (centre + scale * (hitch.vertices - centre), middles):
-        for share in SHARES:
-            points = first + share * (hitch.vertices - first)
-            points[layout.anchors[alone]] = drones[alone]
-            reach = largest_reach(hitch.team, drones, points)
-            if reach < least:
-                best, least = points, reach
-    return best
+    for points in found:
+        points[layout.anchors[alone]] = drones[alone]
+    return min(found, key=lambda points: _reach(hitch.team, drones, points))
 
 
-def largest_reach(team: Team, drones: Array, points: Array) -> float:
+def _reach(team: Team, drones: Array, points: Array) -> float:
     """Return the largest share of a cable that its route around the points takes."""
     layout = team.layout
     legs = np.linalg.norm(drones - points[layout.anchors], axis=1).reshape(-1, 2)

@@ -11,14 +11,16 @@ import numpy as np
 
 from hitchopt.checks.clearance import above_ground
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.prehitch import PreHitch, clasps_drawn_out
-from hitchopt.planners.forming.turns import straight, swap
+from hitchopt.planners.forming.prehitch import PreHitch, Turns, clasp_places
 from hitchopt.planners.timing.flight import turning_stretch
+from hitchopt.planners.timing.profile import LIMIT_SHARE
+from hitchopt.planners.timing.ramps import accelerations, fastest_clock, flown
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 PULL_SECONDS = 1.0
 """[s] Shortest rise of the tensions, against which drones tilt."""
@@ -38,43 +40,41 @@ def tied(
 ) -> list[Motion]:
     """Return the motions from the pre-hitch to the hitch, pulled by the team's tension.
 
+    On their way out clasps move along with the drones, between places that all cables reach around
+    at both ends: lengths are convex, so that cables reach in between.
+
     Parameters
     ----------
     index: of the step in its mission.
     """
-    team, limits = hitch.team, requirements.limits
+    team, limits, own = hitch.team, requirements.limits, (hitch.team, requirements, index)
     # No drone goes farther than this, whatever the polygon.
     shorter = (1.0 - pre.share) * float(np.max(hitch.legs))
-    out = straight(team, limits, pre.drones, hitch.drones, shorter)
-    rest = [0.0, rise_seconds(team)]
-    swaps = (swap(pre.turns, limits, first, settings.seconds) for first in (0, 1))
+    out = _share(team, limits, pre.drones, hitch.drones, shorter)
+    drawn = _between(out, clasp_places(pre.turns, hitch), hitch.vertices)
+    swaps = [swap(pre.turns, limits, first, settings.seconds) for first in (0, 1)]
+    rest = np.array([0.0, rise_seconds(team)])
     still, points, legs = (
         PiecewisePolynomial.constant(rest, value)
         for value in (hitch.drones, hitch.vertices, hitch.legs)
     )
-    tensions = PiecewisePolynomial(np.array(rest), (team.tension[:, None] * SMOOTH)[None])
-    own = team, requirements, index
-    drawn = clasps_drawn_out(pre.turns, pre.scale, hitch, out)
+    tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
+    hitched: dict[str, Any] = {"vertices": points, "legs": legs, "tensions": tensions}
+    tightened = _between(out, pre.drones, hitch.drones)
     return [
         *(
-            stage(f"swap {k}", drones, *own, CableState.CLASPING, vertices=_still(drones, hitch))
+            stage(
+                f"swap {k}",
+                drones,
+                *own,
+                CableState.CLASPING,
+                vertices=PiecewisePolynomial.constant(drones.breaks, hitch.vertices),
+            )
             for k, drones in enumerate(swaps, 1)
         ),
-        stage("tighten", out, *own, CableState.TIGHTENING, vertices=drawn),
-        stage(
-            "tension",
-            still,
-            *own,
-            CableState.HITCHED,
-            vertices=points,
-            legs=legs,
-            tensions=tensions,
-        ),
+        stage("tighten", tightened, *own, CableState.TIGHTENING, vertices=drawn),
+        stage("tension", still, *own, state=CableState.HITCHED, **hitched),
     ]
-
-
-def _still(drones: PiecewisePolynomial, hitch: Hitch) -> PiecewisePolynomial:
-    return PiecewisePolynomial.constant(drones.breaks, hitch.vertices)
 
 
 def stage(
@@ -118,9 +118,8 @@ def rise_seconds(team: Team) -> float:
     Cables sag until tension comes, and what lifts them fast leaves them swinging. The slowest swing
     of a regular hitch is that of its cables as strings, ends at rest: a wave runs to and fro in
     ``2 √(L m / T)``, m being the mass of the cable and of half the load at each of its clasps.
-    After a rise along ``SMOOTH`` an oscillator of that period keeps 19 % of the lift if the rise
-    lasts 1.6 periods, nothing at 2.2, and 2.2 % at most from there on; three periods allow for the
-    tensions that are still low, at which it is slower.
+    After a rise along ``SMOOTH`` over 2.2 periods or more an oscillator keeps 2.2 % of the lift at
+    most; three periods allow for the tensions that are still low, at which it is slower.
     """
     layout = team.layout
     meet, halves = np.append(layout.ahead, layout.behind), np.tile(0.5 * team.load, 2)
@@ -139,3 +138,83 @@ def undone(stages: Sequence[Motion]) -> list[Motion]:
         )
         for each in reversed(stages)
     ]
+
+
+# Flights of drones: half a turn of all pairs, and straight lines.
+
+PIECE = 0.3
+"""[rad] Largest angle on one polynomial of degree 7, which is within 1e-9 of the ellipse."""
+
+TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
+"""Shares of the acceleration that turning takes at full speed; the rest is for speeding up."""
+
+JERK_SHARE = 0.7
+"""Share of the jerk that the angle's own rate takes."""
+
+ANGLES, PROBES = 25, 9
+"""Numbers of angles, and of places on a line, at which the drones' reserves are computed."""
+
+STILL = 1e-9
+"""[m] Shortest distance that is flown."""
+
+PAUSE = 0.01
+"""[s] Duration of a flight in which no drone moves."""
+
+
+def swap(turns: Turns, limits: Limits, first: int, seconds: float | None) -> PiecewisePolynomial:
+    """Return the drones (2n, 3) [m] on half a turn, from rest to rest.
+
+    As fast as the limits of every drone's speed, acceleration and jerk allow, whatever their
+    number: pairs move at the same time.
+
+    Parameters
+    ----------
+    turns: the ellipses.
+    limits: of every drone.
+    first: 0 for the turn from θ = 0, 1 for the one from θ = π.
+    seconds: no faster than this [s], or None.
+    """
+    start = first * math.pi
+    angles = np.linspace(start, start + math.pi, ANGLES)
+    reserve = float(np.min(accelerations(turns.team, limits, turns.drones(angles))))
+    size = float(max(np.max(turns.half), np.max(np.abs(turns.rise))))
+
+    def half_turn(share: float) -> PiecewisePolynomial:
+        """Return the turn whose angle is limited by the share, slowed to the drones' limits."""
+        speed = min(limits.speed / size, math.sqrt(share * reserve / size))
+        spare = math.sqrt(max(reserve * reserve - (speed * speed * size) ** 2, 1e-12)) / size
+        clock = fastest_clock(math.pi, speed, spare, JERK_SHARE * limits.jerk / size)
+        return flown(lambda at, k: turns.drones(start + at, k), clock, PIECE, limits, reserve)
+
+    best = min(map(half_turn, TURNING_SHARES), key=lambda drones: drones.duration)
+    return best.stretched(max(1.0, (seconds or 0.0) / best.duration))
+
+
+def straight(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:
+    """Return the drones (2n, 3) [m] on straight lines, from rest to rest at the same times."""
+    return _between(_share(team, limits, start, end), start, end)
+
+
+def _share(
+    team: Team, limits: Limits, start: Array, end: Array, least: float = 0.0
+) -> PiecewisePolynomial:
+    """Return the share of straight lines that is flown, from 0 to 1.
+
+    The farthest drone goes ``least`` [m] at least, as far as the clock is concerned.
+    """
+    distance = float(np.max(np.linalg.norm(end - start, axis=1)))
+    if distance < STILL:
+        return PiecewisePolynomial.constant([0.0, PAUSE], 1.0)
+    share = np.linspace(0.0, 1.0, PROBES)[:, None, None]
+    reserve = float(np.min(accelerations(team, limits, start + share * (end - start))))
+    clock = fastest_clock(
+        max(distance, least), LIMIT_SHARE * limits.speed, reserve, LIMIT_SHARE * limits.jerk
+    )
+    share = clock.coefficients / clock.coefficients[-1, -1]
+    return PiecewisePolynomial(clock.breaks, np.clip(share, 0.0, 1.0))  # not through the floor
+
+
+def _between(share: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
+    """Return points (k, 3) [m] on their lines, by the share of these."""
+    s = share.coefficients[:, None, None, :]
+    return PiecewisePolynomial(share.breaks, start[..., None] * (1.0 - s) + end[..., None] * s)
