@@ -122,12 +122,9 @@ def object_loads(motion: Motion) -> Array | None:
     None where clasps carry no objects.
     """
     found: list[Array] = []
-    for index, body, on, _ in _resting(motion):
-        pose, supports = (
-            motion.object_poses.coefficients[:, index],
-            supports_of(motion, index, body),
-        )
-        share = motion.object_shares.coefficients[:, index]
+    for index, body, on, share in _resting(motion):
+        pose = motion.object_poses.coefficients[:, index]
+        supports = supports_of(motion, index, body)
         lifted = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)[:, None, None, None]
         moved = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
         moved = np.where(lifted, moved, 0.0)  # what stands does not move

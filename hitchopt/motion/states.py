@@ -207,7 +207,7 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s] in blocks of at most ``size``."""
     pulls, taut = map(motion.drones.alike, (leg_tensions(motion), tautness(motion)))
     parts = motion.drones, motion.vertices, pulls, taut
-    rates = [part.differentiated() for part in parts]
+    rates, inner = [part.differentiated() for part in parts], motion.drones.breaks[1:-1]
     second, third = (motion.drones.differentiated(order) for order in (2, 3))
     for first in range(0, len(times), size):
         t = times[first : first + size]
@@ -215,7 +215,7 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
         values, slopes = (tuple(part.at(at) for part in each) for each in (parts, rates))
         yield States(
             t=t,
-            formed=_formed(motion, at),
+            formed=motion.formed[np.searchsorted(inner, at, side="right")],  # as the later piece
             positions=values[0],
             velocities=slopes[0],
             accelerations=second.at(at),
@@ -230,17 +230,6 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
             borne=motion.object_shares.at(at),
             masses=np.broadcast_to(motion.team.mass, values[0].shape[:-1]),
         )
-
-
-def hitch_at(motion: Motion, times: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return whether there is a hitch, its vertices and tensions, as states at times [s] do."""
-    at = np.minimum(motion.drones.breaks[0] + times, motion.drones.breaks[-1])
-    return _formed(motion, at), motion.vertices.at(at), motion.tensions.at(at)
-
-
-def _formed(motion: Motion, times: Array) -> NDArray[np.bool_]:
-    """Return whether there is a hitch at times [s]; where pieces join, on the later one."""
-    return motion.formed[np.searchsorted(motion.drones.breaks[1:-1], times, side="right")]
 
 
 def final_hitch(motion: Motion) -> Hitch:

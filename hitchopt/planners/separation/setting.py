@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import BSpline
 
-from hitchopt.geometry.vectors import tied_order
+from hitchopt.geometry.vectors import TIE
 from hitchopt.hitch.requirements import Arena
 from hitchopt.planners.separation.routes import routes_around
 from hitchopt.planners.separation.task import SeparationTask
@@ -100,7 +100,8 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
         lasts = np.maximum(durations / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
         np.divide(own_rises, durations, out=rises, where=routes.lengths > 0.0)
-        rank = np.argsort(tied_order(-lasts, 1.0))  # who flies longest leaves first
+        order = np.argsort(np.round(-lasts / TIE), kind="stable")  # who flies longest leaves first
+        rank = np.argsort(order)
         leaving = (1.0 - lasts) * rank / max(1, n - 1)
         each = zip(leaving, lasts, rises, strict=True)
         shares = [_progress((s - leave) / share, float(rise)) for leave, share, rise in each]
