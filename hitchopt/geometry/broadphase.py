@@ -20,23 +20,13 @@ TINY = np.finfo(np.float64).tiny
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """Boxes along the axes.
-
-    Attributes
-    ----------
-    lower, upper: (boxes, d) [m]
-    """
+    """Boxes along the axes, between their corners (boxes, d) [m]."""
 
     lower: Array
     upper: Array
 
     def __len__(self) -> int:
         return len(self.lower)
-
-    @classmethod
-    def around(cls, points: Array) -> Boxes:
-        """Return the boxes that hold what has the control points (boxes, corners, 3, m)."""
-        return cls(np.min(points, axis=(1, 3)), np.max(points, axis=(1, 3)))
 
     @property
     def sizes(self) -> Array:
@@ -47,12 +37,7 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """Pairs of bodies.
-
-    Attributes
-    ----------
-    first, second: (pairs,), indices into the first and the second group.
-    """
+    """Pairs of bodies: indices (pairs,) into the first and into the second group."""
 
     first: Indices
     second: Indices
@@ -63,14 +48,6 @@ class Pairs:
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Pairs:
         """Return the chosen pairs."""
         return Pairs(self.first[index], self.second[index])
-
-
-def all_pairs(first: int, second: int | None) -> Pairs:
-    """Return every pair of two groups of that many, or i < j within the first one."""
-    if second is None:
-        return Pairs(*np.triu_indices(first, 1))
-    i, j = np.divmod(np.arange(first * second), second)
-    return Pairs(i, j)
 
 
 def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:

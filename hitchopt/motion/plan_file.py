@@ -245,8 +245,9 @@ def asked_of(motion: Motion) -> dict[str, Any]:
     Values of robots are in the order of the start's robots, which ``assignment`` gives roles.
     """
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
+    requirements = replace(motion.requirements, objects=_objects_at_first(motion))
     if not team.has_cables:
-        return asked(team, motion.requirements, {"drones": first})
+        return asked(team, requirements, {"drones": first})
     given = motion.assignment or Assignment.fixed(team.robots)
     role_of = np.argsort(given.robots).tolist()
     back = Assignment(tuple(role_of), tuple(given.flipped[role] for role in role_of))
@@ -255,19 +256,13 @@ def asked_of(motion: Motion) -> dict[str, Any]:
     if motion.formed[0]:
         x, y, z = motion.vertices.coefficients[0, ..., 0].T
         start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
-    return asked(back.team(team), motion.requirements, start, _objects_at_first(motion))
+    return asked(back.team(team), requirements, start)
 
 
-def asked(
-    team: Team,
-    requirements: Requirements,
-    start: Mapping[str, Any],
-    objects: Mapping[str, SolidObject] | None = None,
-) -> dict[str, Any]:
+def asked(team: Team, requirements: Requirements, start: Mapping[str, Any]) -> dict[str, Any]:
     """Return a team, requirements and a start as plan files store them.
 
-    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known. Objects
-    are those of the requirements but where they are given, by name.
+    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known.
     """
     own = vars(team) if team.has_cables else {"drones": team.drones, "quadrotor": team.quadrotor}
     limits = dict(vars(requirements.limits))
@@ -281,7 +276,7 @@ def asked(
         "separation": requirements.separation,
         "arena": requirements.arena,
         "keep_out": requirements.keep_out,
-        "objects": requirements.objects if objects is None else objects,
+        "objects": requirements.objects,
     }
     plain: dict[str, Any] = json.loads(json.dumps(values, default=_plain))
     return plain

@@ -80,7 +80,7 @@ def footing(objects: Mapping[str, SolidObject], name: str) -> float:
     steps = np.linspace(-reach, reach, GRID)
     grid = centre + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     grid = grid[section.clearance(grid)[0] <= 0.0]
-    places = in_world(body.pose, np.column_stack([grid, np.zeros(len(grid))]))
+    places = in_world(body.pose, _level(grid))
     met = [each.section.clearance(in_frame(each.pose, places)[:, :2])[0] <= 0.0 for each in below]
     if not np.any(met):
         return 0.0

@@ -66,7 +66,7 @@ def close_pieces(curves: Array, separation: Separation, cutoff: float) -> Indice
     """
     found, scaled = [], curves * separation.scale[:, None]
     for m, piece in enumerate(scaled):  # as many as the grid has, whatever the number of drones
-        pairs = close_pairs(Boxes.around(piece[:, None]), None, cutoff)
+        pairs = close_pairs(Boxes(np.min(piece, axis=-1), np.max(piece, axis=-1)), None, cutoff)
         found.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
     sides = np.concatenate(found)
     piece, first, second = sides.T
