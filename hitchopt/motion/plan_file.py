@@ -12,6 +12,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -76,8 +77,8 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         for name in (*PER_KIND, *PER_CONTROLLER)
     }
     columns["stiffness"][np.isnan(columns["stiffness"])] = np.inf  # None
-    plain = [replace(kind, mass=1.0, max_thrust=1.0) for kind in team.quadrotor]
-    control = set(plain) != {Quadrotor(mass=1.0, max_thrust=1.0)}
+    pairs = product(team.quadrotor, PER_CONTROLLER)
+    control = any(getattr(kind, name) != getattr(Quadrotor, name) for kind, name in pairs)
     names = (*PER_KIND, *(PER_CONTROLLER if control else ()))
     arrays: Arrays = {name: columns[name] for name in names}
     own = {field.name: getattr(team, field.name) for field in fields(team)}
