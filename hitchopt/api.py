@@ -22,7 +22,7 @@ from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import DronesStart, Problem, Start, SwarmProblem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem, solve_swarm
-from hitchopt.motion.asked import check_asked
+from hitchopt.motion.plan_file import check_asked
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
 from hitchopt.steps.step import Stage

@@ -16,11 +16,9 @@ from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
-from hitchopt.motion.asked import check_asked
-from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
-from hitchopt.motion.states import States, states_at
+from hitchopt.motion.plan_file import check_asked, read_plan, read_problem_text, read_title
+from hitchopt.motion.states import States, final_hitch, states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
 from hitchopt.values import flag, instance, path, text, whole

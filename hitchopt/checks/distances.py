@@ -35,7 +35,7 @@ from hitchopt.checks.spans import (
     position_margin,
 )
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.broadphase import Boxes, Pairs, all_pairs, close_pairs, few_close_pairs
+from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -192,8 +192,9 @@ class Moving:
         total = bodies * (bodies - 1) // 2 if self.second is None else bodies * self.count
         if total > FEW:
             return None
-        every = all_pairs(bodies, None if self.second is None else self.count)
-        return self.chosen(every)
+        if self.second is None:
+            return self.chosen(Pairs(*np.triu_indices(bodies, 1)))
+        return self.chosen(Pairs(*np.divmod(np.arange(total), self.count)))
 
     def cutoff(self, attained: float) -> float:
         """Return the distance of boxes from which on pairs are no closer than what is attained."""
@@ -402,10 +403,9 @@ def _indexed(moving: Moving, attained: Callable[[], float], depth: int) -> Itera
     own, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
     second = None if moving.second is None else others
     single, moves = len(moving.first) == 1, np.median(own.sizes) > 0.25 * reach
-    if single and (depth == MAX_DEPTH or not moves):
-        pairs: Pairs | None = close_pairs(own, second, reach)
-    else:
-        pairs = few_close_pairs(own, second, reach, MOST * (len(own) + len(others)))
+    last = single and (depth == MAX_DEPTH or not moves)
+    most = np.inf if last else MOST * (len(own) + len(others))
+    pairs = few_close_pairs(own, second, reach, most)
     if pairs is not None:
         yield from _compared(moving, attained, moving.chosen(pairs))
         return

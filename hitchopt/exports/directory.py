@@ -18,7 +18,7 @@ from hitchopt.errors import FileError, HitchoptError, InfeasibleError, Unsupport
 from hitchopt.mission.repair import Suggestion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.states import States, hitch_at, iterate_states, sample_times, states_at
+from hitchopt.motion.states import States, iterate_states, sample_times, states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import Writer, parsed_json, replace_files, write_strict_json
 from hitchopt.values import Array
@@ -224,13 +224,11 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     times, points = sample_times(motion.duration, rate), motion.team.layout.points
 
     def blocks() -> Iterator[tuple[Array, Array]]:
-        for first in range(0, len(times), size := max(1, ROWS // points)):
-            t = times[first : first + size]
-            formed, vertices, tensions = hitch_at(motion, t)
-            values = np.full((len(t), points, 4), np.nan)
-            values[..., :3] = vertices
-            values[:, : motion.team.robots, 3] = tensions
-            yield t[formed], values[formed] + 0.0  # no negative zeros
+        for states in iterate_states(motion, times, max(1, ROWS // points)):
+            values = np.full((len(states.t), points, 4), np.nan)
+            values[..., :3] = states.vertices
+            values[:, : motion.team.robots, 3] = states.tensions
+            yield states.t[states.formed], values[states.formed] + 0.0  # no negative zeros
 
     write_rows(path, VERTICES_HEADER, tuple(map(str, range(points))), blocks())
 

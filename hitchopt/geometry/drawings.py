@@ -46,39 +46,29 @@ def read_outline(path: str | Path) -> Array:
     Raises
     ------
     FileError: the file cannot be read as what its name says.
-    InputError: there is no closed outline in it.
+    InputError: there is no closed outline in it, or one larger than objects are, in other units.
     UnsupportedError: a package for such files is not installed.
     """
     path = Path(path)
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
+    kind = path.suffix.lower()
+    if kind not in READERS:
         known = ", ".join(READERS)
         raise InputError("outline", path.name, f"a drawing ({known})", "save it as one of these")
     try:
         if path.stat().st_size > MAX_SIZE:
             raise FileError(f"{path}: has more than {MAX_SIZE:.0e} bytes, too many for an outline")
-        lines = reader(path)
+        lines = READERS[kind](path)
     except HitchoptError:
         raise
     except Exception as error:  # parsers raise their own kinds, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
-    return _joined(lines, path.name)
-
-
-def object_outline(path: str | Path) -> Array:
-    """Return the outline of a drawing of an object, as ``read_outline``.
-
-    Raises
-    ------
-    InputError: also for one of another size than objects have: one in other units.
-    """
-    outline = read_outline(path)
+    outline = _joined(lines, path.name)
     size = float(np.max(np.ptp(outline, axis=0)))
     if size > LARGEST:
         bound = f"at most {LARGEST:g} m across, not {size:.4g} m"
         remedy = "state the drawing's unit: numbers without one are metres"
-        raise InputError("outline", Path(path).name, bound, remedy)
+        raise InputError("outline", path.name, bound, remedy)
     return outline
 
 

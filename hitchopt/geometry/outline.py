@@ -6,7 +6,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import ClassVar, Self
 
 import numpy as np
@@ -43,7 +42,12 @@ class Outline(OneLine, ABC):
             vertices = vertices.vertices
         bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"
         object.__setattr__(self, "vertices", points("polygon", vertices, (3, 2), bound, remedy))
-        self._check_edges()
+        lengths = self.edge_lengths
+        shortest = int(np.argmin(lengths))
+        if lengths[shortest] < MIN_EDGE:
+            bound = f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]"
+            remedy = "remove or move one of the coincident points"
+            raise self._refused(bound, remedy, shortest)
         self._check_turns()
 
     def __len__(self) -> int:
@@ -52,13 +56,11 @@ class Outline(OneLine, ABC):
     def __iter__(self) -> Iterator[Array]:
         return iter(self.vertices)
 
-    @cached_property
+    @property
     def edge_vectors(self) -> Array:
-        """(edges, 2) [m], read-only: ``p_{k+1} - p_k``."""
+        """(edges, 2) [m]: ``p_{k+1} - p_k``."""
         edges: Array = np.roll(self.vertices, -1, axis=0) - self.vertices
-        edges = edges if self.closed else edges[:-1]
-        edges.setflags(write=False)
-        return edges
+        return edges if self.closed else edges[:-1]
 
     @property
     @abstractmethod
@@ -70,12 +72,10 @@ class Outline(OneLine, ABC):
         """(corners,): the points at which one edge follows another."""
         return np.arange(len(self)) if self.closed else np.arange(1, len(self) - 1)
 
-    @cached_property
+    @property
     def edge_lengths(self) -> Array:
-        """(edges,) [m], read-only: ``l_k``."""
-        edges = self.edge_vectors
-        lengths: Array = np.hypot(edges[:, 0], edges[:, 1])
-        lengths.setflags(write=False)
+        """(edges,) [m]: ``l_k``."""
+        lengths: Array = np.hypot(*self.edge_vectors.T)
         return lengths
 
     @property
@@ -83,14 +83,13 @@ class Outline(OneLine, ABC):
         """(edges, 2): unit vectors ``u_k``, eq. (1) of the paper."""
         return self.edge_vectors / self.edge_lengths[:, None]
 
-    @cached_property
+    @property
     def exterior_angles(self) -> Array:
-        """(corners,) [rad], read-only: angle by which the outline turns right at each corner."""
+        """(corners,) [rad]: angle by which the outline turns right at each corner."""
         edges = self.edge_vectors
         ahead, behind = edges[self.corners], edges[self.corners - 1]
         right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
         angles: Array = np.arctan2(right, np.add.reduce(behind * ahead, axis=1))
-        angles.setflags(write=False)
         return angles
 
     def translated(self, offset: ArrayLike) -> Self:
@@ -111,14 +110,6 @@ class Outline(OneLine, ABC):
         """Return the mirror image in the y axis; the order is reversed to stay clockwise."""
         return type(self)((self.vertices * [-1.0, 1.0])[::-1])
 
-    def _check_edges(self) -> None:
-        lengths = self.edge_lengths
-        shortest = int(np.argmin(lengths))
-        if lengths[shortest] < MIN_EDGE:
-            bound = f"at least {MIN_EDGE:g} m away from polygon[{(shortest + 1) % len(self)}]"
-            remedy = "remove or move one of the coincident points"
-            raise self._refused(bound, remedy, shortest)
-
     def _check_turns(self) -> None:
         angles = self.exterior_angles
         if (angles < 0.0).all():
@@ -126,10 +117,8 @@ class Outline(OneLine, ABC):
             raise self._refused("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
-            bound = (
-                f"a convex corner (it turns right by {math.degrees(angles[flattest]):.6g}°, "
-                f"at least {math.degrees(MIN_EXTERIOR_ANGLE):.2g}° are needed)"
-            )
+            turned, least = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
+            bound = f"a convex corner (it turns right by {turned:.6g}°, not {least:.2g}° at least)"
             remedy = "move the point outward, or list the points in clockwise order"
             raise self._refused(bound, remedy, int(self.corners[flattest]))
 

@@ -26,10 +26,10 @@ from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.final_hitch import final_hitch
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import before, beside_objects, followed, resting, rests, retimed
+from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import STILL, in_world
 from hitchopt.planners.forming.stages import straight
 from hitchopt.steps import Land, Release

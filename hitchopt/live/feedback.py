@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
-from hitchopt.geometry.segments import differences, shortest_offset
+from hitchopt.geometry.vectors import differences, shortest_offset
 from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion

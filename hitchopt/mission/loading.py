@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from hitchopt.errors import FileError, InputError, one_or_all
-from hitchopt.geometry.drawings import object_outline
+from hitchopt.geometry.drawings import read_outline
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.mission.keys import (
@@ -79,7 +79,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 
 
 def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
-    """Return what the text of a problem file asks, as ``hitchopt.motion.asked`` has it.
+    """Return what the text of a problem file asks, as ``hitchopt.motion.plan_file`` has it.
 
     The ``objects`` of its plan stand in for drawings, which a text alone does not have.
     """
@@ -212,7 +212,7 @@ def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
     lower, upper = values.pop("from_"), values.pop("to")
     try:
         if file is not None:
-            outline = object_outline(Path(file) if folder is None else folder / file)
+            outline = read_outline(Path(file) if folder is None else folder / file)
         if rim is not None:
             rim = Rim(Section(rim["outline"], rim["circle"]), rim["at"])
         return SolidObject(Section(outline, circle), lower, upper, yaw=yaw, rim=rim, **values)

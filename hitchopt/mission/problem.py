@@ -205,13 +205,12 @@ class Problem(OneLine):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
-        from hitchopt.motion.asked import asked, hitch_start
+        """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
+        from hitchopt.motion.plan_file import asked
 
         if isinstance(self.start, DronesStart):
-            places = {name: place.tolist() for name, place in vars(self.start).items()}
-            return asked(self.team, self.requirements, {"drones": places})
-        hitch = hitch_start(self.start.polygon.vertices, self.start.altitude)
+            return asked(self.team, self.requirements, {"drones": vars(self.start)})
+        hitch = {"polygon": self.start.polygon.vertices, "altitude": self.start.altitude}
         return asked(self.team, self.requirements, {"hitch": hitch})
 
     @property
@@ -280,10 +279,10 @@ class SwarmProblem(OneLine):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
-        from hitchopt.motion.asked import asked
+        """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
+        from hitchopt.motion.plan_file import asked
 
-        return asked(self.team, self.requirements, {"drones": self.start.tolist()})
+        return asked(self.team, self.requirements, {"drones": self.start})
 
     def __post_init__(self) -> None:
         instance("team", self.team, Swarm)

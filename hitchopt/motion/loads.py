@@ -6,14 +6,14 @@ above; of all such shares those with the least sum of squares, as equally stiff 
 centre of mass h above the clasps moves the weight ``m h G_k·a`` to clasp k as it accelerates.
 
 Clasps are inside of the rim, whose edge bends their legs: below it they run level, beyond it they
-rise. The rim takes the share ``κ = 1 - sqrt(1 - (v / T)²)`` of what edges pull with, that of the
-mean leg, ``v / T = W / (2 Σ T_k)``, W the weight of object and edges. Vertices, where straight legs
-would meet, are below the rim by the mean leg's slope times its distance to the rim's edge.
+rise, the mean leg by an angle φ with ``sin φ = W / (2 Σ T_k)``, W the weight of object and edges.
+The rim takes the share ``1 - cos φ`` of what edges pull with. Vertices, where straight legs would
+meet, are below the rim by the mean leg's slope times its distance to the rim's edge.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,9 +80,8 @@ def leg_tensions(motion: Motion) -> Array:
 
 def lowered(coefficients: Array) -> Array:
     """Return constants written in degree 0, anything else as it is: products get cheaper."""
-    if np.all(coefficients == coefficients[..., :1]):
-        return coefficients[..., :1]
-    return coefficients
+    constant = np.all(coefficients == coefficients[..., :1])
+    return coefficients[..., :1] if constant else coefficients
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,15 +104,42 @@ class Supports:
         return cls(gains[..., 0], gains[..., 1:])
 
 
+def supports_of(motion: Motion, index: int, body: SolidObject) -> Supports:
+    """Return how clasps share an object's weight where each piece begins (pieces, clasps)."""
+    places = _places(motion, index)[:, motion.team.layout.clasps]
+    return Supports.at(places, body.centre_of_mass[:2])
+
+
+def _places(motion: Motion, index: int) -> Array:
+    """Return vertices (pieces, points, 2) [m] in an object's frame where each piece begins."""
+    poses = motion.object_poses.coefficients[:, index, :, 0]
+    return in_frame(poses[:, None], motion.vertices.coefficients[..., 0])[..., :2]
+
+
 def object_loads(motion: Motion) -> Array | None:
     """Return the forces ``w_k`` of carried objects on clasps (pieces, clasps, 3, …) [N].
 
     None where clasps carry no objects.
     """
-    return _total(
-        np.where(on[:, None, None, None], _loads(motion, index, body), 0.0)
-        for index, body, on, _ in _resting(motion)
-    )
+    found: list[Array] = []
+    for index, body, on, share in _resting(motion):
+        pose = motion.object_poses.coefficients[:, index]
+        supports = supports_of(motion, index, body)
+        lifted = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)[:, None, None, None]
+        moved = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
+        moved = np.where(lifted, moved, 0.0)  # what stands does not move
+        order = max(bernstein.degree(moved), bernstein.degree(share))
+        pulled = bernstein.elevate(moved, order).copy()
+        pulled[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
+        own = -body.mass * supports.shares[..., None, None] * pulled
+        pushed = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
+        level = pushed[:, :2] / motion.drones.durations[:, None, None] ** 2
+        turned = _turned_back(np.where(lifted[..., 0], level, 0.0), pose[:, 3:])
+        height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
+        upward = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
+        tipped = np.stack([0.0 * upward, 0.0 * upward, upward], axis=2)
+        found += [np.where(on[:, None, None, None], part, 0.0) for part in (own, tipped)]
+    return _total(found)
 
 
 def saved_lengths(motion: Motion) -> Array | None:
@@ -125,9 +151,7 @@ def saved_lengths(motion: Motion) -> Array | None:
     for index, body, on, borne in _resting(motion):
         if body.rim is None or not motion.team.layout.closed:
             continue
-        poses = motion.object_poses.coefficients[on, index, :, 0]
-        places = in_frame(poses[:, None], motion.vertices.coefficients[on, ..., 0])[..., :2]
-        most = np.zeros((len(on), motion.team.robots))
+        most, places = np.zeros((len(on), motion.team.robots)), _places(motion, index)[on]
         pulls = motion.tensions.coefficients[on, ..., 0]
         most[on] = np.sum(rim_savings(motion.team, body, places, pulls), axis=-1)
         found.append(most[..., None] * bernstein.multiply(borne, borne)[:, None])
@@ -163,29 +187,29 @@ def _resting(motion: Motion) -> Iterator[tuple[int, SolidObject, NDArray[np.bool
             yield index, body, on, borne
 
 
-def _total(parts: Iterable[Array]) -> Array | None:
+def _total(found: list[Array]) -> Array | None:
     """Return the sum of polynomials of any degrees; None of none."""
-    found = [*parts]
     order = max((bernstein.degree(part) for part in found), default=0)
     raised = [bernstein.elevate(part, order) for part in found]
     return sum(raised[1:], raised[0]) if raised else None
 
 
+def _rise(
+    team: Team, mass: float, edges: Array, tensions: Array, borne: Array | float = 1.0
+) -> Array:
+    """Return the angle φ (…) [rad] at which the mean leg rises, given edges' lengths (…, n) [m]."""
+    weight = GRAVITY * (mass + team.cable_density * np.sum(edges, axis=-1))
+    slope = borne * weight / (2.0 * np.sum(tensions, axis=-1))
+    return np.asarray(np.arcsin(np.minimum(slope, 1.0)))
+
+
 def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
-    """Return the share κ (…) of edges' pulls that the rim of an object of a mass [kg] takes.
+    """Return the share (…) of edges' pulls that the rim of an object of a mass [kg] takes.
 
     Of edges' lengths (…, n) [m] and tensions (…, n) [N].
     """
-    slope = leg_slope(team, mass, edges, tensions)
-    share: Array = 1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))
+    share: Array = 1.0 - np.cos(_rise(team, mass, edges, tensions))
     return share
-
-
-def leg_slope(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
-    """Return the mean leg's vertical pull over its tension (…), as ``strut_share``."""
-    weight = GRAVITY * (mass + team.cable_density * np.sum(edges, axis=-1))
-    slope: Array = weight / (2.0 * np.sum(tensions, axis=-1))
-    return slope
 
 
 def rim_drop(
@@ -196,8 +220,8 @@ def rim_drop(
     Legs run on along the edges of their vertex's two neighbours. Of vertices (…, n, 2) [m] in the
     object's frame, clockwise, tensions (…, n) [N] and the share (…) of the weight on the legs.
     """
-    onward, back = _to_rim(body, places)
-    rise = _mean_rise(team, body, places, tensions, borne)
+    onward, back, edges = _to_rim(body, places)
+    rise = _rise(team, body.mass, edges, tensions, borne)
     drop: Array = np.mean(onward + back, axis=-1) * 0.5 * np.tan(rise)
     return drop
 
@@ -208,76 +232,32 @@ def rim_savings(team: Team, body: SolidObject, places: Array, tensions: Array) -
     Cables run level up to the edge of a rim whose whole weight is on the legs, and only then rise.
     Parameters are those of ``rim_drop``.
     """
-    onward, back = _to_rim(body, places)
-    longer = 1.0 / np.cos(_mean_rise(team, body, places, tensions)) - 1.0
+    onward, back, edges = _to_rim(body, places)
+    longer = 1.0 / np.cos(_rise(team, body.mass, edges, tensions)) - 1.0
     level = np.stack([np.roll(onward, 1, axis=-1), np.roll(back, -1, axis=-1)], axis=-1)
     savings: Array = level * longer[..., None, None]
     return savings
 
 
-def _to_rim(body: SolidObject, places: Array) -> tuple[Array, Array]:
-    """Return how far edges run on to the rim's edge beyond their ends and starts (…, n) [m]."""
+def _to_rim(body: SolidObject, places: Array) -> tuple[Array, Array, Array]:
+    """Return how far edges run on to the rim beyond ends and starts, and their lengths (…, n)."""
     assert body.rim is not None
     onward, reach = np.roll(places, -1, axis=-2), body.rim.section.reach
     along = unit(onward - places)
-    return reach(onward, along), reach(places, -along)
-
-
-def _mean_rise(
-    team: Team, body: SolidObject, places: Array, tensions: Array, borne: Array | float = 1.0
-) -> Array:
-    """Return the angle (…) [rad] at which the mean leg rises, as of ``rim_drop``."""
-    edges = length(np.roll(places, -1, axis=-2) - places)
-    slope = borne * leg_slope(team, body.mass, edges, tensions)
-    return np.asarray(np.arcsin(np.minimum(slope, 1.0)))
-
-
-def _loads(motion: Motion, index: int, body: SolidObject) -> Array:
-    """Return the forces of one object (pieces, clasps, 3, degree + 1) [N]."""
-    pose = motion.object_poses.coefficients[:, index]
-    supports = supports_of(motion, index, body)
-    share = motion.object_shares.coefficients[:, index]
-    lifted = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)[:, None, None, None]
-    moved = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
-    moved = np.where(lifted, moved, 0.0)  # what stands does not move
-    order = max(bernstein.degree(moved), bernstein.degree(share))
-    pulled = bernstein.elevate(moved, order).copy()
-    pulled[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
-    own = -body.mass * supports.shares[..., None, None] * pulled
-    durations = motion.drones.durations[:, None, None]
-    pushed = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
-    level = np.where(lifted[..., 0], (pushed / durations**2)[:, :2], 0.0)
-    height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
-    turned = turned_back(level, pose[:, 3:])
-    upward = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, turned)
-    tipped = np.stack([0.0 * upward, 0.0 * upward, upward], axis=2)
-    found = _total([own, tipped])
-    assert found is not None
-    return found
-
-
-def supports_of(motion: Motion, index: int, body: SolidObject) -> Supports:
-    """Return how clasps share an object's weight where each piece begins (pieces, clasps)."""
-    poses = motion.object_poses.coefficients[:, index, :, 0]
-    points = motion.vertices.coefficients[..., 0][:, motion.team.layout.clasps]
-    places = in_frame(poses[:, None], points)
-    return Supports.at(places[..., :2], body.centre_of_mass[:2])
+    return reach(onward, along), reach(places, -along), length(onward - places)
 
 
 def centre_path(pose: Array, body: SolidObject) -> Array:
     """Return the path of the centre of mass (pieces, 3, …) [m], given its object's poses."""
     x, y, z = body.centre_of_mass
     c, s = pose[:, 3], pose[:, 4]
-    centre: Array = pose[:, :3] + np.stack(
-        [c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1
-    )
+    away = np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
+    centre: Array = pose[:, :3] + away
     return centre
 
 
-def turned_back(vectors: Array, heading: Array) -> Array:
+def _turned_back(vectors: Array, heading: Array) -> Array:
     """Return level vectors (pieces, 2, …) as seen from bodies with headings (pieces, 2, …)."""
-    heading = lowered(heading)
-    c, s = heading[:, 0], heading[:, 1]
-    x, y = vectors[:, 0], vectors[:, 1]
+    (x, y), (c, s) = np.moveaxis(vectors, 1, 0), np.moveaxis(lowered(heading), 1, 0)
     along = bernstein.multiply(x, c) + bernstein.multiply(y, s)
     return np.stack([along, bernstein.multiply(y, c) - bernstein.multiply(x, s)], axis=1)

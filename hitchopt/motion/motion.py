@@ -39,13 +39,11 @@ class CableState(StrEnum):
     HITCHED = "hitched"
 
 
-FREE_STATES = frozenset(
-    {CableState.GROUND, CableState.FREE, CableState.CLASPING, CableState.TIGHTENING}
-)
-"""States of cables without a hitch."""
-
 HITCHED_STATE = frozenset({CableState.HITCHED})
 """The state in which the hitch exists, as a set."""
+
+FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
+"""States of cables without a hitch."""
 
 
 class HoldBy(StrEnum):
@@ -108,20 +106,14 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
 
     They may begin earlier and end later: a part of a motion has all phases that it overlaps.
     """
-    if not phases:
-        return
-    good = phases[0].start <= start + JOINT and phases[-1].end >= end - JOINT
-    good = good and all(phase.start < phase.end for phase in phases)
-    if not (good and all(abs(b.start - a.end) <= JOINT for a, b in pairwise(phases))):
-        raise InputError(
-            "phases",
-            [[phase.start, phase.end] for phase in phases],
-            f"one after the other from {start:g} to {end:g} s, each ending after it starts",
-            "give each phase the time from the end of the one before to its own end",
-        )
+    spans = [[phase.start, phase.end] for phase in phases]
+    covered = not spans or (spans[0][0] <= start + JOINT and spans[-1][1] >= end - JOINT)
+    joined_up = all(abs(b[0] - a[1]) <= JOINT for a, b in pairwise(spans))
+    if not (covered and joined_up and all(first < last for first, last in spans)):
+        bound = f"one after the other from {start:g} to {end:g} s, each ending after it starts"
+        remedy = "give each phase the time from the end of the one before to its own end"
+        raise InputError("phases", spans, bound, remedy)
 
-
-__all__ = ["JOINT", "CableState", "Motion", "Phase", "joined_motions"]
 
 POLYNOMIALS = ("drones", "vertices", "legs", "tensions")
 """Fields of every motion that are polynomials."""
@@ -207,8 +199,8 @@ class Motion(OneLine):
             raise InputError("phases.state", states, bound, "give what cables do")
         changes = [b.start for a, b in pairwise(self.phases) if a.state != b.state]
         if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
-            bound = "breaks where states change"
-            raise InputError("phases", changes, bound, "split the pieces there")
+            remedy = "split the pieces there"
+            raise InputError("phases", changes, "breaks where states change", remedy)
         roles = n if self.assignment is None else len(self.assignment.robots)
         if roles != n:
             raise InputError("assignment", roles, f"{n} robots", "give one per role")
@@ -367,22 +359,21 @@ def joined_motions(motions: Sequence[Motion]) -> Motion:
     """
     if len(motions) == 1 and motions[0].poses is None and motions[0].borne is None:
         return motions[0]
-    phases: list[Phase] = []
-    offset = 0.0
-    for motion in motions:
-        phases += [
-            phase.lasting(offset + phase.start, offset + phase.end) for phase in motion.phases
-        ]
-        offset += motion.duration
+    ends = np.cumsum([0.0, *(motion.duration for motion in motions)]).tolist()
+    phases = tuple(
+        phase.lasting(start + phase.start, start + phase.end)
+        for start, motion in zip(ends, motions, strict=False)
+        for phase in motion.phases
+    )
     parts: dict[str, Any] = {"drones": joined([motion.drones for motion in motions])}
     for name in POLYNOMIALS[1:]:
         parts[name] = joined([getattr(motion, name) for motion in motions], parts["drones"])
-    if any(motion.leg_tensions is not None for motion in motions):
-        pulls = joined([motion.pulls for motion in motions])
-        parts["leg_tensions"] = pulls.reshaped(-1, 2)
-    if any(motion.poses is not None or motion.borne is not None for motion in motions):
+    used = {name for motion in motions for name in FURTHER if getattr(motion, name) is not None}
+    if "leg_tensions" in used:
+        parts["leg_tensions"] = joined([motion.pulls for motion in motions]).reshaped(-1, 2)
+    if used & {"poses", "borne"}:
         parts["poses"] = joined([motion.object_poses for motion in motions])
         parts["borne"] = joined([motion.object_shares for motion in motions])
-    if any(motion.contacts is not None for motion in motions):
+    if "contacts" in used:
         parts["contacts"] = joined([motion.edge_contacts for motion in motions])
-    return motions[0].altered(phases=tuple(phases), **parts)
+    return motions[0].altered(phases=phases, **parts)

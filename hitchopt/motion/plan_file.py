@@ -1,14 +1,18 @@
-"""Plan files, plan.npz: piecewise polynomials, exact to the last bit.
+"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and what was asked of them.
 
 Polynomials are stored as Bernstein coefficients (pieces, *shape, degree + 1) over common
-``breaks``, without cables the drones' alone; everything else as JSON under ``settings``.
+``breaks``, without cables the drones' alone; everything else as JSON under ``settings``. There
+``asked`` says what the plan was asked, robot by robot: whoever reads the file can tell that its
+team, its requirements and the roles of its robots are those.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import fields
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,10 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.asked import asked_of, check_asked, objects_at_first, values_of
 from hitchopt.motion.motion import FURTHER, JOINT, POLYNOMIALS, Motion, Phase
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.objects.placing import STILL, check_apart, poses_of
@@ -42,11 +46,16 @@ PER_CONTROLLER = ("stiffness", "integral", "feed_forward")
 PER_ROBOT = ("cable_length", "tension")
 """Fields of a team that are stored as arrays (n,); the others are settings."""
 
-DO_NOT = "do not edit plan files"
-"""Remedy for what hitchopt does not write."""
+REMEDY = "do not edit plan files"
 
 LARGEST = 1e6
 """[m], [N] No coefficient of a plan is larger; sums of such numbers stay far from overflow."""
+
+TOLERANCE = 1e-9
+"""Relative difference of numbers that are the same, but for turning angles into degrees."""
+
+AT_START = 1e-6
+"""[m] A plan begins this close to where it was asked to."""
 
 
 def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
@@ -64,25 +73,22 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     """
     team, requirements = motion.team, motion.requirements
     columns = {
-        name: [getattr(kind, name) for kind in team.quadrotor]
+        name: np.array([getattr(kind, name) for kind in team.quadrotor], dtype=np.float64)
         for name in (*PER_KIND, *PER_CONTROLLER)
     }
-    control = any(set(columns[name]) != {getattr(Quadrotor, name)} for name in PER_CONTROLLER)
-    columns["stiffness"] = [np.inf if x is None else x for x in columns["stiffness"]]
-    arrays: Arrays = {
-        name: np.array(columns[name], dtype=np.float64)
-        for name in (*PER_KIND, *(PER_CONTROLLER if control else ()))
-    }
+    columns["stiffness"][np.isnan(columns["stiffness"])] = np.inf  # None
+    pairs = product(team.quadrotor, PER_CONTROLLER)
+    control = any(getattr(kind, name) != getattr(Quadrotor, name) for kind, name in pairs)
+    names = (*PER_KIND, *(PER_CONTROLLER if control else ()))
+    arrays: Arrays = {name: columns[name] for name in names}
     own = {field.name: getattr(team, field.name) for field in fields(team)}
     if team.has_cables:
-        arrays |= {name: own[name] for name in PER_ROBOT}
-    names = POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]
+        arrays |= {name: own.pop(name) for name in PER_ROBOT}
+        own.pop("quadrotor")
     further = [name for name in FURTHER if getattr(motion, name) is not None]
     settings: dict[str, Any] = {
         "title": title,
-        "team": {k: v for k, v in own.items() if k not in (*PER_ROBOT, "quadrotor")}
-        if team.has_cables
-        else {"drones": team.drones},
+        "team": own if team.has_cables else {"drones": team.drones},
         "limits": requirements.limits,
         "separation": requirements.separation,
         "arena": requirements.arena,
@@ -90,7 +96,7 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
         "keep_out": requirements.keep_out,
         "asked": asked_of(motion),
         "control": control,
-        "objects": objects_at_first(motion),
+        "objects": _objects_at_first(motion),
         **dict.fromkeys(further, True),  # arrays of these names are there
         "problem": problem,
         "assignment": motion.assignment,
@@ -98,8 +104,9 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     optional = {"control", "objects", "problem", "assignment"}  # left out where there are none
     stored = {name: value for name, value in settings.items() if value or name not in optional}
     arrays["breaks"] = motion.drones.breaks
-    arrays |= {name: getattr(motion, name).coefficients for name in (*names, *further)}
-    text = np.array(json.dumps(stored, allow_nan=False, default=values_of))
+    for name in (*(POLYNOMIALS if team.has_cables else POLYNOMIALS[:1]), *further):
+        arrays[name] = getattr(motion, name).coefficients
+    text = np.array(json.dumps(stored, allow_nan=False, default=_plain))
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, format=np.array(FORMAT), settings=text, **arrays)
 
@@ -133,8 +140,8 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
         settings = json.loads(str(head["settings"]))
         if not isinstance(settings, dict):
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
-        hitched = (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
-        names = ["breaks", POLYNOMIALS[0], *PER_KIND, *hitched]
+        names = ["breaks", POLYNOMIALS[0], *PER_KIND]
+        names += (*PER_ROBOT, *POLYNOMIALS[1:]) if "robots" in settings["team"] else ()
         names += [name for name in FURTHER if settings.get(name) is True]
         names += PER_CONTROLLER if settings.get("control") is True else ()
         arrays = read_arrays(path, names)
@@ -143,14 +150,19 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
                 raise InputError(name, array.dtype, "of double precision", "do not convert it")
         return made(settings, arrays)
     except BROKEN as error:
-        raise FileError(f"{path}: {_reason(error)}; solve the problem again") from error
+        reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
+        if isinstance(error, KeyError):
+            reason = f"not a plan that hitchopt wrote: {error} is missing"
+        elif isinstance(error, OSError) and error.strerror:
+            reason = f"cannot be read: {error.strerror}"
+        raise FileError(f"{path}: {reason}; solve the problem again") from error
 
 
 def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     parts = {}
     for name in (name for name in (*POLYNOMIALS, *FURTHER) if name in arrays):
         if arrays[name].size and not np.max(np.abs(arrays[name])) <= LARGEST:
-            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", DO_NOT)
+            raise InputError(name, "a coefficient", f"within ±{LARGEST:g}", REMEDY)
         parts[name] = PiecewisePolynomial(arrays["breaks"], arrays[name])
     requirements = Requirements(
         Limits(**settings["limits"]),
@@ -172,7 +184,7 @@ def _motion(settings: dict[str, Any], arrays: Arrays) -> Motion:
     _check_phases(motion)
     begin, objects = motion.object_poses.coefficients[0, ..., 0], requirements.objects
     if np.max(np.abs(begin - poses_of(objects)), initial=0.0) > STILL:
-        raise InputError("poses", begin.tolist(), "where the objects stand", DO_NOT)
+        raise InputError("poses", begin.tolist(), "where the objects stand", REMEDY)
     check_apart(objects)
     check_asked(settings["asked"], motion)
     return motion
@@ -185,28 +197,18 @@ def _object(section: dict[str, Any], rim: dict[str, Any] | None, **values: Any) 
 
 
 def _kinds(arrays: Arrays) -> list[Quadrotor]:
-    """Return the kinds of quadrotors, whose controllers are the defaults where none are stored."""
-    names = [name for name in (*PER_KIND, *PER_CONTROLLER) if name in arrays]
-    columns: dict[str, list[Any]] = {name: arrays[name].tolist() for name in names}
-    for name in PER_CONTROLLER[1:]:
-        for value in columns.get(name, ()):
-            if value not in (0.0, 1.0):
-                raise InputError(name, value, "0 or 1", DO_NOT)
-        if name in columns:
-            columns[name] = [value == 1.0 for value in columns[name]]
+    """Return the kinds of quadrotors, which check their values themselves."""
+    columns = {name: arrays[name].tolist() for name in PER_KIND + PER_CONTROLLER if name in arrays}
     if "stiffness" in columns:
         columns["stiffness"] = [None if x == np.inf else x for x in columns["stiffness"]]
+        for name in ("integral", "feed_forward"):
+            columns[name] = [bool(x) if x in (0.0, 1.0) else x for x in columns[name]]
     rows = zip(*columns.values(), strict=True)
-    return [Quadrotor(**dict(zip(names, row, strict=True))) for row in rows]
+    return [Quadrotor(**dict(zip(columns, row, strict=True))) for row in rows]
 
 
 def _stored(key: str, value: Any, kind: Any) -> Any:
-    """Return the record of a kind, or the tuple of records, that a setting holds.
-
-    Raises
-    ------
-    InputError: types that are not those of the record's fields.
-    """
+    """Return the record of a kind, or the tuple of them, in a setting; InputError if it is none."""
     from pydantic import TypeAdapter, ValidationError  # heavy, as of all files
 
     try:
@@ -214,7 +216,7 @@ def _stored(key: str, value: Any, kind: Any) -> Any:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, (key, *first["loc"])))
-        raise InputError(place, first["input"], f"stored ({first['msg']})", DO_NOT) from None
+        raise InputError(place, first["input"], f"stored ({first['msg']})", REMEDY) from None
 
 
 def _check_phases(motion: Motion) -> None:
@@ -225,23 +227,111 @@ def _check_phases(motion: Motion) -> None:
     spans = [[phase.start, phase.end] for phase in motion.phases]
     if not spans or max(abs(spans[0][0]), abs(spans[-1][1] - motion.duration)) > JOINT:
         words = f"one after the other from 0 to {motion.duration:g} s"
-        raise InputError("phases", spans, words, DO_NOT)
-    objects, robots = motion.requirements.objects, motion.team.robots
+        raise InputError("phases", spans, words, REMEDY)
+    objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
-        if phase.tension is not None and not 0.0 < phase.tension[0] <= phase.tension[1] < np.inf:
+        least, most = phase.tension or (1.0, 1.0)
+        if not 0.0 < least <= most < np.inf:
             words = "a smallest and a largest tension, or null"
-            raise InputError("phases.tension", phase.tension, words, DO_NOT)
+            raise InputError("phases.tension", phase.tension, words, REMEDY)
         hold = phase.hold
-        if hold and not (hold.object in objects and set(hold.cables) <= set(range(robots))):
-            bound = f"an object of {sorted(objects)} and cables from 0 to {robots - 1}"
-            raise InputError("phases.hold", vars(hold), bound, DO_NOT)
+        if hold and not (hold.object in objects and set(hold.cables) <= set(cables)):
+            bound = f"an object of {sorted(objects)} and cables from 0 to {len(cables) - 1}"
+            raise InputError("phases.hold", vars(hold), bound, REMEDY)
 
 
-def _reason(error: BaseException) -> str:
-    if isinstance(error, FileNotFoundError):
-        return "there is no such file"
-    if isinstance(error, KeyError):
-        return f"not a plan that hitchopt wrote: {error} is missing"
-    if isinstance(error, OSError) and error.strerror:
-        return f"cannot be read: {error.strerror}"
-    return f"not a plan that hitchopt wrote, or a damaged one: {error or type(error).__name__}"
+def asked_of(motion: Motion) -> dict[str, Any]:
+    """Return what a motion was asked, in the keys of problem files, with all defaults filled in.
+
+    Values of robots are in the order of the start's robots, which ``assignment`` gives roles.
+    """
+    team, first = motion.team, motion.drones.coefficients[0, ..., 0]
+    requirements = replace(motion.requirements, objects=_objects_at_first(motion))
+    if not team.has_cables:
+        return asked(team, requirements, {"drones": first})
+    given = motion.assignment or Assignment.fixed(team.robots)
+    role_of = np.argsort(given.robots).tolist()
+    back = Assignment(tuple(role_of), tuple(given.flipped[role] for role in role_of))
+    drones = back.drones(first)
+    start: dict[str, Any] = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
+    if motion.formed[0]:
+        x, y, z = motion.vertices.coefficients[0, ..., 0].T
+        start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
+    return asked(back.team(team), requirements, start)
+
+
+def asked(team: Team, requirements: Requirements, start: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a team, requirements and a start as plan files store them.
+
+    Robots are in the order of the start, of which ``hitch``, ``drones`` or both are known.
+    """
+    own = vars(team) if team.has_cables else {"drones": team.drones, "quadrotor": team.quadrotor}
+    limits = dict(vars(requirements.limits))
+    for name in ("tilt", "body_rate"):
+        angle = limits.pop(name)
+        limits[f"{name}_deg"] = None if angle is None else math.degrees(angle)
+    values = {
+        "start": start,  # compared first: roles tell the order of all else
+        "team": own,
+        "limits": limits,
+        "separation": requirements.separation,
+        "arena": requirements.arena,
+        "keep_out": requirements.keep_out,
+        "objects": requirements.objects,
+    }
+    plain: dict[str, Any] = json.loads(json.dumps(values, default=_plain))
+    return plain
+
+
+def _plain(record: Any) -> Any:
+    """Return a record's fields, an outline's points, or an array's entries, as json takes them."""
+    if isinstance(record, ConvexPolygon):
+        return record.vertices.tolist()
+    return record.tolist() if isinstance(record, np.ndarray) else vars(record)
+
+
+def _objects_at_first(motion: Motion) -> dict[str, SolidObject]:
+    """Return objects where they are as the motion begins."""
+    poses = motion.object_poses.coefficients[0, ..., 0]
+    return {
+        name: each
+        if np.max(np.abs(pose - each.pose)) <= STILL
+        else replace(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
+        for pose, (name, each) in zip(poses, motion.requirements.objects.items(), strict=True)
+    }
+
+
+def check_asked(wanted: Any, motion: Motion, *, whole: bool = True) -> None:
+    """Raise InputError, by its key, where a motion differs from what it was asked.
+
+    Parameters
+    ----------
+    wanted: as ``asked_of`` returns it.
+    whole: whether all of that has to be there; else what is missing is not compared.
+    """
+    there, here = (dict(_leaves("asked", each)) for each in (wanted, asked_of(motion)))
+    missing = [key for key in here if whole or key.startswith("asked.objects.")]
+    for key in [*there, *missing]:
+        slack = AT_START if key.startswith("asked.start") else 0.0
+        if key not in there or key not in here or not _same(there[key], here[key], slack):
+            bound = f"{there[key]!r} as asked" if key in there else "left out as asked"
+            raise InputError(key, here.get(key, "left out"), bound, REMEDY)
+
+
+def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield single values, and what is empty, by their keys in the file."""
+    if isinstance(value, dict) and value:
+        for name, each in value.items():
+            yield from _leaves(f"{key}.{name}", each)
+    elif isinstance(value, list) and value:
+        for i, each in enumerate(value):
+            yield from _leaves(f"{key}[{i}]", each)
+    else:
+        yield key, value
+
+
+def _same(wanted: Any, found: Any, slack: float) -> bool:
+    """Return whether single values are the same; numbers within TOLERANCE and ``slack``."""
+    if any(isinstance(each, bool) or not isinstance(each, int | float) for each in (wanted, found)):
+        return type(wanted) is type(found) and bool(wanted == found)
+    return bool(abs(wanted - found) <= slack + TOLERANCE * max(abs(wanted), abs(found)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -12,7 +11,7 @@ from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.piecewise import SAME_BREAK
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, Indices
 
 REST = 1e-6
@@ -44,9 +43,7 @@ def stretched(motion: Motion, factor: float) -> Motion:
     """Return the same curves ``factor`` times as slow, and no limit on their duration."""
     if not 1.0 <= factor <= 100.0:
         raise InputError("--stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
-    if factor == 1.0:
-        return motion
-    return motion.untimed.slowed(factor)
+    return motion if factor == 1.0 else motion.untimed.slowed(factor)
 
 
 LONGEST, SHORTEST = 0.1, 4e-3
@@ -73,10 +70,14 @@ def retimed(motion: Motion, clock: ClockPhases) -> Motion:
         cell = np.clip(np.searchsorted(times, ends + inward) - 1, 0, len(cells) - 1)
         sides.append((pieces[cell], advanced(cells.jets[cell], ends - times[cell])))
     middles = 0.5 * (breaks[1:] + breaks[:-1])
-    here = pieces[np.searchsorted(times, middles) - 1]
-    index = motion.phase_of_piece[here]
+    index = motion.phase_of_piece[pieces[np.searchsorted(times, middles) - 1]]
     states = np.array([phase.state for phase in motion.phases])[index]
     smooth = np.flatnonzero(states[1:] == states[:-1])  # else legs and tensions may jump
+    runs = pairwise(np.flatnonzero(np.diff(index, prepend=-1, append=-1)).tolist())
+    phases = [
+        motion.phases[index[first]].lasting(float(breaks[first]), float(breaks[last]))
+        for first, last in runs
+    ]
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         left, right = (_jets(whole, *side) for side in sides)
@@ -86,7 +87,7 @@ def retimed(motion: Motion, clock: ClockPhases) -> Motion:
             found = PiecewisePolynomial(breaks, np.clip(found.coefficients, 0.0, 1.0))
         return found
 
-    return motion.changed(part, _phases(motion.phases, breaks, index))
+    return motion.changed(part, phases)
 
 
 def _spaced(times: Array, edges: Array) -> Array:
@@ -114,34 +115,15 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
     return np.stack([f, s * f1, s**2 * f2 + a * f1, s**3 * f3 + 3.0 * s * a * f2 + j * f1])
 
 
-def _phases(phases: Sequence[Phase], breaks: Array, index: Indices) -> list[Phase]:
-    """Return the phases of pieces whose phases have these indices."""
-    edges = np.flatnonzero(np.diff(index, prepend=-1, append=-1))
-    return [
-        phases[index[first]].lasting(float(breaks[first]), float(breaks[last]))
-        for first, last in pairwise(edges.tolist())
-    ]
-
-
 def before(motion: Motion, time: float) -> Motion:
-    """Return the motion up to a time [s], exactly."""
+    """Return the motion up to a time [s], exactly but for rounding."""
     breaks = motion.drones.breaks
-    count = int(np.searchsorted(breaks, time - 1e-9))
-    start, end = breaks[count - 1 : count + 1].tolist()
-    breaks = np.concatenate([breaks[:count], [time]])
+    breaks = np.append(breaks[: np.searchsorted(breaks, time - 1e-9)], time)
     phases = [
-        p if p.end <= time else p.lasting(p.start, time)
-        for p in motion.overlapping(breaks[0], time)
+        phase.lasting(phase.start, min(phase.end, time))
+        for phase in motion.overlapping(breaks[0], time)
     ]
-    share = 1.0 if end - time <= SAME_BREAK else (time - start) / (end - start)
-
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        found = whole.coefficients[:count].copy()
-        if whole.degree > 0:
-            found[-1] = found[-1] @ bernstein.beginning(whole.degree, share)
-        return whole.alike(found, breaks)
-
-    return motion.changed(part, phases)
+    return motion.changed(lambda part: on_breaks(part, breaks), phases)
 
 
 def followed(first: Motion, second: Motion) -> Motion:

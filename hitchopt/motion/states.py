@@ -1,4 +1,4 @@
-"""Samples of a plan: their times, and the states of drones and vertices at them."""
+"""Samples of a plan: their times, states of drones and vertices at them, and the final hitch."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch import GRAVITY, Swarm, Team
+from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.hitch import GRAVITY, Hitch, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
@@ -31,6 +31,16 @@ TIME_TOLERANCE = 1e-9
 
 AT_REST = ("velocities", "accelerations", "jerks", "cable_force_rates", "vertex_velocities")
 """Fields of states that are zero after a plan's end."""
+
+ITERATIONS = 30
+"""Most corrections of the final hitch's legs and roll; without weight the first ones are exact."""
+
+CLOSE, STEP, LEVEL = 1e-12, 1e-6, 1e-9
+"""[m], [rad] Largest correction with which they end, difference of roll by which its effect is
+found, and roll that is rounding."""
+
+SAME = 1e-6
+"""[m] Largest distance of a drone from the recovered hitch's, as for joints of a motion."""
 
 BLOCK = 1 << 20
 """Number of coordinates of drones that are evaluated at once: their coefficients take ten times the
@@ -162,14 +172,11 @@ def sample_times(duration: float, rate: float) -> Array:
     duration = not_negative("duration", duration)
     rate = positive("rate", rate)
     if duration * rate > MAX_SAMPLES:
-        raise InputError(
-            "rate", rate, f"at most {MAX_SAMPLES / duration:g} Hz", "ask for fewer samples"
-        )
+        bound = f"at most {MAX_SAMPLES / duration:g} Hz"
+        raise InputError("rate", rate, bound, "ask for fewer samples")
     times: Array = np.arange(int(duration * rate) + 2) / rate
     times = times[times <= duration]
-    if duration - times[-1] > END_TOLERANCE:
-        times = np.append(times, duration)
-    return times
+    return times if duration - times[-1] <= END_TOLERANCE else np.append(times, duration)
 
 
 def states_at(motion: Motion, t: ArrayLike) -> States:
@@ -185,25 +192,22 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
     if asked.size == 0 or not np.all((asked >= -TIME_TOLERANCE) & np.isfinite(asked)):
         raise InputError("t", t, "finite times from 0 s on", "count from the plan's start")
     times = np.minimum(asked, motion.duration)
-    order = np.argsort(times, axis=None, kind="stable")
     size = max(1, BLOCK // (3 * len(motion.team.drone_names)))
-    blocks = list(iterate_states(motion, times.ravel()[order], size))
-    back = np.argsort(order)
+    blocks = list(iterate_states(motion, times.ravel(), size))
     states: dict[str, Any] = {}
     for field in fields(States):
-        values = np.concatenate([getattr(block, field.name) for block in blocks])[back]
+        values = np.concatenate([getattr(block, field.name) for block in blocks])
         states[field.name] = values.reshape((*times.shape, *values.shape[1:]))
-    over = asked > motion.duration + TIME_TOLERANCE
     for name in AT_REST:
-        states[name][over] = 0.0
-    return States(**{**states, "t": asked})
+        states[name][asked > motion.duration + TIME_TOLERANCE] = 0.0
+    return States(**states | {"t": asked})
 
 
 def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
-    """Yield the states at ``times`` (samples,) [s], ascending, in blocks of at most ``size``."""
+    """Yield the states at ``times`` (samples,) [s] in blocks of at most ``size``."""
     pulls, taut = map(motion.drones.alike, (leg_tensions(motion), tautness(motion)))
     parts = motion.drones, motion.vertices, pulls, taut
-    rates = [part.differentiated() for part in parts]
+    rates, inner = [part.differentiated() for part in parts], motion.drones.breaks[1:-1]
     second, third = (motion.drones.differentiated(order) for order in (2, 3))
     for first in range(0, len(times), size):
         t = times[first : first + size]
@@ -211,7 +215,7 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
         values, slopes = (tuple(part.at(at) for part in each) for each in (parts, rates))
         yield States(
             t=t,
-            formed=_formed(motion, at),
+            formed=motion.formed[np.searchsorted(inner, at, side="right")],  # as the later piece
             positions=values[0],
             velocities=slopes[0],
             accelerations=second.at(at),
@@ -228,12 +232,38 @@ def iterate_states(motion: Motion, times: Array, size: int) -> Iterator[States]:
         )
 
 
-def hitch_at(motion: Motion, times: Array) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return whether there is a hitch, its vertices and tensions, as states at times [s] do."""
-    at = np.minimum(motion.drones.breaks[0] + times, motion.drones.breaks[-1])
-    return _formed(motion, at), motion.vertices.at(at), motion.tensions.at(at)
+def final_hitch(motion: Motion) -> Hitch:
+    """Return the hitch whose vertices and drones are those of the motion's end.
 
+    Raises
+    ------
+    InputError: there is no hitch at the end.
+    UnsupportedError: none has its drones there: cables pull with other tensions than the team's.
+    """
+    if not (motion.team.has_cables and motion.formed[-1]):
+        remedy = "form one, or go on with the drones at plan.at(plan.duration)"
+        raise InputError("end", "free cables", "a hitch", remedy)
+    team, layout = motion.team, motion.team.layout
+    drones, vertices, legs = (
+        part.coefficients[-1, ..., -1] for part in (motion.drones, motion.vertices, motion.legs)
+    )
+    outline, altitude = vertices[:, :2], float(np.mean(vertices[:, 2]))
+    raised = 2 * layout.clasps  # q_k, whose leg is at clasp k
 
-def _formed(motion: Motion, times: Array) -> NDArray[np.bool_]:
-    """Return whether there is a hitch at times [s]; where pieces join, on the later one."""
-    return motion.formed[np.searchsorted(motion.drones.breaks[1:-1], times, side="right")]
+    def tied(q_legs: Array, roll: Array) -> Hitch:
+        return Hitch(team, outline, altitude, q_legs, roll)
+
+    q_legs = layout.q_legs_of(legs[:, 0], Hitch.balanced(team, outline, altitude).slack)
+    hitch = tied(q_legs, np.zeros(len(layout.clasps)))
+    for _ in range(ITERATIONS):
+        longer = np.where(layout.has_leg[:, 0], legs[:, 0] - hitch.legs[:, 0], 0.0)
+        there = hitch.drones[raised, 2]
+        higher = tied(hitch.q_legs, hitch.roll + STEP).drones[raised, 2]
+        turned = (drones[raised, 2] - there) * STEP / (higher - there)
+        hitch = tied(hitch.q_legs + longer, hitch.roll + np.clip(turned, -0.5, 0.5))
+        if max(np.max(np.abs(longer)), np.max(np.abs(turned))) < CLOSE:
+            break
+    hitch = tied(hitch.q_legs, np.where(np.abs(hitch.roll) < LEVEL, 0.0, hitch.roll))
+    if np.max(np.abs(hitch.drones - drones)) > SAME:
+        raise UnsupportedError("the plan's end is no hitch with the team's tensions to go on from")
+    return hitch

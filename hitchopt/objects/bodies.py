@@ -12,7 +12,6 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.values import (
-    MAX_COORDINATE,
     Array,
     as_array,
     coordinate,
@@ -50,9 +49,7 @@ class Section(OneLine):
         if (outline is None) == (radius is None):
             remedy = "give either an outline or a circle's radius"
             raise InputError("outline", outline, "given where no radius is", remedy)
-        size = None if radius is None else positive("radius", radius)
-        if size is not None and size > MAX_COORDINATE:
-            raise InputError("radius", radius, f"at most {MAX_COORDINATE:g} m", "give it in metres")
+        size = None if radius is None else coordinate("radius", positive("radius", radius))
         object.__setattr__(self, "outline", None if outline is None else _clockwise(outline))
         object.__setattr__(self, "radius", size)
 
@@ -69,9 +66,8 @@ class Section(OneLine):
     @property
     def area(self) -> float:
         """Area [m²]."""
-        if self.outline is None:
-            return math.pi * self.rounding**2
-        return ConvexPolygon(self.outline).area
+        round_ = math.pi * self.rounding**2
+        return round_ if self.outline is None else ConvexPolygon(self.outline).area
 
     @property
     def centroid(self) -> Array:
@@ -201,24 +197,14 @@ class Slab:
         """Return the distances of points (…, 3) [m] and the directions out of the body."""
         across, ways = self.section.clearance(places[..., :2])
         below, above = self.lower - places[..., 2], places[..., 2] - self.upper
-        zero = np.zeros_like(below)
-        faces = np.stack(  # out of the side, the floor and the ceiling
-            [
-                np.concatenate([ways, zero[..., None]], axis=-1),
-                np.stack([zero, zero, zero - 1.0], axis=-1),
-                np.stack([zero, zero, zero + 1.0], axis=-1),
-            ],
-            axis=-2,
-        )
-        behind = np.stack([across, below, above], axis=-1)
-        beyond = np.maximum(behind, 0.0)[..., None]
-        offset = np.sum(beyond * faces, axis=-2)
+        behind = np.stack([across, below, above], axis=-1)  # the side, the floor, the ceiling
         outside = np.any(behind > 0.0, axis=-1)
-        shallow = first_smallest(-behind, np.max(np.abs(behind), axis=-1))[..., None]
-        face = np.take_along_axis(faces, shallow[..., None], axis=-2)[..., 0, :]
-        depth = np.take_along_axis(behind, shallow, axis=-1)[..., 0]
-        normals = np.where(outside[..., None], unit(offset), face)
-        return Clearance(np.where(outside, length(offset), depth), normals)
+        nearest = np.eye(3)[first_smallest(-behind, np.max(np.abs(behind), axis=-1))]
+        beyond = np.where(outside[..., None], np.maximum(behind, 0.0), nearest)
+        side, floor, ceiling = np.split(beyond, 3, axis=-1)
+        offset = np.concatenate([side * ways, ceiling - floor], axis=-1)
+        distance = np.where(outside, length(offset), np.max(behind, axis=-1))
+        return Clearance(distance, unit(offset))
 
 
 @dataclass(frozen=True, eq=False)

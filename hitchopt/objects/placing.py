@@ -80,7 +80,7 @@ def footing(objects: Mapping[str, SolidObject], name: str) -> float:
     steps = np.linspace(-reach, reach, GRID)
     grid = centre + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     grid = grid[section.clearance(grid)[0] <= 0.0]
-    places = in_world(body.pose, np.column_stack([grid, np.zeros(len(grid))]))
+    places = in_world(body.pose, _level(grid))
     met = [each.section.clearance(in_frame(each.pose, places)[:, :2])[0] <= 0.0 for each in below]
     if not np.any(met):
         return 0.0
@@ -117,34 +117,23 @@ def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
         gap, surface, under = _gap_below(objects, name, floor)
         if abs(gap) > TOUCH:
             what = "the ground" if under is None else f"objects.{under}"
-            raise InputError(
-                f"objects.{name}.at",
-                each.at.tolist(),
-                f"such that it stands on {what}, its floor at {surface:.6g} m not "
-                f"{surface + gap:.6g} m",
-                f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}",
-            )
+            heights = f"its floor at {surface:.6g} m not {surface + gap:.6g} m"
+            bound = f"such that it stands on {what}, {heights}"
+            remedy = f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}"
+            raise InputError(f"objects.{name}.at", each.at.tolist(), bound, remedy)
     check_apart(objects)
 
 
 def check_apart(objects: Mapping[str, SolidObject]) -> None:
     """Raise InputError for an object that stands in another one."""
     for (name, one), (other, two) in combinations(objects.items(), 2):
-        if (one.fixed and two.fixed) or not overlapping(one, two):
-            continue
-        bound = f"apart from objects.{other}"
-        raise InputError(f"objects.{name}.at", one.at.tolist(), bound, "move one of them")
-
-
-def overlapping(one: SolidObject, two: SolidObject) -> bool:
-    """Return whether two objects, where they stand, share more than surfaces."""
-    for a, b in product(one.slabs, two.slabs):
-        lower = max(one.at[2] + a.lower, two.at[2] + b.lower)
-        upper = min(one.at[2] + a.upper, two.at[2] + b.upper)
-        apart = sections_apart(a.section, one.pose, b.section, two.pose)
-        if lower < upper - TOUCH and apart < -TOUCH:
-            return True
-    return False
+        for a, b in () if one.fixed and two.fixed else product(one.slabs, two.slabs):
+            lower = max(one.at[2] + a.lower, two.at[2] + b.lower)
+            upper = min(one.at[2] + a.upper, two.at[2] + b.upper)
+            apart = sections_apart(a.section, one.pose, b.section, two.pose)
+            if lower < upper - TOUCH and apart < -TOUCH:  # they share more than surfaces
+                bound = f"apart from objects.{other}"
+                raise InputError(f"objects.{name}.at", one.at.tolist(), bound, "move one of them")
 
 
 def sections_apart(first: Section, here: Array, second: Section, there: Array) -> float:

@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.drawings import object_outline, outline_of_geometry
+from hitchopt.geometry.drawings import outline_of_geometry, read_outline
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Quadrotor
 from hitchopt.holding import (
@@ -269,7 +269,7 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
     if isinstance(outline, int | float | np.number) and not isinstance(outline, bool):
         return Section(radius=float(outline)), []
     if isinstance(outline, str | Path):
-        outline = object_outline(outline)
+        outline = read_outline(outline)
     elif hasattr(outline, "__geo_interface__"):
         outline = outline_of_geometry(outline)
     remedy = "give points in metres, a radius, or a drawing"

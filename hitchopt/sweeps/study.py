@@ -279,13 +279,13 @@ def _with_outlines(
     Workers elsewhere need no drawings then, and digests depend on what these show. ``known`` are
     those that were read before, by path.
     """
-    from hitchopt.geometry.drawings import object_outline  # heavy: readers of drawings
+    from hitchopt.geometry.drawings import read_outline  # heavy: readers of drawings
 
     objects = problem.get("objects")
     for each in objects.values() if isinstance(objects, dict) else ():
         if isinstance(each, dict) and isinstance(file := each.get("file"), str):
             path = folder / str(each.pop("file"))
             if path not in known:
-                known[path] = object_outline(folder / file).tolist()
+                known[path] = read_outline(folder / file).tolist()
             each["outline"] = known[path]
     return problem

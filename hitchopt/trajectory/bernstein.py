@@ -12,7 +12,7 @@ from math import comb
 
 import numpy as np
 
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 MOST_PAIRS = 2**18
 """Pairs of coefficients that are multiplied in one go, so that they stay within the caches."""
@@ -176,24 +176,6 @@ def restrict(coefficients: Array, lower: Array | float, upper: Array | float) ->
             ..., 1 : order + 2 - r
         ]
     return c
-
-
-@lru_cache(maxsize=16)
-def beginning(order: int, share: float) -> Array:
-    """Return the matrix by which coefficients (…, order + 1) become those on [0, share]."""
-    ways, rising, falling = _beginning(order)
-    rows: Array = ways * share**rising * (1.0 - share) ** falling
-    rows.setflags(write=False)
-    return rows
-
-
-@lru_cache
-def _beginning(order: int) -> tuple[Array, Indices, Indices]:
-    """Return the binomials (order + 1, order + 1) of ``beginning``, and both exponents."""
-    rising = np.arange(order + 1)[:, None]
-    falling = np.maximum(np.arange(order + 1) - rising, 0)
-    ways = [[comb(i, j) for i in range(order + 1)] for j in range(order + 1)]
-    return np.array(ways, dtype=np.float64), rising, falling
 
 
 def interpolate(values: Array) -> Array:

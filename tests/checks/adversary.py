@@ -14,8 +14,7 @@ import numpy as np
 from certificate_sampling import cable_points
 from numpy.typing import NDArray
 
-from hitchopt.geometry.segments import differences, shortest_offset
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import differences, shortest_offset, unit
 from hitchopt.hitch.leg_program import CABLE, CROSSING, Parts
 from hitchopt.motion.motion import CableState, Motion
 

@@ -15,7 +15,7 @@ from hitchopt.checks.clearance import CABLE_CLEARANCE, chains, cut
 from hitchopt.checks.distances import CROSSING
 from hitchopt.checks.drones import Drones
 from hitchopt.geometry import shortest_offset
-from hitchopt.geometry.segments import differences
+from hitchopt.geometry.vectors import differences
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.states import states_at

@@ -23,9 +23,8 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import asked_in
-from hitchopt.motion.asked import asked_of, check_asked
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.plan_file import read_plan, read_title, write_plan
+from hitchopt.motion.plan_file import asked_of, check_asked, read_plan, read_title, write_plan
 
 TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
 
@@ -280,18 +279,18 @@ LIES: dict[str, tuple[Change, str]] = {
 LOOPS: dict[str, tuple[str, float, str]] = {
     "a negative stiffness": ("stiffness", -1.0, "stiffness = -1.0: must be greater than 0"),
     "no stiffness": ("stiffness", np.nan, "stiffness = nan: must be finite"),
-    "half an integral": ("integral", 0.5, "integral = 0.5: must be 0 or 1"),
-    "feed-forward of nan": ("feed_forward", np.nan, "feed_forward = nan: must be 0 or 1"),
+    "half an integral": ("integral", 0.5, "integral = 0.5: must be true or false"),
+    "feed-forward of nan": ("feed_forward", np.nan, "feed_forward = nan: must be true or false"),
 }
 
 OTHERS: dict[str, tuple[str, Change]] = {
-    "two robots exchanged": ("assignment.robots", exchanged_robots),
-    "q and r exchanged": ("assignment.flipped", flipped),
+    "two robots exchanged": ("asked.start.drones", exchanged_robots),
+    "q and r exchanged": ("asked.start.drones", flipped),
     "two drones' paths": (
-        "assignment.flipped",
+        "asked.start.drones",
         array("drones", lambda x: x[:, [1, 0, *range(2, 6)]]),
     ),
-    "no assignment": ("assignment", lambda settings, _: settings.pop("assignment")),
+    "no assignment": ("asked.start.drones", lambda settings, _: settings.pop("assignment")),
     "lighter drones": ("mass", array("mass", lambda x: 0.5 * x)),
     "stronger drones": ("max_thrust", array("max_thrust", lambda x: 1.5 * x)),
     "longer cables": ("cable_length", array("cable_length", lambda x: 1.01 * x)),

@@ -19,6 +19,7 @@ from hitchopt.values import Array
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {size}viewBox="0 0 400 300">{shape}</svg>'
 RECTANGLE = '<rect x="0" y="0" width="400" height="300"/>'
+SMALL = '<rect x="0" y="0" width="4" height="3"/>'
 RING = [[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3], [0.0, 0.0]]
 
 
@@ -33,8 +34,8 @@ POLYGON = {"type": "Polygon", "coordinates": [RING]}
 FEATURE = {"type": "Feature", "properties": {}, "geometry": POLYGON}
 BOXES: list[tuple[str, str, float]] = [
     ("a.svg", SVG.format(size='width="400mm" height="300mm" ', shape=RECTANGLE), 1.0),
-    ("a.svg", SVG.format(size="", shape=RECTANGLE), 1e3),
-    ("a.svg", SVG.format(size='width="800" height="600" ', shape=RECTANGLE), 2e3),
+    ("a.svg", SVG.format(size="", shape=SMALL), 10.0),
+    ("a.svg", SVG.format(size='width="800" height="600" ', shape=SMALL), 20.0),
     ("a.json", json.dumps(POLYGON), 1.0),
     ("a.geojson", json.dumps(FEATURE), 1.0),
     ("a.json", json.dumps({"type": "FeatureCollection", "features": [FEATURE]}), 1.0),
@@ -83,13 +84,13 @@ def dxf(path: Path, units: int, draw: Callable[[Any], object], **made: bool) -> 
 @pytest.mark.parametrize(("units", "scale"), [(4, 1e-3), (0, 1.0)])
 def test_dxf_lines_are_joined_and_converted(tmp_path: Path, units: int, scale: float) -> None:
     def draw(space: Any) -> None:
-        corners = [(0, 0), (400, 0), (400, 300), (0, 300)]
+        corners = [(0, 0), (16, 0), (16, 12), (0, 12)]
         for first, last in zip(corners, corners[1:] + corners[:1], strict=True):
             space.add_line(first, last)
         space.add_text("not a part of it")
 
     found = size_and_area(dxf(tmp_path, units, draw))
-    assert found == pytest.approx((400 * scale, 300 * scale, 120_000 * scale**2), rel=1e-4)
+    assert found == pytest.approx((16 * scale, 12 * scale, 192 * scale**2), rel=1e-4)
 
 
 def test_dxf_arcs_close_an_outline(tmp_path: Path) -> None:

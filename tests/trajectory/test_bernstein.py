@@ -53,10 +53,6 @@ OPERATIONS: dict[str, tuple[Callable[[Pair], Array], Callable[[Pair], Array]]] =
         lambda p: bernstein.restrict(p[0], p[2], p[3]),
         lambda p: in_powers(p[0])(p[2] + (p[3] - p[2]) * X),
     ),
-    "beginning": (
-        lambda p: p[0] @ bernstein.beginning(len(p[0]) - 1, p[3]),
-        lambda p: in_powers(p[0])(p[3] * X),
-    ),
     "interpolate": (
         lambda p: bernstein.interpolate(in_powers(p[0])(bernstein.nodes(len(p[0]) - 1))),
         lambda p: in_powers(p[0])(X),

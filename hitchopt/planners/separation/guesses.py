@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import InfeasibleError, Violation, check_time
-from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, length, tied_order, unit
+from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, length, unit
 from hitchopt.hitch.requirements import Prism
 from hitchopt.planners.separation.task import HELD, Grid, SeparationTask, Setting, inside
 from hitchopt.planners.timing.ramps import fastest_ramps
@@ -70,7 +70,8 @@ def setting_of(task: SeparationTask, patience: float = 1.0) -> Setting:
         lasts = np.maximum(durations / alone, SHORTEST) / patience
         rises = np.full(n, 0.5)
         np.divide(own_rises, durations, out=rises, where=lengths > 0.0)
-        rank = np.argsort(tied_order(-lasts, 1.0))  # who flies longest leaves first
+        order = np.argsort(np.round(-lasts / TIE), kind="stable")  # who flies longest leaves first
+        rank = np.argsort(order)
         leaving = (1.0 - lasts) * rank / max(1, n - 1)
         each = zip(leaving, lasts, rises, strict=True)
         shares = [_progress((s - leave) / share, float(rise)) for leave, share, rise in each]

@@ -295,7 +295,7 @@ def planes_between(curves: Array, separation: Separation, cutoff: float, known: 
     """
     found, scaled = [known], curves * separation.scale[:, None]
     for m, piece in enumerate(scaled):  # as many as the grid has, whatever the number of drones
-        pairs = close_pairs(Boxes.around(piece[:, None]), None, cutoff)
+        pairs = close_pairs(Boxes(np.min(piece, axis=-1), np.max(piece, axis=-1)), None, cutoff)
         found.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
     sides, index = np.unique(np.concatenate(found), axis=0, return_inverse=True)
     piece, first, second = sides.T
