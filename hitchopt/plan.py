@@ -14,6 +14,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.closeness import SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
+from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.asked import check_asked
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from hitchopt.exports.exporting import Export
     from hitchopt.view.live import LiveView
 
 
@@ -252,8 +252,6 @@ class Plan(OneLine):
             the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        from hitchopt.exports.exporting import export_motion
-
         chosen = ExportOptions(text("format", format), **options)
         return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
 

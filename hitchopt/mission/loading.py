@@ -23,6 +23,7 @@ from hitchopt.mission.keys import (
     SwarmKeys,
     SwarmTeamKeys,
     TeamKeys,
+    translated,
 )
 from hitchopt.mission.problem import (
     DronesStart,
@@ -125,8 +126,6 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
     try:
         return _built(model.model_validate(values), folder)
     except ValidationError as error:
-        from hitchopt.mission.wording import translated
-
         raise translated(error, model) from None
 
 

@@ -20,6 +20,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
+from hitchopt.motion.asked import asked, hitch_start
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.steps import STEPS, FollowVertex, Step
@@ -206,8 +207,6 @@ class Problem(OneLine):
     @property
     def asked(self) -> dict[str, Any]:
         """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
-        from hitchopt.motion.asked import asked, hitch_start
-
         if isinstance(self.start, DronesStart):
             places = {name: place.tolist() for name, place in vars(self.start).items()}
             return asked(self.team, self.requirements, {"drones": places})
@@ -281,8 +280,6 @@ class SwarmProblem(OneLine):
     @property
     def asked(self) -> dict[str, Any]:
         """What its plan is asked, as plan files store it (``hitchopt.motion.asked``)."""
-        from hitchopt.motion.asked import asked
-
         return asked(self.team, self.requirements, {"drones": self.start.tolist()})
 
     def __post_init__(self) -> None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import HoldBy
+from hitchopt.motion.motion import HoldBy, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import TOUCH, footing, poses_of, surface_below
+from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons, rest_polygons
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import Holding, Knob, Stage, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
@@ -28,9 +29,6 @@ from hitchopt.steps.step_keys import (
     one_of,
 )
 from hitchopt.values import Array, positive
-
-if TYPE_CHECKING:
-    from hitchopt.planners.carrying.rest import HoldPolygons
 
 AROUND_SPEED, OVER = 0.15, 0.10
 """Speed upright around an object [m/s]; room between drones' lowest places and objects below,
@@ -50,8 +48,6 @@ SAME = 1e-6
 
 def in_turn(steps: Sequence[Transport | Morph], task: StepTask) -> StepPlan:
     """Return the plan of moves without an object; transports to where the hitch is are left out."""
-    from hitchopt.motion.motion import joined_motions
-
     motions, here = [], task
     for step in steps:
         place = np.append(here.hitch.polygon.centroid, here.hitch.altitude)
@@ -99,7 +95,6 @@ class Enclose(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
         from hitchopt.planners.carrying.grip import check_opens, grip_polygons
-        from hitchopt.planners.carrying.rest import rest_polygons
         from hitchopt.steps import holds
 
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
@@ -231,7 +226,6 @@ class Grasp(PullStep):
         Legs end as near to the current fractions as limits allow. ``rim`` [m] is its height, and
         ``asked`` (n,) [N] are the tensions with which the object is held.
         """
-        from hitchopt.planners.carrying.rest import HeldHitch
         from hitchopt.steps.certified_motions import end_of_morph
         from hitchopt.steps.holds import check_held, polygon_at
 
@@ -387,7 +381,6 @@ class TransportObject(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; what is below ``to`` has to be as high as it says."""
-        from hitchopt.motion.motion import joined_motions
         from hitchopt.steps.holds import object_of
 
         body = object_of(task, self.object)

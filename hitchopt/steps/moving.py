@@ -14,6 +14,7 @@ from hitchopt.errors import HitchoptError, InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.step import (
     IDLE,
     PLAN_DURATION,
@@ -59,7 +60,6 @@ from hitchopt.values import MAX_COORDINATE, Array, finite, flag, positive, seque
 from hitchopt.values.units import warn_of_unit
 
 if TYPE_CHECKING:
-    from hitchopt.motion.motion import Motion
     from hitchopt.planners.morph.actions import Action, Flying
     from hitchopt.planners.timing.flight import Flight
     from hitchopt.steps.certified_motions import End
@@ -86,7 +86,6 @@ class HitchStep(Step):
 
     def motion(self, task: StepTask, flight: Flight | None, end: Hitch, remark: str = "") -> Motion:
         """Return the motion of a flight, or of a rest where nothing moves."""
-        from hitchopt.motion.motion import Phase
         from hitchopt.steps.certified_motions import flying, resting
 
         duration = 0.0 if flight is None else flight.duration
@@ -112,7 +111,6 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
-        from hitchopt.motion.motion import Phase
         from hitchopt.steps.certified_motions import FASTER, SHUT, optimised, refused_both, tried
 
         end, duration = self.end(task), self.given_duration
@@ -244,7 +242,6 @@ class Settle(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which drones swing about their places."""
-        from hitchopt.motion.motion import Phase
         from hitchopt.steps.certified_motions import worked
 
         return worked(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
@@ -575,7 +572,6 @@ def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
     One path through all hitches that they would have ended with, timed as a whole; each phase ends
     when its step's hitch is passed. Raises InputError for a step that moves nothing.
     """
-    from hitchopt.motion.motion import Phase
     from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
     from hitchopt.steps.certified_motions import against_friction, flying
 

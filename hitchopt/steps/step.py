@@ -13,21 +13,23 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
+from hitchopt.checks import Certificate, certify
+from hitchopt.checks.registry import RULES
+from hitchopt.checks.rule import Ease
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step_keys import keys_of, slack_split
 from hitchopt.values import Array
 
 if TYPE_CHECKING:
-    from hitchopt.checks import Certificate
-    from hitchopt.motion.motion import Motion
     from hitchopt.planners.carrying.grip import GrippedHitch
-    from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""
@@ -42,9 +44,6 @@ PLAN_DURATION = "plan duration"
 @cache
 def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
     """Return the checks that longer legs, slower or shorter motion, or lower tensions ease."""
-    from hitchopt.checks.registry import RULES
-    from hitchopt.checks.rule import Ease
-
     return frozenset(rule.name for rule in RULES if rule.ease is Ease[by.upper()])
 
 
@@ -144,8 +143,6 @@ class StepPlan:
     @cached_property
     def certificate(self) -> Certificate:
         """Certificate of the motion alone, its duration left open; computed when first needed."""
-        from hitchopt.checks import certify
-
         return certify(self.motion.untimed, part=True)
 
     def remarked(self, words: str) -> StepPlan:

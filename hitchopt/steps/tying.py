@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, Tag
@@ -13,6 +13,8 @@ from pydantic import Field, Tag
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import Knob, Situation, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
@@ -39,10 +41,6 @@ from hitchopt.steps.step_keys import (
     one_of,
 )
 from hitchopt.values import Array, instance
-
-if TYPE_CHECKING:
-    from hitchopt.hitch.requirements import Requirements
-    from hitchopt.motion.motion import Motion
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -123,7 +121,6 @@ class Form(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
-        from hitchopt.motion.motion import Phase, joined_motions
         from hitchopt.planners.forming.stages import tied
         from hitchopt.steps import certified_motions as motions
         from hitchopt.steps.certified_motions import worked
@@ -184,7 +181,6 @@ def _approach(task: StepTask, goal: Array) -> Motion:
 
     Raises InfeasibleError: none; says what binds on the first of them.
     """
-    from hitchopt.motion.motion import joined_motions
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
     from hitchopt.steps.certified_motions import tried
 
@@ -214,7 +210,6 @@ class Release(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from a hitch to drones on free cables."""
-        from hitchopt.motion.motion import joined_motions
         from hitchopt.planners.forming.stages import tied, undone
         from hitchopt.steps.certified_motions import lifted, tying_site
 
@@ -238,7 +233,6 @@ class Land(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down."""
-        from hitchopt.motion.motion import CableState
         from hitchopt.planners.forming.stages import stage
         from hitchopt.planners.forming.turns import straight
 
