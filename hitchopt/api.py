@@ -60,10 +60,8 @@ def solve(
     task = _loaded(problem, Problem, SwarmProblem)
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as tell:
-        if isinstance(task, SwarmProblem):
-            found = solve_swarm(task, tell)
-        else:
-            found = solve_problem(task, tell)
+        swarm = isinstance(task, SwarmProblem)
+        found = solve_swarm(task, tell) if swarm else solve_problem(task, tell)
     check_asked(task.asked, found.motion, whole=False)
     return Plan(found.motion, found.certificate, task.title)
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
@@ -303,6 +302,8 @@ def _starts(task: GripTask) -> list[Array]:
 
 def _refined(task: GripTask, start: Array, iterations: int) -> Array:
     """Return the vertices (n, 2) [m] that sequential quadratic programs reach from a polygon."""
+    from scipy.optimize import minimize
+
     values = _program(task, start)
     known: dict[bytes, tuple[Array, Array]] = {}
 

@@ -1,5 +1,4 @@
-"""The problem file key by key: types, counts, signs and defaults of single values; its JSON Schema,
-and what is wrong with a file, in words.
+"""The problem file key by key, its JSON Schema, and what is wrong with a file, in words.
 
 What one value alone cannot tell (a polygon's shape, one entry per robot) is checked by the records
 that ``loading`` makes of these models. Those of steps are made from the steps' own fields.
@@ -13,7 +12,6 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import MISSING
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -196,32 +194,31 @@ Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
 CORNERS_TEXT = "Corners [x, y] [m] of a convex outline, in either sense"
 
 
-def _one_of(data: object, names: tuple[str, ...]) -> object:
-    """Return a mapping's values; raise a fault unless exactly one of the names is given."""
-    if isinstance(data, dict) and sum(data.get(name) is not None for name in names) != 1:
-        words = f"a mapping with exactly one of {', '.join(names)}"
-        raise fault(words, "write circle: 0.2, for example")
-    return data
-
-
-class RimKeys(Keys):
-    """A rim or tray that may rest on cables."""
+class SectionKeys(Keys):
+    """A convex section."""
 
     outline: Corners | None = key(CORNERS_TEXT, None)
     circle: Positive | None = key("Radius [m] of a circle", None)
-    at: Number = key("Height above the object's base [m]", 0.2)
 
     @model_validator(mode="before")
     @classmethod
     def _check_shape(cls, data: object) -> object:
-        return _one_of(data, ("outline", "circle"))
+        names = [name for name in ("outline", "circle", "file") if name in cls.model_fields]
+        if isinstance(data, dict) and sum(data.get(name) is not None for name in names) != 1:
+            words = f"a mapping with exactly one of {', '.join(names)}"
+            raise fault(words, "write circle: 0.2, for example")
+        return data
 
 
-class ObjectKeys(Keys):
+class RimKeys(SectionKeys):
+    """A rim or tray that may rest on cables."""
+
+    at: Number = key("Height above the object's base [m]", 0.2)
+
+
+class ObjectKeys(SectionKeys):
     """An upright object that is carried, or stands in the way."""
 
-    outline: Corners | None = key(CORNERS_TEXT, None)
-    circle: Positive | None = key("Radius [m] of a circle", None)
     file: Annotated[str, Field(min_length=1, max_length=1000)] | None = key(
         "Drawing of its outline, in metres, relative to this file", None
     )
@@ -233,11 +230,6 @@ class ObjectKeys(Keys):
     yaw_deg: Number = key("By how much it is turned there, counter-clockwise [°]", 0.0)
     rim: RimKeys | None = key(str(RimKeys.__doc__), None)
     fixed: bool = key("Whether it never moves, as tables do", False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_shape(cls, data: object) -> object:
-        return _one_of(data, ("outline", "circle", "file"))
 
 
 def step_model(kind: type[Step]) -> type[Keys]:
@@ -297,8 +289,6 @@ class ProblemKeys(Keys):
 
 
 Points = Annotated[list[Point3], Field(min_length=1, max_length=MAX_DRONES)]
-
-
 Kinds = Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES)]
 
 
@@ -314,7 +304,7 @@ class SwarmTeamKeys(Keys):
 class PrismKeys(Keys):
     """An upright prism that the drones stay out of."""
 
-    polygon: Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)] = key(
+    polygon: Corners = key(
         "Corners [x, y] [m] of a convex outline, clockwise seen from above",
         examples=[[[0, 0], [0, 1], [1, 1]]],
     )
@@ -350,9 +340,6 @@ class SwarmKeys(Keys):
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
-KINDS: tuple[type[Keys], ...] = (ProblemKeys, SwarmKeys)
-"""Models of a whole file."""
-
 SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
 """Where the package keeps it."""
 
@@ -368,27 +355,19 @@ class _Untitled(GenerateJsonSchema):
 
 def problem_schema() -> Schema:
     """Return the JSON Schema (draft 2020-12) of a problem file: of a hitch, or of single drones."""
+    kinds: tuple[type[Keys], ...] = (ProblemKeys, SwarmKeys)
     _, schema = models_json_schema(
-        [(model, "validation") for model in KINDS], schema_generator=_Untitled
+        [(model, "validation") for model in kinds], schema_generator=_Untitled
     )
     for definition in schema["$defs"].values():
         del definition["title"]
-    forms = [{"$ref": f"#/$defs/{model.__name__}"} for model in KINDS]
+    forms = [{"$ref": f"#/$defs/{model.__name__}"} for model in kinds]
     return {"$schema": DIALECT, "title": "hitchopt problem file", "anyOf": forms, **schema}
 
 
 def schema_text() -> str:
     """Return the JSON Schema as the package's file holds it."""
     return json.dumps(problem_schema(), indent=2, ensure_ascii=False) + "\n"
-
-
-@cache
-def _schema_of(model: type[Keys]) -> Schema:
-    """Return the JSON Schema of one of the KINDS alone, or of another model of a file."""
-    if model not in KINDS:
-        return model.model_json_schema(schema_generator=_Untitled)
-    schema = json.loads(SCHEMA_FILE.read_text("utf-8"))
-    return {"$ref": f"#/$defs/{model.__name__}", "$defs": schema["$defs"]}
 
 
 def _properties_at(schema: Schema, path: Sequence[str | int]) -> dict[str, Schema]:
@@ -459,7 +438,7 @@ ALIKE = {"int_from_float": "int_type", "model_type": "dict_type", "int_parsing":
 
 def translated(error: ValidationError, model: type[Keys] = ProblemKeys) -> InputError:
     """Return what pydantic found in a file of one of the kinds, in this package's words."""
-    schema = _schema_of(model)
+    schema = model.model_json_schema(schema_generator=_Untitled)
     return one_or_all([_translated(entry, schema) for entry in error.errors(include_url=False)])
 
 

@@ -185,12 +185,10 @@ def _team(kind: type[T], keys: TeamKeys | SwarmTeamKeys) -> T:
 
 def _start(keys: StartKeys, team: Team) -> Start:
     """Return where the plan starts."""
-    if keys.hitch is not None:
-        with seen_from("start.hitch"):
-            start: Start = HitchStart(**keys.hitch.model_dump())
-    else:
-        with seen_from("start.drones"):
-            start = DronesStart(**keys.drones.model_dump())  # type: ignore[union-attr]
+    kinds: dict[str, type[HitchStart | DronesStart]] = {"hitch": HitchStart, "drones": DronesStart}
+    ((name, given),) = keys.model_dump(exclude_none=True).items()
+    with seen_from(f"start.{name}"):
+        start = kinds[name](**given)
     return fitting_start(team, start)
 
 

@@ -15,7 +15,10 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HoldBy, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import TOUCH, footing, poses_of, surface_below
-from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons, rest_polygons
+from hitchopt.planners.carrying.grip import check_opens, grip_polygons
+from hitchopt.planners.carrying.rest import ROOM, HeldHitch, HoldPolygons, rest_polygons
+from hitchopt.steps import holds
+from hitchopt.steps.holds import check_held, object_of, one_phase, polygon_at
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import Holding, Knob, Stage, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
@@ -46,8 +49,8 @@ SAME = 1e-6
 """[m] Places that differ by less are the same."""
 
 
-def in_turn(steps: Sequence[Transport | Morph], task: StepTask) -> StepPlan:
-    """Return the plan of moves without an object; transports to where the hitch is are left out."""
+def in_turn(steps: Sequence[Step], task: StepTask) -> StepPlan:
+    """Return the plan of steps in a row; transports to where the hitch is are left out."""
     motions, here = [], task
     for step in steps:
         place = np.append(here.hitch.polygon.centroid, here.hitch.altitude)
@@ -55,7 +58,7 @@ def in_turn(steps: Sequence[Transport | Morph], task: StepTask) -> StepPlan:
             continue
         planned = step.plan(here)
         motions.append(planned.motion)
-        here = here.within(here.requirements, planned.after)
+        here = task.within(planned.after.at_objects(task.requirements), planned.after)
     return StepPlan(joined_motions(motions), here.before)
 
 
@@ -94,11 +97,8 @@ class Enclose(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
-        from hitchopt.planners.carrying.grip import check_opens, grip_polygons
-        from hitchopt.steps import holds
-
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
-        body, gap = holds.object_of(task, self.object), holds.gap_around(requirements)
+        body, gap = holds.object_of(task, self.object), requirements.separation.object + ROOM
         if body.rim is None:
             found = grip_polygons(self.object, body, team, requirements, gap)
             inside = float(body.at[2] + body.centre_of_mass[2])
@@ -134,8 +134,6 @@ def _numbered(
     found: HoldPolygons, body: SolidObject, polygon: Outline
 ) -> tuple[HoldPolygons, ConvexPolygon]:
     """Return the polygons numbered so that vertices have the shortest paths, and that around."""
-    from hitchopt.steps.holds import polygon_at
-
     here = polygon.vertices - polygon.centroid
     if body.rim is None and body.section.radius is not None:
         found = _turned(found, body, here)
@@ -148,10 +146,7 @@ def _numbered(
 
 
 def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
-    """Return polygons around a circle, turned so that vertices have the shortest paths.
-
-    ``here`` (n, 2) [m] are the vertices of the hitch about its centroid.
-    """
+    """Return polygons around a circle, turned towards vertices (n, 2) [m] about the centroid."""
     there, goal = (points @ np.array([1.0, 1.0j]) for points in (found.around, here))
     alike = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
     angle = float(np.angle(max(alike, key=abs))) - body.yaw
@@ -201,8 +196,6 @@ class Grasp(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
-        from hitchopt.steps import holds
-
         body, team = holds.object_of(task, self.object), task.before.team
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
         if self.by == "grip":
@@ -221,13 +214,8 @@ class Grasp(PullStep):
     def _closing(
         self, task: StepTask, body: SolidObject, rim: float, asked: Array
     ) -> tuple[StepPlan, StepTask]:
-        """Return the plan of closing below a rim, and the task of holding the object after it.
-
-        Legs end as near to the current fractions as limits allow. ``rim`` [m] is its height, and
-        ``asked`` (n,) [N] are the tensions with which the object is held.
-        """
+        """Return the plan of closing below a rim [m], and the task of holding by ``asked`` [N]."""
         from hitchopt.steps.certified_motions import end_of_morph
-        from hitchopt.steps.holds import check_held, polygon_at
 
         team, polygons = task.before.team, task.holding.polygons
         below, free = polygon_at(body, polygons.closed), beside(task, self.object)
@@ -256,8 +244,6 @@ class Lift(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
-        from hitchopt.steps import holds
-
         start = holds.place_of(task.requirements.objects[task.holding.name])
         to = start + np.array([0.0, 0.0, self.by, 0.0])
         up = holds.carried_move(task, start, to, holds.LIFT_SPEED)
@@ -277,8 +263,6 @@ class Carry(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
-        from hitchopt.steps import holds
-
         start = holds.place_of(task.requirements.objects[self.object])
         to = np.append(self.to, start[3] + self.yaw)
         move = holds.carried_move(task, start, to, task.requirements.limits.speed)
@@ -295,8 +279,6 @@ class SetDown(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down, to where the object stands well."""
-        from hitchopt.steps import holds
-
         objects, floor = task.requirements.objects, task.requirements.floor
         body = objects[self.object]
         surface, _ = surface_below(objects, poses_of(objects), self.object, floor)
@@ -326,8 +308,6 @@ class Loosen(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from clasps below the rim to a hitch around the object."""
-        from hitchopt.steps import holds
-
         body, team, holding = holds.object_of(task, self.object), task.before.team, task.holding
         assert holding.held is not None
         if holding.held.by is HoldBy.GRIP:
@@ -354,8 +334,6 @@ class Leave(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
-        from hitchopt.steps.holds import one_phase
-
         over = Transport(np.append(task.hitch.polygon.centroid, altitude_over(task)))
         planned = over.plan(task.within(slowly(task.requirements), task.before))
         motion = self.lasting(task, one_phase([planned.motion], task, self.name))
@@ -381,11 +359,9 @@ class TransportObject(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; what is below ``to`` has to be as high as it says."""
-        from hitchopt.steps.holds import object_of
-
         body = object_of(task, self.object)
         high = max(float(body.at[2]), float(self.to[2])) + self.lift
-        steps: list[Step] = [
+        steps = [
             Enclose(self.object),
             Grasp(self.object, self.by or ("rest" if body.rim else "grip"), self.tension),
             Lift(high - float(body.at[2])),
@@ -394,15 +370,10 @@ class TransportObject(PullStep):
             Loosen(self.object),
             Leave(self.object),
         ]
-        motions, here = [], task
-        for step in steps:
-            planned = step.plan(here)
-            motions.append(planned.motion)
-            objects = planned.after.at_objects(task.requirements)
-            here = task.within(objects, planned.after)
-            height = float(objects.objects[self.object].at[2])
-            if isinstance(step, SetDown) and abs(height - self.to[2]) > TOUCH:
-                key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
-                remedy = f"write {[*self.to[:2].tolist(), round(height, 9)]}"
-                raise InputError(key, self.to.tolist(), f"{bound}, at {height:.6g} m", remedy)
-        return StepPlan(joined_motions(motions), here.before)
+        planned = in_turn(steps, task)
+        height = float(planned.after.at_objects(task.requirements).objects[self.object].at[2])
+        if abs(height - self.to[2]) > TOUCH:
+            key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
+            remedy = f"write {[*self.to[:2].tolist(), round(height, 9)]}"
+            raise InputError(key, self.to.tolist(), f"{bound}, at {height:.6g} m", remedy)
+        return planned

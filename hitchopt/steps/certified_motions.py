@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Violation
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    TimeLimitError,
+    Violation,
+    broken_limit,
+)
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
@@ -87,10 +93,7 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
-    """Return the error that tells what checks of a motion's certificate are broken.
-
-    Of something at rest ``when`` is said in place of time and step.
-    """
+    """Return what checks of a certificate are broken; ``when`` is said for the time and step."""
     found = []
     for check in certificate.violated:
         phases = [p for p in motion.phases if p.start <= check.time <= p.end]
@@ -146,20 +149,16 @@ def split_hitch(
     requirements: Requirements,
 ) -> Hitch:
     """Return the hitch whose slack is split as ``legs`` says."""
-    if isinstance(legs, RolledLegs):
-        sharing, roll, auto = legs.sharing, legs.roll, legs.roll is None
-    else:
-        sharing, roll, auto = legs, None, False
+    sharing, roll = (legs.sharing, legs.roll) if isinstance(legs, RolledLegs) else (legs, None)
     if isinstance(sharing, str) and sharing == "spread":
-        limits, separation = requirements.limits, requirements.separation
-        return Hitch.spread(
-            team, polygon, altitude, limits=limits, separation=separation, roll=roll
-        )
+        kept = {name: getattr(requirements, name) for name in ("limits", "separation")}
+        return Hitch.spread(team, polygon, altitude, roll=roll, **kept)
     given = 0.0 if roll is None else roll
     if isinstance(sharing, str):
         hitch = Hitch.balanced(team, polygon, altitude, given)
     else:
         hitch = Hitch(team, polygon, altitude, sharing, given)
+    auto = isinstance(legs, RolledLegs) and roll is None
     return hitch.least_rolled(requirements) if auto else hitch
 
 
@@ -187,27 +186,16 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     wanted = action.kept_legs
     try:
         hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
+        check_at_rest(hitch, requirements, "at the end")
+        return End(hitch)
     except InfeasibleError as error:
-        reason = _words(replace(error.violations[0], limit=requirements.limits.leg))
-    else:
-        broken = at_rest(hitch, requirements).certificate.violated
-        if not broken:
-            return End(hitch)
-        reason = _words(broken[0].violation("", ""))
+        broken = error.violations[0]
     nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), requirements)
     # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
     q_legs = np.where(np.abs(nearest.q_legs - wanted) < SLIDES, wanted, nearest.q_legs)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
-    return End(end, f"{reason} at the end")
-
-
-def _words(broken: Violation) -> str:
-    """Return such as "legs 0.11 m at q0 would be below 0.15 m"."""
-    unit = "" if broken.unit in {"1", "ratio"} else f" {broken.unit}"
-    relation = "below" if broken.sense == "min" else "above"
-    place = f" at {', '.join(broken.where)}" if broken.where else ""
-    value = f"{broken.constraint} {broken.value:.3g}{unit}{place}"
-    return f"{value} would be {relation} {broken.limit:.3g}{unit}"
+    told = broken.constraint, broken.value, broken.limit, broken.sense, broken.unit, broken.where
+    return End(end, f"at the end else {broken_limit(*told)}")
 
 
 def _nearest(
@@ -270,10 +258,7 @@ def optimised(
 
 
 def refused_both(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
-    """Return what tells why neither a step's own route nor the optimised one is flown.
-
-    What binds on the own one; a route that only takes too long is told before others.
-    """
+    """Return why neither of two routes is flown: first of one that only takes too long."""
 
     def late(refusal: InfeasibleError) -> float:
         """Return the time that a route takes at least [s], if that alone is why it is refused."""
@@ -300,11 +285,9 @@ NO_ROOM = "legs do not lean against friction: limits leave no room for it"
 
 
 def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
-    """Return the plan with legs that lean against friction as far as limits allow.
+    """Return the plan with legs that lean against friction as far as limits allow, if they do.
 
-    It is the given one where the team's cables have no friction or none of them slides, and where
-    limits leave no room for leaning, which its remarks then say. The motion may take up to LONGER
-    times as long, unless its time is given (``timed``) or the whole plan's is limited.
+    It may take up to LONGER times as long, unless its time is given (``timed``) or limited.
     """
     motion, limits = planned.motion, planned.motion.requirements.limits
     if motion.team.cable_friction == 0.0:
@@ -330,9 +313,7 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
 def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
     """Return the plan in which drones swing until the clasps' friction has lost its memory.
 
-    They swing as far as limits allow, as the remark says, for ``seconds`` [s], or SWINGS of SWING,
-    up to LONGER times as long where limits of motion need that. The times of ``phase`` are set.
-
+    They swing as far as limits allow for ``seconds`` [s], or SWINGS of SWING and longer if need be.
     Raises InfeasibleError where limits leave no room for it, and it is ``needed``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling
@@ -406,10 +387,7 @@ def _span(violation: Violation, before: Situation) -> Violation:
 
 
 def check_above_ground(motion: Motion) -> None:
-    """Raise InfeasibleError where a drone goes below the ground, z = 0, that it takes off from.
-
-    An arena's floor has a check of its own.
-    """
+    """Raise InfeasibleError where drones go below the ground, z = 0, where no arena has a floor."""
     heights = motion.drones.coefficients[:, :, 2]
     if motion.requirements.arena is not None or np.min(heights) >= -SAME_ALTITUDE:
         return

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError, UnitWarning
+from hitchopt.errors import HitchoptError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
@@ -31,33 +31,29 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.step_keys import (
     LEGS_TEXT,
-    MAX_TURNS,
-    OUTLINE_TEXT,
-    TURNS,
-    YAW_TEXT,
     AutoSeconds,
     Blend,
     Key,
     Keys,
     Legs,
     LegsAtEnd,
-    OutlinePoints,
     Point2,
     Point3,
+    Polygon,
     Positive,
     Seconds,
     SlackSplit,
     TimedPath,
     TwoPoints,
     WhichPoint,
+    Yaw,
     auto_seconds,
     key,
     of_shape,
     point,
     seconds,
 )
-from hitchopt.values import MAX_COORDINATE, Array, finite, flag, positive, sequence
-from hitchopt.values.units import warn_of_unit
+from hitchopt.values import MAX_COORDINATE, Array, flag, positive, sequence
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, Flying
@@ -272,9 +268,7 @@ OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies a
 class Morph(ShapeStep):
     """Every vertex goes to its place in a polygon."""
 
-    polygon: Annotated[
-        Outline, Key(OutlinePoints, OUTLINE_TEXT, ([[0, -0.5], [-0.4, 0.5], [0.4, 0.5]],))
-    ]
+    polygon: Polygon
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
@@ -512,18 +506,6 @@ class FollowVertex(ActionStep):
         return (Edit("path", np.column_stack([times, points]).tolist()),)
 
 
-def _turned(key: str, value: object) -> float:
-    """Return a turn [rad], or raise InputError for too many; warn of whole numbers."""
-    yaw = finite(key, value)
-    meant = f"if degrees were meant, {math.radians(yaw):.3g}"
-    if abs(yaw) > MAX_TURNS * 2.0 * math.pi:
-        bound = f"at most {MAX_TURNS} turns either way"
-        raise InputError(key, yaw, bound, f"turn in several steps; {meant}")
-    if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rarely of radians
-        warn_of_unit(UnitWarning(key, f"{yaw:g} rad, more than a turn; {meant}"))
-    return yaw
-
-
 @dataclass(frozen=True, eq=False)
 class Transport(HitchStep):
     """The whole hitch goes elsewhere and turns about its centroid; its shape and legs stay."""
@@ -532,7 +514,7 @@ class Transport(HitchStep):
         Array,
         Key(Point3, "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],), check=point),
     ]
-    yaw: Annotated[float, Key(TURNS, YAW_TEXT, name="yaw_deg", check=_turned)] = 0.0
+    yaw: Yaw = 0.0
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -23,13 +23,11 @@ from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
+from hitchopt.planners.carrying.grip import GrippedHitch
 from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step_keys import keys_of, slack_split
 from hitchopt.values import Array
-
-if TYPE_CHECKING:
-    from hitchopt.planners.carrying.grip import GrippedHitch
 
 IDLE = 0.01
 """Duration [s] of a step that moves nothing and was given none."""

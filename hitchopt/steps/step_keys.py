@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, UnitWarning
+from hitchopt.geometry import Outline
 from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import checked_roll
 from hitchopt.hitch.team import MAX_ROBOTS
@@ -29,7 +30,7 @@ from hitchopt.values import (
     positive,
     whole,
 )
-from hitchopt.values.units import DURATION, HEIGHT, check_unit
+from hitchopt.values.units import DURATION, HEIGHT, check_unit, warn_of_unit
 
 MIN_QUANTITY, MAX_QUANTITY = 1e-9, 1e9
 """Smallest and largest quantity, in SI units: others are typing errors."""
@@ -98,7 +99,6 @@ OUTLINE_TEXT = (
 SHARING_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k [m]"
 LEGS_TEXT = f"{SHARING_TEXT}; or that as sharing, with a roll_deg"
 DURATION_TEXT = "Exactly that long [s]; without it as fast as the limits allow"
-YAW_TEXT = "By how much it turns, counter-clockwise [°]"
 
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 """Points [m] of an example."""
@@ -267,8 +267,23 @@ def one_of(words: Any) -> Callable[[str, Any], str]:
 MAX_TURNS = 5
 """Most turns of one step: a bounded number of polynomials would not follow more closely."""
 
+
+def turned(key: str, value: object) -> float:
+    """Return a turn [rad], or raise InputError for too many; warn of whole numbers."""
+    yaw = finite(key, value)
+    meant = f"if degrees were meant, {math.radians(yaw):.3g}"
+    if abs(yaw) > MAX_TURNS * 2.0 * math.pi:
+        bound = f"at most {MAX_TURNS} turns either way"
+        raise InputError(key, yaw, bound, f"turn in several steps; {meant}")
+    if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rarely of radians
+        warn_of_unit(UnitWarning(key, f"{yaw:g} rad, more than a turn; {meant}"))
+    return yaw
+
+
 TURNS = Annotated[float, Field(ge=-360 * MAX_TURNS, le=360 * MAX_TURNS)]
-AutoSeconds = Annotated[Auto | Annotated[Positive, Tag(ONE)], FORM]
+_Auto = Auto | Annotated[Positive, Tag(ONE)]
+AutoSeconds = Annotated[_Auto, FORM]
+AutoSecondsOrNot = Annotated[_Auto | Annotated[Literal[False], Tag(FLAG)], FORM]
 Seconds = Annotated[float | None, Key(Positive, DURATION_TEXT, check=seconds)]
 Blend = Annotated[bool, Key(bool, "Go on into the next step without a stop", check=flag)]
 LegsAtEnd = Annotated[SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end")]
@@ -277,4 +292,7 @@ ObjectOf = Annotated[str, Key(ObjectName, "Name of the object", ("box",))]
 Place = Annotated[
     Array, Key(Point3, "Where its base goes, [x, y, z] [m]", ([1, 0, 0],), check=point)
 ]
-Yaw = Annotated[float, Key(TURNS, YAW_TEXT, name="yaw_deg", check=finite)]
+Yaw = Annotated[
+    float, Key(TURNS, "By how much it turns, counter-clockwise [°]", name="yaw_deg", check=turned)
+]
+Polygon = Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]

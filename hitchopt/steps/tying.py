@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, Tag
+from pydantic import Field
 
-from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.geometry import Outline
+from hitchopt.errors import HitchoptError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
@@ -19,18 +18,13 @@ from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.step import Knob, Situation, Step, StepPlan, StepTask, eased
 from hitchopt.steps.step_keys import (
     AUTO,
-    FLAG,
-    FORM,
     LEGS_TEXT,
-    ONE,
-    OUTLINE_TEXT,
-    TRIANGLE,
-    Auto,
+    AutoSecondsOrNot,
     Key,
     Keys,
     Legs,
     Number,
-    OutlinePoints,
+    Polygon,
     Positive,
     RolledLegs,
     Seconds,
@@ -68,11 +62,6 @@ def _settings(key: str, value: object) -> object:
     return value
 
 
-SettleKey = Annotated[
-    Auto | Annotated[Literal[False], Tag(FLAG)] | Annotated[Positive, Tag(ONE)], FORM
-]
-
-
 def _settle(key: str, value: object) -> float | str | bool:
     return False if value is False else auto_seconds(key, value)
 
@@ -94,7 +83,7 @@ class Form(Step):
     """
 
     needs_hitch: ClassVar[bool | None] = False
-    polygon: Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]
+    polygon: Polygon
     altitude: Annotated[float, Key(Number, "Height of the hitch's plane [m]", check=altitude)] = 1.0
     legs: Annotated[
         SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end; spread without it")
@@ -104,7 +93,7 @@ class Form(Step):
         default_factory=SwapSettings
     )
     settle: Annotated[
-        float | Literal["auto", False], Key(SettleKey, SETTLE_TEXT, check=_settle)
+        float | Literal["auto", False], Key(AutoSecondsOrNot, SETTLE_TEXT, check=_settle)
     ] = AUTO
     duration: Seconds = None
 
@@ -145,10 +134,7 @@ class Form(Step):
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
-        """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
-
-        They are the largest of CABLE_MARGINS that satisfies every limit; drones are spread beyond.
-        """
+        """Return the hitch to be formed; without ``legs`` spread, with the margins that it can."""
         from hitchopt.steps.certified_motions import at_rest, split_hitch
 
         legs: SlackSplit = "spread" if self.legs is None else self.legs
@@ -177,12 +163,9 @@ class Form(Step):
 
 
 def _approach(task: StepTask, goal: Array) -> Motion:
-    """Return the first route to the pre-hitch that the certificate holds for.
-
-    Raises InfeasibleError: none; says what binds on the first of them.
-    """
+    """Return the first certified route to the pre-hitch, or raise what binds on the first one."""
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import tried
+    from hitchopt.steps.certified_motions import refused_both, tried
 
     asked = task.before.team, task.before.drones, goal, task.requirements, task.index
     routes = (DirectApproach(*asked), GatheredApproach(*asked))
@@ -192,11 +175,7 @@ def _approach(task: StepTask, goal: Array) -> Motion:
         if isinstance(found, StepPlan):
             return found.motion
         refused.append(found)
-    for error in refused:
-        if isinstance(error, InfeasibleError):
-            note = error.note or "no other route to the pre-hitch was found"
-            raise InfeasibleError(error.violations, note)
-    raise refused[0]
+    raise refused_both(refused[0], refused[1], "no other route to the pre-hitch was found")
 
 
 @dataclass(frozen=True)
