@@ -25,8 +25,7 @@ from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.motion.asked import check_asked
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
-from hitchopt.steps.step import Stage
-from hitchopt.steps.step_keys import keys_of, parameters
+from hitchopt.steps.step import Stage, keys_of, parameters
 from hitchopt.values import flag, instance, path, positive, text
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.steps import STEPS, Step
-from hitchopt.steps.step_keys import (
+from hitchopt.steps.step import (
     EACH,
     FAULT,
     FLAG,

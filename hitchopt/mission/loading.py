@@ -35,7 +35,7 @@ from hitchopt.mission.problem import (
 )
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.steps import Step
-from hitchopt.steps.step_keys import Keys
+from hitchopt.steps.step import Keys
 from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, plain, read_text
 from hitchopt.values.units import seen_from
 

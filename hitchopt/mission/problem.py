@@ -25,8 +25,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.steps import STEPS, FollowVertex, Step
 from hitchopt.steps.moving import MoveStep
-from hitchopt.steps.step import Stage
-from hitchopt.steps.step_keys import SlackSplit, slack_split
+from hitchopt.steps.step import SlackSplit, Stage, slack_split
 from hitchopt.values import Array, coordinate, instance, points, positive, sequence, text
 from hitchopt.values.units import HEIGHT, check_unit, warn_of_unit
 

@@ -35,12 +35,12 @@ from hitchopt.steps.step import (
     PLAN_DURATION,
     Edits,
     Knob,
+    RolledLegs,
     eased,
     outline_edit,
     points_scaled,
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
-from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
 BUDGET, DIGITS = 15.0, 3

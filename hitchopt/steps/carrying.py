@@ -20,15 +20,21 @@ from hitchopt.planners.carrying.rest import ROOM, HeldHitch, HoldPolygons, rest_
 from hitchopt.steps import holds
 from hitchopt.steps.holds import check_held, object_of, one_phase, polygon_at
 from hitchopt.steps.moving import Morph, Transport
-from hitchopt.steps.step import Holding, Knob, Stage, Step, StepPlan, StepTask, eased
-from hitchopt.steps.step_keys import (
+from hitchopt.steps.step import (
+    Holding,
     Key,
+    Knob,
     ObjectOf,
     Place,
     Positive,
     RolledLegs,
     Seconds,
+    Stage,
+    Step,
+    StepPlan,
+    StepTask,
     Yaw,
+    eased,
     one_of,
 )
 from hitchopt.values import Array, positive

@@ -32,8 +32,7 @@ from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
 from hitchopt.planners.morph.path import RigidPath, ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
-from hitchopt.steps.step import IDLE, Situation, StepPlan, StepTask
-from hitchopt.steps.step_keys import RolledLegs, SlackSplit
+from hitchopt.steps.step import IDLE, RolledLegs, Situation, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -206,7 +205,6 @@ def _nearest(
     return Hitch.nearest(start.team, polygon, start.altitude, fractions, roll=start.roll, **kept)
 
 
-FASTER = "faster than the step's own route"
 SHUT = "the step's own route is infeasible"
 SLOWER = "the step's own route takes longer"
 
@@ -214,12 +212,10 @@ SLOWER = "the step's own route takes longer"
 def optimised(
     task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
 ) -> StepPlan:
-    """Return the fastest plan that the optimiser finds from the task's hitch to another.
+    """Return the fastest plan that the optimiser finds to a hitch at the same altitude.
 
-    Both are at one altitude, and within all limits at rest. ``phase`` has the step's name and
-    index, and within what tensions may change meanwhile; ``lead``: also try legs that lead and lag.
-
-    Raises InfeasibleError where it takes longer than ``duration`` [s], or HitchoptError.
+    ``phase`` has the step's name and index, and within what tensions may change; ``lead``: also try
+    legs that lead and lag. Raises InfeasibleError where it takes longer than ``duration`` [s].
     """
     from hitchopt.planners.morph.legs import leading
     from hitchopt.planners.optimise.search import OptimisedMorph

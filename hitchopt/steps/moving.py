@@ -17,24 +17,15 @@ from hitchopt.hitch.hitch import fitting_polygon
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.step import (
     IDLE,
-    PLAN_DURATION,
-    Edit,
-    Edits,
-    Knob,
-    Situation,
-    Stage,
-    Step,
-    StepPlan,
-    StepTask,
-    eased,
-    points_scaled,
-)
-from hitchopt.steps.step_keys import (
     LEGS_TEXT,
+    PLAN_DURATION,
     AutoSeconds,
     Blend,
+    Edit,
+    Edits,
     Key,
     Keys,
+    Knob,
     Legs,
     LegsAtEnd,
     Point2,
@@ -42,18 +33,25 @@ from hitchopt.steps.step_keys import (
     Polygon,
     Positive,
     Seconds,
+    Situation,
     SlackSplit,
+    Stage,
+    Step,
+    StepPlan,
+    StepTask,
     TimedPath,
     TwoPoints,
     WhichPoint,
     Yaw,
     auto_seconds,
+    eased,
     key,
     of_shape,
     point,
+    points_scaled,
     seconds,
 )
-from hitchopt.values import MAX_COORDINATE, Array, flag, positive, sequence
+from hitchopt.values import MAX_COORDINATE, Array, flag, points, positive, sequence
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, Flying
@@ -107,7 +105,7 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
-        from hitchopt.steps.certified_motions import FASTER, SHUT, optimised, refused_both, tried
+        from hitchopt.steps.certified_motions import SHUT, optimised, refused_both, tried
 
         end, duration = self.end(task), self.given_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
@@ -129,7 +127,7 @@ class ShapeStep(HitchStep):
             raise refused_both(own, other, f"the optimiser found no {what}")
         if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
             return own
-        return other.remarked(FASTER)
+        return other.remarked("faster than the step's own route")
 
 
 class ActionStep(ShapeStep):
@@ -441,7 +439,6 @@ class Adjust(ActionStep):
 MIN_GAP = 1e-3
 """Shortest time between two points [s]: less is a typing error."""
 
-_ROWS = of_shape((None, 3), "points [t, x, y]")
 _PATH_TEXT = (
     "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
     "equal points that follow each other the vertex stands still"
@@ -450,7 +447,7 @@ _PATH_TEXT = (
 
 def _timed_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or raise InputError."""
-    path = _ROWS(key, value)
+    path = points(key, value, (1, 3), "points [t, x, y]", "give plain numbers in SI units")
     gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
         bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"

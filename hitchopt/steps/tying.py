@@ -15,22 +15,27 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.step import Knob, Situation, Step, StepPlan, StepTask, eased
-from hitchopt.steps.step_keys import (
+from hitchopt.steps.step import (
     AUTO,
     LEGS_TEXT,
     AutoSecondsOrNot,
     Key,
     Keys,
+    Knob,
     Legs,
     Number,
     Polygon,
     Positive,
     RolledLegs,
     Seconds,
+    Situation,
     SlackSplit,
+    Step,
+    StepPlan,
+    StepTask,
     altitude,
     auto_seconds,
+    eased,
     key,
     one_of,
 )
