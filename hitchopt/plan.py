@@ -155,14 +155,12 @@ class Plan(OneLine):
 
         motion, folder = self.motion, path("directory", directory)
 
-        def draw(file: Path) -> None:
-            save_figure(draw_summary(motion, self.certificate, self.title), file)
-
         def share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        pictures = {SUMMARY: draw}
+        shown = motion, self.certificate, self.title
+        pictures = {SUMMARY: lambda file: save_figure(draw_summary(*shown), file)}
         if flag("report", report):
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
         told = self.certificate, self.title, rate, pictures, share, self.problem

@@ -164,9 +164,7 @@ class Problem(OneLine):
     InputError: objects or steps that do not fit one another, the team or the outline; no step.
     """
 
-    complete: ClassVar[bool] = True
-    """Whether no step follows."""
-
+    complete: ClassVar[bool] = True  # whether no step follows
     team: Team
     start: Start
     mission: tuple[Step, ...]

@@ -111,7 +111,12 @@ class Enclose(Step):
         else:
             found = rest_polygons(self.object, body, len(hitch.polygon), gap)
             inside = float(body.at[2]) + body.rim.height - holds.gap_below(requirements)
-        self._check_height(task, inside)
+        least, height = requirements.separation.object, inside - requirements.floor
+        if height < least - TOUCH:
+            name, where = f"objects.{self.object}", ("ground",)
+            remedy = f"make {name} or its rim higher, or stand it on something"
+            told = "object_clearance", height, least, "min", "m", where
+            raise InfeasibleError([Violation(*told, f"with the hitch around {name}", remedy)])
         polygons, polygon = _numbered(found, body, hitch.polygon)
         wide = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {wide:.2g} m in radius"
@@ -124,16 +129,6 @@ class Enclose(Step):
         motion = holds.one_phase([above.motion, down.motion], task, self.name)
         holding = Holding(self.object, polygons, team.tension)
         return StepPlan(self.lasting(task, motion), replace(down.after, holding=holding))
-
-    def _check_height(self, task: StepTask, inside: float) -> None:
-        """Raise InfeasibleError where the hitch around the object would be close to the ground."""
-        requirements, name = task.requirements, f"objects.{self.object}"
-        least, height = requirements.separation.object, inside - requirements.floor
-        if height < least - TOUCH:
-            where, when = ("ground",), f"with the hitch around {name}"
-            remedy = f"make {name} or its rim higher, or stand it on something"
-            broken = Violation("object_clearance", height, least, "min", "m", where, when, remedy)
-            raise InfeasibleError([broken])
 
 
 def _numbered(

@@ -51,7 +51,7 @@ from hitchopt.steps.step import (
     points_scaled,
     seconds,
 )
-from hitchopt.values import MAX_COORDINATE, Array, flag, points, positive, sequence
+from hitchopt.values import Array, flag, points, positive, sequence
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, Flying
@@ -133,8 +133,7 @@ class ShapeStep(HitchStep):
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which names the drones that move."""
 
-    told: ClassVar[tuple[str, ...]] = ("vertex",)
-    """Fields that the action is told besides the hitch and the outline after it."""
+    told: ClassVar[tuple[str, ...]] = ("vertex",)  # fields that the action is told as well
 
     def action(self, task: StepTask) -> Action:
         """Return the action, which has the step's name."""
@@ -163,24 +162,20 @@ class ActionStep(ShapeStep):
 
     def _remark(self, action: Action, end: End, found: Flying) -> str:
         """Return which drones move that the paper does not name, and why."""
-        parts = []
-        if found.turning:
-            reason = "tensions differ, so legs turn with both edges at their vertex"
-            if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
-                reason = "clasps carry weight, so legs rise as it changes"
-            parts.append(f"{_all_of(found.turning, 'turn')} as well: {reason}")
-        if found.sliding:
-            reasons = ["legs are to change"] if self.legs is not None else []
-            reasons += [end.reason] if end.reason else []
-            if found.worst is not None:
-                reasons.append(f"limits bind at {found.worst:.0%} of the path")
-            parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
-        return "; ".join(parts)
-
-
-def _all_of(names: tuple[str, ...], verb: str) -> str:
-    """Return such as "r0 slides" or "q1, r0 slide"."""
-    return f"{', '.join(names)} {verb}{'s' if len(names) == 1 else ''}"
+        turned = "tensions differ, so legs turn with both edges at their vertex"
+        if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
+            turned = "clasps carry weight, so legs rise as it changes"
+        slid = ["legs are to change" if self.legs is not None else end.reason]
+        if found.worst is not None:
+            slid.append(f"limits bind at {found.worst:.0%} of the path")
+        reasons = turned, ", and ".join(filter(None, slid))
+        return "; ".join(
+            f"{', '.join(names)} {verb}{'s' * (len(names) == 1)} as well: {reason}"
+            for names, verb, reason in zip(
+                (found.turning, found.sliding), ("turn", "slide"), reasons, strict=True
+            )
+            if names
+        )
 
 
 @dataclass(frozen=True)
@@ -516,9 +511,6 @@ class Transport(HitchStep):
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""
-        if abs(self.to[2]) > MAX_COORDINATE:
-            words = f"within ±{MAX_COORDINATE:g} m", "check its coordinates"
-            raise InputError("to", self.to.tolist(), *words)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
         return _convex(team, turned + self.to[:2], "to", self.to)

@@ -31,6 +31,7 @@ from hitchopt.planners.carrying.grip import GrippedHitch
 from hitchopt.planners.carrying.rest import HeldHitch, HoldPolygons
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import (
+    MAX_COORDINATE,
     Array,
     as_array,
     choice,
@@ -232,8 +233,9 @@ def of_shape(shape: tuple[int, ...], words: str) -> Callable[[str, object], Arra
         value = value.tolist() if isinstance(value, np.ndarray) else value
         if array.shape != shape:
             raise InputError(key, value, words, "give plain numbers in SI units")
-        if not np.all(np.isfinite(array)):
-            raise InputError(key, value, "finite", "nan and inf are no quantities")
+        if not np.all(np.abs(array) <= MAX_COORDINATE):  # nan neither
+            bound = f"finite and within ±{MAX_COORDINATE:g} m"
+            raise InputError(key, value, bound, "check the point's coordinates")
         array.setflags(write=False)
         return array
 
@@ -445,17 +447,14 @@ class StepTask:
 
     @property
     def hitch(self) -> Hitch:
-        """The hitch to start with; raises InputError where cables are free."""
-        if self.before.hitch is None:
-            raise InputError(f"mission[{self.index}]", None, "given a hitch", "form one before")
+        """The hitch to start with, without which a problem has no such step."""
+        assert self.before.hitch is not None
         return self.before.hitch
 
     @property
     def holding(self) -> Holding:
-        """What the hitch is around or holds; raises InputError where that is nothing."""
-        if self.before.holding is None:
-            words = "around an object", "enclose it before"
-            raise InputError(f"mission[{self.index}]", None, *words)
+        """What the hitch is around or holds, without which a problem has no such step."""
+        assert self.before.holding is not None
         return self.before.holding
 
     def within(self, requirements: Requirements, situation: Situation) -> StepTask:
@@ -480,20 +479,13 @@ class Stage(StrEnum):
 class Step(OneLine, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
-    name: ClassVar[str]
-    """What the problem file calls it: the name of the class, in words of lower case."""
-
+    name: ClassVar[str]  # in the problem file: that of the class, in words of lower case
+    # whether a hitch must be there before it (True), must not (False), or may (None)
     needs_hitch: ClassVar[bool | None] = True
-    """Whether a hitch must be there before it (True), must not (False), or may (None)."""
-
-    blendable: ClassVar[bool] = False
-    """Whether it can follow another step, or be followed, without a stop."""
-
+    blendable: ClassVar[bool] = False  # whether it can follow, or be followed, without a stop
+    # where it begins and ends with respect to an object that is carried; None for anywhere
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
-    """Where it begins and ends with respect to an object that is carried; None for anywhere."""
-
-    time_key: ClassVar[str] = "duration"
-    """Name of the field that says how long it takes, if it has one."""
+    time_key: ClassVar[str] = "duration"  # name of the field that says how long, if it has one
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
