@@ -338,8 +338,6 @@ class SwarmKeys(Keys):
 
 # The JSON Schema, and what is wrong, in words.
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
-
 SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
 """Where the package keeps it."""
 
@@ -362,7 +360,8 @@ def problem_schema() -> Schema:
     for definition in schema["$defs"].values():
         del definition["title"]
     forms = [{"$ref": f"#/$defs/{model.__name__}"} for model in kinds]
-    return {"$schema": DIALECT, "title": "hitchopt problem file", "anyOf": forms, **schema}
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": dialect, "title": "hitchopt problem file", "anyOf": forms, **schema}
 
 
 def schema_text() -> str:

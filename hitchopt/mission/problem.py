@@ -44,7 +44,7 @@ def fitting_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]
             held = held.after(step, problem.objects)
             outline = step.polygon_left(team, outline)
             if step.blends and (problem.complete or i + 1 < len(steps)):
-                _check_blend(steps[i + 1] if i + 1 < len(steps) else None)
+                _check_blend(steps[i + 1 :])
             if step.blends or (i > 0 and steps[i - 1].blends):
                 _check_untimed(step)
         except InputError as error:
@@ -84,14 +84,14 @@ class _Held:
         return _Held(end, "" if end is Stage.FREE else name, known)
 
 
-def _check_blend(following: Step | None) -> None:
-    """Raise InputError where a step cannot go on into the next one, or None, without a stop."""
-    if following is None:
+def _check_blend(following: tuple[Step, ...]) -> None:
+    """Raise InputError where a step cannot go on into those that follow without a stop."""
+    if not following:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
-    if not following.blendable:
+    if not following[0].blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
         remedy = f"leave it out: only {names} go on into one another"
-        raise InputError("blend", True, f"false before a {following.name}", remedy)
+        raise InputError("blend", True, f"false before a {following[0].name}", remedy)
 
 
 def _check_untimed(step: Step) -> None:

@@ -21,6 +21,8 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProb
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
+from hitchopt.planners.forming.approach import assigned
+from hitchopt.planners.separation import SeparationTask, separate
 from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
@@ -28,9 +30,9 @@ from hitchopt.steps.certified_motions import (
     check_at_rest,
     check_start,
     infeasible,
+    plan_blended,
     split_hitch,
 )
-from hitchopt.steps.moving import plan_blended
 from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -118,8 +120,6 @@ def _begun(
     assignment = Assignment.fixed(team.robots)
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
-        from hitchopt.planners.forming.approach import assigned
-
         tell("assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     return Situation(assignment.team(team), assignment.drones(start.drones)), assignment
@@ -196,8 +196,6 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
 
     Raises InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
-    from hitchopt.planners.separation import SeparationTask, separate
-
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration

@@ -37,7 +37,7 @@ from hitchopt.steps.step import (
     eased,
     one_of,
 )
-from hitchopt.values import Array, positive
+from hitchopt.values import positive
 
 AROUND_SPEED, OVER = 0.15, 0.10
 """Speed upright around an object [m/s]; room between drones' lowest places and objects below,
@@ -137,23 +137,18 @@ def _numbered(
     """Return the polygons numbered so that vertices have the shortest paths, and that around."""
     here = polygon.vertices - polygon.centroid
     if body.rim is None and body.section.radius is not None:
-        found = _turned(found, body, here)
+        there, goal = (points @ np.array([1.0, 1.0j]) for points in (found.around, here))
+        alike = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
+        angle = float(np.angle(max(alike, key=abs))) - body.yaw
+        c, s = math.cos(angle), math.sin(angle)
+        turn = np.array([[c, s], [-s, c]])
+        found = replace(found, around=found.around @ turn, closed=found.closed @ turn)
     around = polygon_at(body, found.around)
     there = around.vertices - around.centroid
     lengths = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
     best = int(np.argmin(lengths))
     around_, closed = (np.roll(p, -best, axis=0) for p in (found.around, found.closed))
     return replace(found, around=around_, closed=closed), around.renumbered(best)
-
-
-def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
-    """Return polygons around a circle, turned towards vertices (n, 2) [m] about the centroid."""
-    there, goal = (points @ np.array([1.0, 1.0j]) for points in (found.around, here))
-    alike = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
-    angle = float(np.angle(max(alike, key=abs))) - body.yaw
-    c, s = math.cos(angle), math.sin(angle)
-    turn = np.array([[c, s], [-s, c]])
-    return replace(found, around=found.around @ turn, closed=found.closed @ turn)
 
 
 By = Literal["rest", "grip"]
@@ -197,6 +192,8 @@ class Grasp(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
+        from hitchopt.steps.certified_motions import end_of_morph
+
         body, team = holds.object_of(task, self.object), task.before.team
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
         if self.by == "grip":
@@ -204,35 +201,26 @@ class Grasp(PullStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        closing, here = self._closing(task, body, body.rim.height, asked)
+        polygons = task.holding.polygons
+        below, free = polygon_at(body, polygons.closed), beside(task, self.object)
+        far = {key: SPREAD * value for key, value in vars(free.separation).items()}
+        spaced = replace(free, separation=replace(free.separation, **far))
+        near = end_of_morph(task.hitch, below, None, spaced).hitch  # as near as limits allow
+        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
+        closing = Morph(below, legs).plan(task.within(free, task.before))
+        hitch = closing.after.hitch
+        assert hitch is not None
+        places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
+        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
+        holding = Holding(self.object, polygons, asked, held)
+        here = replace(task, before=replace(closing.after, holding=holding))
+        check_held(here)
         gap = holds.gap_below(task.requirements)
         moves = holds.tension_moves(here, team.tension, asked, gap)
         touching = holds.held_motion(here, [*moves, holds.rim_move(here, gap, 0.0)], self.name)
         parts, hold = [closing.motion, touching], touching.phases[0].hold
         motion = self.lasting(task, holds.one_phase(parts, task, self.name, hold))
         return holds.ended_holding(task, here.holding, motion, holds.place_of(body))
-
-    def _closing(
-        self, task: StepTask, body: SolidObject, rim: float, asked: Array
-    ) -> tuple[StepPlan, StepTask]:
-        """Return the plan of closing below a rim [m], and the task of holding by ``asked`` [N]."""
-        from hitchopt.steps.certified_motions import end_of_morph
-
-        team, polygons = task.before.team, task.holding.polygons
-        below, free = polygon_at(body, polygons.closed), beside(task, self.object)
-        far = {key: SPREAD * value for key, value in vars(free.separation).items()}
-        spaced = replace(free, separation=replace(free.separation, **far))
-        near = end_of_morph(task.hitch, below, None, spaced).hitch
-        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-        plan = Morph(below, legs).plan(task.within(free, task.before))
-        hitch = plan.after.hitch
-        assert hitch is not None
-        places = np.column_stack([polygons.closed, np.full(team.robots, rim)])
-        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
-        holding = Holding(self.object, polygons, asked, held)
-        here = replace(task, before=replace(plan.after, holding=holding))
-        check_held(here)
-        return plan, here
 
 
 @dataclass(frozen=True)

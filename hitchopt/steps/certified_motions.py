@@ -5,20 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import (
-    HitchoptError,
-    InfeasibleError,
-    TimeLimitError,
-    Violation,
-    broken_limit,
-)
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
@@ -30,6 +24,7 @@ from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
+from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
 from hitchopt.planners.morph.path import RigidPath, ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
 from hitchopt.steps.step import IDLE, RolledLegs, Situation, SlackSplit, StepPlan, StepTask
@@ -193,8 +188,7 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
     q_legs = np.where(np.abs(nearest.q_legs - wanted) < SLIDES, wanted, nearest.q_legs)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
-    told = broken.constraint, broken.value, broken.limit, broken.sense, broken.unit, broken.where
-    return End(end, f"at the end else {broken_limit(*told)}")
+    return End(end, str(replace(broken, when="at the end", remedy="with the action's own legs")))
 
 
 def _nearest(
@@ -304,6 +298,35 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
         if leant.certificate.certified:
             return leant
     return planned.remarked(NO_ROOM)
+
+
+def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
+    """Return the plan of shape steps without a stop in between; ``task`` is that of the first.
+
+    One path through all hitches that they would have ended with, timed as a whole; each phase ends
+    when its step's hitch is passed. Raises InputError for a step that moves nothing.
+    """
+    requirements, hitches = task.requirements, [task.hitch]
+    for i, step in enumerate(steps, task.index):
+        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
+        end = step.end(here).hitch
+        step.check_end(end, here)
+        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
+            bound = "a step that moves something where steps are blended"
+            remedy = "leave it out, or leave out blend"
+            raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
+        hitches.append(end)
+    planner = BlendedMorph(hitches, requirements)
+    whole, flight = planner.problem, planner.solve()
+    passed = passing_times(whole.path, whole.s[1:-1], flight)
+    times = [0.0, *passed.tolist(), flight.duration]
+    remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
+    phases = [
+        Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
+        for j, step in enumerate(steps)
+    ]
+    plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
+    return against_friction(plan, timed=False)
 
 
 def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:

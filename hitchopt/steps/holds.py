@@ -296,12 +296,21 @@ def grip_closed(step: Step, task: StepTask, asked: Array) -> StepPlan:
 
 
 def grip_opened(step: Step, task: StepTask) -> StepPlan:
-    """Return the plan of opening a grip to a hitch around the standing object."""
+    """Return the plan of opening a grip; clasps that stick must not hold half of the weight."""
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
     assert isinstance(held, GrippedHitch)
     motion, moves, words = _passed(step, task, (holding.tension, team.tension), (1.0, 0.0))
-    _check_let_go(holding.name, held, moves)
+    letting = [move for move in moves if move.closed[0] > move.closed[1]][-1]
+    end = held.curves(letting, np.array([letting.law.duration]))
+    legs = (end["drones"] - end["vertices"][:, team.layout.anchors])[0, :, :2]
+    pair = np.stack([legs[2 * team.layout.ahead], legs[2 * team.layout.behind + 1]], axis=1)
+    left = grip_left(pair, letting.tension[1], team.cable_friction, body.friction)
+    most = LEFT * body.mass * GRAVITY
+    if left > most:
+        where, when = (f"objects.{holding.name}",), "left as clasps stick"
+        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
+        raise InfeasibleError([Violation("grip", left, most, "max", "N", where, when, remedy)])
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
     hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
     freed = replace(holding, tension=team.tension, held=None)
@@ -367,18 +376,3 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
         yield within_limits(task, changed_move(task, law, closed=(one, other), lean=(lean, lean)))
     if lean:
         yield changed_move(task, TURNING, closed=(end, end), lean=(lean, 0.0))
-
-
-def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
-    """Raise InfeasibleError where clasps that stick would hold half of the object's weight."""
-    opening = [move for move in moves if move.closed[0] > move.closed[1]][-1]
-    end = held.curves(opening, np.array([opening.law.duration]))
-    layout, body = held.team.layout, held.body
-    legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
-    pair = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
-    left = grip_left(pair, opening.tension[1], held.team.cable_friction, body.friction)
-    most = LEFT * body.mass * GRAVITY
-    if left > most:
-        where, when = (f"objects.{name}",), "left as clasps stick"
-        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
-        raise InfeasibleError([Violation("grip", left, most, "max", "N", where, when, remedy)])

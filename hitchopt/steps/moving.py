@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -33,7 +33,6 @@ from hitchopt.steps.step import (
     Polygon,
     Positive,
     Seconds,
-    Situation,
     SlackSplit,
     Stage,
     Step,
@@ -535,35 +534,3 @@ class Transport(HitchStep):
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return nothing, and the place that the hitch is carried to."""
         return (), self.to[:2]
-
-
-def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
-    """Return the plan of steps without a stop in between; ``task`` is that of the first.
-
-    One path through all hitches that they would have ended with, timed as a whole; each phase ends
-    when its step's hitch is passed. Raises InputError for a step that moves nothing.
-    """
-    from hitchopt.planners.morph.morph import SAME, BlendedMorph, passing_times
-    from hitchopt.steps.certified_motions import against_friction, flying
-
-    requirements, hitches = task.requirements, [task.hitch]
-    for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):
-        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
-        end = step.end(here).hitch
-        step.check_end(end, here)
-        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
-            bound = "a step that moves something where steps are blended"
-            remedy = "leave it out, or leave out blend"
-            raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
-        hitches.append(end)
-    planner = BlendedMorph(hitches, requirements)
-    whole, flight = planner.problem, planner.solve()
-    passed = passing_times(whole.path, whole.s[1:-1], flight)
-    times = [0.0, *passed.tolist(), flight.duration]
-    remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
-    phases = [
-        Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
-        for j, step in enumerate(steps)
-    ]
-    plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
-    return against_friction(plan, timed=False)

@@ -106,18 +106,14 @@ class Form(Step):
     def from_file(cls, values: dict[str, Any]) -> Self:
         """Return the step with the values of a problem file."""
         swap = dict(values["swap"])
-        tilt = swap.pop("tilt_deg")
-        sense = SENSES[swap.pop("sense")]
-        settings = SwapSettings(
-            tilt=None if tilt is None else math.radians(tilt), sense=sense, **swap
-        )
-        return cls(**values | {"swap": settings})
+        tilt, sense = swap.pop("tilt_deg"), SENSES[swap.pop("sense")]
+        swap["tilt"] = None if tilt is None else math.radians(tilt)
+        return cls(**values | {"swap": SwapSettings(sense=sense, **swap)})
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
         from hitchopt.planners.forming.stages import tied
         from hitchopt.steps import certified_motions as motions
-        from hitchopt.steps.certified_motions import worked
 
         i, requirements = task.index, task.requirements
         wanted = self._wanted(task.before.team, requirements)
@@ -135,7 +131,8 @@ class Form(Step):
         if wanted.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
-            parts.append(worked(tied_task, seconds, phase, needed=seconds is not None).motion)
+            settled = motions.worked(tied_task, seconds, phase, needed=seconds is not None)
+            parts.append(settled.motion)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
