@@ -25,8 +25,7 @@ from hitchopt.mission.solving import solve_problem, solve_swarm
 from hitchopt.motion.plan_file import check_asked
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS, Settle, Step
-from hitchopt.steps.step import Stage
-from hitchopt.steps.step_keys import keys_of, parameters
+from hitchopt.steps.step import Stage, keys_of, parameters
 from hitchopt.values import flag, instance, path, positive, text
 
 if TYPE_CHECKING:
@@ -60,10 +59,8 @@ def solve(
     task = _loaded(problem, Problem, SwarmProblem)
     seconds = None if limit is None else positive("limit", limit)
     with time_limit(seconds, progress) as tell:
-        if isinstance(task, SwarmProblem):
-            found = solve_swarm(task, tell)
-        else:
-            found = solve_problem(task, tell)
+        swarm = isinstance(task, SwarmProblem)
+        found = solve_swarm(task, tell) if swarm else solve_problem(task, tell)
     check_asked(task.asked, found.motion, whole=False)
     return Plan(found.motion, found.certificate, task.title)
 

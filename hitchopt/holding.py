@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from hitchopt.errors import InfeasibleError, OneLine, Violation, check_time
 from hitchopt.geometry import Outline, differences, shortest_offset
@@ -406,6 +405,8 @@ def _refined(task: GripTask, start: Array, iterations: int) -> Array:
     A disc has no moment, however it is gripped, and all turned grips of it are equal: there the
     third imbalance is how far vertices turn from where they start.
     """
+    from scipy.optimize import minimize
+
     turning = None
     if len(task.section.core) == 1:
         away = start - task.section.centroid

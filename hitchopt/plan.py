@@ -14,6 +14,7 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.closeness import SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.exports.directory import REPORT, SUMMARY, save_plan
+from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Hitch
 from hitchopt.motion.motion import Motion, Phase
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from hitchopt.exports.exporting import Export
     from hitchopt.view.live import LiveView
 
 
@@ -153,14 +153,12 @@ class Plan(OneLine):
 
         motion, folder = self.motion, path("directory", directory)
 
-        def draw(file: Path) -> None:
-            save_figure(draw_summary(motion, self.certificate, self.title), file)
-
         def share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        pictures = {SUMMARY: draw}
+        shown = motion, self.certificate, self.title
+        pictures = {SUMMARY: lambda file: save_figure(draw_summary(*shown), file)}
         if flag("report", report):
             pictures[REPORT] = lambda file: self._write_report(file, file.parent)
         told = self.certificate, self.title, rate, pictures, share, self.problem
@@ -250,8 +248,6 @@ class Plan(OneLine):
             the plan, or a limit is broken in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        from hitchopt.exports.exporting import export_motion
-
         chosen = ExportOptions(text("format", format), **options)
         return export_motion(self.motion, self.title, chosen, path("folder", folder), progress)
 

@@ -12,7 +12,7 @@ import pytest
 import hitchopt as ho
 from hitchopt import api
 from hitchopt.steps import STEPS, Step
-from hitchopt.steps.step_keys import keys_of
+from hitchopt.steps.step import keys_of
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]

@@ -36,7 +36,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.steps.step_keys import Keys
+from hitchopt.steps.step import Keys
 from hitchopt.storage.yaml_file import key_path, plain, read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite

@@ -1,4 +1,4 @@
-"""The problem file key by key: types, counts, signs and defaults of single values.
+"""The problem file key by key, its JSON Schema, and what is wrong with a file, in words.
 
 What one value alone cannot tell (a polygon's shape, one entry per robot) is checked by the records
 that ``loading`` makes of these models. Those of steps are made from the steps' own fields.
@@ -6,23 +6,35 @@ that ``loading`` makes of these models. Those of steps are made from the steps' 
 
 from __future__ import annotations
 
+import difflib
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import MISSING
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, Tag, create_model, model_validator
+from pydantic import ConfigDict, Field, Tag, ValidationError, create_model, model_validator
+from pydantic.json_schema import GenerateJsonSchema, models_json_schema
 
+from hitchopt.errors import InputError, one_or_all
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.steps import STEPS, Step
-from hitchopt.steps.step_keys import (
+from hitchopt.steps.step import (
     EACH,
+    FAULT,
+    FLAG,
     FORM,
     LEGS_TEXT,
     MAPPING,
     MIN_QUANTITY,
+    ONE,
     OUTLINE_TEXT,
     TRIANGLE,
+    WORD,
     Keys,
     Legs,
     NotNegative,
@@ -39,6 +51,7 @@ from hitchopt.steps.step_keys import (
     key,
     keys_of,
 )
+from hitchopt.storage.yaml_file import key_path
 
 MAX_TITLE, MAX_STEPS, MAX_OBJECTS, MAX_PRISMS, MAX_CORNERS = 200, 1000, 100, 1000, 1000
 """Characters of a title; steps, objects and prisms of a problem; corners of one outline."""
@@ -181,32 +194,31 @@ Corners = Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)]
 CORNERS_TEXT = "Corners [x, y] [m] of a convex outline, in either sense"
 
 
-def _one_of(data: object, names: tuple[str, ...]) -> object:
-    """Return a mapping's values; raise a fault unless exactly one of the names is given."""
-    if isinstance(data, dict) and sum(data.get(name) is not None for name in names) != 1:
-        words = f"a mapping with exactly one of {', '.join(names)}"
-        raise fault(words, "write circle: 0.2, for example")
-    return data
-
-
-class RimKeys(Keys):
-    """A rim or tray that may rest on cables."""
+class SectionKeys(Keys):
+    """A convex section."""
 
     outline: Corners | None = key(CORNERS_TEXT, None)
     circle: Positive | None = key("Radius [m] of a circle", None)
-    at: Number = key("Height above the object's base [m]", 0.2)
 
     @model_validator(mode="before")
     @classmethod
     def _check_shape(cls, data: object) -> object:
-        return _one_of(data, ("outline", "circle"))
+        names = [name for name in ("outline", "circle", "file") if name in cls.model_fields]
+        if isinstance(data, dict) and sum(data.get(name) is not None for name in names) != 1:
+            words = f"a mapping with exactly one of {', '.join(names)}"
+            raise fault(words, "write circle: 0.2, for example")
+        return data
 
 
-class ObjectKeys(Keys):
+class RimKeys(SectionKeys):
+    """A rim or tray that may rest on cables."""
+
+    at: Number = key("Height above the object's base [m]", 0.2)
+
+
+class ObjectKeys(SectionKeys):
     """An upright object that is carried, or stands in the way."""
 
-    outline: Corners | None = key(CORNERS_TEXT, None)
-    circle: Positive | None = key("Radius [m] of a circle", None)
     file: Annotated[str, Field(min_length=1, max_length=1000)] | None = key(
         "Drawing of its outline, in metres, relative to this file", None
     )
@@ -218,11 +230,6 @@ class ObjectKeys(Keys):
     yaw_deg: Number = key("By how much it is turned there, counter-clockwise [°]", 0.0)
     rim: RimKeys | None = key(str(RimKeys.__doc__), None)
     fixed: bool = key("Whether it never moves, as tables do", False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_shape(cls, data: object) -> object:
-        return _one_of(data, ("outline", "circle", "file"))
 
 
 def step_model(kind: type[Step]) -> type[Keys]:
@@ -282,8 +289,6 @@ class ProblemKeys(Keys):
 
 
 Points = Annotated[list[Point3], Field(min_length=1, max_length=MAX_DRONES)]
-
-
 Kinds = Annotated[list[QuadrotorKeys], Field(min_length=1, max_length=MAX_DRONES)]
 
 
@@ -299,7 +304,7 @@ class SwarmTeamKeys(Keys):
 class PrismKeys(Keys):
     """An upright prism that the drones stay out of."""
 
-    polygon: Annotated[list[Point2], Field(min_length=3, max_length=MAX_CORNERS)] = key(
+    polygon: Corners = key(
         "Corners [x, y] [m] of a convex outline, clockwise seen from above",
         examples=[[[0, 0], [0, 1], [1, 1]]],
     )
@@ -329,3 +334,152 @@ class SwarmKeys(Keys):
         "Where they come to rest, in the same order [m]", examples=[[[1, 0, 1], [-1, 0, 1]]]
     )
     duration: Positive | None = key("Exactly that long [s]; without it as fast as is found", None)
+
+
+# The JSON Schema, and what is wrong, in words.
+
+SCHEMA_FILE = Path(__file__).with_name("problem.schema.json")
+"""Where the package keeps it."""
+
+Schema = dict[str, Any]
+
+
+class _Untitled(GenerateJsonSchema):
+    """A generator without titles that only repeat a key's or a model's name."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:  # noqa: ARG002
+        return False
+
+
+def problem_schema() -> Schema:
+    """Return the JSON Schema (draft 2020-12) of a problem file: of a hitch, or of single drones."""
+    kinds: tuple[type[Keys], ...] = (ProblemKeys, SwarmKeys)
+    _, schema = models_json_schema(
+        [(model, "validation") for model in kinds], schema_generator=_Untitled
+    )
+    for definition in schema["$defs"].values():
+        del definition["title"]
+    forms = [{"$ref": f"#/$defs/{model.__name__}"} for model in kinds]
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": dialect, "title": "hitchopt problem file", "anyOf": forms, **schema}
+
+
+def schema_text() -> str:
+    """Return the JSON Schema as the package's file holds it."""
+    return json.dumps(problem_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def _properties_at(schema: Schema, path: Sequence[str | int]) -> dict[str, Schema]:
+    """Return the keys that the mapping at a path may have, with what the schema says of each."""
+    found = list(_forms(schema, schema))
+    for part in path:
+        inner = [
+            form["items"] if isinstance(part, int) else _under(form, part)
+            for form in found
+            if ("items" in form if isinstance(part, int) else form.get("type") == "object")
+        ]
+        found = [form for entry in inner for form in _forms(schema, entry)]
+    return {key: each for form in found for key, each in form.get("properties", {}).items()}
+
+
+def _under(form: Schema, key: str) -> Schema:
+    """Return what a schema says of a key, or of all names that users give."""
+    others = [*form.get("patternProperties", {}).values(), form.get("additionalProperties")]
+    found: Schema = form.get("properties", {}).get(key) or others[0] or {}
+    return found
+
+
+def _forms(schema: Schema, entry: Schema) -> Iterator[Schema]:
+    """Yield the schemas that an entry may follow."""
+    if "$ref" in entry:
+        entry = schema["$defs"][entry["$ref"].rsplit("/", 1)[1]]
+    choices = [*entry.get("oneOf", ()), *entry.get("anyOf", ())]
+    for choice in choices:
+        yield from _forms(schema, choice)
+    if not choices:
+        yield entry
+
+
+class _Missing:
+    """Stands for the value of a key that is not there."""
+
+    def __repr__(self) -> str:
+        return "(missing)"
+
+
+NUMBER = "give a plain number in SI units"
+
+WORDS = {
+    "int_type": ("a whole number", "write it without a fraction"),
+    "int_parsing_size": ("a smaller number", NUMBER),
+    "float_type": ("a number", NUMBER),
+    "string_type": ("text", "put it in quotes if it is meant as text"),
+    "bool_type": ("true or false", "write true or false"),
+    "list_type": ("a list", "write a list in brackets"),
+    "dict_type": ("a mapping", "write its keys indented below it, or in braces"),
+    "finite_number": ("finite", "nan and inf are no quantities; give a plain number"),
+    "string_pattern_mismatch": ("of letters, digits, spaces, - and _", "use another name"),
+    "string_too_short": ("a text", "write at least one character"),
+    "string_too_long": ("at most {max_length} characters long", "shorten it"),
+    "too_short": ("a list of at least {min_length} entries", "make it longer"),
+    "too_long": ("a list of at most {max_length} entries", "shorten it"),
+    "greater_than": ("above {gt:g}", "give a larger number"),
+    "greater_than_equal": ("at least {ge:g}", "give a larger number"),
+    "less_than": ("below {lt:g}", "give a smaller number"),
+    "less_than_equal": ("at most {le:g}", "give a smaller number"),
+    FAULT: ("{bound}", "{remedy}"),
+}
+"""Bound and remedy of pydantic's types of errors, filled with what they tell."""
+
+ALIKE = {"int_from_float": "int_type", "model_type": "dict_type", "int_parsing": "int_type"}
+"""Types of errors that have the words of others."""
+
+
+def translated(error: ValidationError, model: type[Keys] = ProblemKeys) -> InputError:
+    """Return what pydantic found in a file of one of the kinds, in this package's words."""
+    schema = model.model_json_schema(schema_generator=_Untitled)
+    return one_or_all([_translated(entry, schema) for entry in error.errors(include_url=False)])
+
+
+def _translated(entry: Any, schema: Schema) -> InputError:
+    """Return one of pydantic's errors in this package's words."""
+    forms = {ONE, EACH, WORD, MAPPING, FLAG}
+    path = [part for part in entry["loc"] if part not in forms]
+    kind, value, told = entry["type"], entry["input"], entry.get("ctx", {})
+    kind = ALIKE.get(kind, kind)
+    if isinstance(value, float) and not math.isfinite(value):
+        kind = "finite_number"
+    if kind == "missing":
+        value, example = _Missing(), _properties_at(schema, path[:-1])[path[-1]].get("examples")
+        shown = json.dumps(example[0]).replace('"', "") if example else "…"
+        bound, remedy = "given", f"add {path[-1]}: {shown}"
+    elif kind == "extra_forbidden":
+        known = list(_properties_at(schema, path[:-1]))
+        bound, remedy = "a known key", _meant(str(path[-1]), known)
+    elif kind == "literal_error":
+        bound = told["expected"].replace("'", "")
+        remedy = _meant(str(value), bound.replace(" or ", ", ").split(", "))
+    elif kind == "union_tag_invalid":
+        bound = told["expected_tags"].strip("'").replace("', '", " or ")
+        remedy = NUMBER if ONE in bound else f"write {bound}"
+    else:
+        bound, remedy = (words.format(**told) for words in WORDS[kind])
+    if kind == "greater_than_equal" and told["ge"] == MIN_QUANTITY and value <= 0:
+        bound, remedy = "greater than 0", "give a positive number"
+    elif value is None:
+        remedy = "remove the key, or write its value after it"
+    elif ONE in bound and isinstance(value, str) and re.fullmatch(r"[-+.\deE]+", value):
+        remedy = "remove the quotes"
+    elif path[-1:] == ["by"] and isinstance(value, int | float):
+        remedy = f"{remedy}; a height belongs to lift: {value:g}"
+    return InputError(key_path(path) or "problem", value, bound, remedy)
+
+
+def _meant(word: str, known: Sequence[str]) -> str:
+    """Return what was probably meant by a word, or what there is."""
+    close = difflib.get_close_matches(word[:60], known, n=1, cutoff=0.5)
+    return f"did you mean {close[0]}?" if close else f"use one of {', '.join(known)}"
+
+
+if __name__ == "__main__":
+    SCHEMA_FILE.write_text(schema_text(), encoding="utf-8")

@@ -23,6 +23,7 @@ from hitchopt.mission.keys import (
     SwarmKeys,
     SwarmTeamKeys,
     TeamKeys,
+    translated,
 )
 from hitchopt.mission.problem import (
     DronesStart,
@@ -34,7 +35,7 @@ from hitchopt.mission.problem import (
 )
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.steps import Step
-from hitchopt.steps.step_keys import Keys
+from hitchopt.steps.step import Keys
 from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, plain, read_text
 from hitchopt.values.units import seen_from
 
@@ -125,44 +126,54 @@ def any_problem_from_dict(data: Mapping[str, object], folder: Path | None = None
     try:
         return _built(model.model_validate(values), folder)
     except ValidationError as error:
-        from hitchopt.mission.wording import translated
-
         raise translated(error, model) from None
 
 
 def _built(keys: ProblemKeys | SwarmKeys, folder: Path | None) -> AnyProblem:
     """Return the problem that ``keys`` describe, or raise what single values do not tell."""
-    faults = _Faults()
+    faults = list[InputError]()  # gathered, so that one run names them all
+
+    def attempt(parent: str, make: Callable[..., T], *args: Any, **kwargs: Any) -> Any:
+        """Return what is made, or None where that is refused."""
+        try:
+            with seen_from(parent):
+                return make(*args, **kwargs)
+        except InputError as error:
+            faults.append(error)
+        return None
+
     parts: dict[str, Any] = {
-        "title": faults.attempt("", _title, keys.title),
-        "limits": faults.attempt("limits", Limits, **keys.limits.model_dump()),
-        "separation": faults.attempt("separation", Separation, **keys.separation.model_dump()),
+        "title": attempt("", _title, keys.title),
+        "limits": attempt("limits", Limits, **keys.limits.model_dump()),
+        "separation": attempt("separation", Separation, **keys.separation.model_dump()),
         "objects": {
-            name: faults.attempt(f"objects.{name}", _object, given, folder)
+            name: attempt(f"objects.{name}", _object, given, folder)
             for name, given in keys.objects.items()
         },
     }
     if keys.arena is not None:
-        parts["arena"] = faults.attempt("arena", Arena, keys.arena.lower, keys.arena.upper)
+        parts["arena"] = attempt("arena", Arena, keys.arena.lower, keys.arena.upper)
     if isinstance(keys, SwarmKeys):
-        swarm = faults.attempt("team", _team, Swarm, keys.team)
+        swarm = attempt("team", _team, Swarm, keys.team)
         parts["keep_out"] = [
-            faults.attempt(f"keep_out[{k}]", Prism, **prism.model_dump())
+            attempt(f"keep_out[{k}]", Prism, **prism.model_dump())
             for k, prism in enumerate(keys.keep_out)
         ]
-        faults.check()
+        if faults:
+            raise one_or_all(faults)
         places = np.array(keys.start), np.array(keys.goal)
         return SwarmProblem(swarm, *places, duration=keys.duration, **parts)
-    team = faults.attempt("team", _team, Team, keys.team)
+    team = attempt("team", _team, Team, keys.team)
     if team is not None:  # nothing else can be judged without it
-        start = faults.attempt("", _start, keys.start, team)
+        start = attempt("", _start, keys.start, team)
         mission = [
-            faults.attempt(f"mission[{i}].{name}", _step, name, step, team)
+            attempt(f"mission[{i}].{name}", _step, name, step, team)
             for i, given in enumerate(keys.mission)
             for name, step in cast("Keys", given)
             if step is not None
         ]
-    faults.check()
+    if faults:
+        raise one_or_all(faults)
     return Problem(team, start, tuple(mission), **parts)
 
 
@@ -186,12 +197,10 @@ def _team(kind: type[T], keys: TeamKeys | SwarmTeamKeys) -> T:
 
 def _start(keys: StartKeys, team: Team) -> Start:
     """Return where the plan starts."""
-    if keys.hitch is not None:
-        with seen_from("start.hitch"):
-            start: Start = HitchStart(**keys.hitch.model_dump())
-    else:
-        with seen_from("start.drones"):
-            start = DronesStart(**keys.drones.model_dump())  # type: ignore[union-attr]
+    kinds: dict[str, type[HitchStart | DronesStart]] = {"hitch": HitchStart, "drones": DronesStart}
+    ((name, given),) = keys.model_dump(exclude_none=True).items()
+    with seen_from(f"start.{name}"):
+        start = kinds[name](**given)
     return fitting_start(team, start)
 
 
@@ -221,24 +230,3 @@ def _object(keys: ObjectKeys, folder: Path | None) -> SolidObject:
         if file is not None and key.partition("[")[0] in ("outline", "file"):
             raise InputError("file", file, f"an outline: {bound}", error.remedy) from None
         raise InputError(key, error.value, bound, error.remedy) from None
-
-
-class _Faults:
-    """Gathers faults, so that one run names them all."""
-
-    def __init__(self) -> None:
-        self.inputs: list[InputError] = []
-
-    def attempt(self, parent: str, make: Callable[..., T], *args: Any, **kwargs: Any) -> Any:
-        """Return what is made, or None where that raises; the error is kept under ``parent``."""
-        try:
-            with seen_from(parent):
-                return make(*args, **kwargs)
-        except InputError as error:
-            self.inputs.append(error)
-        return None
-
-    def check(self) -> None:
-        """Raise what was gathered, as one error."""
-        if self.inputs:
-            raise one_or_all(self.inputs)

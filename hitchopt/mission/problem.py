@@ -20,12 +20,12 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
+from hitchopt.motion.plan_file import asked
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.steps import STEPS, FollowVertex, Step
 from hitchopt.steps.moving import MoveStep
-from hitchopt.steps.step import Stage
-from hitchopt.steps.step_keys import SlackSplit, slack_split
+from hitchopt.steps.step import SlackSplit, Stage, slack_split
 from hitchopt.values import Array, coordinate, instance, points, positive, sequence, text
 from hitchopt.values.units import HEIGHT, check_unit, warn_of_unit
 
@@ -44,7 +44,7 @@ def fitting_steps(problem: Problem, steps: tuple[Step, ...]) -> tuple[Step, ...]
             held = held.after(step, problem.objects)
             outline = step.polygon_left(team, outline)
             if step.blends and (problem.complete or i + 1 < len(steps)):
-                _check_blend(steps[i + 1] if i + 1 < len(steps) else None)
+                _check_blend(steps[i + 1 :])
             if step.blends or (i > 0 and steps[i - 1].blends):
                 _check_untimed(step)
         except InputError as error:
@@ -84,14 +84,14 @@ class _Held:
         return _Held(end, "" if end is Stage.FREE else name, known)
 
 
-def _check_blend(following: Step | None) -> None:
-    """Raise InputError where a step cannot go on into the next one, or None, without a stop."""
-    if following is None:
+def _check_blend(following: tuple[Step, ...]) -> None:
+    """Raise InputError where a step cannot go on into those that follow without a stop."""
+    if not following:
         raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
-    if not following.blendable:
+    if not following[0].blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
         remedy = f"leave it out: only {names} go on into one another"
-        raise InputError("blend", True, f"false before a {following.name}", remedy)
+        raise InputError("blend", True, f"false before a {following[0].name}", remedy)
 
 
 def _check_untimed(step: Step) -> None:
@@ -164,9 +164,7 @@ class Problem(OneLine):
     InputError: objects or steps that do not fit one another, the team or the outline; no step.
     """
 
-    complete: ClassVar[bool] = True
-    """Whether no step follows."""
-
+    complete: ClassVar[bool] = True  # whether no step follows
     team: Team
     start: Start
     mission: tuple[Step, ...]
@@ -206,8 +204,6 @@ class Problem(OneLine):
     @property
     def asked(self) -> dict[str, Any]:
         """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
-        from hitchopt.motion.plan_file import asked
-
         if isinstance(self.start, DronesStart):
             return asked(self.team, self.requirements, {"drones": vars(self.start)})
         hitch = {"polygon": self.start.polygon.vertices, "altitude": self.start.altitude}
@@ -280,8 +276,6 @@ class SwarmProblem(OneLine):
     @property
     def asked(self) -> dict[str, Any]:
         """What its plan is asked, as plan files store it (``hitchopt.motion.plan_file``)."""
-        from hitchopt.motion.plan_file import asked
-
         return asked(self.team, self.requirements, {"drones": self.start})
 
     def __post_init__(self) -> None:

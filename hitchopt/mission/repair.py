@@ -35,12 +35,12 @@ from hitchopt.steps.step import (
     PLAN_DURATION,
     Edits,
     Knob,
+    RolledLegs,
     eased,
     outline_edit,
     points_scaled,
 )
 from hitchopt.steps.step import Edit as Edit  # noqa: PLC0414
-from hitchopt.steps.step_keys import RolledLegs
 from hitchopt.values import Array
 
 BUDGET, DIGITS = 15.0, 3
@@ -65,13 +65,10 @@ class Change(OneLine):
 
     Attributes
     ----------
-    key: path of the quantity in the problem file.
-    words: what it is, where the key does not tell.
-    old, new: its values [unit].
-    unit: such as ``m``; ``times`` for a factor, nothing for words.
+    key, words: path of the quantity in the problem file; what it is, where that does not tell.
+    old, new, unit: its values [unit]; ``times`` for a factor, nothing for words.
     relative: size of the change over that of the quantity, with its sign; 0 for words.
-    problem: with the change.
-    edits: what to write into the problem's file for it.
+    problem, edits: with the change; what to write into the problem's file for it.
     """
 
     key: str
@@ -159,8 +156,7 @@ def find_suggestions(
 def _smallest(problem: Problem, knobs: Sequence[Knob], judge: Judge) -> list[Suggestion]:
     """Return the smallest changes of the knobs of which the smallest sizes do.
 
-    Sizes that are known to be needed come first: they may be enough. Then all knobs are tried with
-    one size before any with the next one.
+    What is needed at the least is tried first, then all knobs with one size before the next one.
     """
     found, done, failed = list[Suggestion](), set[int](), [knob.least for knob in knobs]
     sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
@@ -210,11 +206,7 @@ def _narrowed(
 
 
 def change_of(problem: Problem, knob: Knob, size: float) -> Change | None:
-    """Return the change of a relative size, rounded away from the old value to DIGITS.
-
-    There is none where a record refuses the value, such as an outline that a wall or a step no
-    longer fits.
-    """
+    """Return the change of a relative size, rounded outward; None if records refuse it."""
     extent = knob.extent or knob.old
     value = knob.old + knob.sign * size * extent
     step = 10.0 ** (math.floor(math.log10(knob.extent or abs(value))) + 1 - DIGITS)
@@ -413,10 +405,7 @@ def team_edit(problem: Problem, name: str, values: Array) -> Edit:
 
 
 def outlines_scaled(problem: Problem, factor: float) -> Edits:
-    """Return the edits that scale the start's outline and those of all steps.
-
-    Each about its own centroid; points that vertices are moved to go with the outline they are of.
-    """
+    """Return the edits that scale all outlines about their centroids, and points with them."""
     centre, edits = np.zeros(2), list[Edit]()
     if isinstance(problem.start, HitchStart):
         centre = problem.start.polygon.centroid

@@ -6,7 +6,6 @@ import hashlib
 import math
 import pickle
 import re
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 
@@ -14,13 +13,7 @@ import numpy as np
 
 from hitchopt.checks import certify, merged
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import (
-    HitchoptError,
-    InfeasibleError,
-    Progress,
-    TimeLimitError,
-    Violation,
-)
+from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch
 from hitchopt.hitch.requirements import Prism, Requirements
 from hitchopt.hitch.team import Assignment
@@ -28,6 +21,8 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, SwarmProb
 from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
+from hitchopt.planners.forming.approach import assigned
+from hitchopt.planners.separation import SeparationTask, separate
 from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
@@ -35,9 +30,9 @@ from hitchopt.steps.certified_motions import (
     check_at_rest,
     check_start,
     infeasible,
+    plan_blended,
     split_hitch,
 )
-from hitchopt.steps.moving import plan_blended
 from hitchopt.steps.step import Situation, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -47,18 +42,10 @@ AT_START = "at the start (t = 0)"
 def solve_problem(
     problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
 ) -> Certified:
-    """Return the plan of all steps with its certificate.
+    """Return the certified plan of all steps, without an ``optimiser`` on their own routes alone.
 
-    Parameters
-    ----------
-    problem: what is to be flown.
-    progress: called with what is being done now.
-    optimiser: try optimised routes too; without them steps take their own route or none.
-
-    Raises
-    ------
-    InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
-    HitchoptError: a planner failed to find what may exist, and says so.
+    ``progress`` is called with what is being done now. Raises InfeasibleError: what binds, where
+    and when; HitchoptError: a planner failed to find what may exist.
     """
     steps, requirements, tell = problem.mission, problem.requirements, progress or (lambda _: None)
     planned = requirements.planned  # stops on the common clock may use the rest
@@ -95,7 +82,7 @@ def solve_problem(
 MOST = 32
 """Number of finished steps that are kept; one of 1000 robots takes 76 MB."""
 
-_FINISHED: OrderedDict[bytes, StepPlan] = OrderedDict()
+_FINISHED: dict[bytes, StepPlan] = {}
 """Plans of steps by the digests of all that they depend on, the least recently used first."""
 
 
@@ -133,8 +120,6 @@ def _begun(
     assignment = Assignment.fixed(team.robots)
     form = next((step for step in problem.mission if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":
-        from hitchopt.planners.forming.approach import assigned
-
         tell("assigning robots to edges")
         assignment = assigned(team, start.drones, form.polygon, requirements.limits.leg)
     return Situation(assignment.team(team), assignment.drones(start.drones)), assignment
@@ -152,7 +137,7 @@ def _step(group: tuple[Step, ...], task: StepTask, tell: Progress) -> StepPlan:
         tell("planned before, taken from memory")
     _FINISHED[key] = planned  # as the one used last
     if len(_FINISHED) > MOST:
-        _FINISHED.popitem(last=False)
+        del _FINISHED[next(iter(_FINISHED))]
     return planned
 
 
@@ -175,13 +160,8 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
             when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
         if f"step {first}" not in when and "end of step" not in when:
             when = f"{when} of step {names}".strip()
-        told.append(
-            replace(
-                violation,
-                when=when,
-                remedy=_remedy(violation, "leave out blend" * (len(group) > 1)),
-            )
-        )
+        remedy = _remedy(violation, "leave out blend" * (len(group) > 1))
+        told.append(replace(violation, when=when, remedy=remedy))
     return InfeasibleError(told, error.note)
 
 
@@ -216,8 +196,6 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
 
     Raises InfeasibleError: what binds, where and when; no plan that breaks a limit is returned.
     """
-    from hitchopt.planners.separation import SeparationTask, separate
-
     longest = problem.limits.duration
     if longest is not None and problem.duration is not None and problem.duration > longest:
         remedy, asked = "lower duration, or raise limits.duration", problem.duration

@@ -19,7 +19,7 @@ from hitchopt.steps.moving import MoveVertex as MoveVertex
 from hitchopt.steps.moving import Settle as Settle
 from hitchopt.steps.moving import Transport as Transport
 from hitchopt.steps.step import Step as Step
-from hitchopt.steps.step_keys import parameters
+from hitchopt.steps.step import parameters
 from hitchopt.steps.tying import Form as Form
 from hitchopt.steps.tying import Land as Land
 from hitchopt.steps.tying import Release as Release

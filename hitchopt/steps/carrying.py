@@ -5,32 +5,39 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import HoldBy
+from hitchopt.motion.motion import HoldBy, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import TOUCH, footing, poses_of, surface_below
+from hitchopt.planners.carrying.grip import check_opens, grip_polygons
+from hitchopt.planners.carrying.rest import ROOM, HeldHitch, HoldPolygons, rest_polygons
+from hitchopt.steps import holds
+from hitchopt.steps.holds import check_held, object_of, one_phase, polygon_at
 from hitchopt.steps.moving import Morph, Transport
-from hitchopt.steps.step import Holding, Knob, Stage, Step, StepPlan, StepTask, eased
-from hitchopt.steps.step_keys import (
+from hitchopt.steps.step import (
+    Holding,
     Key,
+    Knob,
     ObjectOf,
     Place,
     Positive,
     RolledLegs,
     Seconds,
+    Stage,
+    Step,
+    StepPlan,
+    StepTask,
     Yaw,
+    eased,
     one_of,
 )
-from hitchopt.values import Array, positive
-
-if TYPE_CHECKING:
-    from hitchopt.planners.carrying.rest import HoldPolygons
+from hitchopt.values import positive
 
 AROUND_SPEED, OVER = 0.15, 0.10
 """Speed upright around an object [m/s]; room between drones' lowest places and objects below,
@@ -48,10 +55,8 @@ SAME = 1e-6
 """[m] Places that differ by less are the same."""
 
 
-def in_turn(steps: Sequence[Transport | Morph], task: StepTask) -> StepPlan:
-    """Return the plan of moves without an object; transports to where the hitch is are left out."""
-    from hitchopt.motion.motion import joined_motions
-
+def in_turn(steps: Sequence[Step], task: StepTask) -> StepPlan:
+    """Return the plan of steps in a row; transports to where the hitch is are left out."""
     motions, here = [], task
     for step in steps:
         place = np.append(here.hitch.polygon.centroid, here.hitch.altitude)
@@ -59,7 +64,7 @@ def in_turn(steps: Sequence[Transport | Morph], task: StepTask) -> StepPlan:
             continue
         planned = step.plan(here)
         motions.append(planned.motion)
-        here = here.within(here.requirements, planned.after)
+        here = task.within(planned.after.at_objects(task.requirements), planned.after)
     return StepPlan(joined_motions(motions), here.before)
 
 
@@ -98,19 +103,20 @@ class Enclose(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from anywhere to around the object."""
-        from hitchopt.planners.carrying.grip import check_opens, grip_polygons
-        from hitchopt.planners.carrying.rest import rest_polygons
-        from hitchopt.steps import holds
-
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
-        body, gap = holds.object_of(task, self.object), holds.gap_around(requirements)
+        body, gap = holds.object_of(task, self.object), requirements.separation.object + ROOM
         if body.rim is None:
             found = grip_polygons(self.object, body, team, requirements, gap)
             inside = float(body.at[2] + body.centre_of_mass[2])
         else:
             found = rest_polygons(self.object, body, len(hitch.polygon), gap)
             inside = float(body.at[2]) + body.rim.height - holds.gap_below(requirements)
-        self._check_height(task, inside)
+        least, height = requirements.separation.object, inside - requirements.floor
+        if height < least - TOUCH:
+            name, where = f"objects.{self.object}", ("ground",)
+            remedy = f"make {name} or its rim higher, or stand it on something"
+            told = "object_clearance", height, least, "min", "m", where
+            raise InfeasibleError([Violation(*told, f"with the hitch around {name}", remedy)])
         polygons, polygon = _numbered(found, body, hitch.polygon)
         wide = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {wide:.2g} m in radius"
@@ -124,45 +130,25 @@ class Enclose(Step):
         holding = Holding(self.object, polygons, team.tension)
         return StepPlan(self.lasting(task, motion), replace(down.after, holding=holding))
 
-    def _check_height(self, task: StepTask, inside: float) -> None:
-        """Raise InfeasibleError where the hitch around the object would be close to the ground."""
-        requirements, name = task.requirements, f"objects.{self.object}"
-        least, height = requirements.separation.object, inside - requirements.floor
-        if height < least - TOUCH:
-            where, when = ("ground",), f"with the hitch around {name}"
-            remedy = f"make {name} or its rim higher, or stand it on something"
-            broken = Violation("object_clearance", height, least, "min", "m", where, when, remedy)
-            raise InfeasibleError([broken])
-
 
 def _numbered(
     found: HoldPolygons, body: SolidObject, polygon: Outline
 ) -> tuple[HoldPolygons, ConvexPolygon]:
     """Return the polygons numbered so that vertices have the shortest paths, and that around."""
-    from hitchopt.steps.holds import polygon_at
-
     here = polygon.vertices - polygon.centroid
     if body.rim is None and body.section.radius is not None:
-        found = _turned(found, body, here)
+        there, goal = (points @ np.array([1.0, 1.0j]) for points in (found.around, here))
+        alike = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
+        angle = float(np.angle(max(alike, key=abs))) - body.yaw
+        c, s = math.cos(angle), math.sin(angle)
+        turn = np.array([[c, s], [-s, c]])
+        found = replace(found, around=found.around @ turn, closed=found.closed @ turn)
     around = polygon_at(body, found.around)
     there = around.vertices - around.centroid
     lengths = [np.sum((np.roll(there, -k, axis=0) - here) ** 2) for k in range(len(there))]
     best = int(np.argmin(lengths))
     around_, closed = (np.roll(p, -best, axis=0) for p in (found.around, found.closed))
     return replace(found, around=around_, closed=closed), around.renumbered(best)
-
-
-def _turned(found: HoldPolygons, body: SolidObject, here: Array) -> HoldPolygons:
-    """Return polygons around a circle, turned so that vertices have the shortest paths.
-
-    ``here`` (n, 2) [m] are the vertices of the hitch about its centroid.
-    """
-    there, goal = (points @ np.array([1.0, 1.0j]) for points in (found.around, here))
-    alike = [np.vdot(np.roll(there, -k), goal) for k in range(len(there))]
-    angle = float(np.angle(max(alike, key=abs))) - body.yaw
-    c, s = math.cos(angle), math.sin(angle)
-    turn = np.array([[c, s], [-s, c]])
-    return replace(found, around=found.around @ turn, closed=found.closed @ turn)
 
 
 By = Literal["rest", "grip"]
@@ -206,7 +192,7 @@ class Grasp(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from around the object to clasps below its rim, or edges that grip."""
-        from hitchopt.steps import holds
+        from hitchopt.steps.certified_motions import end_of_morph
 
         body, team = holds.object_of(task, self.object), task.before.team
         asked = team.tension if self.tension is None else np.full(team.robots, self.tension)
@@ -215,41 +201,26 @@ class Grasp(PullStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        closing, here = self._closing(task, body, body.rim.height, asked)
+        polygons = task.holding.polygons
+        below, free = polygon_at(body, polygons.closed), beside(task, self.object)
+        far = {key: SPREAD * value for key, value in vars(free.separation).items()}
+        spaced = replace(free, separation=replace(free.separation, **far))
+        near = end_of_morph(task.hitch, below, None, spaced).hitch  # as near as limits allow
+        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
+        closing = Morph(below, legs).plan(task.within(free, task.before))
+        hitch = closing.after.hitch
+        assert hitch is not None
+        places = np.column_stack([polygons.closed, np.full(team.robots, body.rim.height)])
+        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
+        holding = Holding(self.object, polygons, asked, held)
+        here = replace(task, before=replace(closing.after, holding=holding))
+        check_held(here)
         gap = holds.gap_below(task.requirements)
         moves = holds.tension_moves(here, team.tension, asked, gap)
         touching = holds.held_motion(here, [*moves, holds.rim_move(here, gap, 0.0)], self.name)
         parts, hold = [closing.motion, touching], touching.phases[0].hold
         motion = self.lasting(task, holds.one_phase(parts, task, self.name, hold))
         return holds.ended_holding(task, here.holding, motion, holds.place_of(body))
-
-    def _closing(
-        self, task: StepTask, body: SolidObject, rim: float, asked: Array
-    ) -> tuple[StepPlan, StepTask]:
-        """Return the plan of closing below a rim, and the task of holding the object after it.
-
-        Legs end as near to the current fractions as limits allow. ``rim`` [m] is its height, and
-        ``asked`` (n,) [N] are the tensions with which the object is held.
-        """
-        from hitchopt.planners.carrying.rest import HeldHitch
-        from hitchopt.steps.certified_motions import end_of_morph
-        from hitchopt.steps.holds import check_held, polygon_at
-
-        team, polygons = task.before.team, task.holding.polygons
-        below, free = polygon_at(body, polygons.closed), beside(task, self.object)
-        far = {key: SPREAD * value for key, value in vars(free.separation).items()}
-        spaced = replace(free, separation=replace(free.separation, **far))
-        near = end_of_morph(task.hitch, below, None, spaced).hitch
-        legs = RolledLegs(near.q_legs, MORE_ROLL * near.roll)
-        plan = Morph(below, legs).plan(task.within(free, task.before))
-        hitch = plan.after.hitch
-        assert hitch is not None
-        places = np.column_stack([polygons.closed, np.full(team.robots, rim)])
-        held = HeldHitch(team, body, places, hitch.fractions, hitch.roll)
-        holding = Holding(self.object, polygons, asked, held)
-        here = replace(task, before=replace(plan.after, holding=holding))
-        check_held(here)
-        return plan, here
 
 
 @dataclass(frozen=True)
@@ -262,8 +233,6 @@ class Lift(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
-        from hitchopt.steps import holds
-
         start = holds.place_of(task.requirements.objects[task.holding.name])
         to = start + np.array([0.0, 0.0, self.by, 0.0])
         up = holds.carried_move(task, start, to, holds.LIFT_SPEED)
@@ -283,8 +252,6 @@ class Carry(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan along the line."""
-        from hitchopt.steps import holds
-
         start = holds.place_of(task.requirements.objects[self.object])
         to = np.append(self.to, start[3] + self.yaw)
         move = holds.carried_move(task, start, to, task.requirements.limits.speed)
@@ -301,8 +268,6 @@ class SetDown(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down, to where the object stands well."""
-        from hitchopt.steps import holds
-
         objects, floor = task.requirements.objects, task.requirements.floor
         body = objects[self.object]
         surface, _ = surface_below(objects, poses_of(objects), self.object, floor)
@@ -332,8 +297,6 @@ class Loosen(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from clasps below the rim to a hitch around the object."""
-        from hitchopt.steps import holds
-
         body, team, holding = holds.object_of(task, self.object), task.before.team, task.holding
         assert holding.held is not None
         if holding.held.by is HoldBy.GRIP:
@@ -360,8 +323,6 @@ class Leave(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
-        from hitchopt.steps.holds import one_phase
-
         over = Transport(np.append(task.hitch.polygon.centroid, altitude_over(task)))
         planned = over.plan(task.within(slowly(task.requirements), task.before))
         motion = self.lasting(task, one_phase([planned.motion], task, self.name))
@@ -387,12 +348,9 @@ class TransportObject(PullStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; what is below ``to`` has to be as high as it says."""
-        from hitchopt.motion.motion import joined_motions
-        from hitchopt.steps.holds import object_of
-
         body = object_of(task, self.object)
         high = max(float(body.at[2]), float(self.to[2])) + self.lift
-        steps: list[Step] = [
+        steps = [
             Enclose(self.object),
             Grasp(self.object, self.by or ("rest" if body.rim else "grip"), self.tension),
             Lift(high - float(body.at[2])),
@@ -401,15 +359,10 @@ class TransportObject(PullStep):
             Loosen(self.object),
             Leave(self.object),
         ]
-        motions, here = [], task
-        for step in steps:
-            planned = step.plan(here)
-            motions.append(planned.motion)
-            objects = planned.after.at_objects(task.requirements)
-            here = task.within(objects, planned.after)
-            height = float(objects.objects[self.object].at[2])
-            if isinstance(step, SetDown) and abs(height - self.to[2]) > TOUCH:
-                key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
-                remedy = f"write {[*self.to[:2].tolist(), round(height, 9)]}"
-                raise InputError(key, self.to.tolist(), f"{bound}, at {height:.6g} m", remedy)
-        return StepPlan(joined_motions(motions), here.before)
+        planned = in_turn(steps, task)
+        height = float(planned.after.at_objects(task.requirements).objects[self.object].at[2])
+        if abs(height - self.to[2]) > TOUCH:
+            key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
+            remedy = f"write {[*self.to[:2].tolist(), round(height, 9)]}"
+            raise InputError(key, self.to.tolist(), f"{bound}, at {height:.6g} m", remedy)
+        return planned

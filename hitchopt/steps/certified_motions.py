@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import HitchoptError, InfeasibleError, TimeLimitError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
@@ -24,10 +24,10 @@ from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
+from hitchopt.planners.morph.morph import SAME, blended_flight
 from hitchopt.planners.morph.path import RigidPath, ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
-from hitchopt.steps.step import IDLE, Situation, StepPlan, StepTask
-from hitchopt.steps.step_keys import RolledLegs, SlackSplit
+from hitchopt.steps.step import IDLE, RolledLegs, Situation, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -87,10 +87,7 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 
 def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
-    """Return the error that tells what checks of a motion's certificate are broken.
-
-    Of something at rest ``when`` is said in place of time and step.
-    """
+    """Return what checks of a certificate are broken; ``when`` is said for the time and step."""
     found = []
     for check in certificate.violated:
         phases = [p for p in motion.phases if p.start <= check.time <= p.end]
@@ -146,20 +143,16 @@ def split_hitch(
     requirements: Requirements,
 ) -> Hitch:
     """Return the hitch whose slack is split as ``legs`` says."""
-    if isinstance(legs, RolledLegs):
-        sharing, roll, auto = legs.sharing, legs.roll, legs.roll is None
-    else:
-        sharing, roll, auto = legs, None, False
+    sharing, roll = (legs.sharing, legs.roll) if isinstance(legs, RolledLegs) else (legs, None)
     if isinstance(sharing, str) and sharing == "spread":
-        limits, separation = requirements.limits, requirements.separation
-        return Hitch.spread(
-            team, polygon, altitude, limits=limits, separation=separation, roll=roll
-        )
+        kept = {name: getattr(requirements, name) for name in ("limits", "separation")}
+        return Hitch.spread(team, polygon, altitude, roll=roll, **kept)
     given = 0.0 if roll is None else roll
     if isinstance(sharing, str):
         hitch = Hitch.balanced(team, polygon, altitude, given)
     else:
         hitch = Hitch(team, polygon, altitude, sharing, given)
+    auto = isinstance(legs, RolledLegs) and roll is None
     return hitch.least_rolled(requirements) if auto else hitch
 
 
@@ -187,27 +180,15 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     wanted = action.kept_legs
     try:
         hitch = Hitch(start.team, polygon, start.altitude, wanted, start.roll)
+        check_at_rest(hitch, requirements, "at the end")
+        return End(hitch)
     except InfeasibleError as error:
-        reason = _words(replace(error.violations[0], limit=requirements.limits.leg))
-    else:
-        broken = at_rest(hitch, requirements).certificate.violated
-        if not broken:
-            return End(hitch)
-        reason = _words(broken[0].violation("", ""))
+        broken = error.violations[0]
     nearest = _nearest(start, polygon, wanted / cable_slack(start.team, polygon), requirements)
     # A cable that need not slide keeps its legs to the last bit, so that its drones stay.
     q_legs = np.where(np.abs(nearest.q_legs - wanted) < SLIDES, wanted, nearest.q_legs)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
-    return End(end, f"{reason} at the end")
-
-
-def _words(broken: Violation) -> str:
-    """Return such as "legs 0.11 m at q0 would be below 0.15 m"."""
-    unit = "" if broken.unit in {"1", "ratio"} else f" {broken.unit}"
-    relation = "below" if broken.sense == "min" else "above"
-    place = f" at {', '.join(broken.where)}" if broken.where else ""
-    value = f"{broken.constraint} {broken.value:.3g}{unit}{place}"
-    return f"{value} would be {relation} {broken.limit:.3g}{unit}"
+    return End(end, str(replace(broken, when="at the end", remedy="with the action's own legs")))
 
 
 def _nearest(
@@ -218,7 +199,6 @@ def _nearest(
     return Hitch.nearest(start.team, polygon, start.altitude, fractions, roll=start.roll, **kept)
 
 
-FASTER = "faster than the step's own route"
 SHUT = "the step's own route is infeasible"
 SLOWER = "the step's own route takes longer"
 
@@ -226,12 +206,10 @@ SLOWER = "the step's own route takes longer"
 def optimised(
     task: StepTask, end: Hitch, phase: Phase, duration: float | None = None, *, lead: bool = False
 ) -> StepPlan:
-    """Return the fastest plan that the optimiser finds from the task's hitch to another.
+    """Return the fastest plan that the optimiser finds to a hitch at the same altitude.
 
-    Both are at one altitude, and within all limits at rest. ``phase`` has the step's name and
-    index, and within what tensions may change meanwhile; ``lead``: also try legs that lead and lag.
-
-    Raises InfeasibleError where it takes longer than ``duration`` [s], or HitchoptError.
+    ``phase`` has the step's name and index, and within what tensions may change; ``lead``: also try
+    legs that lead and lag. Raises InfeasibleError where it takes longer than ``duration`` [s].
     """
     from hitchopt.planners.morph.legs import leading
     from hitchopt.planners.optimise.search import OptimisedMorph
@@ -270,10 +248,7 @@ def optimised(
 
 
 def refused_both(own: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
-    """Return what tells why neither a step's own route nor the optimised one is flown.
-
-    What binds on the own one; a route that only takes too long is told before others.
-    """
+    """Return why neither of two routes is flown: first of one that only takes too long."""
 
     def late(refusal: InfeasibleError) -> float:
         """Return the time that a route takes at least [s], if that alone is why it is refused."""
@@ -300,11 +275,9 @@ NO_ROOM = "legs do not lean against friction: limits leave no room for it"
 
 
 def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
-    """Return the plan with legs that lean against friction as far as limits allow.
+    """Return the plan with legs that lean against friction as far as limits allow, if they do.
 
-    It is the given one where the team's cables have no friction or none of them slides, and where
-    limits leave no room for leaning, which its remarks then say. The motion may take up to LONGER
-    times as long, unless its time is given (``timed``) or the whole plan's is limited.
+    It may take up to LONGER times as long, unless its time is given (``timed``) or limited.
     """
     motion, limits = planned.motion, planned.motion.requirements.limits
     if motion.team.cable_friction == 0.0:
@@ -327,12 +300,37 @@ def against_friction(planned: StepPlan, *, timed: bool) -> StepPlan:
     return planned.remarked(NO_ROOM)
 
 
+def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
+    """Return the plan of shape steps without a stop in between; ``task`` is that of the first.
+
+    One path through all hitches that they would have ended with, timed as a whole; each phase ends
+    when its step's hitch is passed. Raises InputError for a step that moves nothing.
+    """
+    requirements, hitches = task.requirements, [task.hitch]
+    for i, step in enumerate(steps, task.index):
+        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
+        end = step.end(here).hitch
+        step.check_end(end, here)
+        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
+            bound = "a step that moves something where steps are blended"
+            remedy = "leave it out, or leave out blend"
+            raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
+        hitches.append(end)
+    flight, passed = blended_flight(hitches, requirements)
+    times = [0.0, *passed.tolist(), flight.duration]
+    remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
+    phases = [
+        Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
+        for j, step in enumerate(steps)
+    ]
+    plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
+    return against_friction(plan, timed=False)
+
+
 def worked(task: StepTask, seconds: float | None, phase: Phase, *, needed: bool = True) -> StepPlan:
     """Return the plan in which drones swing until the clasps' friction has lost its memory.
 
-    They swing as far as limits allow, as the remark says, for ``seconds`` [s], or SWINGS of SWING,
-    up to LONGER times as long where limits of motion need that. The times of ``phase`` are set.
-
+    They swing as far as limits allow for ``seconds`` [s], or SWINGS of SWING and longer if need be.
     Raises InfeasibleError where limits leave no room for it, and it is ``needed``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling
@@ -405,10 +403,7 @@ def _span(violation: Violation, before: Situation) -> Violation:
 
 
 def check_above_ground(motion: Motion) -> None:
-    """Raise InfeasibleError where a drone goes below the ground, z = 0, that it takes off from.
-
-    An arena's floor has a check of its own.
-    """
+    """Raise InfeasibleError where drones go below the ground, z = 0, where no arena has a floor."""
     heights = motion.drones.coefficients[:, :, 2]
     if motion.requirements.arena is not None or np.min(heights) >= -SAME_ALTITUDE:
         return

@@ -23,9 +23,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, stacked_on
 from hitchopt.planners.carrying.grip import GrippedHitch, check_pull, grip_left
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, move_motion
-from hitchopt.planners.carrying.rest import ROOM, HeldHitch
-from hitchopt.planners.timing.flight import check_duration, needed_stretch
-from hitchopt.steps.certified_motions import NO_ROOM, checked
+from hitchopt.planners.carrying.rest import HeldHitch
 from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
 from hitchopt.values import Array
 
@@ -56,11 +54,6 @@ friction with its support with which edges may push what stands."""
 
 WEIGHTY = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Limits at which less weight, or more of what bears it, is all that helps."""
-
-
-def gap_around(requirements: Requirements) -> float:
-    """Return how far edges around an object keep from it [m]."""
-    return requirements.separation.object + ROOM
 
 
 def gap_below(requirements: Requirements) -> float:
@@ -176,6 +169,8 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
 
 def within_limits(task: StepTask, move: Move, *rules: CheckRule) -> Move:
     """Return a move that is slowed down as far as limits of motion, and some rules, need."""
+    from hitchopt.planners.timing.flight import needed_stretch
+
     for _ in range(STRETCHES):
         try:
             motion = held_motion(task, [move], "")
@@ -211,10 +206,7 @@ def held_motion(task: StepTask, moves: Sequence[Move], name: str) -> Motion:
 def one_phase(
     parts: Sequence[Motion], task: StepTask, name: str, hold: Hold | None = None
 ) -> Motion:
-    """Return motions one after the other as one phase of a step, in which an object may be held.
-
-    It has the remarks of all of the motions' own phases.
-    """
+    """Return motions in a row as one phase of a step, with all remarks; an object may be held."""
     motion = joined_motions([replace(each, requirements=task.requirements) for each in parts])
     pulls = motion.tensions.coefficients
     tension = None
@@ -227,11 +219,7 @@ def one_phase(
 
 def held_plan(step: Step, task: StepTask, after: Holding, moves: Sequence[Move]) -> StepPlan:
     """Return the plan of moves one after the other, slowed alike, that ends holding ``after``."""
-    if step.given_duration is not None:
-        total, wanted = sum(move.law.duration for move in moves), step.given_duration
-        check_duration(wanted, total, f"of step {task.index}")
-        moves = [replace(move, law=move.law.slowed(wanted / total)) for move in moves]
-    motion = held_motion(task, moves, step.name)
+    motion = step.lasting(task, held_motion(task, moves, step.name))
     return ended_holding(task, after, motion, moves[-1].end, moves[-1].below[1])
 
 
@@ -258,10 +246,9 @@ def ended_holding(
 
 
 def check_held(task: StepTask) -> None:
-    """Raise InfeasibleError where the hitch does not hold the object at rest.
+    """Raise InfeasibleError where the hitch breaks limits at rest, or as it rises to a rim."""
+    from hitchopt.steps.certified_motions import checked
 
-    Where it holds by rest, it also keeps all limits as it rises to the rim and takes the weight.
-    """
     holding = task.holding
     held, name = holding.held, f"objects.{holding.name}"
     assert held is not None
@@ -308,12 +295,21 @@ def grip_closed(step: Step, task: StepTask, asked: Array) -> StepPlan:
 
 
 def grip_opened(step: Step, task: StepTask) -> StepPlan:
-    """Return the plan of opening a grip to a hitch around the standing object."""
+    """Return the plan of opening a grip; clasps that stick must not hold half of the weight."""
     team, holding = task.before.team, task.holding
     body, held = object_of(task, holding.name), holding.held
     assert isinstance(held, GrippedHitch)
     motion, moves, words = _passed(step, task, (holding.tension, team.tension), (1.0, 0.0))
-    _check_let_go(holding.name, held, moves)
+    letting = [move for move in moves if move.closed[0] > move.closed[1]][-1]
+    end = held.curves(letting, np.array([letting.law.duration]))
+    legs = (end["drones"] - end["vertices"][:, team.layout.anchors])[0, :, :2]
+    pair = np.stack([legs[2 * team.layout.ahead], legs[2 * team.layout.behind + 1]], axis=1)
+    left = grip_left(pair, letting.tension[1], team.cable_friction, body.friction)
+    most = LEFT * body.mass * GRAVITY
+    if left > most:
+        where, when = (f"objects.{holding.name}",), "left as clasps stick"
+        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
+        raise InfeasibleError([Violation("grip", left, most, "max", "N", where, when, remedy)])
     polygon, altitude = polygon_at(body, held.around), float(body.at[2]) + held.height
     hitch = Hitch(team, polygon, altitude, held.open_fractions * cable_slack(team, polygon))
     freed = replace(holding, tension=team.tension, held=None)
@@ -327,9 +323,8 @@ def _passed(
 ) -> tuple[Motion, list[Move], str]:
     """Return the motion that closes or opens a hitch, its moves, and how far legs lean.
 
-    Cables pull as hard as while the object is held, or less so that edges do not push it along;
-    where the hitch opens it opens loosely. Legs lean against clasp friction as far as drones stay
-    apart. ``tension`` (n,) [N] and ``closed``, how far the hitch is, are before and after.
+    Cables pull so that edges do not push the object along. ``tension`` (n,) [N] and ``closed``, how
+    far the hitch is, are before and after.
     """
     holding, opening = task.holding, closed[0] > closed[1]
     held, name = holding.held, f"objects.{holding.name}"
@@ -360,8 +355,8 @@ def _passed(
         checks = filter(None, (RULE_OF[each].check(motion) for each in KEPT))
         broken = next((check for check in checks if not check.holds), None)
         if broken is None:
-            words = f"legs lean against {lean:.0%} of clasp friction" if lean else NO_ROOM
-            return step.lasting(task, motion), moves, words if rubbing else ""
+            words = f"legs lean against {lean:.0%} of clasp friction" if rubbing else ""
+            return step.lasting(task, motion), moves, words
         when = f"as the hitch {'opens' if opening else 'closes'} around {name}"
         remedy = "use lighter cables or other lengths of them, or smooth the outline"
         refused.append(InfeasibleError([broken.violation(when, remedy)]))
@@ -369,10 +364,7 @@ def _passed(
 
 
 def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[Move]:
-    """Yield the moves from one share of the path to the grip to another, legs leaning.
-
-    Legs are turned for that before and after; drones rest where edges come to touch.
-    """
+    """Yield moves from one share of the path to the grip to another; legs lean in between."""
     held = task.holding.held
     assert isinstance(held, GrippedHitch)
     if lean:
@@ -383,18 +375,3 @@ def _leaning(task: StepTask, start: float, end: float, lean: float) -> Iterator[
         yield within_limits(task, changed_move(task, law, closed=(one, other), lean=(lean, lean)))
     if lean:
         yield changed_move(task, TURNING, closed=(end, end), lean=(lean, 0.0))
-
-
-def _check_let_go(name: str, held: GrippedHitch, moves: list[Move]) -> None:
-    """Raise InfeasibleError where clasps that stick would hold half of the object's weight."""
-    opening = [move for move in moves if move.closed[0] > move.closed[1]][-1]
-    end = held.curves(opening, np.array([opening.law.duration]))
-    layout, body = held.team.layout, held.body
-    legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
-    pair = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
-    left = grip_left(pair, opening.tension[1], held.team.cable_friction, body.friction)
-    most = LEFT * body.mass * GRAVITY
-    if left > most:
-        where, when = (f"objects.{name}",), "left as clasps stick"
-        remedy = "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
-        raise InfeasibleError([Violation("grip", left, most, "max", "N", where, when, remedy)])

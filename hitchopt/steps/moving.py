@@ -4,62 +4,55 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError, UnitWarning
+from hitchopt.errors import HitchoptError, InputError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import fitting_polygon
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.steps.step import (
     IDLE,
+    LEGS_TEXT,
     PLAN_DURATION,
+    AutoSeconds,
+    Blend,
     Edit,
     Edits,
+    Key,
+    Keys,
     Knob,
-    Situation,
+    Legs,
+    LegsAtEnd,
+    Point2,
+    Point3,
+    Polygon,
+    Positive,
+    Seconds,
+    SlackSplit,
     Stage,
     Step,
     StepPlan,
     StepTask,
-    eased,
-    points_scaled,
-)
-from hitchopt.steps.step_keys import (
-    LEGS_TEXT,
-    MAX_TURNS,
-    OUTLINE_TEXT,
-    TURNS,
-    YAW_TEXT,
-    AutoSeconds,
-    Blend,
-    Key,
-    Keys,
-    Legs,
-    LegsAtEnd,
-    OutlinePoints,
-    Point2,
-    Point3,
-    Positive,
-    Seconds,
-    SlackSplit,
     TimedPath,
     TwoPoints,
     WhichPoint,
+    Yaw,
     auto_seconds,
+    eased,
     key,
     of_shape,
     point,
+    points_scaled,
     seconds,
 )
-from hitchopt.values import MAX_COORDINATE, Array, finite, flag, positive, sequence
-from hitchopt.values.units import warn_of_unit
+from hitchopt.values import Array, flag, points, positive, sequence
 
 if TYPE_CHECKING:
-    from hitchopt.motion.motion import Motion
     from hitchopt.planners.morph.actions import Action, Flying
     from hitchopt.planners.timing.flight import Flight
     from hitchopt.steps.certified_motions import End
@@ -86,7 +79,6 @@ class HitchStep(Step):
 
     def motion(self, task: StepTask, flight: Flight | None, end: Hitch, remark: str = "") -> Motion:
         """Return the motion of a flight, or of a rest where nothing moves."""
-        from hitchopt.motion.motion import Phase
         from hitchopt.steps.certified_motions import flying, resting
 
         duration = 0.0 if flight is None else flight.duration
@@ -112,8 +104,7 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the step's own plan, or an optimised one where that is needed or asked for."""
-        from hitchopt.motion.motion import Phase
-        from hitchopt.steps.certified_motions import FASTER, SHUT, optimised, refused_both, tried
+        from hitchopt.steps.certified_motions import SHUT, optimised, refused_both, tried
 
         end, duration = self.end(task), self.given_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
@@ -135,14 +126,13 @@ class ShapeStep(HitchStep):
             raise refused_both(own, other, f"the optimiser found no {what}")
         if isinstance(other, HitchoptError) or own.motion.duration <= other.motion.duration:
             return own
-        return other.remarked(FASTER)
+        return other.remarked("faster than the step's own route")
 
 
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which names the drones that move."""
 
-    told: ClassVar[tuple[str, ...]] = ("vertex",)
-    """Fields that the action is told besides the hitch and the outline after it."""
+    told: ClassVar[tuple[str, ...]] = ("vertex",)  # fields that the action is told as well
 
     def action(self, task: StepTask) -> Action:
         """Return the action, which has the step's name."""
@@ -170,24 +160,20 @@ class ActionStep(ShapeStep):
 
     def _remark(self, action: Action, end: End, found: Flying) -> str:
         """Return which drones move that the paper does not name, and why."""
-        parts = []
-        if found.turning:
-            reason = "tensions differ, so legs turn with both edges at their vertex"
-            if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
-                reason = "clasps carry weight, so legs rise as it changes"
-            parts.append(f"{_all_of(found.turning, 'turn')} as well: {reason}")
-        if found.sliding:
-            reasons = ["legs are to change"] if self.legs is not None else []
-            reasons += [end.reason] if end.reason else []
-            if found.worst is not None:
-                reasons.append(f"limits bind at {found.worst:.0%} of the path")
-            parts.append(f"{_all_of(found.sliding, 'slide')} as well: {', and '.join(reasons)}")
-        return "; ".join(parts)
-
-
-def _all_of(names: tuple[str, ...], verb: str) -> str:
-    """Return such as "r0 slides" or "q1, r0 slide"."""
-    return f"{', '.join(names)} {verb}{'s' if len(names) == 1 else ''}"
+        turned = "tensions differ, so legs turn with both edges at their vertex"
+        if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
+            turned = "clasps carry weight, so legs rise as it changes"
+        slid = ["legs are to change" if self.legs is not None else end.reason]
+        if found.worst is not None:
+            slid.append(f"limits bind at {found.worst:.0%} of the path")
+        reasons = turned, ", and ".join(filter(None, slid))
+        return "; ".join(
+            f"{', '.join(names)} {verb}{'s' * (len(names) == 1)} as well: {reason}"
+            for names, verb, reason in zip(
+                (found.turning, found.sliding), ("turn", "slide"), reasons, strict=True
+            )
+            if names
+        )
 
 
 @dataclass(frozen=True)
@@ -243,7 +229,6 @@ class Settle(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan in which drones swing about their places."""
-        from hitchopt.motion.motion import Phase
         from hitchopt.steps.certified_motions import worked
 
         return worked(task, self.given_duration, Phase(self.name, task.index, 0.0, 0.0))
@@ -274,9 +259,7 @@ OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies a
 class Morph(ShapeStep):
     """Every vertex goes to its place in a polygon."""
 
-    polygon: Annotated[
-        Outline, Key(OutlinePoints, OUTLINE_TEXT, ([[0, -0.5], [-0.4, 0.5], [0.4, 0.5]],))
-    ]
+    polygon: Polygon
     legs: LegsAtEnd = None
     duration: Seconds = None
     blend: Blend = False
@@ -442,7 +425,6 @@ class Adjust(ActionStep):
 MIN_GAP = 1e-3
 """Shortest time between two points [s]: less is a typing error."""
 
-_ROWS = of_shape((None, 3), "points [t, x, y]")
 _PATH_TEXT = (
     "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
     "equal points that follow each other the vertex stands still"
@@ -451,7 +433,7 @@ _PATH_TEXT = (
 
 def _timed_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or raise InputError."""
-    path = _ROWS(key, value)
+    path = points(key, value, (1, 3), "points [t, x, y]", "give plain numbers in SI units")
     gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
         bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"
@@ -507,18 +489,6 @@ class FollowVertex(ActionStep):
         return (Edit("path", np.column_stack([times, points]).tolist()),)
 
 
-def _turned(key: str, value: object) -> float:
-    """Return a turn [rad], or raise InputError for too many; warn of whole numbers."""
-    yaw = finite(key, value)
-    meant = f"if degrees were meant, {math.radians(yaw):.3g}"
-    if abs(yaw) > MAX_TURNS * 2.0 * math.pi:
-        bound = f"at most {MAX_TURNS} turns either way"
-        raise InputError(key, yaw, bound, f"turn in several steps; {meant}")
-    if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rarely of radians
-        warn_of_unit(UnitWarning(key, f"{yaw:g} rad, more than a turn; {meant}"))
-    return yaw
-
-
 @dataclass(frozen=True, eq=False)
 class Transport(HitchStep):
     """The whole hitch goes elsewhere and turns about its centroid; its shape and legs stay."""
@@ -527,14 +497,11 @@ class Transport(HitchStep):
         Array,
         Key(Point3, "Where its centroid goes, [x, y, z] [m]", ([0, 0, 1],), check=point),
     ]
-    yaw: Annotated[float, Key(TURNS, YAW_TEXT, name="yaw_deg", check=_turned)] = 0.0
+    yaw: Yaw = 0.0
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid, which goes to its new place."""
-        if abs(self.to[2]) > MAX_COORDINATE:
-            words = f"within ±{MAX_COORDINATE:g} m", "check its coordinates"
-            raise InputError("to", self.to.tolist(), *words)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         turned = (outline.vertices - outline.centroid) @ np.array([[c, s], [-s, c]])
         return _convex(team, turned + self.to[:2], "to", self.to)
@@ -559,34 +526,3 @@ class Transport(HitchStep):
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return nothing, and the place that the hitch is carried to."""
         return (), self.to[:2]
-
-
-def plan_blended(steps: Sequence[Step], task: StepTask) -> StepPlan:
-    """Return the plan of steps without a stop in between; ``task`` is that of the first.
-
-    One path through all hitches that they would have ended with, timed as a whole; each phase ends
-    when its step's hitch is passed. Raises InputError for a step that moves nothing.
-    """
-    from hitchopt.motion.motion import Phase
-    from hitchopt.planners.morph.morph import SAME, blended_flight
-    from hitchopt.steps.certified_motions import against_friction, flying
-
-    requirements, hitches = task.requirements, [task.hitch]
-    for i, step in enumerate(cast("Sequence[ShapeStep]", steps), task.index):
-        here = StepTask(Situation.formed(hitches[-1]), i, requirements)
-        end = step.end(here).hitch
-        step.check_end(end, here)
-        if np.max(np.abs(end.drones - hitches[-1].drones)) < SAME:
-            bound = "a step that moves something where steps are blended"
-            remedy = "leave it out, or leave out blend"
-            raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
-        hitches.append(end)
-    flight, passed = blended_flight(hitches, requirements)
-    times = [0.0, *passed.tolist(), flight.duration]
-    remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
-    phases = [
-        Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
-        for j, step in enumerate(steps)
-    ]
-    plan = task.ended(flying(flight, task.hitch.team, requirements, phases), hitches[-1])
-    return against_friction(plan, timed=False)

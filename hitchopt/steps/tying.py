@@ -5,44 +5,41 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, Tag
+from pydantic import Field
 
-from hitchopt.errors import HitchoptError, InfeasibleError
-from hitchopt.geometry import Outline
+from hitchopt.errors import HitchoptError
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import CableState, Motion, Phase, joined_motions
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.step import Knob, Situation, Step, StepPlan, StepTask, eased
-from hitchopt.steps.step_keys import (
+from hitchopt.steps.step import (
     AUTO,
-    FLAG,
-    FORM,
     LEGS_TEXT,
-    ONE,
-    OUTLINE_TEXT,
-    TRIANGLE,
-    Auto,
+    AutoSecondsOrNot,
     Key,
     Keys,
+    Knob,
     Legs,
     Number,
-    OutlinePoints,
+    Polygon,
     Positive,
     RolledLegs,
     Seconds,
+    Situation,
     SlackSplit,
+    Step,
+    StepPlan,
+    StepTask,
     altitude,
     auto_seconds,
+    eased,
     key,
     one_of,
 )
 from hitchopt.values import Array, instance
-
-if TYPE_CHECKING:
-    from hitchopt.hitch.requirements import Requirements
-    from hitchopt.motion.motion import Motion
 
 Assign = Literal["auto", "fixed"]
 """Whether robots are assigned to edges, or robot k takes edge k with its drones as they are."""
@@ -70,11 +67,6 @@ def _settings(key: str, value: object) -> object:
     return value
 
 
-SettleKey = Annotated[
-    Auto | Annotated[Literal[False], Tag(FLAG)] | Annotated[Positive, Tag(ONE)], FORM
-]
-
-
 def _settle(key: str, value: object) -> float | str | bool:
     return False if value is False else auto_seconds(key, value)
 
@@ -96,7 +88,7 @@ class Form(Step):
     """
 
     needs_hitch: ClassVar[bool | None] = False
-    polygon: Annotated[Outline, Key(OutlinePoints, OUTLINE_TEXT, (TRIANGLE,))]
+    polygon: Polygon
     altitude: Annotated[float, Key(Number, "Height of the hitch's plane [m]", check=altitude)] = 1.0
     legs: Annotated[
         SlackSplit | None, Key(Legs, f"{LEGS_TEXT}, at the step's end; spread without it")
@@ -106,7 +98,7 @@ class Form(Step):
         default_factory=SwapSettings
     )
     settle: Annotated[
-        float | Literal["auto", False], Key(SettleKey, SETTLE_TEXT, check=_settle)
+        float | Literal["auto", False], Key(AutoSecondsOrNot, SETTLE_TEXT, check=_settle)
     ] = AUTO
     duration: Seconds = None
 
@@ -114,19 +106,14 @@ class Form(Step):
     def from_file(cls, values: dict[str, Any]) -> Self:
         """Return the step with the values of a problem file."""
         swap = dict(values["swap"])
-        tilt = swap.pop("tilt_deg")
-        sense = SENSES[swap.pop("sense")]
-        settings = SwapSettings(
-            tilt=None if tilt is None else math.radians(tilt), sense=sense, **swap
-        )
-        return cls(**values | {"swap": settings})
+        tilt, sense = swap.pop("tilt_deg"), SENSES[swap.pop("sense")]
+        swap["tilt"] = None if tilt is None else math.radians(tilt)
+        return cls(**values | {"swap": SwapSettings(sense=sense, **swap)})
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from drones on free cables to a hitch."""
-        from hitchopt.motion.motion import Phase, joined_motions
         from hitchopt.planners.forming.stages import tied
         from hitchopt.steps import certified_motions as motions
-        from hitchopt.steps.certified_motions import worked
 
         i, requirements = task.index, task.requirements
         wanted = self._wanted(task.before.team, requirements)
@@ -144,14 +131,12 @@ class Form(Step):
         if wanted.team.cable_friction > 0.0 and self.settle is not False:
             seconds = None if isinstance(self.settle, str) else self.settle
             phase, tied_task = Phase("settle", i, 0.0, 0.0), replace(task, before=after)
-            parts.append(worked(tied_task, seconds, phase, needed=seconds is not None).motion)
+            settled = motions.worked(tied_task, seconds, phase, needed=seconds is not None)
+            parts.append(settled.motion)
         return StepPlan(self.lasting(task, joined_motions(parts)), after)
 
     def _wanted(self, team: Team, requirements: Requirements) -> Hitch:
-        """Return the hitch to be formed; without ``legs`` a spread one with margins to its cables.
-
-        They are the largest of CABLE_MARGINS that satisfies every limit; drones are spread beyond.
-        """
+        """Return the hitch to be formed; without ``legs`` spread, with the margins that it can."""
         from hitchopt.steps.certified_motions import at_rest, split_hitch
 
         legs: SlackSplit = "spread" if self.legs is None else self.legs
@@ -180,13 +165,9 @@ class Form(Step):
 
 
 def _approach(task: StepTask, goal: Array) -> Motion:
-    """Return the first route to the pre-hitch that the certificate holds for.
-
-    Raises InfeasibleError: none; says what binds on the first of them.
-    """
-    from hitchopt.motion.motion import joined_motions
+    """Return the first certified route to the pre-hitch, or raise what binds on the first one."""
     from hitchopt.planners.forming.approach import Approach
-    from hitchopt.steps.certified_motions import tried
+    from hitchopt.steps.certified_motions import refused_both, tried
 
     before = task.before
     approach = Approach(before.team, before.drones, goal, task.requirements, task.index)
@@ -196,11 +177,7 @@ def _approach(task: StepTask, goal: Array) -> Motion:
         if isinstance(found, StepPlan):
             return found.motion
         refused.append(found)
-    for error in refused:
-        if isinstance(error, InfeasibleError):
-            note = error.note or "no other route to the pre-hitch was found"
-            raise InfeasibleError(error.violations, note)
-    raise refused[0]
+    raise refused_both(refused[0], refused[1], "no other route to the pre-hitch was found")
 
 
 @dataclass(frozen=True)
@@ -214,7 +191,6 @@ class Release(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from a hitch to drones on free cables."""
-        from hitchopt.motion.motion import joined_motions
         from hitchopt.planners.forming.stages import tied, undone
         from hitchopt.steps.certified_motions import lifted, tying_site
 
@@ -238,7 +214,6 @@ class Land(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down."""
-        from hitchopt.motion.motion import CableState
         from hitchopt.planners.forming.stages import stage, straight
 
         before, requirements = task.before, task.requirements

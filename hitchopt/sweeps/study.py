@@ -18,10 +18,9 @@ import numpy as np
 from pydantic import ConfigDict, Field, Tag, ValidationError, model_validator
 
 from hitchopt.errors import FileError, InputError, OneLine, short
-from hitchopt.mission.keys import MAX_TITLE
-from hitchopt.mission.wording import translated
-from hitchopt.steps.step_keys import EACH, FORM, MAPPING, Keys, NotNegative, Positive, fault
-from hitchopt.steps.step_keys import key as option
+from hitchopt.mission.keys import MAX_TITLE, translated
+from hitchopt.steps.step import EACH, FORM, MAPPING, Keys, NotNegative, Positive, fault
+from hitchopt.steps.step import key as option
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 
 Point = dict[str, Plain]

@@ -28,7 +28,7 @@ from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps.certified_motions import Certified
-from hitchopt.steps.step_keys import TRIANGLE
+from hitchopt.steps.step import TRIANGLE
 from hitchopt.storage.yaml_file import (
     Plain,
     parse_yaml,

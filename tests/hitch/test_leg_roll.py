@@ -15,7 +15,7 @@ from hitchopt import Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import split_hitch
-from hitchopt.steps.step_keys import RolledLegs, slack_split
+from hitchopt.steps.step import RolledLegs, slack_split
 from problems.random_morph import random_convex_polygon
 
 Array = NDArray[np.float64]

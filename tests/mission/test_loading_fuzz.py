@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from problem_cases import TEMPLATE, hitch_start, triangle
 
 from hitchopt.errors import HitchoptError, InputError
+from hitchopt.mission.keys import problem_schema
 from hitchopt.mission.loading import load_problem, problem_from_dict
 from hitchopt.mission.problem import Problem
-from hitchopt.mission.wording import problem_schema
 
 pytestmark = pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 

@@ -13,9 +13,9 @@ from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, header, triangl
 from ruamel.yaml import YAML
 
 from hitchopt.errors import FileError, HitchoptError, InputError
+from hitchopt.mission.keys import SCHEMA_FILE, problem_schema, schema_text
 from hitchopt.mission.loading import read_problem
 from hitchopt.mission.problem import SwarmProblem
-from hitchopt.mission.wording import SCHEMA_FILE, problem_schema, schema_text
 from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = ROOT / "problems" / "swarms"

@@ -12,10 +12,10 @@ import pytest
 from problem_cases import header
 
 import hitchopt as ho
+from hitchopt.mission.keys import problem_schema
 from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.mission.solving import flyable_accelerations
-from hitchopt.mission.wording import problem_schema
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
 
