@@ -151,7 +151,9 @@ def _read(path: Path, made: Callable[[dict[str, Any], Arrays], T]) -> T:
         return made(settings, arrays)
     except BROKEN as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
-        if isinstance(error, KeyError):
+        if isinstance(error, FileNotFoundError):
+            reason = "there is no such file"
+        elif isinstance(error, KeyError):
             reason = f"not a plan that hitchopt wrote: {error} is missing"
         elif isinstance(error, OSError) and error.strerror:
             reason = f"cannot be read: {error.strerror}"
