@@ -1,5 +1,6 @@
-"""Floor 5: planners; each takes a hitch and limits and gives trajectories.
+"""Planners: each takes hitches and requirements, and returns trajectories or says what binds.
 
-A planner is a frozen record of what it is asked. ``problem`` is that as data, to look at; it raises
-InfeasibleError where it cannot be solved in itself. ``solve()`` returns the solution.
+``separate``, ``straight_flight``, ``fly_action`` and ``blended_flight`` are functions. Where there
+is something to look at before it is solved, a frozen record holds what is asked: the
+``SeparationTask``, the ``PreHitch``, the ``Approach``, and the optimiser with its ``problem``.
 """
