@@ -202,8 +202,10 @@ class Hitch(OneLine):
         distances to cables of at least 1.5 times their limits and legs within theirs; where there
         are none, they have the largest such margin.
 
-        Parameters and errors are those of the class, but:
+        Other parameters and errors are those of the class.
 
+        Parameters
+        ----------
         limits, separation: the default ones if None.
         roll: one or (clasps,) [rad]; None for none unless legs break a limit without, and then for
             one angle at all clasps, the smallest with which they keep that margin, or else the
