@@ -333,18 +333,20 @@ class Corners(MotionSpans):
 def _exterior(spans: Corners) -> Bound:
     """Return the angles [deg] by which the outline turns right.
 
-    Of a chain's ends it is what they leave of once around. Of all (dot, cross) within their bounds
-    it is the least one: past 180° angles start again at -180°.
+    Of a chain's ends it is what they leave of once around. Seen from the angle at mid span the others
+    are small; past 180° angles start again at -180°.
     """
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
-    dot, cross = behind.dot(ahead).range, ahead.cross(behind)
-    low, high = cross.range.low, cross.range.high
-    right, left = np.arctan2(low, dot.high), np.arctan2(high, dot.low)
-    least = np.where(low >= 0.0, right, np.where(dot.low >= 0.0, np.arctan2(low, dot.low), left))
-    known = (low >= 0.0) | (high < 0.0) | (dot.low >= 0.0)
+    dot, cross = behind.dot(ahead), ahead.cross(behind)
+    middle = np.arctan2(cross.middle, dot.middle)
+    c, s, middle = np.cos(middle), np.sin(middle), middle[:, 0]
+    along, across = (dot * c + cross * s).range, (cross * c - dot * s).range
+    least = np.arctan2(across.low, np.where(across.low < 0.0, along.low, along.high))
+    most = np.arctan2(across.high, np.where(across.high < 0.0, along.high, along.low))
+    known = (along.low > 0.0) & (middle + most <= np.pi)
     added = np.where(spans.item < len(spans.source.team.layout.clasps), 0.0, 180.0)
-    return Bound(np.where(known, added + np.degrees(least), BACKWARD), cross.below.x)
+    return Bound(np.where(known, added + np.degrees(middle + least), BACKWARD), cross.below.x)
 
 
 def _turns(motion: Motion, _: float) -> Finding:
