@@ -333,8 +333,8 @@ class Corners(MotionSpans):
 def _exterior(spans: Corners) -> Bound:
     """Return the angles [deg] by which the outline turns right.
 
-    Of a chain's ends it is what they leave of once around. Seen from the angle at mid span the others
-    are small; past 180° angles start again at -180°.
+    Of a chain's ends it is what they leave of once around. Seen from the angle at mid span the
+    others are small; past 180° angles start again at -180°.
     """
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))

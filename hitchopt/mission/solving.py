@@ -22,7 +22,7 @@ from hitchopt.motion.motion import Motion, Phase, joined_motions
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.forming.approach import assigned
-from hitchopt.planners.separation import SeparationTask, separate
+from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.steps import FollowVertex, Form, Step
 from hitchopt.steps.certified_motions import (
     Certified,
@@ -215,7 +215,7 @@ def solve_swarm(problem: SwarmProblem, progress: Progress | None = None) -> Cert
         names=problem.team.drone_names,
         prisms=names,
     )
-    separated = separate(task, progress)
+    separated = SeparatedFlight(task).solve(progress)
     phase = Phase("fly", 0, 0.0, separated.drones.duration, separated.remark)
     motion = Motion.single(problem.team, problem.requirements, separated.drones, (phase,))
     certificate = certify(motion, progress and (lambda name: progress(f"certifying {name}")))

@@ -24,7 +24,7 @@ from hitchopt.planners.forming.prehitch import PreHitch, find_prehitch
 from hitchopt.planners.forming.stages import stage
 from hitchopt.planners.morph.actions import Action
 from hitchopt.planners.morph.legs import SLIDES, legs_clear
-from hitchopt.planners.morph.morph import SAME, blended_flight
+from hitchopt.planners.morph.morph import SAME, BlendedMorph
 from hitchopt.planners.morph.path import RigidPath, ShapePath
 from hitchopt.planners.timing.flight import Flight, check_duration, fly, needed_stretch
 from hitchopt.steps.step import IDLE, RolledLegs, Situation, SlackSplit, StepPlan, StepTask
@@ -316,7 +316,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
-    flight, passed = blended_flight(hitches, requirements)
+    flight, passed = BlendedMorph(hitches, requirements).solve()
     times = [0.0, *passed.tolist(), flight.duration]
     remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
     phases = [

@@ -22,7 +22,7 @@ from hitchopt.motion.motion import Hold, HoldBy, Motion, Phase, joined_motions
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, stacked_on
 from hitchopt.planners.carrying.grip import GrippedHitch, check_pull, grip_left
-from hitchopt.planners.carrying.moves import Move, SmoothLaw, move_motion
+from hitchopt.planners.carrying.moves import CarriedMove, Move, SmoothLaw
 from hitchopt.planners.carrying.rest import HeldHitch
 from hitchopt.steps.step import Holding, Step, StepPlan, StepTask
 from hitchopt.values import Array
@@ -199,7 +199,7 @@ def held_motion(task: StepTask, moves: Sequence[Move], name: str) -> Motion:
     assert held is not None
     hold = Hold(task.holding.name, held.by, tuple(range(held.team.robots)))
     phase = Phase(name, task.index, 0.0, 1.0, hold=hold)
-    parts = [move_motion(held, move, requirements, phase) for move in moves]
+    parts = [CarriedMove(held, move, requirements, phase).solve() for move in moves]
     return one_phase(parts, task, name, hold)
 
 

@@ -152,10 +152,10 @@ class ActionStep(ShapeStep):
 
     def own_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion of the action to the hitch that it ends with."""
-        from hitchopt.planners.morph.actions import fly_action
+        from hitchopt.planners.morph.actions import ActionMorph
 
         action = self.action(task)
-        found = fly_action(action, end.hitch, task.requirements, self.given_duration)
+        found = ActionMorph(action, end.hitch, task.requirements, self.given_duration).solve()
         return self.motion(task, found.flight, end.hitch, self._remark(action, end, found))
 
     def _remark(self, action: Action, end: End, found: Flying) -> str:
@@ -296,10 +296,10 @@ class Morph(ShapeStep):
 
     def own_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion along straight lines."""
-        from hitchopt.planners.morph.morph import straight_flight
+        from hitchopt.planners.morph.morph import StraightMorph
 
-        flight = straight_flight(task.hitch, end.hitch, task.requirements, self.duration)
-        return self.motion(task, flight, end.hitch)
+        morph = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
+        return self.motion(task, morph.solve(), end.hitch)
 
 
 class MoveStep(ActionStep):

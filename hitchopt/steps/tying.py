@@ -166,14 +166,14 @@ class Form(Step):
 
 def _approach(task: StepTask, goal: Array) -> Motion:
     """Return the first certified route to the pre-hitch, or raise what binds on the first one."""
-    from hitchopt.planners.forming.approach import Approach
+    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
     from hitchopt.steps.certified_motions import refused_both, tried
 
     before = task.before
-    approach = Approach(before.team, before.drones, goal, task.requirements, task.index)
+    asked = before.team, before.drones, goal, task.requirements, task.index
     refused = list[HitchoptError]()
-    for route in (approach.direct, approach.gathered):
-        found = tried(lambda route=route: StepPlan(joined_motions(route()), before))  # type: ignore[misc]
+    for route in (DirectApproach(*asked), GatheredApproach(*asked)):
+        found = tried(lambda route=route: StepPlan(joined_motions(route.solve()), before))  # type: ignore[misc]
         if isinstance(found, StepPlan):
             return found.motion
         refused.append(found)

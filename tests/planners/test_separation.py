@@ -16,7 +16,7 @@ from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.mission.problem import SwarmProblem
-from hitchopt.planners.separation import Separated, SeparationTask, separate
+from hitchopt.planners.separation import Separated, SeparatedFlight, SeparationTask
 from hitchopt.planners.separation.guesses import points_along, routes_around
 from hitchopt.planners.separation.program import hull_points
 from hitchopt.planners.timing.ramps import fastest_ramps
@@ -93,7 +93,7 @@ def assert_kept(task: SeparationTask, found: Separated, samples: int = 1500) -> 
 @pytest.mark.parametrize(("n", "slower"), [(2, 1.1), (24, 1.25)])
 def test_a_circle_is_crossed_nearly_as_fast_as_alone(n: int, slower: float) -> None:
     task = circle(n, 2.0)
-    found = separate(task)
+    found = SeparatedFlight(task).solve()
     assert_kept(task, found)
     assert found.drones.duration <= slower * found.bound
     assert "right" in found.remark
@@ -102,7 +102,7 @@ def test_a_circle_is_crossed_nearly_as_fast_as_alone(n: int, slower: float) -> N
 @pytest.mark.parametrize("seed", range(2))
 def test_random_teams(seed: int) -> None:
     task = scattered(12 + seed, seed)
-    found = separate(task)
+    found = SeparatedFlight(task).solve()
     assert_kept(task, found)
     assert found.drones.duration <= 1.2 * found.bound
 
@@ -122,19 +122,19 @@ def row(n: int) -> SeparationTask:
 def test_what_is_moved_turned_and_renumbered_takes_as_long() -> None:
     """As exactly as OSQP, which stops at 1e-4, lets it."""
     task = scattered(9, 7)
-    found = separate(task)
+    found = SeparatedFlight(task).solve()
     t = np.linspace(0.0, found.drones.duration, 50)
     expected = found.drones.at(t)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     shift = np.array([4.0, -3.0, 1.0])
-    moved = separate(
+    moved = SeparatedFlight(
         replace(task, start=task.start @ turn.T + shift, goal=task.goal @ turn.T + shift)
-    )
+    ).solve()
     assert moved.drones.duration == pytest.approx(found.drones.duration, rel=1e-3)
     times = t * moved.drones.duration / found.drones.duration
     np.testing.assert_allclose(moved.drones.at(times), expected @ turn.T + shift, atol=5e-3)
     order = np.random.default_rng(1).permutation(9)
-    other = separate(replace(task, start=task.start[order], goal=task.goal[order]))
+    other = SeparatedFlight(replace(task, start=task.start[order], goal=task.goal[order])).solve()
     assert other.drones.duration == pytest.approx(found.drones.duration, rel=1e-3)
     times = t * other.drones.duration / found.drones.duration
     np.testing.assert_allclose(other.drones.at(times), expected[:, order], atol=5e-3)
@@ -142,11 +142,13 @@ def test_what_is_moved_turned_and_renumbered_takes_as_long() -> None:
 
 def test_quicker_drones_fly_the_same_ways_in_less_time() -> None:
     task, k = scattered(8, 3), 2.5
-    found = separate(task)
+    found = SeparatedFlight(task).solve()
     quicker = Limits(
         speed=k * LIMITS.speed, acceleration=k**2 * LIMITS.acceleration, jerk=k**3 * LIMITS.jerk
     )
-    other = separate(replace(task, requirements=replace(task.requirements, limits=quicker)))
+    other = SeparatedFlight(
+        replace(task, requirements=replace(task.requirements, limits=quicker))
+    ).solve()
     assert other.drones.duration * k == pytest.approx(found.drones.duration, rel=1e-6)
 
 
@@ -175,10 +177,12 @@ def through_a_door() -> SeparationTask:
     ids=["crowd", "stack", "door"],
 )
 def test_noise_on_the_input_changes_nothing(task: SeparationTask) -> None:
-    expected, rng = separate(task).drones, np.random.default_rng(8)
+    expected, rng = SeparatedFlight(task).solve().drones, np.random.default_rng(8)
     for _ in range(2):
         noise = 1e-14 * rng.uniform(-1.0, 1.0, (2, *task.start.shape))
-        found = separate(replace(task, start=task.start + noise[0], goal=task.goal + noise[1]))
+        found = SeparatedFlight(
+            replace(task, start=task.start + noise[0], goal=task.goal + noise[1])
+        ).solve()
         assert found.drones.duration == pytest.approx(expected.duration, rel=1e-6)
         np.testing.assert_allclose(
             found.drones.at(0.4 * found.drones.duration),
@@ -189,9 +193,9 @@ def test_noise_on_the_input_changes_nothing(task: SeparationTask) -> None:
 
 def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
     task = circle(8, 1.8)
-    fast = separate(task)
+    fast = SeparatedFlight(task).solve()
     slow_task = replace(task, duration=2.0 * fast.drones.duration)
-    slow = separate(slow_task)
+    slow = SeparatedFlight(slow_task).solve()
     assert_kept(slow_task, slow)
 
     def astray(found: Separated) -> float:
@@ -213,16 +217,16 @@ def test_arena_prism_and_cables_are_kept() -> None:
         ),
         tethers=((0, 1, 2.0), (2, 3, 1.9)),
     )
-    assert_kept(around, separate(around))
+    assert_kept(around, SeparatedFlight(around).solve())
     start = np.array([[-1.5, 0.0, 1.0], [1.5, 0.1, 1.0], [-1.4, 0.6, 1.0]])
     goal = np.array([[1.5, 0.0, 1.0], [-1.5, 0.1, 1.0], [1.4, -0.6, 1.0]])
     past = SeparationTask(start, goal, Requirements(LIMITS, SEPARATION, keep_out=(POST,)))
-    assert_kept(past, separate(past))
+    assert_kept(past, SeparatedFlight(past).solve())
 
 
 def test_weak_drones_accelerate_as_they_can() -> None:
     task = replace(circle(4, 1.5), acceleration=[0.5, 2.0, 1.0, 9.0])
-    found = separate(task)
+    found = SeparatedFlight(task).solve()
     t = np.linspace(0.0, found.drones.duration, 900)
     largest = np.max(np.linalg.norm(found.drones.at(t, 2), axis=-1), axis=0)
     assert np.all(largest <= np.array([0.5, 2.0, 1.0, 2.5]) * (1.0 + 1e-9))
@@ -230,12 +234,12 @@ def test_weak_drones_accelerate_as_they_can() -> None:
 
 def test_one_drone_flies_straight_and_who_is_there_stays() -> None:
     one = SeparationTask([[0.1, 0.2, 1.0]], [[2.0, 1.0, 1.5]], Requirements(LIMITS, SEPARATION))  # type: ignore[arg-type]
-    found = separate(one)
+    found = SeparatedFlight(one).solve()
     assert_kept(one, found)
     assert found.drones.duration <= 1.06 * found.bound
     assert found.remark == ""
     still = replace(circle(5, 1.0), goal=circle(5, 1.0).start)
-    resting = separate(still).drones
+    resting = SeparatedFlight(still).solve().drones
     points = resting.at(np.array([0.0, 0.5, 1.0]) * resting.duration)
     np.testing.assert_allclose(points, np.broadcast_to(still.start, points.shape), atol=1e-6)
 
@@ -267,7 +271,7 @@ def test_what_cannot_be_is_told_with_names_and_time(
     ends = np.array([[-1.0, 0, 1], [1.0, 0, 1]])
     task = SeparationTask(ends, ends[::-1], Requirements(LIMITS, SEPARATION))
     with pytest.raises(InfeasibleError) as caught:
-        separate(changed(task, change))
+        SeparatedFlight(changed(task, change)).solve()
     violation = caught.value.violations[0]
     assert violation.constraint == constraint
     assert violation.where[: len(where)] == where
@@ -279,13 +283,13 @@ def test_what_cannot_be_is_told_with_names_and_time(
 @pytest.mark.slow
 def test_a_duration_that_would_do_is_offered() -> None:
     task = row(4)
-    fast = separate(task)
+    fast = SeparatedFlight(task).solve()
     assert fast.drones.duration > 1.02 * fast.bound
     with pytest.raises(InfeasibleError, match="allow") as caught:
-        separate(replace(task, duration=1.001 * fast.bound))
+        SeparatedFlight(replace(task, duration=1.001 * fast.bound)).solve()
     offered = caught.value.violations[0].value
     enough = replace(task, duration=1.0001 * offered)
-    assert_kept(enough, separate(enough))
+    assert_kept(enough, SeparatedFlight(enough).solve())
 
 
 @pytest.mark.parametrize(
@@ -305,7 +309,10 @@ def test_tasks_that_are_wrong_in_themselves(change: dict[str, object], words: st
 
 
 def test_the_same_task_gives_the_same_plan_to_the_last_bit() -> None:
-    first, second = separate(circle(7, 1.5)).drones, separate(circle(7, 1.5)).drones
+    first, second = (
+        SeparatedFlight(circle(7, 1.5)).solve().drones,
+        SeparatedFlight(circle(7, 1.5)).solve().drones,
+    )
     np.testing.assert_array_equal(first.coefficients, second.coefficients)
     np.testing.assert_array_equal(first.breaks, second.breaks)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -131,49 +132,59 @@ class Held(Protocol):
         """Return all curves of a move at times t (…) [s]."""
 
 
-def move_motion(held: Held, move: Move, requirements: Requirements, phase: Phase) -> Motion:
-    """Return the motion of a move, from rest to rest.
+@dataclass(frozen=True, eq=False)
+class CarriedMove:
+    """The planner of a move with a held object, from rest to rest.
 
-    Parameters
+    Attributes
     ----------
     held: what flies, and what it holds.
     move: what changes.
     requirements: what the motion must satisfy; all other objects stay where they stand.
     phase: with the object's name in ``hold``; its times are set.
-
-    Raises
-    ------
-    InfeasibleError: a weight that the tensions cannot carry.
     """
-    closes = move.closed[0] != move.closed[1]
-    moves = closes or bool(np.any(move.start != move.end)) or move.below[0] != move.below[1]
-    changes = closes or bool(np.any(move.tension[0] != move.tension[1]))
-    changes |= move.borne[0] != move.borne[1] or move.lean[0] != move.lean[1]
-    longest = LONGEST if changes or move.start[3] != move.end[3] or not moves else STEADY
-    breaks = move.law.breaks(longest)
-    t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
-    values = held.curves(move, t)
-    parts: dict[str, Any] = {}
-    for name, each in values.items():
-        if np.all(each == each[:1, :1]):
-            parts[name] = PiecewisePolynomial.constant(breaks, each[0, 0])
-            continue
-        first = np.tensordot(FIRST / PROBE, each, (0, 1))
-        second = np.tensordot(SECOND / PROBE**2, each, (0, 1))
-        first[[0, -1]] = second[[0, -1]] = 0.0
-        jets = np.stack([each[:, len(STENCIL) // 2], first, second])
-        parts[name] = PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])
-    assert phase.hold is not None
-    index = list(requirements.objects).index(phase.hold.object)
-    pose, borne = parts.pop("pose").coefficients, parts["borne"].coefficients
-    poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)
-    poses = np.repeat(poses, pose.shape[-1], axis=-1)
-    poses[:, index] = pose
-    shares = np.zeros((len(borne), len(requirements.objects), borne.shape[-1]))
-    shares[:, index] = np.clip(borne, 0.0, 1.0)  # polynomials overshoot by 1e-6
-    parts["poses"], parts["borne"] = (PiecewisePolynomial(breaks, c) for c in (poses, shares))
-    phases = (replace(phase, start=0.0, end=move.law.duration),)
-    return Motion(held.team, requirements, **parts, phases=phases)
+
+    held: Held
+    move: Move
+    requirements: Requirements
+    phase: Phase
+
+    @cached_property
+    def problem(self) -> Array:
+        """(J,) [s]: times between which the motion is one polynomial, closer while loads change."""
+        move = self.move
+        closes = move.closed[0] != move.closed[1]
+        moves = closes or bool(np.any(move.start != move.end)) or move.below[0] != move.below[1]
+        changes = closes or bool(np.any(move.tension[0] != move.tension[1]))
+        changes |= move.borne[0] != move.borne[1] or move.lean[0] != move.lean[1]
+        turns = move.start[3] != move.end[3]
+        return move.law.breaks(LONGEST if changes or turns or not moves else STEADY)
+
+    def solve(self) -> Motion:
+        """Return the motion; raises InfeasibleError for a weight that tensions cannot carry."""
+        move, requirements, breaks = self.move, self.requirements, self.problem
+        t = np.clip(breaks[:, None] + PROBE * STENCIL, 0.0, move.law.duration)
+        parts: dict[str, Any] = {}
+        for name, each in self.held.curves(move, t).items():
+            if np.all(each == each[:1, :1]):
+                parts[name] = PiecewisePolynomial.constant(breaks, each[0, 0])
+                continue
+            first = np.tensordot(FIRST / PROBE, each, (0, 1))
+            second = np.tensordot(SECOND / PROBE**2, each, (0, 1))
+            first[[0, -1]] = second[[0, -1]] = 0.0
+            jets = np.stack([each[:, len(STENCIL) // 2], first, second])
+            parts[name] = PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])
+        assert self.phase.hold is not None
+        index = list(requirements.objects).index(self.phase.hold.object)
+        pose, borne = parts.pop("pose").coefficients, parts["borne"].coefficients
+        poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)
+        poses = np.repeat(poses, pose.shape[-1], axis=-1)
+        poses[:, index] = pose
+        shares = np.zeros((len(borne), len(requirements.objects), borne.shape[-1]))
+        shares[:, index] = np.clip(borne, 0.0, 1.0)  # polynomials overshoot by 1e-6
+        parts["poses"], parts["borne"] = (PiecewisePolynomial(breaks, c) for c in (poses, shares))
+        phases = (replace(self.phase, start=0.0, end=move.law.duration),)
+        return Motion(self.held.team, requirements, **parts, phases=phases)
 
 
 STEP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])

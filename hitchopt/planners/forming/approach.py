@@ -10,7 +10,9 @@ cannot tangle.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,7 +27,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.planners.forming.prehitch import SPAN
 from hitchopt.planners.forming.stages import PAUSE, STILL, stage, straight
-from hitchopt.planners.separation import SeparationTask, separate
+from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.planners.timing.ramps import accelerations
 from hitchopt.trajectory import PiecewisePolynomial
@@ -45,8 +47,8 @@ ROOM = 1.15
 
 
 @dataclass(frozen=True, eq=False)
-class Approach:
-    """A flight of drones that carry free cables.
+class Approach(ABC):
+    """The planner of a flight of drones that carry free cables.
 
     Attributes
     ----------
@@ -62,75 +64,14 @@ class Approach:
     requirements: Requirements
     index: int = 0
 
-    def direct(self) -> list[Motion]:
-        """Return the motions of the flight, all of it raised where cables come near the ground.
+    @property
+    @abstractmethod
+    def problem(self) -> SeparationTask:
+        """What is asked of the separation planner."""
 
-        Drones that come closer together let their cable hang lower than at both ends.
-        """
-        here, goal, separation = self._risen(), self.goal, self.requirements.separation
-        rise = self._line("take-off", self.start, here, CableState.GROUND)
-        if np.max(np.abs(goal - here)) < STILL:
-            still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
-            return [*rise, self._stage("approach", still)]
-        spans = enumerate((SPAN * self.team.cable_length).tolist())
-        tethers = tuple((2 * k, 2 * k + 1, span) for k, span in spans)
-        places = np.stack([here, goal])
-        bodies: Any = {"names": self.team.drone_names, "tethers": tethers}
-        drones = self._apart(places, here, goal, separation, **bodies)
-        at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
-        lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
-        missing = self.requirements.floor + CLEARANCE * separation.cable - lowest
-        if missing <= 0.0:
-            return [*rise, self._stage("approach", drones)]
-        up = np.array([0.0, 0.0, missing + 0.1 * separation.cable])
-        higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        return [
-            *rise,
-            *self._line("climb", here, here + up),
-            self._stage("approach", higher),
-            *self._line("descend", goal + up, goal),
-        ]
-
-    def gathered(self) -> list[Motion]:
-        """Return the motions: gathering, turning, flying as discs, and opening.
-
-        No robot may pass over another's hanging cable. On straight lines pairs turn by 90° at most
-        and keep apart: half of the turn is flown as they gather.
-        """
-        own = self.requirements.separation
-        height = float(np.max(self.team.cable_length))
-        discs = replace(own, radius=(1.0 + DRAWN) * own.radius, height=height)
-
-        def across(middles: Array, headings: Array) -> Array:
-            """Return the drones (…, 2n, 3) [m] across circles about middles (…, n, 3) [m]."""
-            arms = np.column_stack([np.cos(headings), np.sin(headings), 0.0 * headings])
-            arms *= DRAWN * own.radius
-            pairs = np.stack([middles - arms, middles + arms], axis=-2)
-            return pairs.reshape(*pairs.shape[:-3], -1, 3)
-
-        ends = self.start, self.goal
-        start, goal = (0.5 * (each[0::2] + each[1::2]) for each in ends)
-        first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
-        halfway = first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi)
-        here = self._risen(across(start, halfway), self.goal)
-        closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
-        wider = max(1.0, 2.0 * ROOM * discs.radius / closest)
-        goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
-        start[:, 2] = goal[:, 2] = np.max(here[:, 2])
-        gathered, turned = across(start, halfway), across(start, last)
-        opened = self.goal.copy()
-        opened[:, 2] = np.maximum(opened[:, 2], goal[0, 2])
-        names = tuple(f"cable {k}" for k in range(self.team.robots))
-        flight = self._apart(np.stack([here, turned]), start, goal, discs, names=names)
-        carried = np.moveaxis(across(np.moveaxis(flight.coefficients, -1, 1), last), 1, -1)
-        return [
-            *self._line("take-off", self.start, here, CableState.GROUND),
-            *self._line("gather", here, gathered),
-            *self._line("turn", gathered, turned),
-            self._stage("approach", PiecewisePolynomial(flight.breaks, carried)),
-            *self._line("open", across(goal, last), opened),
-            *self._line("descend", opened, self.goal),
-        ]
+    @abstractmethod
+    def solve(self) -> list[Motion]:
+        """Return the motions of the flight; raises InfeasibleError where there is none."""
 
     def _stage(
         self, name: str, drones: PiecewisePolynomial, state: CableState = CableState.FREE
@@ -159,10 +100,10 @@ class Approach:
             here[:, 2] = np.maximum(here[:, 2], max(needed, float(np.max(self.goal[:, 2]))))
         return here
 
-    def _apart(
+    def _task(
         self, places: Array, start: Array, goal: Array, separation: Separation, **bodies: Any
-    ) -> PiecewisePolynomial:
-        """Return the flight of bodies apart, with a reserve for the certificate's bounds.
+    ) -> SeparationTask:
+        """Return the task of bodies apart, with a reserve for the certificate's bounds.
 
         ``places`` (J, 2n, 3) [m] of drones tell how much bodies may accelerate; ``bodies`` are
         their names and tethers.
@@ -175,9 +116,106 @@ class Approach:
         requirements = replace(
             self.requirements, limits=replace(limits, **rates), separation=separation
         )
-        return separate(
-            SeparationTask(start, goal, requirements, acceleration=own, **bodies)
-        ).drones
+        return SeparationTask(start, goal, requirements, acceleration=own, **bodies)
+
+
+class DirectApproach(Approach):
+    """All drones fly at once, higher where cables would come near the ground.
+
+    Drones that come closer together let their cable hang lower than at both ends.
+    """
+
+    @cached_property
+    def problem(self) -> SeparationTask:
+        """The flight of all drones, the two of a cable tethered."""
+        spans = enumerate((SPAN * self.team.cable_length).tolist())
+        tethers = tuple((2 * k, 2 * k + 1, span) for k, span in spans)
+        here, bodies = self._risen(), {"names": self.team.drone_names, "tethers": tethers}
+        places, separation = np.stack([here, self.goal]), self.requirements.separation
+        return self._task(places, here, self.goal, separation, **bodies)
+
+    def solve(self) -> list[Motion]:
+        """Return the motions of the flight, all of it raised where cables come near the ground."""
+        here, goal, separation = self.problem.start, self.goal, self.requirements.separation
+        rise = self._line("take-off", self.start, here, CableState.GROUND)
+        if np.max(np.abs(goal - here)) < STILL:
+            still = PiecewisePolynomial.constant([0.0, PAUSE], goal)
+            return [*rise, self._stage("approach", still)]
+        drones = SeparatedFlight(self.problem).solve().drones
+        at = np.linspace(drones.breaks[0], drones.breaks[-1], PROBES)
+        lowest = min(float(np.min(_lowest(self.team, places))) for places in drones.at(at))
+        missing = self.requirements.floor + CLEARANCE * separation.cable - lowest
+        if missing <= 0.0:
+            return [*rise, self._stage("approach", drones)]
+        up = np.array([0.0, 0.0, missing + 0.1 * separation.cable])
+        higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
+        return [
+            *rise,
+            *self._line("climb", here, here + up),
+            self._stage("approach", higher),
+            *self._line("descend", goal + up, goal),
+        ]
+
+
+class GatheredApproach(Approach):
+    """Robots gather their drones, turn, fly as discs, and open.
+
+    No robot may pass over another's hanging cable. On straight lines pairs turn by 90° at most and
+    keep apart: half of the turn is flown as they gather.
+    """
+
+    @cached_property
+    def problem(self) -> SeparationTask:
+        """The flight of the discs' middles, (n, 3) [m]."""
+        own, (halfway, last) = self.requirements.separation, self._headings
+        height = float(np.max(self.team.cable_length))
+        discs = replace(own, radius=(1.0 + DRAWN) * own.radius, height=height)
+        start, goal = (0.5 * (each[0::2] + each[1::2]) for each in (self.start, self.goal))
+        here = self._gathering(start, halfway)
+        closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
+        wider = max(1.0, 2.0 * ROOM * discs.radius / closest)
+        goal = np.mean(goal, axis=0) + wider * (goal - np.mean(goal, axis=0))
+        start[:, 2] = goal[:, 2] = np.max(here[:, 2])
+        names = tuple(f"cable {k}" for k in range(self.team.robots))
+        places = np.stack([here, self._across(start, last)])
+        return self._task(places, start, goal, discs, names=names)
+
+    def solve(self) -> list[Motion]:
+        """Return the motions: gathering, turning, flying as discs, and opening."""
+        task, (halfway, last) = self.problem, self._headings
+        here = self._gathering(task.start, halfway)
+        gathered, turned = (self._across(task.start, heading) for heading in (halfway, last))
+        opened = self.goal.copy()
+        opened[:, 2] = np.maximum(opened[:, 2], task.goal[0, 2])
+        flight = SeparatedFlight(task).solve().drones
+        middles = np.moveaxis(flight.coefficients, -1, 1)
+        carried = np.moveaxis(self._across(middles, last), 1, -1)
+        return [
+            *self._line("take-off", self.start, here, CableState.GROUND),
+            *self._line("gather", here, gathered),
+            *self._line("turn", gathered, turned),
+            self._stage("approach", PiecewisePolynomial(flight.breaks, carried)),
+            *self._line("open", self._across(task.goal, last), opened),
+            *self._line("descend", opened, self.goal),
+        ]
+
+    @property
+    def _headings(self) -> tuple[Array, Array]:
+        """How robots (n,) [rad] are turned half way through their turn, and at the goal."""
+        ends = self.start, self.goal
+        first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
+        return first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi), last
+
+    def _gathering(self, middles: Array, headings: Array) -> Array:
+        """Return where the drones (2n, 3) [m] are when they start to gather about middles."""
+        return self._risen(self._across(middles, headings), self.goal)
+
+    def _across(self, middles: Array, headings: Array) -> Array:
+        """Return the drones (…, 2n, 3) [m] across circles about middles (…, n, 3) [m]."""
+        arms = np.column_stack([np.cos(headings), np.sin(headings), 0.0 * headings])
+        arms *= DRAWN * self.requirements.separation.radius
+        pairs = np.stack([middles - arms, middles + arms], axis=-2)
+        return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
 
 def hover_altitude(team: Team, places: Array, ground: float, clearance: float) -> float:

@@ -6,6 +6,7 @@ An action tells which vertices move, and which legs keep their lengths meanwhile
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -200,46 +201,64 @@ class Flying:
     worst: float | None = None
 
 
-def fly_action(
-    action: Action, end: Hitch, requirements: Requirements, duration: float | None = None
-) -> Flying:
-    """Return the flight of an action to a hitch, cables sliding where a limit binds on the path.
+@dataclass(frozen=True, eq=False)
+class ActionMorph:
+    """The planner of an action, cables sliding where a limit binds on the path.
 
-    Parameters
+    Attributes
     ----------
     action: what moves, and by which law.
     end: the hitch after it; its legs may differ from those that the law keeps.
     requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
-
-    Raises
-    ------
-    InfeasibleError, TimingError: as of ``straight_flight``.
     """
-    team, seconds, limits = action.start.team, action.seconds, requirements.limits
-    if seconds is None and np.max(np.abs(end.drones - action.start.drones)) < SAME:
-        return Flying(None)
-    own, s = action.path(end), np.linspace(0.0, 1.0, PROBES)
-    try:
-        check_shapes(own)
-    except InfeasibleError as error:  # other legs may do if there is slack
-        slack = np.sum(shapes_along(own, s).legs, axis=-1)
-        if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
-            raise
-    path = with_legs_clear(own, requirements, few=True, at_rest=seconds is not None)
-    check_shapes(path)
-    check_loads(path, limits)
-    flight = fly(path, limits, duration) if seconds is None else fly_timed(path, seconds)
-    # Which drones the action means: those that its law moves if tensions and weights are alike.
-    own_law = action.path()
-    meant = action.path(end) if action.polygon is action.start.polygon else own_law
-    alike = replace(team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0)
-    turned, named = (_moving(each, s) for each in (own_law, replace(meant, team=alike, roll=None)))
-    hulls = flight.drones.coefficients
-    away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
-    names, further = np.array(team.drone_names), (away > SAME) & ~named
-    turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
-    return Flying(flight, turning, sliding, None if path is own else worst_place(own, requirements))
+
+    action: Action
+    end: Hitch
+    requirements: Requirements
+    duration: float | None = None
+
+    @cached_property
+    def own(self) -> ShapePath:
+        """The path by the action's own law."""
+        return self.action.path(self.end)
+
+    @cached_property
+    def problem(self) -> ShapePath:
+        """The path that is timed; raises InfeasibleError as that of a straight morph."""
+        own = self.own
+        try:
+            check_shapes(own)
+        except InfeasibleError as error:  # other legs may do if there is slack
+            slack = np.sum(shapes_along(own, np.linspace(0.0, 1.0, PROBES)).legs, axis=-1)
+            if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * SHORTEST_LEG:
+                raise
+        timed = self.action.seconds is not None
+        path = with_legs_clear(own, self.requirements, few=True, at_rest=timed)
+        check_shapes(path)
+        check_loads(path, self.requirements.limits)
+        return path
+
+    def solve(self) -> Flying:
+        """Return the flight, and who moves in it; raises what a straight morph's ``solve`` does."""
+        action, seconds, limits = self.action, self.action.seconds, self.requirements.limits
+        team, s = action.start.team, np.linspace(0.0, 1.0, PROBES)
+        if seconds is None and np.max(np.abs(self.end.drones - action.start.drones)) < SAME:
+            return Flying(None)
+        path = self.problem
+        flight = fly(path, limits, self.duration) if seconds is None else fly_timed(path, seconds)
+        # Which drones the action means: those that its law moves if tensions and weights are alike.
+        own_law = action.path()
+        meant = self.own if action.polygon is action.start.polygon else own_law
+        alike = replace(team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0)
+        meant = replace(meant, team=alike, roll=None)
+        turned, named = (_moving(each, s) for each in (own_law, meant))
+        hulls = flight.drones.coefficients
+        away = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+        names, further = np.array(team.drone_names), (away > SAME) & ~named
+        turning, sliding = (tuple(names[further & some].tolist()) for some in (turned, ~turned))
+        worst = None if path is self.own else worst_place(self.own, self.requirements)
+        return Flying(flight, turning, sliding, worst)
 
 
 def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,33 +26,49 @@ SAME = 1e-9
 """[m] What is no farther from its other place than this is at rest there."""
 
 
-def straight_flight(
-    start: Hitch, end: Hitch, requirements: Requirements, duration: float | None = None
-) -> Flight | None:
-    """Return the flight on which vertices go straight, or None where the hitches are the same.
+@dataclass(frozen=True, eq=False)
+class StraightMorph:
+    """The planner of a morph on which vertices go straight.
 
     Legs change so that distances hold on the path. Whether all limits hold for all t is for the
     certificate to say.
 
-    Parameters
+    Attributes
     ----------
     start, end: the hitches before and after.
     requirements: limits and distances.
     duration: exactly that long [s]; None for as fast as the limits allow.
-
-    Raises
-    ------
-    InfeasibleError: the polygon loses its convexity, a leg or the thrust at rest gives out, or
-        ``duration`` is too short.
-    TimingError: no timing was found.
     """
-    if np.max(np.abs(end.drones - start.drones)) < SAME:
-        return None
-    straight = ShapePath.straight(start, end)
-    check_shapes(straight)
-    path = with_legs_clear(straight, requirements)
-    check_loads(path, requirements.limits)
-    return fly(path, requirements.limits, duration)
+
+    start: Hitch
+    end: Hitch
+    requirements: Requirements
+    duration: float | None = None
+
+    @cached_property
+    def problem(self) -> ShapePath:
+        """The path that is timed.
+
+        Raises InfeasibleError where the polygon loses its convexity, or a leg or the thrust at rest
+        gives out.
+        """
+        straight = ShapePath.straight(self.start, self.end)
+        check_shapes(straight)
+        path = with_legs_clear(straight, self.requirements)
+        check_loads(path, self.requirements.limits)
+        return path
+
+    def solve(self) -> Flight | None:
+        """Return the flight, or None where the hitches are the same.
+
+        Raises
+        ------
+        InfeasibleError: as ``problem``, or ``duration`` is too short.
+        TimingError: no timing was found.
+        """
+        if np.max(np.abs(self.end.drones - self.start.drones)) < SAME:
+            return None
+        return fly(self.problem, self.requirements.limits, self.duration)
 
 
 FLATTEST = math.radians(0.01)
@@ -124,45 +142,69 @@ SLOWEST = 1e-6
 """Share of a path's mean speed by its parameter below which it cannot be timed."""
 
 
-def blended_flight(hitches: Sequence[Hitch], requirements: Requirements) -> tuple[Flight, Array]:
-    """Return the flight through hitches without a stop, and when (J - 2,) [s] it is at inner ones.
+@dataclass(frozen=True, eq=False)
+class BlendedMorph:
+    """The planner of a flight through hitches without a stop.
 
     Vertices, fractions and roll are natural quintic splines: of all curves through the hitches
     those with the least third derivative. Their parameter is nearly the distance of the farthest
-    drone. Errors are those of ``straight_flight``.
+    drone.
 
-    Parameters
+    Attributes
     ----------
     hitches: (J,), three or more, no two neighbours of them the same.
     requirements: limits of motion.
     """
-    places = np.stack([hitch.drones for hitch in hitches])
-    steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=1)
-    s = np.append(0.0, np.cumsum(np.maximum(steps, SAME)))
-    s = s / s[-1]
-    vertices, fractions, roll = (
-        PiecewisePolynomial.from_spline(quintic_spline(s, np.stack(values), (3, 4)))
-        for values in zip(*((h.vertices, h.fractions, h.roll) for h in hitches), strict=True)
-    )
-    rolled = roll if np.any(roll.coefficients) else None
-    path = ShapePath(hitches[0].team, vertices, LegLaw.of_fractions(fractions), roll=rolled)
-    check_shapes(path)
-    grid = np.linspace(0.0, 1.0, GRID + 1)
-    speed = np.max(length(drones_along(path, grid).positions[..., 1]), axis=1)
-    slowest, ratio = int(np.argmin(speed)), float(np.min(speed) / np.mean(speed))
-    if ratio < SLOWEST:
-        unit, when = "of the mean speed", f"at {grid[slowest]:.0%} of the path"
-        remedy = "the path turns back on itself there: go by another one"
-        raise InfeasibleError([Violation("blend", ratio, SLOWEST, "min", unit, (), when, remedy)])
-    check_loads(path, requirements.limits)
-    flight = fly(path, requirements.limits)
-    # The distance that vertices and fractions have covered is the same on path and flight.
-    t, fine = np.linspace(0.0, flight.duration, FINE), np.linspace(0.0, 1.0, FINE)
-    legs = flight.legs.at(t)
-    by_s = _gone(path.vertices.at(fine), path.legs.share.at(fine))
-    by_t = _gone(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
-    times: Array = np.interp(np.interp(s[1:-1], fine, by_s), by_t, t)
-    return flight, times
+
+    hitches: Sequence[Hitch]
+    requirements: Requirements
+
+    @property
+    def places(self) -> Array:
+        """(J,): the parameter of the path at the hitches, from 0 to 1."""
+        drones = np.stack([hitch.drones for hitch in self.hitches])
+        steps = np.max(np.linalg.norm(np.diff(drones, axis=0), axis=-1), axis=1)
+        s = np.append(0.0, np.cumsum(np.maximum(steps, SAME)))
+        places: Array = s / s[-1]
+        return places
+
+    @cached_property
+    def problem(self) -> ShapePath:
+        """The path that is timed; raises InfeasibleError as a straight morph, or where it stops."""
+        vertices, fractions, roll = (
+            PiecewisePolynomial.from_spline(quintic_spline(self.places, np.stack(values), (3, 4)))
+            for values in zip(
+                *((h.vertices, h.fractions, h.roll) for h in self.hitches), strict=True
+            )
+        )
+        rolled, legs = roll if np.any(roll.coefficients) else None, LegLaw.of_fractions(fractions)
+        path = ShapePath(self.hitches[0].team, vertices, legs, roll=rolled)
+        check_shapes(path)
+        grid = np.linspace(0.0, 1.0, GRID + 1)
+        speed = np.max(length(drones_along(path, grid).positions[..., 1]), axis=1)
+        slowest, ratio = int(np.argmin(speed)), float(np.min(speed) / np.mean(speed))
+        if ratio < SLOWEST:
+            unit, when = "of the mean speed", f"at {grid[slowest]:.0%} of the path"
+            remedy = "the path turns back on itself there: go by another one"
+            broken = Violation("blend", ratio, SLOWEST, "min", unit, (), when, remedy)
+            raise InfeasibleError([broken])
+        check_loads(path, self.requirements.limits)
+        return path
+
+    def solve(self) -> tuple[Flight, Array]:
+        """Return the flight, and when (J - 2,) [s] it is at the inner hitches.
+
+        Raises InfeasibleError as ``problem``, or TimingError where no timing was found.
+        """
+        path = self.problem
+        flight = fly(path, self.requirements.limits)
+        # The distance that vertices and fractions have covered is the same on path and flight.
+        t, fine = np.linspace(0.0, flight.duration, FINE), np.linspace(0.0, 1.0, FINE)
+        legs = flight.legs.at(t)
+        by_s = _gone(path.vertices.at(fine), path.legs.share.at(fine))
+        by_t = _gone(flight.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))
+        times: Array = np.interp(np.interp(self.places[1:-1], fine, by_s), by_t, t)
+        return flight, times
 
 
 def _gone(vertices: Array, fractions: Array) -> Array:

@@ -43,7 +43,7 @@ FIRST_STEP = SolverStep(0.17)
 LATER_STRIDE = 0.12
 """[m] Stride from a path that the optimiser has found."""
 
-FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 4
+FIRST_STEPS, LATER_STEPS, FASTEST_STEPS = 12, 5, 3
 """Largest numbers of steps from a guess, in a round, and towards a faster path."""
 
 STILL = 0.15
@@ -122,8 +122,8 @@ class OptimisedMorph:
         """Return the paths found, the fastest first.
 
         Guesses that take the least time as they are come first, edges that turn before whole
-        polygons: those like one that led to a path are left out, as are paths that come to one
-        seen before.
+        polygons: those like one tried before are left out, as are those that come to a path seen
+        before.
         """
         found: list[Candidate] = []
         seen: list[KnotPath] = []
@@ -139,17 +139,16 @@ class OptimisedMorph:
                 break
             if any(_same(firsts[k], other) for other in seen):
                 continue
-            moved = [*iterates(firsts[k], search, FIRST_STEP, FIRST_STEPS)]
-            if not moved or any(_same(moved[-1], other) for other in seen):
+            settled = _settled(firsts[k], search, seen)
+            seen.append(firsts[k])
+            if settled is None:
                 continue
-            settled = moved[-1]
             seen.append(settled)
             if _estimate(settled, self.requirements) > WORSE * fastest:
                 continue
             flight = _refined(settled, search)
             if flight is not None:
                 found.append(Candidate(settled.name, flight))
-                seen.append(firsts[k])
                 fastest = min(fastest, flight.duration)
         return sorted(found, key=lambda candidate: candidate.flight.duration)
 
@@ -233,6 +232,15 @@ def _same(path: KnotPath, other: KnotPath) -> bool:
         other = other.resampled(path.steps)
     apart = (path.polygons - other.polygons, path.q_legs - other.q_legs)
     return max(float(np.max(np.abs(part))) for part in apart) < SAME
+
+
+def _settled(guess: KnotPath, search: Search, seen: list[KnotPath]) -> KnotPath | None:
+    """Return the path of least energy near a guess; None where it comes to one seen before."""
+    path: KnotPath | None = None
+    for path in iterates(guess, search, FIRST_STEP, FIRST_STEPS):
+        if any(_same(path, other) for other in seen):
+            return None
+    return path
 
 
 def _refined(path: KnotPath, search: Search) -> Flight | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,32 +71,43 @@ CLOSE = 0.1
 """Excess of the separation [1] below which drones are too close in this sense."""
 
 
-def separate(task: SeparationTask, progress: Progress | None = None) -> Separated:
-    """Return curves for all drones that satisfy the task at every time.
+@dataclass(frozen=True, eq=False)
+class SeparatedFlight:
+    """The planner of curves for all drones that satisfy a task at every time."""
 
-    Parameters
-    ----------
-    progress: called with a description of the present stage.
+    task: SeparationTask
 
-    Raises
-    ------
-    InfeasibleError: the task cannot be met, or the search found no curves; the violations name the
-        pair and the time.
-    """
-    say = progress or (lambda _: None)
-    _check_ends(task)
-    setting = setting_of(task)
-    if task.duration is not None and task.duration < setting.bound:
-        raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
-    tried: list[Evaluation] = []
-    for own, guess, remark in _guesses(setting):
-        say(f"guess: {remark or 'straight'}")
-        found = _improved(own, guess, say)
-        if found.clear and found.duration <= (task.duration or math.inf):
-            curves = own.grid.curves(found.coefficients, task.duration or found.duration)
-            return Separated(curves, found.closest, setting.bound, remark)
-        tried.append(found)
-    return _last_resort(task, tried, say)
+    @cached_property
+    def problem(self) -> Setting:
+        """The splines on a time grid among which curves are looked for."""
+        return setting_of(self.task)
+
+    def solve(self, progress: Progress | None = None) -> Separated:
+        """Return the curves.
+
+        Parameters
+        ----------
+        progress: called with a description of the present stage.
+
+        Raises
+        ------
+        InfeasibleError: the task cannot be met, or the search found no curves; the violations name
+            the pair and the time.
+        """
+        say, task = progress or (lambda _: None), self.task
+        _check_ends(task)
+        setting = self.problem
+        if task.duration is not None and task.duration < setting.bound:
+            raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
+        tried: list[Evaluation] = []
+        for own, guess, remark in _guesses(setting):
+            say(f"guess: {remark or 'straight'}")
+            found = _improved(own, guess, say)
+            if found.clear and found.duration <= (task.duration or math.inf):
+                curves = own.grid.curves(found.coefficients, task.duration or found.duration)
+                return Separated(curves, found.closest, setting.bound, remark)
+            tried.append(found)
+        return _last_resort(task, tried, say)
 
 
 def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
@@ -175,7 +187,7 @@ def _last_resort(task: SeparationTask, tried: list[Evaluation], say: Progress) -
         raise InfeasibleError(nearest.broken, note)
     say("looking for a duration that would do")
     try:
-        found = separate(replace(task, duration=None), say)
+        found = SeparatedFlight(replace(task, duration=None)).solve(say)
     except InfeasibleError:
         raise InfeasibleError(nearest.broken, note) from None
     needed = found.drones.duration
