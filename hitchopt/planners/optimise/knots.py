@@ -207,8 +207,11 @@ class SolverStep:
 
     @property
     def reach(self) -> float:
-        """[m] Pairs farther apart than their limit and this cannot come near in such a step."""
-        return 2.0 * math.sqrt(2.0) * self.stride + 0.02
+        """[m] Pairs farther apart than their limit and this hardly come near in such a step.
+
+        What does has rows in the next one.
+        """
+        return 1.5 * self.stride
 
 
 @dataclass(frozen=True, eq=False)

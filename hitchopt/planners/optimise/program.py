@@ -199,7 +199,7 @@ def _clasp_numbers(path: KnotPath) -> tuple[Array, ...]:
 PENALTY_WEIGHT = 100.0
 """[1/m] Penalty weight of bodies that stay too near: more than any path gains by leaving them."""
 
-BETWEEN = 0.4
+BETWEEN = 0.3
 """Share of a step's reach within which pairs get rows between the knots: the knots keep them apart
 otherwise."""
 
