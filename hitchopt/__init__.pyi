@@ -22,8 +22,8 @@ from hitchopt.hitch.team import Assignment as Assignment
 from hitchopt.hitch.catenary import hanging_cable as hanging_cable
 from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism
 from hitchopt.hitch.requirements import Separation as Separation
-from hitchopt.holding import Capacity as Capacity
-from hitchopt.holding import Grip as Grip
+from hitchopt.hitch.holding import Capacity as Capacity
+from hitchopt.hitch.holding import Grip as Grip
 from hitchopt.live.feedback import Feedback as Feedback
 from hitchopt.live.player import Player as Player, Setpoints as Setpoints
 from hitchopt.live.replanner import Replanner as Replanner, Retarget as Retarget

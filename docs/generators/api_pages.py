@@ -20,7 +20,7 @@ GROUPS = {
     "requirements": ("Requirements", ("hitchopt.hitch.requirements", "hitchopt.objects")),
     "certificates": ("Certificates", ("hitchopt.checks",)),
     "fleets": ("Fleets", ("hitchopt.exports",)),
-    "fits": ("Fits", ("hitchopt.statics.fit", "hitchopt.holding")),
+    "fits": ("Fits", ("hitchopt.statics.fit", "hitchopt.hitch.holding")),
     "stopping": (
         "Stops, steering and feedback",
         ("hitchopt.live",),

@@ -17,7 +17,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.exports.directory import STATICS, STATICS_PICTURE
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.holding import Grip
+from hitchopt.hitch.holding import Grip
 from hitchopt.statics.calibrate import Calibration, Estimate
 from hitchopt.statics.fit import GRIP, REST, Fit
 from hitchopt.statics.settle import Settled

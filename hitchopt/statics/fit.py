@@ -15,9 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import outline_of_geometry, read_outline
-from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import Quadrotor
-from hitchopt.holding import (
+from hitchopt.hitch.holding import (
     Capacity,
     Grip,
     GripTask,
@@ -26,6 +24,8 @@ from hitchopt.holding import (
     largest_tension,
     rest_capacity,
 )
+from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.hitch.team import Quadrotor
 from hitchopt.objects import Section
 from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable

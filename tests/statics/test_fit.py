@@ -14,8 +14,8 @@ from scipy.spatial import ConvexHull
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.hitch.holding import rest_capacity
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding import rest_capacity
 from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])

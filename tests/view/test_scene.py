@@ -16,7 +16,7 @@ from pictured import make_motion, with_box
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError, UnsupportedError
-from hitchopt.holding import wraps_around
+from hitchopt.hitch.holding import wraps_around
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import states_at

@@ -20,8 +20,8 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import clasp_loads, leg_directions, leg_vectors, sag_factors
+from hitchopt.hitch.holding import Bends, GripTask, Wraps, best_grip, largest_tension, wraps_around
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding import Bends, GripTask, Wraps, best_grip, largest_tension, wraps_around
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world

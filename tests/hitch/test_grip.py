@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 import hitchopt as ho
+from hitchopt.hitch.holding import GripTask, best_grip, grip_capacity, largest_tension, wraps_around
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.holding import GripTask, best_grip, grip_capacity, largest_tension, wraps_around
 from hitchopt.planners.carrying.grip import balanced, contacts_of
 from hitchopt.values import Array
 
