@@ -22,32 +22,15 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, together
 from hitchopt.values import Array, finite, not_negative
 
-RATES = (1.0, 0.7, 0.4)
-"""Rates that are tried on the way to a plan time."""
+RATES = (1.0, 0.7, 0.4)  # tried on the way to a plan time
+LADDER = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())  # durations of a change by 1 [s]
+WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)  # delays before a change that cannot begin at once [s]
+BATCH = 24  # number of changes that are verified together
 
-LADDER = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())
-"""[s] Durations of a change of the rate by 1 that are tried."""
-
-WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""[s] Delays before a change that cannot begin at once."""
-
-BATCH = 24
-"""Number of changes that are verified together."""
-
-STEADY = 1e-9
-"""Rates closer than this are the same, and plan times [s] closer than this to an end are there."""
-
-BRIEF = 1e-9
-"""[s] Shorter phases are dropped."""
-
-ROUNDING = 1e-12
-"""[s] Phases of which less is left are over."""
-
-ALIKE = 1e-9
-"""[N] Legs that pull with tensions of a smaller difference do not lean."""
-
-STILL = 1e-6
-"""[m] Legs whose lengths differ by less on a piece do not slide."""
+STEADY = 1e-9  # difference of equal rates, and distance [s] at which an end is reached
+BRIEF = 1e-9  # shorter phases are dropped, and those of which less is left are over [s]
+ALIKE = 1e-9  # difference of tensions [N] with which legs do not lean
+STILL = 1e-6  # difference of lengths on a piece [m] with which legs do not slide
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +369,7 @@ class Course:
     def after(self, seconds: float) -> Course:
         """Return what is left of the course after some time [s]."""
         for i, (duration, *jet) in enumerate(self.phases):
-            if seconds < duration - ROUNDING:
+            if seconds < duration - BRIEF:
                 first = duration - seconds, *_advanced(tuple(jet), seconds)
                 return replace(self, phases=(first, *self.phases[i + 1 :]))
             seconds = max(seconds - duration, 0.0)

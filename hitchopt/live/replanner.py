@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,34 +32,19 @@ from hitchopt.steps.certified_motions import resting as rest_of
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
 
+# Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer from
+# rounding [s]
 LEAST = 1e-3
-"""[s] Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer
-from rounding."""
+HOLD = 1.0  # rest with which steering begins [s]
+SAME_STATE = 1e-6  # largest distance of drones from where the team's tensions put them [m]
+WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)  # how long the old plan is flown on first [s]
 
-HOLD = 1.0
-"""[s] Rest with which steering begins."""
-
-SAME_STATE = 1e-6
-"""[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
-
-WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
-"""[s] How long the old plan is flown on where a retarget cannot begin at once."""
-
+# Length of the pieces of the brake [s], which is as quick as limits allow; number of pieces of a
+# shift where they are no shorter, so that a cable's length is right within 1e-6 of it; least number
 PIECE, PIECES, FEWEST = 0.3, 10, 4
-"""[s] Length of the pieces of the brake, which is as quick as limits allow; number of pieces that a
-shift is divided into where they are no shorter, so that a cable's length is right within 1e-6 of
-it; and least number of pieces."""
 
-EASED = frozenset(
-    {
-        *("speed", "vertex_speed", "acceleration", "jerk", "thrust", "tilt", "body_rate"),
-        *("cable_length", "equilibrium", "tension"),
-    }
-)
-"""Checks that a slower shift on shorter pieces eases."""
-
-SLOWER, FINER = 1.1, 0.5
-"""Factors of a shift's duration and of its pieces' for that second try."""
+# Whether the slack is split anew; factors of a shift's duration, and of its pieces' lengths
+ATTEMPTS = ((False, 1.0, 1.0), (False, 1.1, 0.5), (True, 1.1, 0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,21 +112,17 @@ class Replanner(OneLine):
     ) -> None:
         instance("team", team, Team)
         instance("start", start, Hitch, Plan)
-        instance("limits", limits, Limits, type(None))
-        instance("separation", separation, Separation, type(None))
-        instance("arena", arena, Arena, type(None))
+        options: dict[str, Any] = {"limits": limits, "separation": separation, "arena": arena}
+        for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
+            instance(key, value, kind, type(None))
         own = start.motion.team if isinstance(start, Plan) else start.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")
         if team.cable_density > 0.0 or np.any(team.load):
             raise UnsupportedError("steering plans cables without weight and clasps without load")
         given = start.motion.requirements if isinstance(start, Plan) else Requirements()
-        self.requirements = replace(
-            given,
-            limits=limits or given.limits,
-            separation=separation or given.separation,
-            arena=arena or given.arena,
-        )
+        changed = {key: value for key, value in options.items() if value is not None}
+        self.requirements = replace(given, **changed)
         if isinstance(start, Plan):
             self.motion = replace(start.motion, requirements=self.requirements)
             self._goal = start.end
@@ -220,22 +202,17 @@ class Replanner(OneLine):
         yaw: float,
     ) -> tuple[Outline, float, float]:
         """Return outline, altitude and yaw of the goal that is asked for."""
-        goal, team, own = self._goal, self.motion.team, self._goal.polygon
-        yaw = finite("yaw", yaw)
-        remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
-        if (polygon is None) is (to is None):
+        goal, team, own, yaw = self._goal, self.motion.team, self._goal.polygon, finite("yaw", yaw)
+        given = polygon is not None, vertex is not None, to is not None
+        kinds = [(True, False, False), (False, True, True), (False, False, True)]
+        if given not in kinds or (yaw != 0.0 and given != kinds[-1]):
+            remedy = "give a polygon; or a vertex and to; or to alone, (3,), and a yaw"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
-        if polygon is not None and vertex is not None:
-            raise InputError("vertex", vertex, "left out where a polygon is given", remedy)
-        if yaw != 0.0 and (polygon is not None or vertex is not None):
-            raise InputError("yaw", yaw, "left out but with to alone", remedy)
         if polygon is not None:
             return fitting_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
-            k = whole("vertex", vertex, 0)
-            if k >= len(own.vertices):
-                raise InputError("vertex", k, f"below {len(own.vertices)}", "count from 0")
             moved = own.vertices.copy()
+            k = whole("vertex", vertex, 0, len(moved) - 1)
             moved[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
             return fitting_polygon(team, moved), goal.altitude, 0.0
         place = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
@@ -248,24 +225,37 @@ class Replanner(OneLine):
     ) -> tuple[Retarget, Hitch]:
         """Return the answer of a plan that leaves the present one at a time, and its goal.
 
-        The present split of the slack is tried first, then one within all limits at the goal.
-
         Raises
         ------
         NotNowError: nothing can begin at that time.
-        InfeasibleError: says what keeps the first path that was tried from being certified.
+        InfeasibleError: says what keeps the first attempt from being certified.
         """
         past = self._past(at)
         still = self._still(past)
         brake = still.brake(self._limits)
         if brake is None:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
+        recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
         refusal: InfeasibleError | None = None
-        for chosen in (False, True):
+        for chosen, slower, finer in ATTEMPTS:
             try:
                 end = self._end(outline, altitude, chosen=chosen)
                 path = RetargetPath.to(past.team, still.state, end, yaw)
-                return self._certified(past, path, brake), end
+                shift = path.shortest_shift(self._limits, brake)
+                if shift is None:
+                    words = "no duration keeps all limits on the way to the goal"
+                    raise InfeasibleError([], words)
+                phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, slower * shift))
+                breaks = _breaks(brake if path.state.moves else 0.0, slower * shift, finer)
+                flight = path.flight(breaks, brake, slower * shift)
+                fresh = flying(flight, path.team, self.requirements, [phase])
+                fresh = beside_objects(past, fresh)
+                ahead = followed(recent, fresh)
+                found = _certificate(ahead)
+                if found.certified:
+                    motion = followed(past, fresh)
+                    return Retarget(True, past.duration, motion, ahead, found), end
+                raise infeasible(found, ahead)
             except InfeasibleError as error:
                 refusal = refusal or error
         assert refusal is not None
@@ -285,16 +275,15 @@ class Replanner(OneLine):
 
     def _past(self, at: float) -> Motion:
         """Return the present plan until a time, resting after its end."""
-        duration = self.motion.duration
-        if at <= duration - 1e-6:
-            breaks = self.motion.drones.breaks
-            piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
-            first, last = breaks[piece : piece + 2].tolist()
-            return before(self.motion, max(at, min(first + LEAST, last)))
-        if at <= duration + 1e-3:
+        duration, breaks = self.motion.duration, self.motion.drones.breaks
+        if at > duration + LEAST:
+            phase = replace(self.motion.phases[-1], name="hold", remark="")
+            return followed(self.motion, resting(self.motion, at - duration, phase))
+        if at > duration - 1e-6:
             return self.motion
-        phase = replace(self.motion.phases[-1], name="hold", remark="")
-        return followed(self.motion, resting(self.motion, at - duration, phase))
+        piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
+        first, last = breaks[piece : piece + 2].tolist()
+        return before(self.motion, max(at, min(first + LEAST, last)))
 
     def _still(self, past: Motion) -> RetargetPath:
         """Return the path that ends where a motion does, from the state there.
@@ -315,34 +304,6 @@ class Replanner(OneLine):
             raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return still
 
-    def _certified(self, past: Motion, path: RetargetPath, brake: float) -> Retarget:
-        """Return the answer for a path and a brake [s].
-
-        Raises
-        ------
-        InfeasibleError: what was found first.
-        """
-        shift = path.shortest_shift(self._limits, brake)
-        if shift is None:
-            raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
-        recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
-        slowed = ((shift, 1.0), (SLOWER * shift, FINER))
-        refusal: InfeasibleError | None = None
-        for lasting, finer in slowed:
-            phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, lasting))
-            breaks = _breaks(brake if path.state.moves else 0.0, lasting, finer)
-            flight = path.flight(breaks, brake, lasting)
-            fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
-            ahead = followed(recent, fresh)
-            certificate = _certificate(ahead)
-            if certificate.certified:
-                return Retarget(True, past.duration, followed(past, fresh), ahead, certificate)
-            refusal = refusal or infeasible(certificate, ahead)
-            if not {check.name for check in certificate.violated} <= EASED:
-                break
-        assert refusal is not None
-        raise refusal
-
 
 def _certificate(ahead: Motion) -> Certificate:
     """Return the certificate of what is ahead, with bounds that are found quickly."""
@@ -353,18 +314,10 @@ def _certificate(ahead: Motion) -> Certificate:
 
 
 def _breaks(brake: float, shift: float, finer: float) -> Array:
-    """Return the breaks of a retarget: its end, the brake's and the shift's, and more.
-
-    Parameters
-    ----------
-    brake, shift: durations [s].
-    finer: factor of the pieces' lengths.
-    """
+    """Return the breaks: the ends [s] of brake and shift, and more, pieces by a factor shorter."""
     least = min(PIECE, max(brake, shift) / FEWEST)
-    later = max(least, shift / PIECES)
-    edges = [0.0, brake, shift] if brake < shift else [0.0, shift, brake]
-    parts = [np.zeros(1)]
-    for start, end in pairwise(edges):
+    later, parts = max(least, shift / PIECES), [np.zeros(1)]
+    for start, end in pairwise([0.0, *sorted((brake, shift))]):
         piece = finer * (least if end <= brake else later)
         count = math.ceil((end - start) / piece * (1.0 - 1e-9))
         parts.append(np.linspace(start, end, count + 1)[1:])

@@ -25,42 +25,31 @@ from hitchopt.planners.timing.flight import Flight
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
-JET, STATE = 4, 3
-"""Numbers of derivatives of a jet and of a state, the zeroth included."""
+JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, the zeroth included
+BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # durations of the brake that are tried [s]
+SHORTEST = 0.3  # shortest shift [s]
+SIDE = 1e-9  # share of a duration by which one-sided derivatives are taken inside of it
 
-BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)
-"""[s] Durations of the brake that are tried."""
-
-SIDE = 1e-9
-"""Share of a duration by which one-sided derivatives are taken inside of it."""
-
+# Shares of the limits that are used at samples, by the brake alone and by the whole, and to which
+# that is prolonged; the rest is for what is between samples
 BRAKE_SHARE, SHARE, AIM = 0.9, 0.99, 0.989
-"""Shares of the limits that are used at samples, by the brake alone and by the whole, and to which
-that is prolonged; the rest is for what is between samples."""
 
+# Samples over the duration, of the whole and of a brake
 PLACES = np.linspace(0.0, 1.0, 16, endpoint=False)
 BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - SIDE)
-"""Samples over the duration, of the whole and of a brake."""
 
-SHORTEST = 0.3
-"""[s] Shortest shift."""
-
+# Maximum number of times that a shift is prolonged, and the least factor by which it is
 ROUNDS, GROWTH = 10, 1.04
-"""Maximum number of times that a shift is prolonged, and the least factor by which it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class MovingState:
     """A hitch in motion: values with their first two derivatives by time."""
 
-    vertices: Array
-    """(points, 3, 3) [m]"""
-    fractions: Array
-    """(n, 3), ``d_k / (d_k + e_k)``."""
-    drones: Array
-    """(2n, 3, 3) [m]"""
-    legs: Array
-    """(n, 2, 3) [m]"""
+    vertices: Array  # (points, 3, 3) [m]
+    fractions: Array  # (n, 3), ``d_k / (d_k + e_k)``
+    drones: Array  # (2n, 3, 3) [m]
+    legs: Array  # (n, 2, 3) [m]
 
     @classmethod
     def at_end(cls, motion: Motion) -> MovingState:
@@ -84,12 +73,9 @@ class RetargetPath:
 
     team: Team
     state: MovingState
-    end: Array
-    """Vertices (points, 3) [m] at rest."""
-    fractions: Array
-    """(n,), shares of the slack at rest."""
-    yaw: float = 0.0
-    """Angle by which the frame turns [rad]."""
+    end: Array  # vertices (points, 3) [m] at rest
+    fractions: Array  # (n,), shares of the slack at rest
+    yaw: float = 0.0  # angle by which the frame turns [rad]
 
     @classmethod
     def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
@@ -106,7 +92,7 @@ class RetargetPath:
     @cached_property
     def _ends(self) -> tuple[Array, Array]:
         """Mean point, shape about it, fractions, turn: (m, 3) at the start, (m,) in the end."""
-        centre, goal = _mean(self.state.vertices), _mean(self.end)
+        centre, goal = self.state.vertices.mean(axis=0), self.end.mean(axis=0)
         shape = (self.state.vertices - centre).reshape(-1, STATE)
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -226,13 +212,7 @@ def _turned(shape: Array, angle: Array) -> Array:
     return found
 
 
-def _mean(points: Array) -> Array:
-    """Return the mean of points (k, …), in a part of the time that ``numpy.mean`` takes."""
-    mean: Array = np.add.reduce(points) / len(points)
-    return mean
-
-
 def _turn(first: Array, last: Array) -> float:
     """Return the angle [rad] by which points (k, 2) about their mean fit the last ones best."""
-    x, y = first - _mean(first), last - _mean(last)
+    x, y = first - first.mean(axis=0), last - last.mean(axis=0)
     return math.atan2(x[:, 0] @ y[:, 1] - x[:, 1] @ y[:, 0], np.vdot(x, y))

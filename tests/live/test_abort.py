@@ -16,7 +16,7 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
-from hitchopt.live.abort import Abort, Aborts
+from hitchopt.live.abort import Abort, Aborts, abort_table
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
 
@@ -81,11 +81,14 @@ def test_no_rest_while_tensions_rise() -> None:
     assert (found.rest, found.seconds) == (motion.duration, 0.0)
 
 
-def test_single_drones_land_where_they_stop_or_have_been() -> None:
-    """Those of a stack end above each other: they can land only where they pass each other."""
+def test_single_drones_land_where_they_stop() -> None:
+    """Those of a stack end above each other: they can land only until they pass each other."""
     aborts = aborts_of("swarms/head_on")
     check_abort(aborts, 0.4 * aborts.motion.duration, "land")
-    check_abort(aborts_of("swarms/stack"), 2.2, "land")
+    table = abort_table(aborts_of("swarms/stack").motion, "land", 0.5)
+    assert table.missing == [(table.entries[-1].start, table.end)]
+    with pytest.raises(ho.InfeasibleError, match="separation"):
+        aborts_of("swarms/stack").found(2.2, "land")
 
 
 def test_wrong_arguments_are_named() -> None:
