@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import reduce
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -78,13 +78,7 @@ class Aborts:
         self.motion = motion
 
     def found(self, time: float, how: str) -> Abort:
-        """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains.
-
-        Raises
-        ------
-        InputError: a time outside the plan, or another word.
-        InfeasibleError: no such continuation was found; says what binds.
-        """
+        """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains."""
         choice("how", how, get_args(How))
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
@@ -137,12 +131,14 @@ class Aborts:
         around = self._around(time)
         if around is None:
             return time
-        behind, ahead = self._outside[self._outside < time], self._outside[self._outside > time]
-        if len(behind):
+        still: list[float] = self.motion.drones.breaks[rests(self.motion)].tolist()
+        outside = [each for each in still if self._around(each) is None]
+        behind, ahead = [each for each in outside if each < time], max(outside, default=0.0) > time
+        if behind:
             poses = self.motion.object_poses.at(np.array([behind[-1], time]))[:, around]
-            if np.max(np.abs(poses[1] - poses[0])) <= STILL or not len(ahead):
-                return float(behind[-1])
-        return None if len(ahead) else time
+            if np.max(np.abs(poses[1] - poses[0])) <= STILL or not ahead:
+                return behind[-1]
+        return None if ahead else time
 
     def _free_before(self, time: float) -> Phase:
         """Return the last phase, up to a plan time [s], in which cables hang free.
@@ -155,16 +151,8 @@ class Aborts:
         for phase in reversed(self.motion.phases):
             if phase.start < time + JOINT and phase.state in (CableState.FREE, CableState.GROUND):
                 return phase
-        raise _refused(
-            f"back from t = {time:.4g} s: cables have not hung free before",
-            "choose hold, land or release_and_land",
-        )
-
-    @cached_property
-    def _outside(self) -> Array:
-        """Plan times of the rests at which the hitch is around no object [s]."""
-        still = self.motion.drones.breaks[rests(self.motion)].tolist()
-        return np.array([time for time in still if self._around(time) is None])
+        words = f"back from t = {time:.4g} s: cables have not hung free before"
+        raise _refused(words, "choose hold, land or release_and_land")
 
     def _around(self, time: float) -> int | None:
         """Return the index of an object that the hitch goes around, below its top."""

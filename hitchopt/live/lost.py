@@ -23,12 +23,13 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import followed
+from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import States, states_at
 from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.simulation.task import Task
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, not_negative, positive
 
 DELAY = 0.05  # time from the loss until the survivors react [s]
@@ -65,23 +66,15 @@ SUNK = (*LANDED, "cable_clearance", "crossing", "legs", "continuity")
 
 @dataclass(frozen=True, eq=False)
 class Reaction(OneLine):
-    """A certified reaction to the loss of a drone.
-
-    Attributes
-    ----------
-    drone: that is lost.
-    begins: when survivors react [s].
-    motion: the plan until then, and what all fly from there to the ground, whichever drone it is.
-    thrust: largest thrust, over what there is, of a survivor that hovers while its cable, level,
-        pulls with the lost drone's weight.
-    nearest: smallest separation of survivors, or distance of one to the lost drone over two radii.
-    """
+    """A certified reaction to the loss of a drone."""
 
     drone: str
-    begins: float
-    motion: Motion
+    begins: float  # when survivors react [s]
+    motion: Motion  # the plan until then, and what all fly to the ground, whichever drone it is
+    # largest thrust, over what there is, of a survivor that hovers while its cable, level, pulls
+    # with the lost drone's weight
     thrust: float
-    nearest: float
+    nearest: float  # smallest separation of survivors, or distance to the lost one over two radii
 
 
 class Reactions:
@@ -94,10 +87,7 @@ class Reactions:
     def found(self, drone: str, time: float) -> Reaction:
         """Return the reaction to the loss of a drone at a time [s].
 
-        Raises
-        ------
-        InputError: no such drone, or a time outside the plan.
-        InfeasibleError: none was found; says what binds.
+        Where none was found InfeasibleError says what binds.
         """
         motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
@@ -234,12 +224,8 @@ def _sunk(motion: Motion) -> Motion:
         return motion
     bounds = (SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
     down = fastest_clock(depth, *bounds)
-
-    def staying(part: PiecewisePolynomial) -> PiecewisePolynomial:
-        place = part.coefficients[-1, ..., -1]
-        return PiecewisePolynomial.constant(down.breaks, place, down.degree)
-
-    still = motion.changed(staying, [motion.phases[-1].lasting(0.0, down.duration)])
+    still = resting(motion, down.duration)
+    still = still.changed(lambda part: on_breaks(part, down.breaks), still.phases)
     lower = down.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
     drones, vertices = (
         part.alike(part.coefficients + lower) for part in (still.drones, still.vertices)
@@ -259,19 +245,12 @@ def reacting(task: Task, reaction: Reaction) -> Task:
 
 @dataclass(frozen=True)
 class Lost(OneLine):
-    """A span of a plan in which the loss of a drone has no certified reaction.
-
-    Attributes
-    ----------
-    drone: that is lost.
-    start, end: half-way to the neighbouring times that were looked at [s].
-    reason: why there is none, at its first time.
-    """
+    """A span of a plan in which the loss of a drone has no certified reaction."""
 
     drone: str
-    start: float
+    start: float  # half-way to the neighbouring time that was looked at [s]
     end: float
-    reason: str
+    reason: str  # why there is none, at its first time
 
 
 def survivable(
@@ -292,9 +271,9 @@ def survivable(
                 reactions.found(name, 0.5 * (start + end))
             except InfeasibleError as error:
                 refused += 1
-                before = without[-1] if without else None
-                if before is not None and (before.drone, before.end) == (name, start):
-                    without[-1] = replace(before, end=end)
+                last = without[-1] if without else None
+                if last is not None and (last.drone, last.end) == (name, start):
+                    without[-1] = replace(last, end=end)
                 else:
                     without.append(Lost(name, start, end, str(error)))
     share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in without)

@@ -282,10 +282,9 @@ class _Known:
 
     @cached_property
     def leaning(self) -> Array:
-        """Begins and ends (m, 2) [s] of the pieces on which a leg leans as cables slide.
+        """Begins and ends (m, 2) [s] of the runs of pieces on which legs lean and cables slide.
 
-        Where drones swing to work the clasps legs lean, but no cable slides in the plan: that may
-        be flown backward. A run of pieces on which legs lean counts whole.
+        Where drones swing to work the clasps none slides: that may be flown backward.
         """
         motion, breaks = self.motion, self.motion.drones.breaks
         if motion.leg_tensions is None:
@@ -376,8 +375,7 @@ class Course:
         return Course(self.time + seconds * self.rate, self.rate)
 
 
-Change = Callable[[Course, float], Iterator[Course]]
-"""Yields a course followed by changes of a duration [s]."""
+Change = Callable[[Course, float], Iterator[Course]]  # adds a change of a duration [s]
 
 
 def _advanced(jet: tuple[float, ...], dt: float) -> tuple[float, float, float, float]:
@@ -440,11 +438,8 @@ class Sampler:
         weights = [c * x**k * (1.0 - x) ** (order - k) for k, c in enumerate(self._binomials)]
         values: Array = np.dot(weights, self._rows[piece]).reshape(4, -1)
         if (rate, slope, jerk) != (1.0, 0.0, 0.0):  # else the clock is the plan's
-            chain = [
-                [1.0, 0.0, 0.0, 0.0],
-                [0.0, rate, 0.0, 0.0],
-                [0.0, slope, rate * rate, 0.0],
-                [0.0, jerk, 3.0 * rate * slope, rate * rate * rate],
-            ]
-            values = np.dot(np.array(chain), values)
+            first, second, third = values[1:].copy()
+            values[1] = rate * first
+            values[2] = rate**2 * second + slope * first
+            values[3] = rate**3 * third + 3.0 * rate * slope * second + jerk * first
         return values.reshape(self._shape)
