@@ -108,7 +108,7 @@ class Feedback(OneLine):
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
         given = own if stiffness is None else stiffness
         stiff = per_robot("stiffness", given, team.drones, owner="drone")
-        breaks, self._cells = _cells(motion, not_negative("reserve", reserve), stiff)
+        breaks, self._cells = cells_of(motion, not_negative("reserve", reserve), stiff)
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
         self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
@@ -302,7 +302,7 @@ class Cell:
         return found
 
 
-def _cells(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
+def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
     """Return breaks (cells + 1,) [s] and all cells, None without a hitch."""
     c, breaks = motion.drones.coefficients, motion.drones.breaks
     travel = np.sum(np.linalg.norm(np.diff(c, axis=-1), axis=2), axis=-1).max(axis=1)

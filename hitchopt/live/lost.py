@@ -42,8 +42,8 @@ LEAST = 1e-3  # height at which drones are on the ground [m]
 # was let go at once, or in twice the time
 LETTING_GO = 0.3
 
-# How far a lost drone draws a partner of its mass toward its clasp [m]: in simulated flights legs
-# of 0.29 m were drawn to their clasps, those of 0.37 m were not; and the leg that remains
+# How far a lost drone draws its partner toward its clasp [m]: in simulated flights legs of 0.29 m
+# were drawn to their clasps, those of 0.37 m were not; and the leg that remains
 DRAWN, NEAREST_LEG = 0.36, 0.05
 
 # How much sooner than at the height where it began a swing turns back [rad]: cables that run take
@@ -131,13 +131,10 @@ class Reactions:
         gives = max(size - NEAREST_LEG, 0.0)
         swung = self._swung(lost, states, gives)
         moved = states.positions.copy()
-        moved[partner] -= min(gives, DRAWN * team.mass[lost] / team.mass[partner]) / size * leg
-        lowest = swung[np.argmin(swung[:, 2])]
-        nearest = min(
-            self._to_lost(states.positions[others, None], swung),
-            self._to_lost(moved[others], lowest),
-            smallest_separation(moved[None, others], self.motion.requirements.separation),
-        )
+        moved[partner] -= min(gives, DRAWN) / size * leg
+        separation = self.motion.requirements.separation
+        apart = smallest_separation(moved[None, others], separation)
+        nearest = min(self._to_lost(states.positions[others, None], swung), apart)
         return float(np.max(pulled[beside])), nearest
 
     def _swung(self, lost: int, states: States, gives: float) -> Array:
