@@ -122,9 +122,9 @@ class Aborts:
             return min(time, self._free_before(time).end)
         if state not in PASSING:
             return self._clear_of_objects(time)
-        after = [phase for phase in self.motion.phases if phase.end > time + JOINT]
-        following = next(phase for phase in after if phase.state not in PASSING)
-        return self._free_before(time).end if following.formed else following.start
+        after = (phase for phase in self.motion.phases if phase.end > time + JOINT)
+        free = (phase.start for phase in after if phase.state not in PASSING)
+        return next(free, self.motion.duration)  # of a hitch that is being untied
 
     def _clear_of_objects(self, time: float) -> float | None:
         """Return the time, or the rest from which a hitch lands that is around an object then."""

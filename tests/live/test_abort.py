@@ -73,11 +73,20 @@ def test_while_a_hitch_is_tied_every_command_ends_in_rest(state: CableState) -> 
     check_abort(aborts, phase.start + 0.3 * (phase.end - phase.start), "hold")
 
 
+def test_drones_land_where_a_hitch_is_untied() -> None:
+    """A command in the last swap lets it go on to its end, wherever the clock has stopped."""
+    plan = ho.release(ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]]))
+    found = check_abort(Aborts(plan.motion), 0.8 * plan.duration, "land")
+    assert found.rest < 0.9 * plan.duration
+    there, end = (each.drones.at(each.duration)[:, :2] for each in (found.motion, plan.motion))
+    np.testing.assert_allclose(there, end, atol=1e-9)
+
+
 def test_no_rest_while_tensions_rise() -> None:
-    motion = aborts_of("form_triangle").motion
-    last = motion.phases[-1]
+    aborts = aborts_of("form_triangle")
+    motion, last = aborts.motion, aborts.motion.phases[-1]
     assert np.ptp(motion.tensions.at(np.array([last.start, last.end]))) > 0.1
-    found = check_abort(aborts_of("form_triangle"), last.start + 0.3, "hold")
+    found = check_abort(aborts, last.start + 0.3, "hold")
     assert (found.rest, found.seconds) == (motion.duration, 0.0)
 
 

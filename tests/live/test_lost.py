@@ -123,6 +123,13 @@ def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
             reactions_of(1.0).found(drone, time)
 
 
+@pytest.mark.parametrize("share", [0.49, 0.6533])
+def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
+    """Just then polynomials do not follow the soonest stop closely enough, later they do."""
+    motion = planned("form_triangle").motion
+    assert Reactions(motion).found("q0", share * motion.duration).nearest >= 1.0
+
+
 @pytest.mark.slow
 def test_the_command_line_tells_losses(tmp_path: Path) -> None:
     plan_of(1.0).save(tmp_path)

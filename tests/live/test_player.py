@@ -63,7 +63,7 @@ COMMANDS: dict[str, Callable[[Player, float], float]] = {
     "resume": lambda player, _: player.resume(),
     "back": lambda player, _: player.back(),
     "half": lambda player, _: player.rate(0.5),
-    "seek": lambda player, time: player.seek(time),
+    "seek": Player.seek,
 }
 
 
@@ -98,6 +98,10 @@ def test_a_pause_takes_no_longer_than_the_certificate_reports() -> None:
         assert seconds <= most + 1e-9
         player.step(0.3 * seconds)
         assert player.pause() <= 0.7 * seconds + 1e-9  # asked again
+        before, here, after = (player.step(each) for each in (0.0, 1e-4, 1e-4))
+        for values, slopes in (("positions", "velocities"), ("accelerations", "jerks")):
+            change = getattr(after, values) - getattr(before, values)
+            np.testing.assert_allclose(change / 2e-4, getattr(here, slopes), atol=0.02)
         player.step(seconds)
         assert player.resting
 
