@@ -7,10 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from carried_plans import TO, plan, tray
+from carried_plans import TO, check, plan, tray
 
 import hitchopt as ho
-from hitchopt.checks.registry import RULE_OF
 from hitchopt.live.abort import Abort, Aborts
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
@@ -80,10 +79,7 @@ def test_an_object_that_jumps_is_found() -> None:
     poses = motion.object_poses.coefficients.copy()
     poses[-1, 0, 0] += 1e-3
     jumping = replace(motion, poses=PiecewisePolynomial(motion.drones.breaks, poses))
-    check = RULE_OF["continuity"].check
-    own, found = check(motion), check(jumping)
-    assert own is not None
-    assert found is not None
-    assert (own.holds, found.holds) == (True, False)
+    found = check(jumping, "continuity")
+    assert (check(motion, "continuity").holds, found.holds) == (True, False)
     assert found.where == ("tray",)
     assert found.bound == pytest.approx(1e-3, abs=1e-6)

@@ -11,12 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import DRUM, RADIUS, drum, lifted, plan
+from carried_plans import DRUM, RADIUS, check, drum, lifted, moved, plan, unit, with_body
 from scipy.optimize import brentq
-from scipy.special import binom
 
 import hitchopt as ho
-from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Hold, HoldBy, Motion
@@ -24,7 +22,7 @@ from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
 from hitchopt.planners.carrying.grip import check_opens, grip_left
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
 OBJECTS = ["drum", pytest.param("stone", marks=pytest.mark.slow)]
@@ -41,20 +39,9 @@ def parts_of(motion: Motion, t: Array) -> tuple[Array, Array, Array]:
     return c[:, :, 0] - p, np.roll(p, -1, axis=1) - c[:, :, 1], c
 
 
-def unit(vectors: Array) -> Array:
-    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / lengths
-
-
 def angle(a: Array, b: Array) -> Array:
     cross = np.linalg.norm(np.cross(a, b), axis=-1)
     found: Array = np.arctan2(cross, np.sum(a * b, axis=-1))
-    return found
-
-
-def check(motion: Motion, name: str) -> Any:
-    found = RULE_OF[name].check(motion)
-    assert found is not None
     return found
 
 
@@ -127,16 +114,10 @@ def test_no_sample_is_below_the_bound_of_grip(name: str) -> None:
 
 def changed_piece(part: PiecewisePolynomial, piece: int, power: Array) -> PiecewisePolynomial:
     """A part whose last entries are powers (entries, degree + 1) of the share of one piece."""
-    raised = part.elevated(max(part.degree, power.shape[-1] - 1))
-    made = raised.coefficients.copy()
-    nodes = np.linspace(0.0, 1.0, raised.degree + 1)
-    basis = binom(raised.degree, np.arange(raised.degree + 1)) * (
-        nodes[:, None] ** np.arange(raised.degree + 1)
-        * (1.0 - nodes[:, None]) ** np.arange(raised.degree, -1, -1)
-    )
-    values = np.polynomial.polynomial.polyval(nodes, power.T)
-    entries = made[piece].reshape(-1, raised.degree + 1)  # a view
-    entries[-len(power) :] = np.linalg.solve(basis, values.T).T
+    order = max(part.degree, power.shape[-1] - 1)
+    made = part.elevated(order).coefficients.copy()
+    values = np.polynomial.polynomial.polyval(bernstein.nodes(order), power.T)
+    made[piece].reshape(-1, order + 1)[-len(power) :] = bernstein.interpolate(values)
     return PiecewisePolynomial(part.breaks, made)
 
 
@@ -209,17 +190,6 @@ def test_a_plan_from_the_middle_of_a_flight_is_read(motion: Motion, tmp_path: Pa
     assert body.at[2] > 0.05
 
 
-def moved(part: PiecewisePolynomial | None, offset: list[float]) -> PiecewisePolynomial:
-    assert part is not None
-    return PiecewisePolynomial(part.breaks, part.coefficients + np.array(offset)[:, None])
-
-
-def with_body(motion: Motion, **changes: Any) -> Motion:
-    objects = dict(motion.requirements.objects)
-    objects["drum"] = replace(objects["drum"], **changes)
-    return replace(motion, requirements=replace(motion.requirements, objects=objects))
-
-
 def held_by(motion: Motion, change: Callable[[Hold], Hold | None]) -> Motion:
     """Return the motion whose phases claim other holds."""
     holds = [None if phase.hold is None else change(phase.hold) for phase in motion.phases]
@@ -243,8 +213,8 @@ def borne_before(motion: Motion) -> Motion:
         (borne_before, "support"),
         (lambda m: replace(m, poses=moved(m.poses, [0.001, 0, 0, 0, 0])), "grip"),
         (lambda m: replace(m, contacts=moved(m.contacts, [0.0, 0.001, 0.0])), "grip"),
-        (lambda m: with_body(m, section=ho.Section(radius=RADIUS + 0.001)), "grip"),
-        (lambda m: with_body(m, section=ho.Section(radius=RADIUS - 0.001)), "grip"),
+        (lambda m: with_body(m, "drum", section=ho.Section(radius=RADIUS + 0.001)), "grip"),
+        (lambda m: with_body(m, "drum", section=ho.Section(radius=RADIUS - 0.001)), "grip"),
     ],
 )
 def test_what_contradicts_the_polynomials_is_refused(
@@ -255,7 +225,7 @@ def test_what_contradicts_the_polynomials_is_refused(
 
 @pytest.mark.parametrize("share", [0.98, 1.02])
 def test_equilibrium_counts_what_edges_carry(motion: Motion, share: float) -> None:
-    assert not check(with_body(motion, mass=share * DRUM), "equilibrium").holds
+    assert not check(with_body(motion, "drum", mass=share * DRUM), "equilibrium").holds
 
 
 def test_it_is_opened_with_little_tension(motion: Motion) -> None:
@@ -295,11 +265,8 @@ def test_edges_that_touch_first_pull_little() -> None:
     grasp = next(phase for phase in grasped.phases if phase.name == "grasp")
     t = np.linspace(grasp.start, grasp.end, 4001)
     p, c, T = grasped.vertices.at(t), grasped.edge_contacts.at(t), grasped.tensions.at(t)
-    force = np.zeros((len(t), 2))
-    for away in (c[:, :, 0] - p, c[:, :, 1] - np.roll(p, -1, axis=1)):
-        unit = away / np.linalg.norm(away, axis=-1, keepdims=True)
-        force -= np.sum(T[..., None] * unit, axis=1)[:, :2]
-    pushed = np.max(np.linalg.norm(force, axis=-1))
+    away = unit(c[:, :, 0] - p) + unit(c[:, :, 1] - np.roll(p, -1, axis=1))
+    pushed = np.max(np.linalg.norm(np.sum(T[..., None] * away, axis=1)[:, :2], axis=-1))
     assert 0.05 < pushed < 1.0 * 0.05 * 9.81
     np.testing.assert_allclose(T[-1], 1.3)
     assert 1.3 * pushed / np.min(T) > 1.0 * 0.05 * 9.81
