@@ -102,9 +102,8 @@ def test_single_drones_land_where_they_stop() -> None:
 
 def test_wrong_arguments_are_named() -> None:
     for time, how, key in ((-1.0, "hold", "t"), (1e3, "hold", "t"), (0.1, "stay", "how")):
-        with pytest.raises(ho.InputError) as found:
+        with pytest.raises(ho.InputError, match=f"^{key} "):
             aborts_of("triangle").found(time, how)
-        assert found.value.key == key
 
 
 def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> None:
@@ -114,12 +113,11 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
     assert done.exit_code == 0, done.output
     table = json.loads((tmp_path / "aborts.json").read_text())
     assert (table["how"], table["missing"]) == ("hold", [])
-    starts = [entry["start"] for entry in table["entries"]]
-    assert starts == sorted(starts)
+    starts, seconds = np.array([[e["start"], e["seconds"]] for e in table["entries"]]).T
+    assert np.all(np.diff(starts) > 0.0)
     assert starts[-1] == pytest.approx(plan.duration)
-    rests = [entry["start"] + entry["seconds"] for entry in table["entries"]]
-    waits = [rest - begin for rest, begin in zip(rests, [0.0, *starts], strict=False)]
-    assert table["longest"] == pytest.approx(max(waits))
+    waits = starts + seconds - [0.0, *starts[:-1]]
+    assert table["longest"] == pytest.approx(np.max(waits))
     with zipfile.ZipFile(tmp_path / "aborts.zip") as archive:
         assert archive.namelist() == [entry["plan"] for entry in table["entries"]]
         archive.extractall(tmp_path / "plans")

@@ -8,8 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.live.player import Player
@@ -67,19 +65,12 @@ COMMANDS: dict[str, Callable[[Player, float], float]] = {
 }
 
 
-@settings(max_examples=6, deadline=None)
-@given(
-    begin=st.floats(0.0, 1.0),
-    commands=st.lists(
-        st.tuples(st.sampled_from(list(COMMANDS)), st.floats(0, 1)), min_size=1, max_size=2
-    ),
-)
-def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(
-    begin: float, commands: list[tuple[str, float]]
-) -> None:
-    plan = plan_of()
-    player = Player(plan, begin * plan.duration)
-    for name, share in commands:
+@pytest.mark.parametrize("seed", range(6))
+def test_any_commands_keep_all_limits_and_a_pause_ends_in_rest(seed: int) -> None:
+    plan, rng = plan_of(), np.random.default_rng(seed)
+    player = Player(plan, rng.uniform() * plan.duration)
+    for name in rng.choice(list(COMMANDS), 2):
+        share = float(rng.uniform())
         ran(player, share * COMMANDS[name](player, share * plan.duration))
     seconds = player.pause()
     assert seconds <= max(np.max(player.stops.longest[0]) * 3.0, 3.0)
@@ -148,16 +139,13 @@ def test_drones_that_swing_about_their_places_can_go_back() -> None:
     assert (last.time, last.rate) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize(
-    ("call", "key"),
-    [
-        (lambda: Player(3), "plan"),
-        (lambda: Player(plan_of(), -0.1), "time"),
-        (lambda: Player(plan_of()).rate(1.2), "rate"),
-        (lambda: Player(plan_of()).seek(1e3), "time"),
-    ],
-)
-def test_wrong_arguments_are_named(call, key) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(ho.InputError) as found:
-        call()
-    assert found.value.key == key
+def test_wrong_arguments_are_named() -> None:
+    player = Player(plan_of())
+    for key, call, *given in (
+        ("plan", Player, 3),
+        ("time", Player, plan_of(), -0.1),
+        ("rate", player.rate, 1.2),
+        ("time", player.seek, 1e3),
+    ):
+        with pytest.raises(ho.InputError, match=f"^{key}"):
+            call(*given)
