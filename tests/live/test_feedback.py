@@ -123,8 +123,9 @@ def test_what_is_wrong_is_named() -> None:
 @pytest.mark.parametrize("topology", ["closed", "open"])
 def test_vertices_answer_setpoints_as_in_the_statics(topology: str) -> None:
     """And the damped inverse moves them by less than is asked, never the other way."""
-    closed, chain = [[1, 1], [0.4, 2.3], [1.7, 2.4]], [[-1.5, 0], [-0.8, 0.9], [0.4, 1], [1.3, 0.1]]
-    outline = closed if topology == "closed" else chain
+    outline = np.array([[1.0, 1.0], [0.4, 2.3], [1.7, 2.4]])
+    if topology == "open":
+        outline = np.array([[-1.5, 0.0], [-0.8, 0.9], [0.4, 1.0], [1.3, 0.1]])
     team = ho.Team(3, [2.4, 2.5, 2.3], topology=topology, tension=0.4)
     plan, push, stiffness = ho.hold(ho.Hitch.spread(team, outline, 1.2), 1.0), 1e-4, 4.75
     ((forward, inverse),) = vertex_responses(plan.motion, 0.5, np.full(6, stiffness))
