@@ -70,10 +70,15 @@ def test_every_kind_of_goal_is_reached_from_a_moving_state(kind: str) -> None:
         goal[2] += [0.03, -0.02]
         answer = replanner.retarget(vertex=2, to=goal[2], at=at)
     else:
-        place, height = np.array([1.2, 1.8]), 0.9
-        c, s = np.cos(0.7), np.sin(0.7)
-        goal = (goal - own.centroid) @ np.array([[c, -s], [s, c]]) + place
-        answer = replanner.retarget(to=[*place, height], yaw=-0.7, at=at)
+        place, height, yaw = np.array([1.2, 1.8]), 0.9, -3.6
+        c, s = np.cos(yaw), np.sin(yaw)
+        goal = (goal - own.centroid) @ np.array([[c, s], [-s, c]]) + place
+        answer = replanner.retarget(to=[*place, height], yaw=yaw, at=at)
+        edges = np.diff(
+            answer.ahead.vertices.at(np.linspace(0.0, answer.ahead.duration, 99)), axis=1
+        )
+        turned = np.unwrap(np.arctan2(edges[:, 0, 1], edges[:, 0, 0]))
+        assert turned[-1] - turned[0] == pytest.approx(yaw, abs=1e-6)  # not the shorter way
     assert answer.accepted, answer.reason
     assert answer.certificate.certified
     assert replanner.motion is answer.motion
