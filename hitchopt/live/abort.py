@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import reduce
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -31,8 +31,8 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import before, beside_objects, followed, resting, rests, retimed
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import STILL, in_world
-from hitchopt.planners.forming.stages import straight
-from hitchopt.steps import Land, Release
+from hitchopt.planners.forming.stages import stage, straight
+from hitchopt.steps import Release
 from hitchopt.steps.certified_motions import infeasible, lifted
 from hitchopt.steps.step import Situation, StepTask
 from hitchopt.storage.files import replace_files, write_strict_json
@@ -40,36 +40,27 @@ from hitchopt.values import Array, choice, not_negative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
 
-LANDINGS = ("release_and_land", "land")
-"""Aborts that end on the ground."""
+HOLD = 1.0  # time at rest at the end of a hold [s]
+EVERY = 2.0  # usual distance of the entries of a table [s]
 
-HOLD = 1.0
-"""[s] Time at rest at the end of a hold."""
+# Delays of the clock's stops that are tried [s]. Besides, the plan's own rests are: legs that lean
+# stand straight there
+DELAYS = np.cumsum([0.0, *0.1 * 1.5 ** np.arange(7)])
 
-APART, FARTHER, TRIES = 0.1, 1.5, 8
-"""[s] Distance of the clock's first two stops that are tried, how many times farther each later
-one is, and their number. Besides, the plan's own rests are: legs that lean stand straight there."""
-
+# States between hanging and hitched cables, that nothing but the clock leads out of
 PASSING = frozenset({CableState.CLASPING, CableState.TIGHTENING})
-"""States between hanging and hitched cables, that nothing but the clock leads out of."""
 
+# Checks that refuse rests while tensions rise or fall, or before the chords of a swap have met
 RESTS = ("tension", "interlacing")
-"""Checks that refuse rests while tensions rise or fall, or before the chords of a swap have met."""
-
-EVERY = 2.0
-"""[s] Usual distance of the entries of a table."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
     """A plan up to a rest."""
 
-    start: float
-    """Plan time at which the clock begins to slow down [s]."""
-    seconds: float
-    """Time from there to the rest [s]."""
-    rest: float
-    """Plan time at the rest [s]."""
+    start: float  # plan time at which the clock begins to slow down [s]
+    seconds: float  # time from there to the rest [s]
+    rest: float  # plan time at the rest [s]
     motion: Motion
 
 
@@ -87,94 +78,67 @@ class Aborts:
         self.motion = motion
 
     def found(self, time: float, how: str) -> Abort:
-        """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains.
-
-        Raises
-        ------
-        InputError: a time outside the plan, or another word.
-        InfeasibleError: no such continuation was found; says what binds.
-        """
+        """Return the first abort for a command at a plan time [s], as ``Plan.abort`` explains."""
         choice("how", how, get_args(How))
         if not_negative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
-        refusal = _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
-        for i, (stopped, origin) in enumerate(self._tries(time, how)):
+        refusal: InfeasibleError | None = None
+        for stopped in self.stopped(time):
+            origin = self._origin(stopped, how)
+            if origin is None:
+                continue
             try:
                 motion = self._continued(stopped, how, origin)
                 certificate = certify(motion)
                 if not certificate.certified:
                     raise infeasible(certificate, motion)
             except InfeasibleError as error:
-                refusal = error if i == 0 else refusal
+                refusal = refusal or error
             else:
-                known = stopped.start, stopped.seconds, stopped.rest
-                return Abort(*known, motion, certificate)
-        raise refusal
+                return Abort(stopped.start, stopped.seconds, stopped.rest, motion, certificate)
+        raise refusal or _refused(f"from t = {time:.4g} s: the clock comes to rest nowhere")
 
     def stopped(self, time: float) -> Iterator[Stopped]:
         """Yield the plan stopped from a time [s] on, at first and later, and at its own rests.
 
         Where tensions change, or chords of a swap have not met, there is no rest.
         """
-        later = np.cumsum([0.0, *APART * FARTHER ** np.arange(TRIES - 1)])
         still = self.motion.drones.breaks[rests(self.motion)]
-        options = [(begin, False) for begin in (time + later).tolist()]
-        options += [(each, True) for each in still.tolist() if each >= time - JOINT]
+        options = [(begin, False) for begin in time + DELAYS if begin < self.motion.duration]
+        options += [(each, True) for each in still if each >= time - JOINT]
         for begin, resting_there in sorted(options):
-            if begin < self.motion.duration or resting_there:
-                found = until_stop(self.motion, begin, stop=not resting_there)
-                held = followed(found.motion, resting(found.motion, HOLD))
-                looked = [RULE_OF[name].check(held) for name in RESTS]
-                if all(check is None or check.holds for check in looked):
-                    yield found
-
-    def _tries(self, time: float, how: str) -> Iterator[tuple[Stopped, float]]:
-        """Yield stops after a time [s], and the plan times to which the clock goes from there.
-
-        Single drones that can land from no rest ahead go back: plans may end above each other.
-        """
-        first = None
-        for i, stopped in enumerate(self.stopped(time)):
-            if how == "back" and i == TRIES:  # what hangs free later is not behind
-                return
-            first = first or stopped
-            origin = self._origin(stopped, how)
-            if origin is not None:
-                yield stopped, origin
-        if how in LANDINGS and first is not None and not self.motion.team.has_cables:
-            for back in APART * np.cumsum(FARTHER ** np.arange(TRIES)):
-                if first.rest > back:
-                    yield first, first.rest - float(back)
+            found = until_stop(self.motion, float(begin), stop=not resting_there)
+            held = followed(found.motion, resting(found.motion, HOLD))
+            looked = [RULE_OF[name].check(held) for name in RESTS]
+            if all(check is None or check.holds for check in looked):
+                yield found
 
     def _origin(self, stopped: Stopped, how: str) -> float | None:
         """Return the plan time [s] from which to go on; None where a later stop has to be taken."""
-        time = stopped.rest
+        time, state = stopped.rest, stopped.motion.phases[-1].state
         if how == "hold":
             return time
         if how == "back":
             return min(time, self._free_before(time).end)
-        passing = stopped.motion.phases[-1].state in PASSING
-        return self._passed(time) if passing else self._clear_of_objects(time)
-
-    def _passed(self, time: float) -> float:
-        """Return the plan time [s], ahead or before, at which cables that are passing hang free."""
-        after = [phase for phase in self.motion.phases if phase.end > time + JOINT]
-        following = next((phase for phase in after if phase.state not in PASSING), None)
-        if following is None:
-            return self.motion.duration
-        return self._free_before(time).end if following.formed else following.start
+        if state not in PASSING:
+            return self._clear_of_objects(time)
+        after = (phase for phase in self.motion.phases if phase.end > time + JOINT)
+        free = (phase.start for phase in after if phase.state not in PASSING)
+        return next(free, self.motion.duration)  # of a hitch that is being untied
 
     def _clear_of_objects(self, time: float) -> float | None:
-        """Return the same of a hitch: where it is around no object, ahead if one has been moved."""
+        """Return the time, or the rest from which a hitch lands that is around an object then."""
         around = self._around(time)
         if around is None:
             return time
-        behind, ahead = self._outside[self._outside < time], self._outside[self._outside > time]
-        if len(behind):
+        still: list[float] = self.motion.drones.breaks[rests(self.motion)].tolist()
+        outside = [each for each in still if self._around(each) is None]
+        behind, ahead = [each for each in outside if each < time], max(outside, default=0.0) > time
+        if behind:
             poses = self.motion.object_poses.at(np.array([behind[-1], time]))[:, around]
-            if np.max(np.abs(poses[1] - poses[0])) <= STILL or not len(ahead):
-                return float(behind[-1])
-        return None if len(ahead) else time
+            if np.max(np.abs(poses[1] - poses[0])) <= STILL or not ahead:
+                return behind[-1]
+        return None if ahead else time
 
     def _free_before(self, time: float) -> Phase:
         """Return the last phase, up to a plan time [s], in which cables hang free.
@@ -187,16 +151,8 @@ class Aborts:
         for phase in reversed(self.motion.phases):
             if phase.start < time + JOINT and phase.state in (CableState.FREE, CableState.GROUND):
                 return phase
-        raise _refused(
-            f"back from t = {time:.4g} s: cables have not hung free before",
-            "choose hold, land or release_and_land",
-        )
-
-    @cached_property
-    def _outside(self) -> Array:
-        """Plan times of the rests at which the hitch is around no object [s]."""
-        still = self.motion.drones.breaks[rests(self.motion)].tolist()
-        return np.array([time for time in still if self._around(time) is None])
+        words = f"back from t = {time:.4g} s: cables have not hung free before"
+        raise _refused(words, "choose hold, land or release_and_land")
 
     def _around(self, time: float) -> int | None:
         """Return the index of an object that the hitch goes around, below its top."""
@@ -221,10 +177,10 @@ class Aborts:
             player = Player(self.motion, time, 0.0)
             player.seek(origin)
             whole = followed(whole, retimed(self.motion, player.ahead))
-        if how in LANDINGS:
-            return _landed(whole, untied=how == "release_and_land")
-        phase = self._free_before(time) if how == "back" else None
-        return followed(whole, resting(whole, HOLD, phase))
+        if how in ("hold", "back"):
+            phase = self._free_before(time) if how == "back" else None
+            return followed(whole, resting(whole, HOLD, phase))
+        return _landed(whole, untied=how == "release_and_land")
 
 
 def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
@@ -243,9 +199,7 @@ def until_stop(motion: Motion, time: float, *, stop: bool = True) -> Stopped:
         parts.append(before(whole, time))
     if len(clock):
         parts.append(retimed(whole, clock))
-    if not parts:
-        parts.append(resting(whole, HOLD, first=True))
-    found = parts[0] if len(parts) == 1 else followed(*parts)
+    found = reduce(followed, parts or [resting(whole, HOLD, first=True)])
     return Stopped(time, float(np.sum(clock.duration)), player.time, found)
 
 
@@ -255,17 +209,9 @@ def _refused(when: str, remedy: str = "abort earlier or later") -> InfeasibleErr
 
 def _landed(whole: Motion, *, untied: bool) -> Motion:
     """Return a plan at rest followed by steps that bring it to the ground, untied first or not."""
-    team, need, index = whole.team, whole.requirements, whole.phases[-1].step + 1
-    if not team.has_cables:
-        return followed(whole, straight_down(whole))
-
-    def on(first: Motion, motion: Motion) -> Motion:
-        return followed(first, beside_objects(first, replace(motion, requirements=need)))
-
-    drones, planned = whole.drones.coefficients[-1, ..., -1], _where_left(whole).planned
     if not whole.phases[-1].formed:
-        task = StepTask(Situation(team, drones), index, planned)
-        return on(whole, Land().plan(task).motion)
+        return _followed_by(whole, straight_down(whole))
+    need = whole.requirements
     try:
         hitch = final_hitch(whole)
     except HitchoptError:
@@ -273,24 +219,30 @@ def _landed(whole: Motion, *, untied: bool) -> Motion:
         remedy = "abort earlier or later, or choose hold or back"
         when = f"at rest at t = {whole.duration:.4g} s"
         raise InfeasibleError([], f"{when}: {words}; {remedy}") from None
-    task = StepTask(Situation(team, hitch.drones, hitch, _senses(whole)), index, planned)
+    situation = Situation(whole.team, hitch.drones, hitch, _senses(whole))
+    task = StepTask(situation, whole.phases[-1].step + 1, _where_left(whole).planned)
     if untied:
-        release = Release().plan(task)
-        landing = Land().plan(replace(task, before=release.after, index=index + 1))
-        return on(on(whole, release.motion), landing.motion)
-    lower = hitch.altitude - (float(np.min(drones[:, 2])) - need.floor)
+        released = _followed_by(whole, Release().plan(task).motion)
+        return _followed_by(released, straight_down(released))
+    lower = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - need.floor)
     motion = lifted(hitch, lower, "land", task)
-    return on(whole, motion.altered(phases=tuple(replace(p, remark="") for p in motion.phases)))
+    phases = tuple(replace(phase, remark="") for phase in motion.phases)
+    return _followed_by(whole, motion.altered(phases=phases))
+
+
+def _followed_by(whole: Motion, motion: Motion) -> Motion:
+    """Return two motions in a row, objects staying where the first one leaves them."""
+    return followed(whole, beside_objects(whole, motion))
 
 
 def straight_down(whole: Motion) -> Motion:
-    """Return the flight of single drones to the ground, below where a motion ends."""
-    team, need = whole.team, whole.requirements
-    drones = whole.drones.coefficients[-1, ..., -1]
-    flight = straight(team, need.limits.planned, drones, drones * [1, 1, 0] + [0, 0, need.floor])
-    step = whole.phases[-1].step + 1
-    phase = Phase("land", step, 0.0, flight.duration, state=CableState.GROUND)
-    return Motion.single(team, need, flight, [phase])
+    """Return the landing of drones without a hitch, from where a motion ends."""
+    team, need = whole.team, _where_left(whole)
+    drones, index = whole.drones.coefficients[-1, ..., -1], whole.phases[-1].step + 1
+    down = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
+    flight = straight(team, need.limits.planned, drones, down)
+    state = CableState.GROUND if team.has_cables else CableState.NONE
+    return stage("land", flight, team, need, index, state)
 
 
 def _where_left(whole: Motion) -> Requirements:
@@ -306,13 +258,11 @@ def _where_left(whole: Motion) -> Requirements:
 
 def _senses(whole: Motion) -> Array | None:
     """Return how pairs have turned to form the hitch (clasps,): 1 where q went up first."""
-    tied = [phase for phase in whole.phases if phase.state is CableState.CLASPING]
-    if not tied:
+    tied = next((phase for phase in whole.phases if phase.state is CableState.CLASPING), None)
+    if tied is None:
         return None
-    layout, first = whole.team.layout, tied[0]
-    there = whole.drones.at(first.start + 0.5 * (first.end - first.start))
-    above = there[2 * layout.ahead, 2] - there[2 * layout.behind + 1, 2]
-    return np.where(above >= 0.0, 1.0, -1.0)
+    heights, layout = whole.drones.at(0.5 * (tied.start + tied.end))[:, 2], whole.team.layout
+    return np.where(heights[2 * layout.ahead] >= heights[2 * layout.behind + 1], 1.0, -1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,10 +270,8 @@ class AbortTable:
     """Certified aborts over all of a plan."""
 
     how: str
-    entries: tuple[Abort, ...]
-    """Sorted by start: a command between two entries lets the plan run on to the later one."""
-    end: float
-    """The plan's end [s]."""
+    entries: tuple[Abort, ...]  # by start: from between two the plan runs on to the later one
+    end: float  # of the plan [s]
 
     @property
     def missing(self) -> list[tuple[float, float]]:

@@ -19,6 +19,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,51 +35,34 @@ from hitchopt.statics.tolerance import Gradients
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
 
+# Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
+# their filter as long again: the loop has a phase margin of some 50°
 PROPORTIONAL, INTEGRAL = 1.2, 2.5
-"""Gains [1], [1/s]. Setpoints of drones of 4.75 N/m take 0.3 s to move vertices, measurements and
-their filter as long again: the loop has a phase margin of some 50°."""
 
-LEAD = 0.4
-"""[s] Setpoints lead the plan of a vertex by so long, as friction is to be overcome first."""
+LEAD = 0.4  # setpoints lead the plan of a vertex by so long, as friction is to be overcome [s]
+UNWINDING = 0.5  # time constant with which the integral forgets what could not be commanded [s]
+SMOOTHING = 0.2  # time constant of the filter: 1 cm of white noise at 100 Hz leaves 2 mm [s]
+HELD, FADING = 0.3, 2.0  # a vertex not measured so long loses its correction; time constant [s]
+HANDOVER = 2.0  # corrections fade so long before the hitch is untied, grow after it is tied [s]
+FAR = 0.15  # corrections do not grow while a drone is farther from its corrected setpoint [m]
+GAIN = 36.0  # stiffness over mass of drones of which none is stated [1/s²]
 
-UNWINDING = 0.5
-"""[s] Time constant with which the integral forgets what could not be commanded."""
-
-SMOOTHING = 0.2
-"""[s] Time constant of the filter of errors: 1 cm of white noise at 100 Hz leaves 2 mm."""
-
+# Larger measured errors are false measurements; and the largest correction that is asked for [m]
 LARGEST_ERROR = 0.5
-"""[m] A larger measured error is no error of a vertex, but a false measurement; and the largest
-correction of a vertex that is asked for."""
 
-HELD, FADING = 0.3, 2.0
-"""[s] A vertex not measured for HELD loses its correction with the time constant FADING."""
-
-HANDOVER = 2.0
-"""[s] Corrections fade over this time before the hitch is untied, and grow so after it is tied."""
-
-FAR = 0.15
-"""[m] Corrections do not grow while a measured drone is farther from its corrected setpoint."""
-
-GAIN = 36.0
-"""[1/s²] Stiffness over mass of drones of which none is stated."""
-
+# Singular value of the response below which a mode is corrected by less than half: to move the
+# vertices there takes setpoints more than three times as far
 DAMPING = 0.3
-"""Singular value of the response below which a mode is corrected by less than half: to move the
-vertices there takes setpoints more than three times as far."""
 
+# Cells are so short that no drone's curve is longer [m]: directions stay what they are; and how
+# many a piece has at most
 TRAVEL, MOST_CELLS = 0.05, 64
-"""[m] Cells are so short that no drone's curve is longer: directions stay what they are. A piece
-has at most so many."""
 
+# Largest offset of a drone beside a common shift of all drones, and largest common shift [m]
 LARGEST, FARTHEST = 0.25, 0.4
-"""[m] Largest common shift of all drones, FARTHEST, and largest offset of a drone besides it."""
 
-PASSES = 2
-"""Rounds of projection onto broken half-spaces, before all is scaled to hold certainly."""
-
-ONES = np.ones(3)
-"""Sums the squares of vectors: faster than ``einsum`` where they are few."""
+PASSES = 2  # projections onto broken half-spaces, before all is scaled to hold certainly
+ONES = np.ones(3)  # sums the squares of vectors: faster than ``einsum`` where they are few
 
 
 class Feedback(OneLine):
@@ -124,7 +108,7 @@ class Feedback(OneLine):
         own = np.where(np.isfinite(team.stiffness), team.stiffness, GAIN * team.mass)
         given = own if stiffness is None else stiffness
         stiff = per_robot("stiffness", given, team.drones, owner="drone")
-        breaks, self._cells = _cells(motion, not_negative("reserve", reserve), stiff)
+        breaks, self._cells = cells_of(motion, not_negative("reserve", reserve), stiff)
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
         self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
         clasps = motion.vertices.coefficients[:, team.layout.clasps]
@@ -254,10 +238,9 @@ class Feedback(OneLine):
 
 def _shaped(key: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape; nan is allowed."""
-    found = as_array(values)
-    if found.shape != shape:
-        remedy = "give a row of nan where one is missing"
-        raise InputError(key, values, f"numbers of shape {shape}", remedy)
+    if (found := as_array(values)).shape != shape:
+        bound = f"numbers of shape {shape}"
+        raise InputError(key, values, bound, "give a row of nan where one is missing")
     return found
 
 
@@ -293,11 +276,9 @@ class Cell:
 
     rows: Array
     bounds: Array
-    lower: Array
-    """(3,) [m], the range, up to ``upper``, that the arena leaves a common shift."""
+    lower: Array  # (3,) [m], the range, up to ``upper``, that the arena leaves a common shift
     upper: Array
-    forward: Array
-    """Response and damped ``inverse``, see ``vertex_responses``."""
+    forward: Array  # response and damped ``inverse``, see ``vertex_responses``
     inverse: Array
 
     def within(self, offsets: Array) -> Array:
@@ -321,36 +302,29 @@ class Cell:
         return found
 
 
-def _cells(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
-    """Return breaks (cells + 1,) [s] and all cells, None without a hitch.
-
-    Parameters
-    ----------
-    reserve: how far every drone may be off its corrected setpoint, and every vertex off its plan,
-        besides, wherever the plan itself leaves so much [m].
-    """
+def cells_of(motion: Motion, reserve: float, stiffness: Array) -> tuple[Array, list[Cell | None]]:
+    """Return breaks (cells + 1,) [s] and all cells, None without a hitch."""
     c, breaks = motion.drones.coefficients, motion.drones.breaks
     travel = np.sum(np.linalg.norm(np.diff(c, axis=-1), axis=2), axis=-1).max(axis=1)
     counts = np.clip(np.ceil(travel / TRAVEL), 1, MOST_CELLS).astype(int).tolist()
     nodes = np.concatenate(positions(motion)[::-1], axis=1)
     distances, times, spaces = _Distances(motion, reserve), [], list[tuple[Array, ...] | None]()
-    for piece, count in enumerate(counts):
+    for piece, (count, there) in enumerate(zip(counts, motion.formed, strict=True)):
         times.append(np.linspace(breaks[piece], breaks[piece + 1], count + 1)[:-1])
         for k in range(count):
             part = bernstein.restrict(nodes[piece], k / count, (k + 1) / count)
-            there = motion.formed[piece]
             spaces.append(distances.kept(part) if there else None)
     edges = np.append(np.concatenate(times), breaks[-1])
     middles = 0.5 * (edges[1:] + edges[:-1])[[each is not None for each in spaces]]
     responses = iter(vertex_responses(motion, middles, stiffness))
     cells: list[Cell | None] = []
-    for here, following in zip(spaces, [*spaces[1:], None], strict=True):
+    for here, following in pairwise([*spaces, None]):
         if here is None:
             cells.append(None)
             continue
-        (rows, bounds, lower, upper), after = here, here if following is None else following
-        both = np.concatenate([rows, after[0]]), np.concatenate([bounds, after[1]])
-        arena = np.maximum(lower, after[2]), np.minimum(upper, after[3])
+        rows, bounds, lower, upper = zip(here, following or here, strict=True)
+        both = np.concatenate(rows), np.concatenate(bounds)
+        arena = np.maximum(*lower), np.minimum(*upper)
         cells.append(Cell(*both, *arena, *next(responses)))
     return edges, cells
 

@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
 import numpy as np
@@ -23,24 +24,12 @@ from hitchopt.motion.states import states_at
 from hitchopt.values import Array, positive
 
 COMMANDS = ("pause", "resume", "back", "abort", "land")
-
-TRIES = 6
-"""Number of a table's entries that the clock is led to, the nearest first."""
-
-OPERATOR = "operator"
-"""Name of the operator's link."""
-
-LEAD = 0.2
-"""[s] Time by which setpoints are computed ahead, and after which a command takes effect."""
-
-SILENCE, UNATTENDED = 0.5, 1.0
-"""[s] Times after which a drone that is not measured is lost, and a silent operator."""
-
-NEAR = 0.3
-"""[m] Distance of drones to their setpoints within which a plan goes on from rest."""
-
-AGAIN = 0.25
-"""[s] Delay before a hold that was refused is tried again."""
+OPERATOR = "operator"  # name of the operator's link
+TRIES = 6  # number of a table's entries that the clock is led to, the nearest first
+LEAD = 0.2  # setpoints are computed so long ahead, and a command takes effect after it [s]
+SILENCE, UNATTENDED = 0.5, 1.0  # a drone without measurements, a silent operator are lost [s]
+NEAR = 0.3  # a plan goes on from rest with drones this near to their setpoints [m]
+AGAIN = 0.25  # delay before a hold that was refused is tried again [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +37,9 @@ class Flown:
     """What drones are sent at one time, in the plan's axes."""
 
     setpoints: Setpoints
-    thrusts: Array
-    """(drones, 3) [N]; the cables' pull is that at the plan time."""
-    thrust_rates: Array
-    """(drones, 3) [N/s]"""
-    feed_forward: Array
-    """(drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable."""
+    thrusts: Array  # (drones, 3) [N]; the cables' pull is that at the plan time
+    thrust_rates: Array  # (drones, 3) [N/s]
+    feed_forward: Array  # (drones, 3) [m/s²], ``a - F / m``, for controllers that know no cable
 
 
 class Course:
@@ -62,19 +48,14 @@ class Course:
     def __init__(self, motion: Motion, tables: Mapping[str, AbortTable]) -> None:
         self.motion = motion
         self._player = _ready(motion, 0.0, 0.0)
-        ready = {
-            entry: _ready(entry.motion, entry.start + entry.seconds, 1.0)
-            for entry in {entry for table in tables.values() for entry in table.entries}
-        }
+        ready = cache(lambda entry: _ready(entry.motion, entry.start + entry.seconds, 1.0))
         self._landings = {
-            command: [(entry.rest, ready[entry]) for entry in table.entries]
+            command: [(entry.rest, ready(entry)) for entry in table.entries]
             for command, table in tables.items()
         }
         self._landing: Player | None = None
-        self.descending = False
-        """Whether the landing itself has begun."""
-        self.begun = False
-        """Whether the plan has ever left its start."""
+        self.descending = False  # whether the landing itself has begun
+        self.begun = False  # whether the plan has ever left its start
 
     @property
     def resting(self) -> bool:
@@ -162,15 +143,10 @@ class Outlet(Protocol):
 class Flight:
     """A course that is streamed to a fleet, one ``tick`` after the other.
 
-    Parameters
-    ----------
-    commands: returns the operator's commands since the last call, and whether it was heard of.
-    watched: names of the drones that must be measured.
-    later: starts a command's computation, as ``Executor.submit`` does, while setpoints that are
-        ready are sent.
-    say: called with what happens, in words.
-    rate: setpoints a second [Hz].
-    patience: time from a lost link to the landing [s].
+    ``commands`` returns the operator's commands since the last call, and whether it was heard of;
+    ``watched`` drones must be measured. ``later`` starts a command's computation, as
+    ``Executor.submit`` does, while setpoints that are ready are sent, ``rate`` a second. A lost
+    link ends in a landing after ``patience`` [s].
     """
 
     def __init__(
@@ -198,10 +174,8 @@ class Flight:
         self._next = self._reacted = -math.inf
         self._lost_since: float | None = None
         self._quit = False
-        self.landed = False
-        """Whether drones are on the ground, all of the course flown."""
-        self.late = 0
-        """Number of setpoints that had to be sent twice, as a command took longer than the lead."""
+        self.landed = False  # whether drones are on the ground, all of the course flown
+        self.late = 0  # setpoints that were sent twice, as a command took longer than the lead
 
     def tick(self, now: float) -> bool:
         """Do what is due at a time [s]; return whether the flight goes on."""

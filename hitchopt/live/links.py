@@ -30,27 +30,18 @@ from hitchopt.values import MAX_COORDINATE, Array
 
 Address = tuple[str, int]
 
-LARGEST, MOST = 65536, 1000
-"""Size of the largest datagram [B], and number that are read at once: a flood must not stop the
-stream."""
-
 FORMAT = "hitchopt-setpoint/1"
+LARGEST = 65536  # size of the largest datagram [B]
+MOST = 1000  # datagrams that are read at once: a flood must not stop the stream
+OWN_SYSTEM = 245  # this MAVLink sender, beyond usual fleets and below ground stations
+BEAT = 1.0  # period of heartbeats: autopilots take a sender for lost after some seconds [s]
+VALID = 500  # how long a Crazyflie's last setpoint remains valid when the stream ends [ms]
+DOWN = 1.0  # time in which the firmware puts down landed ones [s]
 
-OWN_SYSTEM = 245
-"""System number of this MAVLink sender, beyond those of usual fleets and below ground stations'."""
-
-BEAT = 1.0
-"""[s] Period of heartbeats: autopilots take a sender for lost after some seconds."""
-
-VALID, DOWN = 500, 1.0
-"""[ms] How long a Crazyflie's last setpoint remains valid when the stream ends; [s] time in which
-the firmware puts down landed ones."""
-
+# What keys ask for; ``toggle`` is pause or resume, ``quit`` ends what has not left its start. Of
+# signals there is ``end`` as well: land, or quit
 KEYS = {word[0]: word for word in ("pause", "resume", "back", "abort", "land", "quit")}
 KEYS[" "] = "toggle"
-"""What keys ask for; ``toggle`` is pause or resume, ``quit`` ends what has not left its start. Of
-signals there is ``end`` as well: land, or quit."""
-
 KEYS_HELP = "space pause/resume, b back, a abort, l land, q quit before the start"
 
 
@@ -102,12 +93,7 @@ class Operator:
 
 
 def address(key: str, text: str) -> Address:
-    """Return the numeric address that ``HOST:PORT`` names.
-
-    Raises
-    ------
-    InputError: it is none, or the host is unknown.
-    """
+    """Return the numeric address that ``HOST:PORT`` names."""
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         raise InputError(key, text, "HOST:PORT", "such as 127.0.0.1:14540")
@@ -126,16 +112,8 @@ def _turned(flown: Flown, frame: ReferenceFrame) -> Attitudes:
 class DatagramOutlet(ABC):
     """A fleet behind UDP; answers of hosts that are sent nothing are ignored.
 
-    Parameters
-    ----------
-    names: of the drones.
-    addresses: where each of them listens; equal ones for a router.
-    frame: axes of what is sent.
-    listen: where the stream comes from and answers arrive; port 0 is any free one.
-
-    Raises
-    ------
-    UnsupportedError: that address is taken, or not this machine's.
+    Each drone listens at its own address, or all at a router's. The stream comes from ``listen``,
+    where answers arrive; port 0 is any free one.
     """
 
     def __init__(
@@ -281,18 +259,8 @@ class MavlinkOutlet(DatagramOutlet):
 class CrazyflieOutlet:
     """A fleet of Crazyflies behind crazyflie_py, the Python client of Crazyswarm2.
 
-    Measurements are the poses that ``/NAME/pose`` carries, where the fleet's file logs them.
-
-    Parameters
-    ----------
-    names: of the drones in the plan.
-    robots: their names in the fleet.
-    frame: axes of the fleet's world, east-north-up.
-
-    Raises
-    ------
-    UnsupportedError: there is no ROS with crazyflie_py here.
-    InputError: the fleet has no robot of a name.
+    Drones of the plan are robots of the fleet, whose world is east-north-up. Measurements are the
+    poses that ``/NAME/pose`` carries, where the fleet's file logs them.
     """
 
     def __init__(self, names: Sequence[str], robots: Sequence[str], frame: ReferenceFrame) -> None:

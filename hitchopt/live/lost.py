@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,55 +23,45 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import followed
+from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import States, states_at
 from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.simulation.task import Task
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, not_negative, positive
 
-DELAY = 0.05
-"""[s] Time from the loss until the survivors react."""
+DELAY = 0.05  # time from the loss until the survivors react [s]
+SHARE = 0.8  # of the limits, with which a team sinks
+WAITS = (0.0, 0.1, 0.25)  # later begins of the stop, where polynomials do not follow the first [s]
+LEAST = 1e-3  # height at which drones are on the ground [m]
 
+# Time in which survivors let tension go [s]. Cables that stay level are pulled hardest by what
+# falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
+# was let go at once, or in twice the time
 LETTING_GO = 0.3
-"""[s] Time in which survivors let tension go. Cables that stay level are pulled hardest by what
-falls, slack ones let it gather speed: in simulated flights peaks of tension were larger where all
-was let go at once, or in twice the time."""
 
-SHARE = 0.8
-"""Share of the limits with which a team sinks."""
-
-WAITS = (0.0, 0.1, 0.25)
-"""[s] Later begins of the stop, where polynomials do not follow the first one."""
-
-LEAST = 1e-3
-"""[m] Drones that are so low are on the ground."""
-
+# How far a lost drone draws its partner toward its clasp [m]: in simulated flights legs of 0.29 m
+# were drawn to their clasps, those of 0.37 m were not; and the leg that remains
 DRAWN, NEAREST_LEG = 0.36, 0.05
-"""[m] How far a lost drone draws a partner of its mass toward its clasp: in simulated flights legs
-of 0.29 m were drawn to their clasps, those of 0.37 m were not; and the leg that remains."""
 
+# How much sooner than at the height where it began a swing turns back [rad]: cables that run take
+# its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
+# coefficients of friction up to 0.2, turned back 27° to 52° sooner
 TAKEN = np.radians(25.0)
-"""[rad] How much sooner than at the height where it began a swing turns back: cables that run take
-its energy. Computed swings of legs from 0.3 to 0.8 m, with tensions from none to 0.4 N and
-coefficients of friction up to 0.2, turned back 27° to 52° sooner."""
 
-SWINGS, RUNS = 40, 5
-"""Numbers of angles of a swing, and of lengths to which its cable may run, that are looked at."""
+# Numbers of angles of a swing, of lengths to which its cable may run, and of times at which
+# survivors are compared with what lies on the ground; time between samples of a free fall [s]
+SWINGS, RUNS, PLACES, FALL = 40, 5, 400, 0.02
 
-FALL, RATE, PLACES = 0.02, 100.0, 400
-"""[s], [Hz] Time between samples of a free fall, rate of a reaction's setpoints, and number of
-times at which survivors are compared with what lies on the ground."""
-
+# Usual distance of the times at which losses are looked at [s], and their smallest number
 EVERY, FEWEST = 1.0, 8
-"""[s] Usual distance of the times at which losses are looked at, and their smallest number."""
 
+# Checks of drones that land by themselves (how their cables come to lie is not looked at), and of
+# the team before, the lost drone's place included; for all of the time
 LANDED = ("separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out")
-"""Checks of drones that land by themselves; how their cables come to lie is not looked at."""
-
 SUNK = (*LANDED, "cable_clearance", "crossing", "legs", "continuity")
-"""Checks of the team before, the lost drone's place included; both for all of the time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +69,12 @@ class Reaction(OneLine):
     """A certified reaction to the loss of a drone."""
 
     drone: str
-    begins: float
-    """When survivors react [s]."""
-    motion: Motion
-    """The plan until then, and what all fly from there to the ground, whichever drone it is."""
+    begins: float  # when survivors react [s]
+    motion: Motion  # the plan until then, and what all fly to the ground, whichever drone it is
+    # largest thrust, over what there is, of a survivor that hovers while its cable, level, pulls
+    # with the lost drone's weight
     thrust: float
-    """Largest thrust, over what there is, of a survivor that hovers while its cable, level, pulls
-    with the lost drone's weight."""
-    nearest: float
-    """Smallest separation of survivors, or distance of one to the lost drone over two radii."""
+    nearest: float  # smallest separation of survivors, or distance to the lost one over two radii
 
 
 class Reactions:
@@ -99,23 +87,20 @@ class Reactions:
     def found(self, drone: str, time: float) -> Reaction:
         """Return the reaction to the loss of a drone at a time [s].
 
-        Raises
-        ------
-        InputError: no such drone, or a time outside the plan.
-        InfeasibleError: none was found; says what binds.
+        Where none was found InfeasibleError says what binds.
         """
         motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
             raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
         if not_negative("t", time) > motion.duration:
             raise InputError("t", time, f"within {motion.duration:g} s", "ask within the plan")
-        whole, states = self._flown(float(time)), states_at(motion, time)
-        lost, begins = names.index(drone), min(time + DELAY, motion.duration)
+        whole, states, lost = self._flown(float(time)), states_at(motion, time), names.index(drone)
+        begins = min(time + DELAY, motion.duration)
         if bool(states.formed):
-            pulled, nearest = self._hitched(lost, states)
+            thrust, nearest = self._hitched(lost, states)
         else:
-            pulled, nearest = 0.0, self._falling(whole, time, begins, lost, states)
-        thrust = max(largest_static_thrust(motion), pulled)
+            thrust, nearest = 0.0, self._falling(whole.drones, time, begins, lost)
+        thrust = max(largest_static_thrust(motion), thrust)
         if thrust > 1.0:
             raise _none(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:
@@ -126,21 +111,19 @@ class Reactions:
         """Return what is flown after a loss at a time [s], all checks kept."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
             raise _none(time, "the team carries objects, or stands among them")
-        refusal: Check | None = None
+        words = list[str]()
         for wait in WAITS:
             motion, broken = _sunk_from(self.motion, time + DELAY + wait)
             if broken is None:
                 return motion
-            refusal = refusal or broken
-        assert refusal is not None
-        values = f"{refusal.worst:.4g} {refusal.unit} ({refusal.number:.4g})"
-        raise _none(time, f"sinking breaks {refusal.name}: {values}")
+            values = f"{broken.worst:.4g} {broken.unit} ({broken.number:.4g})"
+            words.append(f"sinking breaks {broken.name}: {values}")
+        raise _none(time, words[0])
 
     def _hitched(self, lost: int, states: States) -> tuple[float, float]:
         """Return the thrust and the nearest distance of a hitch that has lost a drone."""
-        motion, team = self.motion, self.motion.team
-        points, partner = team.layout.pulled_to, lost ^ 1
-        others = np.arange(team.drones) != lost
+        team, partner = self.motion.team, lost ^ 1
+        points, others = team.layout.pulled_to, np.arange(team.drones) != lost
         beside = others & ((points == points[lost]) | (np.arange(team.drones) == partner))
         pulled = GRAVITY * np.hypot(team.mass, team.mass[lost]) / team.max_thrust
         leg = states.positions[partner] - states.vertices[points[partner]]
@@ -148,12 +131,10 @@ class Reactions:
         gives = max(size - NEAREST_LEG, 0.0)
         swung = self._swung(lost, states, gives)
         moved = states.positions.copy()
-        moved[partner] -= min(gives, DRAWN * team.mass[lost] / team.mass[partner]) / size * leg
-        nearest = min(
-            _to_lost(motion, states.positions[others], swung),
-            _to_lost(motion, moved[others], swung[np.argmin(swung[:, 2])][None]),
-            smallest_separation(moved[None, others], motion.requirements.separation),
-        )
+        moved[partner] -= min(gives, DRAWN) / size * leg
+        separation = self.motion.requirements.separation
+        apart = smallest_separation(moved[None, others], separation)
+        nearest = min(self._to_lost(states.positions[others, None], swung), apart)
         return float(np.max(pulled[beside])), nearest
 
     def _swung(self, lost: int, states: States, gives: float) -> Array:
@@ -162,8 +143,7 @@ class Reactions:
         How far it runs depends on tension, friction and the partner, which is drawn along its leg
         by ``gives`` [m] at most.
         """
-        team, floor = self.motion.team, self.motion.requirements.floor
-        clasp = states.vertices[team.layout.pulled_to[lost]]
+        clasp = states.vertices[self.motion.team.layout.pulled_to[lost]]
         leg = states.positions[lost] - clasp
         level = float(np.hypot(*leg[:2]))
         begins = np.arctan2(-leg[2], level)
@@ -171,18 +151,15 @@ class Reactions:
         out = leg * [1.0, 1.0, 0.0] / max(level, 1e-9)
         arcs = np.cos(angles) * out - np.sin(angles) * [0.0, 0.0, 1.0]
         reach = np.linalg.norm(leg) + np.linspace(0.0, gives, RUNS)[:, None, None]
-        places: Array = np.maximum(clasp + reach * arcs, [-np.inf, -np.inf, floor])
-        return places.reshape(-1, 3)
+        places: Array = (clasp + reach * arcs).reshape(-1, 3)
+        return np.maximum(places, [-np.inf, -np.inf, self.motion.requirements.floor])
 
-    def _falling(
-        self, whole: Motion, time: float, begins: float, lost: int, states: States
-    ) -> float:
+    def _falling(self, drones: PiecewisePolynomial, time: float, begins: float, lost: int) -> float:
         """Return the nearest distance where cables hang free, or there are none."""
-        motion, team, drones = self.motion, self.motion.team, whole.drones
-        floor = motion.requirements.floor
-        times, places = free_fall(states.positions[lost], states.velocities[lost], floor)
+        team, floor = self.motion.team, self.motion.requirements.floor
+        at_loss = self.motion.drones.at(time)[lost], self.motion.drones.at(time, 1)[lost]
+        times, places = free_fall(*at_loss, floor)
         there = drones.at(np.minimum(time + times, drones.breaks[-1]))
-        others = np.arange(team.drones) != lost
         if team.has_cables:
             chords = np.linalg.norm(there[:, lost ^ 1] - places, axis=-1)
             taut = chords > team.cable_length[lost // 2]
@@ -191,26 +168,21 @@ class Reactions:
                 words = f"hangs on its partner {height:.2g} m above the ground"
                 raise _none(time, f"{team.drone_names[lost]} {words}")
         later = drones.at(np.linspace(begins, drones.breaks[-1], PLACES))  # nobody lands on it
-        return min(
-            _to_lost(motion, later[:, others].reshape(-1, 3), places[-1:]),
-            *(
-                _to_lost(motion, each[others], place[None])
-                for each, place in zip(there, places, strict=True)
-            ),
-        )
+        there, later = (np.delete(each, lost, axis=1) for each in (there, later))
+        return min(self._to_lost(there, places[:, None]), self._to_lost(later, places[-1]))
+
+    def _to_lost(self, survivors: Array, places: Array) -> float:
+        """Return the smallest distance of survivors (…, 3) to places (…, 3) of the lost drone [m].
+
+        It is over two radii in every direction: a drone without motors has no downwash.
+        """
+        distances = np.linalg.norm(survivors - places, axis=-1)
+        radius = self.motion.requirements.separation.radius
+        return float(np.min(distances, initial=np.inf)) / (2.0 * radius)
 
 
 def _none(time: float, words: str) -> InfeasibleError:
     return InfeasibleError([], f"no reaction to a loss at t = {time:.4g} s: {words}")
-
-
-def _to_lost(motion: Motion, survivors: Array, places: Array) -> float:
-    """Return the smallest distance of survivors (k, 3) to places of the lost drone (m, 3) [m].
-
-    It is over two radii in every direction: a drone without motors has no downwash.
-    """
-    distances = np.linalg.norm(survivors[:, None] - places, axis=-1)
-    return float(np.min(distances, initial=np.inf)) / (2.0 * motion.requirements.separation.radius)
 
 
 def free_fall(position: Array, velocity: Array, floor: float) -> tuple[Array, Array]:
@@ -223,19 +195,19 @@ def free_fall(position: Array, velocity: Array, floor: float) -> tuple[Array, Ar
     return times, np.maximum(places, [-np.inf, -np.inf, floor])
 
 
-def _depth(motion: Motion) -> float:
-    """Return how far the lowest drone is above the ground where a motion ends [m]."""
-    heights = motion.drones.coefficients[-1, :, 2, -1]
-    return float(np.min(heights)) - motion.requirements.floor
+def _heights(motion: Motion) -> Array:
+    """Return how far drones are above the ground where a motion ends (2n,) [m]."""
+    heights: Array = motion.drones.coefficients[-1, :, 2, -1] - motion.requirements.floor
+    return heights
 
 
 def _sunk_from(motion: Motion, time: float) -> tuple[Motion, Check | None]:
     """Return a plan that stops from a time [s] on and lands, and the first check it breaks."""
-    cables, motion = motion.team.has_cables, until_stop(motion, min(time, motion.duration)).motion
-    if motion.phases[-1].formed or not cables:  # no hanging cable is dragged on the ground
-        motion = _sunk(motion)
+    motion = until_stop(motion, min(time, motion.duration)).motion
+    if motion.phases[-1].formed or not motion.team.has_cables:
+        motion = _sunk(motion)  # hanging cables would be dragged on the ground
     checks = [RULE_OF[name].check(motion) for name in SUNK]
-    if np.max(motion.drones.coefficients[-1, :, 2, -1]) - motion.requirements.floor > LEAST:
+    if np.max(_heights(motion)) > LEAST:
         landing = straight_down(motion)
         checks += [RULE_OF[name].check(landing) for name in LANDED]
         motion = followed(motion, landing)
@@ -244,17 +216,13 @@ def _sunk_from(motion: Motion, time: float) -> tuple[Motion, Check | None]:
 
 def _sunk(motion: Motion) -> Motion:
     """Return a plan at rest whose team sinks as a whole then, its lowest drone to the ground."""
-    depth, limits = _depth(motion), motion.requirements.limits
+    depth, limits = float(np.min(_heights(motion))), motion.requirements.limits
     if depth <= LEAST:
         return motion
     bounds = (SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
     down = fastest_clock(depth, *bounds)
-
-    def staying(part: PiecewisePolynomial) -> PiecewisePolynomial:
-        place = part.coefficients[-1, ..., -1]
-        return PiecewisePolynomial.constant(down.breaks, place, down.degree)
-
-    still = motion.changed(staying, [motion.phases[-1].lasting(0.0, down.duration)])
+    still = resting(motion, down.duration)
+    still = still.changed(lambda part: on_breaks(part, down.breaks), still.phases)
     lower = down.coefficients[:, None, None] * np.array([0.0, 0.0, -1.0])[:, None]
     drones, vertices = (
         part.alike(part.coefficients + lower) for part in (still.drones, still.vertices)
@@ -277,11 +245,9 @@ class Lost(OneLine):
     """A span of a plan in which the loss of a drone has no certified reaction."""
 
     drone: str
-    start: float
-    """[s]; start and end are half-way to the neighbouring times that were looked at."""
+    start: float  # half-way to the neighbouring time that was looked at [s]
     end: float
-    reason: str
-    """Why there is none, at its first time."""
+    reason: str  # why there is none, at its first time
 
 
 def survivable(
@@ -291,29 +257,23 @@ def survivable(
 
     It is sampled, not a bound for all of the time. The spans without one are told as well.
     """
-    reactions, names = Reactions(motion), motion.team.drone_names
+    reactions, names, without = Reactions(motion), motion.team.drone_names, list[Lost]()
     count = max(FEWEST, round(motion.duration / positive("every", every)))
-    edges = np.linspace(0.0, motion.duration, count + 1)
-    reasons: dict[tuple[int, int], str] = {}
-    for i, time in enumerate((0.5 * (edges[1:] + edges[:-1])).tolist()):
-        if progress is not None:
-            progress(f"losses at t = {time:.4g} s")
-        for drone, name in enumerate(names):
+    edges, refused = np.linspace(0.0, motion.duration, count + 1).tolist(), 0
+    for name in names:
+        for start, end in pairwise(edges):
+            if progress is not None:
+                progress(f"loss of {name} at t = {start:.4g} s")
             try:
-                reactions.found(name, time)
+                reactions.found(name, 0.5 * (start + end))
             except InfeasibleError as error:
-                reasons[drone, i] = str(error)
-    without = []
-    for drone, name in enumerate(names):
-        refused = [(drone, i) in reasons for i in range(count)]
-        bounds = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]])))
-        for first, last in bounds.reshape(-1, 2).tolist():
-            span = float(edges[first]), float(edges[last])
-            without.append(Lost(name, *span, reasons[drone, first]))
-    share, where = (
-        1.0 - len(reasons) / (count * len(names)),
-        dict.fromkeys(x.drone for x in without),
-    )
+                refused += 1
+                last = without[-1] if without else None
+                if last is not None and (last.drone, last.end) == (name, start):
+                    without[-1] = replace(last, end=end)
+                else:
+                    without.append(Lost(name, start, end, str(error)))
+    share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in without)
     time = without[0].start if without else 0.0
     check = Check("survivable", True, share, None, "min", "1", time, tuple(where), "sampled")
     return check, without

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from math import comb
 
@@ -19,35 +19,18 @@ from hitchopt.checks.stops import SHORTEST, SLOWEST, ClockLimits, StopTable, sto
 from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.clock_phases import ClockPhases, advanced, together
+from hitchopt.trajectory.clock_phases import ClockPhases, together
 from hitchopt.values import Array, finite, not_negative
 
-RATES = (1.0, 0.7, 0.4)
-"""Rates that are tried on the way to a plan time."""
+RATES = (1.0, 0.7, 0.4)  # tried on the way to a plan time
+LADDER = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())  # durations of a change by 1 [s]
+WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)  # delays before a change that cannot begin at once [s]
+BATCH = 24  # number of changes that are verified together
 
-LADDER = tuple(np.geomspace(SHORTEST, SLOWEST, 27).tolist())
-"""[s] Durations of a change of the rate by 1 that are tried."""
-
-WAITS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""[s] Delays before a change that cannot begin at once."""
-
-BATCH = 24
-"""Number of changes that are verified together."""
-
-STEADY = 1e-9
-"""Rates closer than this are the same, and plan times [s] closer than this to an end are there."""
-
-BRIEF = 1e-9
-"""[s] Shorter phases are dropped."""
-
-ALIKE = 1e-9
-"""[N] Legs that pull with tensions of a smaller difference do not lean."""
-
-STILL = 1e-6
-"""[m] Legs whose lengths differ by less on a piece do not slide."""
-
-Change = Callable[[Array, float], Iterator[ClockPhases]]
-"""Function of a jet (3,) and a duration; yields changes that begin there."""
+STEADY = 1e-9  # difference of equal rates, and distance [s] at which an end is reached
+BRIEF = 1e-9  # shorter phases are dropped, and those of which less is left are over [s]
+ALIKE = 1e-9  # difference of tensions [N] with which legs do not lean
+STILL = 1e-6  # difference of lengths on a piece [m] with which legs do not slide
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +80,8 @@ class Player(OneLine):
         self._known = _known(motion)
         self._begin, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
         self._check_within("time", time)
-        self._now = 0.0
-        self._jets: Array = np.zeros((1, 4))
-        self._begins = [0.0]
-        self._stand(time, _checked_rate(rate))
+        self._course = self._within(Course(float(time), _checked_rate(rate)))
+        self._durations = LADDER  # of changes that are tried
 
     def _parts(self) -> Iterator[str]:
         yield f"{len(self.motion.team.drone_names)} drones"
@@ -114,26 +95,22 @@ class Player(OneLine):
     @property
     def time(self) -> float:
         """Plan time [s]."""
-        return self._jet()[0]
+        return self._course.now[0]
 
     @property
     def clock_rate(self) -> float:
         """Plan time per time, 1 where the plan is flown as it is; negative on the way back."""
-        return self._jet()[1]
+        return self._course.now[1]
 
     @property
     def resting(self) -> bool:
         """Whether the clock stands still and is not about to move."""
-        return self._now >= self._begins[-1] and abs(self.clock_rate) <= STEADY
+        return not self._course.phases and self._course.rate == 0.0
 
     @property
     def ahead(self) -> ClockPhases:
         """What is left of the present change of the clock's rate."""
-        following = bisect_right(self._begins, self._now)
-        if following == len(self._begins):
-            return NOTHING
-        jets = np.vstack([self._jet(), self._jets[following:-1]])
-        return _phases(jets, np.diff([self._now, *self._begins[following:]]))
+        return self._course.clock
 
     def step(self, seconds: float) -> Setpoints:
         """Let time pass [s] and return the setpoints then.
@@ -142,10 +119,10 @@ class Player(OneLine):
         ------
         InputError: a time that is negative or not finite.
         """
-        self._now += not_negative("seconds", seconds)
+        self._course = self._course.after(not_negative("seconds", seconds))
         if not self._begin <= self.time <= self._end:
-            self._stand(min(max(self.time, self._begin), self._end), 0.0)
-        time, rate, slope, jerk = self._jet()
+            self._course = self._within(Course(self.time, self.clock_rate))
+        time, rate, slope, jerk = self._course.now
         return Setpoints(time, rate, *self._known.sampler.values(time, rate, slope, jerk))
 
     def pause(self) -> float:
@@ -170,8 +147,8 @@ class Player(OneLine):
         rate = _checked_rate(rate)
         found = self._first(partial(_to_rate, rate), rate)
         if rate == 0.0:
-            options = [self._certain_stop(), *([] if found is None else [found])]
-            found = min(options, key=_seconds)
+            certain = self._certain_stop()
+            found = certain if found is None or certain.seconds <= found.seconds else found
         return self._adopt(found, f"a rate of {rate:g}")
 
     def back(self) -> float:
@@ -203,71 +180,72 @@ class Player(OneLine):
         if not self._begin <= finite(key, time) <= self._end:
             raise InputError(key, time, f"within [0, {self._end:g}] s", "stay within the plan")
 
-    def _first(self, change: Change, rate: float) -> ClockPhases | None:
+    def _within(self, course: Course) -> Course:
+        """Return the same course, at rest then where it has come to an end of the plan."""
+        time, rate = course.time, course.rate
+        over = time - self._end if rate > 0.0 else self._begin - time
+        rate = 0.0 if over > -STEADY else rate
+        return replace(course, time=min(max(time, self._begin), self._end), rate=rate)
+
+    def _first(self, change: Change, rate: float) -> Course | None:
         """Return the soonest change to a rate that is verified; None if there is none."""
-        known, here = self._known, np.array(self._jet()[:3])
-        again = [float(2.0 * each) for each in np.diff(self._begins[-2:])]  # as long as the stop
         options = []
         for before in self._delays(rate):
-            begin = before.ends[-1, :3] if len(before) else here
-            for duration in (*LADDER, *again):
-                for made in change(begin, duration):
-                    whole = before.followed_by(made)
-                    tailed = whole.followed_by(self._tail(whole, rate))
-                    if not known.slides_back(tailed):
-                        options.append((whole, whole if abs(rate) == 1.0 else tailed))
-        options.sort(key=lambda option: _seconds(option[0]))
+            for duration in self._durations:
+                for made in change(before, duration):
+                    tailed = self._tailed(made, rate)
+                    if not self._known.slides_back(tailed.clock):
+                        options.append((made, made if abs(rate) == 1.0 else tailed))
+        options.sort(key=lambda option: option[0].seconds)
         for first in range(0, len(options), BATCH):
             batch = options[first : first + BATCH]
-            kept = known.limits.keep(together([tailed for _, tailed in batch]), len(batch))
+            clocks = together([tailed.clock for _, tailed in batch])
+            kept = self._known.limits.keep(clocks, len(batch))
             if np.any(kept):
                 return batch[int(np.argmax(kept))][0]
         return None
 
-    def _delays(self, rate: float) -> Iterator[ClockPhases]:
+    def _delays(self, rate: float) -> Iterator[Course]:
         """Yield what precedes a change: nothing, the rest of the present one, a wait, a stop."""
-        time, now, left = self.time, self.clock_rate, self.ahead
-        yield NOTHING
-        if len(left):
+        left = self._course
+        yield Course(*left.now[:3])
+        if left.phases:
             yield left
-        elif abs(now) > STEADY:
-            yield from (_steady(time, now, wait) for wait in WAITS)
+        elif left.rate != 0.0:
+            yield from (left.then(wait) for wait in WAITS)
         if rate != 1.0 and not self.resting:
             yield self._certain_stop()
 
-    def _tail(self, made: ClockPhases, rate: float) -> ClockPhases:
-        """Return what follows: a run at a constant rate, or from a rest the start from there.
+    def _tailed(self, made: Course, rate: float) -> Course:
+        """Return a change with what follows: a run to the plan's end, or the start from a rest.
 
         Where nothing is carried any rest will do. The plan's own rate needs no look.
         """
-        if not len(made):
-            return NOTHING
-        time, inertia = made.ends[-1, :1], self._known.limits.inertia
-        if rate == 0.0:
-            carried = inertia is not None and inertia.during(time, time)[0]
-            rest = np.array([*time, 0.0, 0.0])
-            return _to_rates(rest, [1.0], 2.0 * made.duration[-1]) if carried else NOTHING
-        return self._run(float(time[0]), rate)
+        if not made.phases:
+            return made
+        if rate != 0.0:
+            return self._run(made)
+        place, inertia = np.array([made.time]), self._known.limits.inertia
+        carried = inertia is not None and inertia.during(place, place)[0]
+        return made.to(1.0, 2.0 * made.phases[-1][0]) if carried else made
 
-    def _run(self, time: float, rate: float) -> ClockPhases:
-        """Return the run at a constant rate from a plan time to the end, or back to the start."""
-        left = (self._end if rate > 0.0 else self._begin) - time
-        return _steady(time, rate, left / rate) if left / rate > 0.0 else NOTHING
+    def _run(self, course: Course) -> Course:
+        """Return a course that goes on at its rate to the end of the plan, or back to the start."""
+        left = (self._end if course.rate > 0.0 else self._begin) - course.time
+        return course.then(left / course.rate)
 
-    def _certain_stop(self) -> ClockPhases:
+    def _certain_stop(self) -> Course:
         """Return a stop that needs no look: what is under way, then one of the table or a run."""
-        left = self.ahead
-        time, rate = (left.ends[-1].tolist() if len(left) else self._jet())[:2]
-        if abs(rate) <= STEADY:
+        left = self._course
+        if left.rate == 0.0:
             return left
-        if rate < 1.0 - STEADY:
-            return left.followed_by(self._run(time, rate))
-        start, duration = self.stops.after(time)
-        run = left.followed_by(_steady(time, 1.0, start - time) if start > time else NOTHING)
-        full = np.array([start, 1.0, 0.0])
-        return run.followed_by(_to_rates(full, [0.0], duration)) if duration > 0.0 else run
+        if left.rate < 1.0 - STEADY:
+            return self._run(left)
+        start, duration = self.stops.after(left.time)
+        run = left.then(start - left.time)
+        return run.to(0.0, duration) if duration > 0.0 else run
 
-    def _adopt(self, found: ClockPhases | None, goal: str) -> float:
+    def _adopt(self, found: Course | None, goal: str) -> float:
         """Fly a change from now on; return how long it takes [s]."""
         if found is None:
             words = "no change of the clock was found that keeps all limits"
@@ -277,26 +255,10 @@ class Player(OneLine):
                 words += "; legs lean against friction, and are not flown backward"
             remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {words}; {remedy}")
-        if not len(found):
-            self._stand(*self._jet()[:2])
-            return 0.0
-        self._stand(*_end(found, found.jets[-1])[:2].tolist())
-        self._jets = np.vstack([found.jets, self._jets])
-        self._begins = (self._now + np.cumsum([0.0, *found.duration])).tolist()
-        return _seconds(found)
-
-    def _stand(self, time: float, rate: float) -> None:
-        """Let the clock go on at a constant rate, which ends with the plan."""
-        over = time - self._end if rate > 0.0 else self._begin - time
-        place = min(max(time, self._begin), self._end)
-        self._jets = np.array([[place, 0.0 if over > -STEADY else rate, 0.0, 0.0]])
-        self._begins = [self._now]
-
-    def _jet(self) -> tuple[float, float, float, float]:
-        """Return plan time, rate and its two derivatives now."""
-        i = max(bisect_right(self._begins, self._now) - 1, 0)
-        time, rate, slope, jerk = advanced(self._jets[i], self._now - self._begins[i]).tolist()
-        return time, rate, slope, jerk
+        self._course = self._within(found)
+        if found.phases:  # what is carried can start as slowly as it has stopped
+            self._durations = (*LADDER, 2.0 * found.phases[-1][0])
+        return found.seconds
 
 
 def _checked_rate(rate: float) -> float:
@@ -320,10 +282,9 @@ class _Known:
 
     @cached_property
     def leaning(self) -> Array:
-        """Begins and ends (m, 2) [s] of the pieces on which a leg leans as cables slide.
+        """Begins and ends (m, 2) [s] of the runs of pieces on which legs lean and cables slide.
 
-        Where drones swing to work the clasps legs lean, but no cable slides in the plan: that may
-        be flown backward. A run of pieces on which legs lean counts whole.
+        Where drones swing to work the clasps none slides: that may be flown backward.
         """
         motion, breaks = self.motion, self.motion.drones.breaks
         if motion.leg_tensions is None:
@@ -348,109 +309,111 @@ class _Known:
 _known = lru_cache(maxsize=4)(_Known)
 
 
-def _eased(jet: Array, duration: float) -> ClockPhases | None:
-    """Return the phase in which a jet's (3,) rate becomes constant; None if it changes its sign."""
-    jerk, (_, rate, slope) = 4.0 / duration**2, jet.tolist()
-    steady = rate + 0.5 * slope * abs(slope) / jerk
-    if abs(steady) > 1.0 + STEADY or rate * steady < 0.0:
-        return None
-    return _in_a_row(jet, [abs(slope) / jerk], [-math.copysign(jerk, slope)])
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Phases of a clock's constant jerk, one after the other; then its rate is constant."""
+
+    time: float  # plan time in the end [s]
+    rate: float
+    slope: float = 0.0  # of the rate [1/s], where a change begins amid another one
+    # durations [s], and plan times with three derivatives where each begins
+    phases: tuple[tuple[float, float, float, float, float], ...] = ()
+
+    @property
+    def now(self) -> tuple[float, float, float, float]:
+        """Plan time and three derivatives where it begins."""
+        return self.phases[0][1:] if self.phases else (self.time, self.rate, self.slope, 0.0)
+
+    @property
+    def seconds(self) -> float:
+        """How long the phases take [s]."""
+        return sum(phase[0] for phase in self.phases)
+
+    @property
+    def clock(self) -> ClockPhases:
+        """The phases, as they are verified and flown."""
+        rows = np.reshape(self.phases, (-1, 5))
+        return ClockPhases(np.zeros(len(rows), dtype=np.intp), rows[:, 1:], rows[:, 0])
+
+    def then(self, seconds: float, jerk: float = 0.0) -> Course:
+        """Return the course with one more phase [s], dropped if it is brief."""
+        if seconds <= BRIEF:
+            return self
+        start = self.time, self.rate, self.slope, jerk
+        return Course(*_advanced(start, seconds)[:3], (*self.phases, (seconds, *start)))
+
+    def to(self, rate: float, duration: float) -> Course:
+        """Return the course with a change to a rate [s], the shortest that a bound of jerk allows.
+
+        From a constant rate, by two phases.
+        """
+        if abs(rate - self.rate) <= STEADY:
+            return self
+        jerk = 4.0 * (rate - self.rate) / duration**2
+        changed = self.then(0.5 * duration, jerk).then(0.5 * duration, -jerk)
+        return replace(changed, rate=rate, slope=0.0)
+
+    def eased(self, duration: float) -> Course | None:
+        """Return the course until its rate is constant; None if that would change its sign.
+
+        ``duration`` is that of a change by 1 with the same jerk [s].
+        """
+        jerk = 4.0 / duration**2
+        steady = self.rate + 0.5 * self.slope * abs(self.slope) / jerk
+        if abs(steady) > 1.0 + STEADY or self.rate * steady < 0.0:
+            return None
+        eased = self.then(abs(self.slope) / jerk, -math.copysign(jerk, self.slope))
+        return replace(eased, rate=0.0 if abs(steady) <= STEADY else steady, slope=0.0)
+
+    def after(self, seconds: float) -> Course:
+        """Return what is left of the course after some time [s]."""
+        for i, (duration, *jet) in enumerate(self.phases):
+            if seconds < duration - BRIEF:
+                first = duration - seconds, *_advanced(tuple(jet), seconds)
+                return replace(self, phases=(first, *self.phases[i + 1 :]))
+            seconds = max(seconds - duration, 0.0)
+        return Course(self.time + seconds * self.rate, self.rate)
 
 
-def _to_rates(jet: Array, rates: Sequence[float], duration: float) -> ClockPhases:
-    """Return changes from a constant rate, a jet's (3,), to one after the other [s each].
-
-    Each takes two phases of constant jerk, the shortest that a bound of that allows.
-    """
-    now, jerks = float(jet[1]), []
-    for rate in rates:
-        jerk = 4.0 * (rate - now) / duration**2
-        jerks += [jerk, -jerk]
-        now = rate
-    return _in_a_row(jet, [0.5 * duration] * len(jerks), jerks)
+Change = Callable[[Course, float], Iterator[Course]]  # adds a change of a duration [s]
 
 
-def _to_rate(rate: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
-    """Yield the change to a constant rate from a jet (3,), with a rest where it turns [s]."""
-    eased = _eased(jet, duration)
+def _advanced(jet: tuple[float, ...], dt: float) -> tuple[float, float, float, float]:
+    """Return the jet of a cubic later; plain numbers are faster than arrays of four."""
+    p, v, a, j = jet
+    moved = p + dt * (v + dt * (a / 2.0 + dt * j / 6.0))
+    return moved, v + dt * (a + dt * j / 2.0), a + dt * j, j
+
+
+def _to_rate(rate: float, course: Course, duration: float) -> Iterator[Course]:
+    """Yield the change to a constant rate, with a rest where it turns."""
+    eased = course.eased(duration)
     if eased is not None:
-        jet = _end(eased, jet)
-        rates = [rate] if abs(rate - jet[1]) > STEADY else []
-        if rate * jet[1] < 0.0:
-            rates.insert(0, 0.0)
-        yield eased.followed_by(_to_rates(jet, rates, duration))
+        turned = eased.to(0.0, duration) if rate * eased.rate < 0.0 else eased
+        yield turned.to(rate, duration)
 
 
-def _to_time(goal: float, jet: Array, duration: float) -> Iterator[ClockPhases]:
-    """Yield courses from a jet (3,) to rest at a plan time: at its own rate, or first to rest [s].
-
-    Every change of the rate takes a duration.
-    """
-    eased = _eased(jet, duration)
+def _to_time(goal: float, course: Course, duration: float) -> Iterator[Course]:
+    """Yield courses to rest at a plan time: at the present rate, or from rest at other ones."""
+    eased = course.eased(duration)
     if eased is None:
         return
-    time, now, _ = jet = _end(eased, jet)
-    if abs(now) > STEADY:
-        wait = (goal - time) / now - 0.5 * duration
+    if eased.rate != 0.0:
+        wait = (goal - eased.time) / eased.rate - 0.5 * duration
         if wait >= 0.0:
-            run = _steady(time, now, wait)
-            stop = _to_rates(_end(run, jet), [0.0], duration)
-            yield eased.followed_by(run).followed_by(stop)
-        eased = eased.followed_by(_to_rates(jet, [0.0], duration))
-        jet = _end(eased, jet)
-    way = goal - float(jet[0])
-    for fastest in RATES if abs(way) > STEADY else ():
+            yield eased.then(wait).to(0.0, duration)
+        eased = eased.to(0.0, duration)
+    way = goal - eased.time
+    if abs(way) <= STEADY:
+        yield eased
+        return
+    for fastest in RATES:
         rate = math.copysign(min(fastest, abs(way) / duration), way)
-        start = _to_rates(jet, [rate], duration)
-        run = _steady(start.ends[-1, 0], rate, max(way / rate - duration, 0.0))
-        stop = _to_rates(_end(run, jet), [0.0], duration)
-        yield eased.followed_by(start).followed_by(run).followed_by(stop)
-
-
-def _end(phases: ClockPhases, jet: Array) -> Array:
-    """Return the jet (3,) at a constant rate after some phases, or where there are none."""
-    time, rate = phases.ends[-1, :2] if len(phases) else jet[:2]
-    return np.array([time, 0.0 if abs(rate) <= STEADY else rate, 0.0])
-
-
-def _phases(jets: Array, seconds: Array) -> ClockPhases:
-    """Return phases (m,) of one clock."""
-    return ClockPhases(np.zeros(len(seconds), dtype=np.intp), jets, seconds)
-
-
-NOTHING = _phases(np.zeros((0, 4)), np.zeros(0))
-"""No phase."""
-
-
-def _seconds(phases: ClockPhases) -> float:
-    """Return how long the phases of one clock take [s]."""
-    return float(np.sum(phases.duration))
-
-
-def _steady(time: float, rate: float, seconds: float) -> ClockPhases:
-    """Return a run from a plan time at a constant rate."""
-    return _phases(np.array([[time, rate, 0.0, 0.0]]), np.array([seconds]))
-
-
-def _in_a_row(jet: Array, seconds: Sequence[float], jerks: Sequence[float]) -> ClockPhases:
-    """Return phases of constant jerk one after the other, from a jet (3,) on."""
-    jets, kept = [], [each for each in zip(seconds, jerks, strict=True) if each[0] > BRIEF]
-    p, v, a = jet[:3].tolist()
-    for dt, j in kept:
-        jets.append((p, v, a, j))  # plain numbers are faster than arrays of four
-        p += dt * (v + dt * (a / 2.0 + dt * j / 6.0))
-        v += dt * (a + dt * j / 2.0)
-        a += dt * j
-    return _phases(np.reshape(jets, (-1, 4)), np.array([dt for dt, _ in kept]))
+        yield eased.to(rate, duration).then(way / rate - duration).to(0.0, duration)
 
 
 class Sampler:
-    """Polynomials of drones or vertices, laid out for one time at a time: for control loops.
-
-    Parameters
-    ----------
-    part: of shape (points, 3) [m].
-    """
+    """Polynomials (points, 3) [m], laid out for one time at a time: for control loops."""
 
     def __init__(self, part: PiecewisePolynomial) -> None:
         order = part.degree
@@ -466,9 +429,7 @@ class Sampler:
     ) -> Array:
         """Return positions and three derivatives by real time (4, points, 3) at a plan time.
 
-        Parameters
-        ----------
-        rate, slope, jerk: the clock's derivatives.
+        The clock has a rate with two derivatives, ``slope`` and ``jerk``.
         """
         piece = min(max(bisect_right(self._breaks, time) - 1, 0), len(self._breaks) - 2)
         start, end = self._breaks[piece : piece + 2]
@@ -477,11 +438,8 @@ class Sampler:
         weights = [c * x**k * (1.0 - x) ** (order - k) for k, c in enumerate(self._binomials)]
         values: Array = np.dot(weights, self._rows[piece]).reshape(4, -1)
         if (rate, slope, jerk) != (1.0, 0.0, 0.0):  # else the clock is the plan's
-            chain = [
-                [1.0, 0.0, 0.0, 0.0],
-                [0.0, rate, 0.0, 0.0],
-                [0.0, slope, rate * rate, 0.0],
-                [0.0, jerk, 3.0 * rate * slope, rate * rate * rate],
-            ]
-            values = np.dot(np.array(chain), values)
+            first, second, third = values[1:].copy()
+            values[1] = rate * first
+            values[2] = rate**2 * second + slope * first
+            values[3] = rate**3 * third + 3.0 * rate * slope * second + jerk * first
         return values.reshape(self._shape)

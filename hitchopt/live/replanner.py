@@ -1,4 +1,12 @@
-"""Steering: a hitch that moves is given new goals, and every answer is certified."""
+"""Steering: a hitch that moves is given new goals, and every answer is certified.
+
+The path is in closed form. The polygon's mean point, its shape as seen from a frame that turns with
+it, and the split of the cables' slack are sums of two curves: a *brake*, the quartic with the least
+jerk that comes to rest in a given time wherever that is, and a *shift*, the quintic from rest to
+rest that leads from there to the goal. The longer the shift takes the less it adds, so that the sum
+keeps every limit that the brake keeps with something to spare. The frame turns from rest to rest,
+so that a hitch that is to be turned keeps its shape. Drones follow from these flat outputs.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,44 +30,48 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, fitting_polygon
 from hitchopt.hitch.leg_program import LIMIT_MARGIN, LegTask
 from hitchopt.hitch.legs import split_slack
+from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.live.retarget_path import MovingState, RetargetPath
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import before, beside_objects, cut, followed, resting
 from hitchopt.plan import Plan
+from hitchopt.planners.morph import jets
+from hitchopt.planners.timing.flight import Flight
 from hitchopt.steps.certified_motions import flying, infeasible
 from hitchopt.steps.certified_motions import resting as rest_of
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, finite, instance, not_negative, points, whole
 
+# Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer from
+# rounding [s]
 LEAST = 1e-3
-"""[s] Least time that is flown of a piece of the present plan: derivatives of shorter pieces suffer
-from rounding."""
+HOLD = 1.0  # rest with which steering begins [s]
+SAME_STATE = 1e-6  # largest distance of drones from where the team's tensions put them [m]
+WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)  # how long the old plan is flown on first [s]
 
-HOLD = 1.0
-"""[s] Rest with which steering begins."""
-
-SAME_STATE = 1e-6
-"""[m] Largest distance of drones from where the team's tensions put them, to begin from there."""
-
-WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)
-"""[s] How long the old plan is flown on where a retarget cannot begin at once."""
-
+# Length of the pieces of the brake [s], which is as quick as limits allow; number of pieces of a
+# shift where they are no shorter, so that a cable's length is right within 1e-6 of it; least number
 PIECE, PIECES, FEWEST = 0.3, 10, 4
-"""[s] Length of the pieces of the brake, which is as quick as limits allow; number of pieces that a
-shift is divided into where they are no shorter, so that a cable's length is right within 1e-6 of
-it; and least number of pieces."""
 
-EASED = frozenset(
-    {
-        *("speed", "vertex_speed", "acceleration", "jerk", "thrust", "tilt", "body_rate"),
-        *("cable_length", "equilibrium", "tension"),
-    }
-)
-"""Checks that a slower shift on shorter pieces eases."""
+# Whether the slack is split anew; factors of a shift's duration, and of its pieces' lengths
+ATTEMPTS = ((False, 1.0, 1.0), (False, 1.1, 0.5), (True, 1.1, 0.5))
 
-SLOWER, FINER = 1.1, 0.5
-"""Factors of a shift's duration and of its pieces' for that second try."""
+JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, the zeroth included
+BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # durations of the brake that are tried [s]
+SHORTEST = 0.3  # shortest shift [s]
+SIDE = 1e-9  # share of a duration by which one-sided derivatives are taken inside of it
+
+# Shares of the limits that are used at samples, by the brake alone and by the whole, and to which
+# that is prolonged; the rest is for what is between samples
+BRAKE_SHARE, SHARE, AIM = 0.9, 0.99, 0.989
+
+# Samples over the duration, of the whole and of a brake
+PLACES = np.linspace(0.0, 1.0, 16, endpoint=False)
+BRAKE_PLACES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - SIDE)
+
+# Maximum number of times that a shift is prolonged, and the least factor by which it is
+ROUNDS, GROWTH = 10, 1.04
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,32 +139,25 @@ class Replanner(OneLine):
     ) -> None:
         instance("team", team, Team)
         instance("start", start, Hitch, Plan)
-        instance("limits", limits, Limits, type(None))
-        instance("separation", separation, Separation, type(None))
-        instance("arena", arena, Arena, type(None))
-        own = start.motion.team if isinstance(start, Plan) else start.team
+        options: dict[str, Any] = {"limits": limits, "separation": separation, "arena": arena}
+        for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
+            instance(key, value, kind, type(None))
+        if isinstance(start, Plan):
+            motion, goal = start.motion, start.end
+        else:
+            phase = Phase("hold", 0, 0.0, HOLD)
+            motion, goal = rest_of(start, Requirements(), HOLD, phase), start
+        own = motion.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "give the team of the start")
         if team.cable_density > 0.0 or np.any(team.load):
             raise UnsupportedError("steering plans cables without weight and clasps without load")
-        given = start.motion.requirements if isinstance(start, Plan) else Requirements()
-        self.requirements = replace(
-            given,
-            limits=limits or given.limits,
-            separation=separation or given.separation,
-            arena=arena or given.arena,
-        )
-        if isinstance(start, Plan):
-            self.motion = replace(start.motion, requirements=self.requirements)
-            self._goal = start.end
-        else:
-            phase = Phase("hold", 0, 0.0, HOLD)
-            self.motion = rest_of(start, self.requirements, HOLD, phase)
-            self._goal = start
-        limits = self.requirements.planned.limits
-        turning = math.inf if limits.body_rate is None else GRAVITY * limits.body_rate
-        self._limits = replace(limits, jerk=min(limits.jerk, turning))
-        """Those of planning, with a jerk that turns a hovering drone at ``body_rate`` at most."""
+        changed = {key: value for key, value in options.items() if value is not None}
+        self.requirements = replace(motion.requirements, **changed)
+        self.motion, self._goal = replace(motion, requirements=self.requirements), goal
+        self._limits = limits = self.requirements.planned.limits
+        if limits.body_rate is not None:  # with a jerk that turns a hovering drone so fast
+            self._limits = replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
         self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
             self._end(self._goal.polygon, self._goal.altitude, chosen=True)
@@ -220,22 +226,17 @@ class Replanner(OneLine):
         yaw: float,
     ) -> tuple[Outline, float, float]:
         """Return outline, altitude and yaw of the goal that is asked for."""
-        goal, team, own = self._goal, self.motion.team, self._goal.polygon
-        yaw = finite("yaw", yaw)
-        remedy = "give a polygon; or a vertex and to; or to alone, (3,)"
-        if (polygon is None) is (to is None):
+        goal, team, own, yaw = self._goal, self.motion.team, self._goal.polygon, finite("yaw", yaw)
+        given = polygon is not None, vertex is not None, to is not None
+        kinds = [(True, False, False), (False, True, True), (False, False, True)]
+        if given not in kinds or (yaw != 0.0 and given != kinds[-1]):
+            remedy = "give a polygon; or a vertex and to; or to alone, (3,), and a yaw"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
-        if polygon is not None and vertex is not None:
-            raise InputError("vertex", vertex, "left out where a polygon is given", remedy)
-        if yaw != 0.0 and (polygon is not None or vertex is not None):
-            raise InputError("yaw", yaw, "left out but with to alone", remedy)
         if polygon is not None:
             return fitting_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
-            k = whole("vertex", vertex, 0)
-            if k >= len(own.vertices):
-                raise InputError("vertex", k, f"below {len(own.vertices)}", "count from 0")
             moved = own.vertices.copy()
+            k = whole("vertex", vertex, 0, len(moved) - 1)
             moved[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
             return fitting_polygon(team, moved), goal.altitude, 0.0
         place = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
@@ -248,24 +249,32 @@ class Replanner(OneLine):
     ) -> tuple[Retarget, Hitch]:
         """Return the answer of a plan that leaves the present one at a time, and its goal.
 
-        The present split of the slack is tried first, then one within all limits at the goal.
-
-        Raises
-        ------
-        NotNowError: nothing can begin at that time.
-        InfeasibleError: says what keeps the first path that was tried from being certified.
+        InfeasibleError says what keeps the first attempt from being certified.
         """
         past = self._past(at)
         still = self._still(past)
         brake = still.brake(self._limits)
         if brake is None:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
+        recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
         refusal: InfeasibleError | None = None
-        for chosen in (False, True):
+        for chosen, slower, finer in ATTEMPTS:
             try:
                 end = self._end(outline, altitude, chosen=chosen)
                 path = RetargetPath.to(past.team, still.state, end, yaw)
-                return self._certified(past, path, brake), end
+                shift = path.shortest_shift(self._limits, brake)
+                if shift is None:
+                    raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
+                phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, slower * shift))
+                breaks = _breaks(brake if path.state.moves else 0.0, slower * shift, finer)
+                flight = path.flight(breaks, brake, slower * shift)
+                fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
+                ahead = followed(recent, fresh)
+                found = _certificate(ahead)
+                if found.certified:
+                    motion = followed(past, fresh)
+                    return Retarget(True, past.duration, motion, ahead, found), end
+                raise infeasible(found, ahead)
             except InfeasibleError as error:
                 refusal = refusal or error
         assert refusal is not None
@@ -285,24 +294,18 @@ class Replanner(OneLine):
 
     def _past(self, at: float) -> Motion:
         """Return the present plan until a time, resting after its end."""
-        duration = self.motion.duration
-        if at <= duration - 1e-6:
-            breaks = self.motion.drones.breaks
-            piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
-            first, last = breaks[piece : piece + 2].tolist()
-            return before(self.motion, max(at, min(first + LEAST, last)))
-        if at <= duration + 1e-3:
+        duration, breaks = self.motion.duration, self.motion.drones.breaks
+        if at > duration + LEAST:
+            phase = replace(self.motion.phases[-1], name="hold", remark="")
+            return followed(self.motion, resting(self.motion, at - duration, phase))
+        if at > duration - 1e-6:
             return self.motion
-        phase = replace(self.motion.phases[-1], name="hold", remark="")
-        return followed(self.motion, resting(self.motion, at - duration, phase))
+        piece = max(int(np.searchsorted(breaks, at - 1e-9)) - 1, 0)
+        first, last = breaks[piece : piece + 2].tolist()
+        return before(self.motion, max(at, min(first + LEAST, last)))
 
     def _still(self, past: Motion) -> RetargetPath:
-        """Return the path that ends where a motion does, from the state there.
-
-        Raises
-        ------
-        NotNowError: no hitch there with the team's tensions.
-        """
+        """Return the path that ends where a motion does, from the state there."""
         when = f"at t = {past.duration:.4g} s"
         if not past.phases[-1].formed or past.phases[-1].hold is not None:
             why = "an object is held" if past.phases[-1].formed else "there is no hitch"
@@ -315,34 +318,6 @@ class Replanner(OneLine):
             raise NotNowError(f"{when} legs lean, are rolled, or do not have the team's tensions")
         return still
 
-    def _certified(self, past: Motion, path: RetargetPath, brake: float) -> Retarget:
-        """Return the answer for a path and a brake [s].
-
-        Raises
-        ------
-        InfeasibleError: what was found first.
-        """
-        shift = path.shortest_shift(self._limits, brake)
-        if shift is None:
-            raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
-        recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
-        slowed = ((shift, 1.0), (SLOWER * shift, FINER))
-        refusal: InfeasibleError | None = None
-        for lasting, finer in slowed:
-            phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, lasting))
-            breaks = _breaks(brake if path.state.moves else 0.0, lasting, finer)
-            flight = path.flight(breaks, brake, lasting)
-            fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
-            ahead = followed(recent, fresh)
-            certificate = _certificate(ahead)
-            if certificate.certified:
-                return Retarget(True, past.duration, followed(past, fresh), ahead, certificate)
-            refusal = refusal or infeasible(certificate, ahead)
-            if not {check.name for check in certificate.violated} <= EASED:
-                break
-        assert refusal is not None
-        raise refusal
-
 
 def _certificate(ahead: Motion) -> Certificate:
     """Return the certificate of what is ahead, with bounds that are found quickly."""
@@ -353,19 +328,186 @@ def _certificate(ahead: Motion) -> Certificate:
 
 
 def _breaks(brake: float, shift: float, finer: float) -> Array:
-    """Return the breaks of a retarget: its end, the brake's and the shift's, and more.
-
-    Parameters
-    ----------
-    brake, shift: durations [s].
-    finer: factor of the pieces' lengths.
-    """
+    """Return the breaks: the ends [s] of brake and shift, and more, pieces by a factor shorter."""
     least = min(PIECE, max(brake, shift) / FEWEST)
-    later = max(least, shift / PIECES)
-    edges = [0.0, brake, shift] if brake < shift else [0.0, shift, brake]
-    parts = [np.zeros(1)]
-    for start, end in pairwise(edges):
+    later, parts = max(least, shift / PIECES), [np.zeros(1)]
+    for start, end in pairwise([0.0, *sorted((brake, shift))]):
         piece = finer * (least if end <= brake else later)
         count = math.ceil((end - start) / piece * (1.0 - 1e-9))
         parts.append(np.linspace(start, end, count + 1)[1:])
     return np.concatenate(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class MovingState:
+    """A hitch in motion: values with their first two derivatives by time."""
+
+    vertices: Array  # (points, 3, 3) [m]
+    fractions: Array  # (n, 3), ``d_k / (d_k + e_k)``
+    drones: Array  # (2n, 3, 3) [m]
+    legs: Array  # (n, 2, 3) [m]
+
+    @classmethod
+    def at_end(cls, motion: Motion) -> MovingState:
+        """Return the state in which a motion ends."""
+        legs, layout = motion.legs.end_jet(STATE), motion.team.layout
+        slack = legs[:, 0] + legs[:, 1]
+        free = ~np.all(layout.has_leg, axis=1) & (slack[:, 0] <= 0.0)
+        slack[free, 0] = 1.0  # of cables at a chain's ends that have no leg at all
+        fractions = jets.product(legs[:, 0], jets.reciprocal(slack))
+        return cls(motion.vertices.end_jet(STATE), fractions, motion.drones.end_jet(STATE), legs)
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything moves or accelerates."""
+        return bool((np.abs(self.drones[..., 1:]) > 1e-9).any())
+
+
+@dataclass(frozen=True, eq=False)
+class RetargetPath:
+    """Flat outputs from a moving state to a hitch at rest."""
+
+    team: Team
+    state: MovingState
+    end: Array  # vertices (points, 3) [m] at rest
+    fractions: Array  # (n,), shares of the slack at rest
+    yaw: float = 0.0  # angle by which the frame turns [rad]
+
+    @classmethod
+    def to(cls, team: Team, state: MovingState, end: Hitch, yaw: float) -> RetargetPath:
+        """Return the path to a hitch, full turns chosen to come closest to a yaw [rad].
+
+        Its frame turns by what is left from the state to the hitch, also where the state has not
+        finished an earlier turn: on straight lines to the goal a half-turned polygon would shrink.
+        """
+        vertices = end.vertices
+        left = _turn(state.vertices[:, :2, 0], vertices[:, :2])
+        left += 2.0 * math.pi * round((yaw - left) / (2.0 * math.pi))
+        return cls(team, state, vertices, end.fractions, left)
+
+    @cached_property
+    def _ends(self) -> tuple[Array, Array]:
+        """Mean point, shape about it, fractions, turn: (m, 3) at the start, (m,) in the end."""
+        centre, goal = self.state.vertices.mean(axis=0), self.end.mean(axis=0)
+        shape = (self.state.vertices - centre).reshape(-1, STATE)
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        back = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        first = (centre, shape, self.state.fractions, np.zeros((1, STATE)))
+        last = (goal, ((self.end - goal) @ back).ravel(), self.fractions, [self.yaw])
+        return np.concatenate(first), np.concatenate(last)
+
+    def jets(self, t: Array, brake: float, shift: float | None) -> tuple[Array, DroneJets]:
+        """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
+
+        ``brake`` and ``shift`` are durations [s]; no shift leads to where the brake does.
+        """
+        team, layout = self.team, self.team.layout
+        start, goal = self._ends
+        rest = start @ np.array([1.0, 0.5 * brake, brake**2 / 12.0])
+        each = _to_rest(start, rest, brake, t)
+        if shift is not None:
+            each += _to_rest(np.zeros(start.shape), goal - rest, shift, t)
+        centre, split = each[:, :3], each[:, 3 + 3 * layout.points : -1]
+        shape = each[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
+        vertices = centre[:, None] + (_turned(shape, each[:, -1]) if self.yaw != 0.0 else shape)
+        edges = layout.edges(vertices, axis=1)
+        slack = -jets.square_root(np.sum(jets.product(edges, edges), axis=2))
+        slack[..., 0] += team.cable_length
+        wanted, orders = jets.product(split, slack), np.moveaxis(slack, -1, 0)
+        q_legs = np.moveaxis(layout.q_legs_of(np.moveaxis(wanted, -1, 0), orders), 0, -1)
+        tensions = np.zeros((len(t), team.robots, JET))
+        tensions[..., 0] = team.tension
+        return vertices, drone_jets(team, FlatJets(vertices, q_legs, tensions))
+
+    def flight(self, breaks: Array, brake: float, shift: float) -> Flight:
+        """Return the polynomials, which meet the state itself at their start."""
+        count, h = len(breaks) - 1, SIDE * (breaks[1:] - breaks[:-1])
+        sides = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
+        vertices, found = self.jets(sides, brake, shift)
+        legs = found.legs * self.team.layout.has_leg[..., None]
+        starts = (self.state.drones, self.state.vertices, self.state.legs)
+        each = [part.reshape(2 * count, -1, JET) for part in (found.positions, vertices, legs)]
+        orders = np.moveaxis(np.concatenate(each, axis=1), -1, 0)
+        left, right = orders[:, :count], orders[:, count:]
+        left[:STATE, 1:] = right[:STATE, :-1]
+        left[:STATE, 0] = np.concatenate([part.reshape(-1, STATE) for part in starts]).T
+        right[1:STATE, -1] = 0.0
+        both = PiecewisePolynomial.hermite(breaks, left, right)
+        drones, points, leg_curves = both.split([part.shape[:-1] for part in starts])
+        pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
+        return Flight(drones, points, leg_curves, both.alike(pulls))
+
+    def excess(self, limits: Limits, t: Array, brake: float, shift: float | None) -> float:
+        """Return how many times slower a motion would have to be at times (J,) [s], at most.
+
+        Thrust and tilt, which do not scale, count by the square root of their share of the limit.
+        At the first one, 0, only the jerk counts: the state is given.
+        """
+        points, found = self.jets(t, brake, shift)
+        squared = np.einsum("jdxk,jdxk->kjd", found.positions, found.positions)
+        moved = points[1:, ..., 1]
+        thrust = found.thrusts[1:]
+        level2, up = thrust[..., 0] ** 2 + thrust[..., 1] ** 2, thrust[..., 2]
+        ratios = (
+            math.sqrt(np.max(squared[1, 1:])) / limits.speed,
+            math.sqrt(np.max(np.einsum("jpx,jpx->jp", moved, moved))) / limits.vertex_speed,
+            np.max(squared[2, 1:]) ** 0.25 / math.sqrt(limits.acceleration),
+            math.sqrt(np.max(np.sqrt(level2 + up * up) / self.team.max_thrust)),
+            math.sqrt(np.max(np.arctan2(np.sqrt(level2), up)) / limits.tilt),
+            (np.max(squared[3]) / limits.jerk**2) ** (1.0 / 6.0),
+        )
+        most = float(max(ratios))
+        return most if math.isfinite(sum(ratios)) else math.inf
+
+    def brake(self, limits: Limits) -> float | None:
+        """Return the duration [s] in which the state comes to rest within the limits, or None."""
+        if not self.state.moves:
+            return BRAKES[0]
+        for brake in BRAKES:
+            if self.excess(limits, brake * BRAKE_PLACES, brake, None) <= BRAKE_SHARE:
+                return brake
+        return None
+
+    def shortest_shift(self, limits: Limits, brake: float) -> float | None:
+        """Return the duration [s] of a shift that keeps all limits at samples, or None."""
+        shift = SHORTEST
+        for _ in range(ROUNDS):
+            last = np.array([brake, shift]) * (1.0 - SIDE)
+            times = np.concatenate([max(shift, brake) * PLACES, last])
+            found = self.excess(limits, times, brake, shift)
+            if found <= SHARE:
+                return shift
+            if not math.isfinite(found):
+                return None
+            shift *= max(found / AIM, GROWTH)
+        return None
+
+
+def _to_rest(start: Array, rest: Array, duration: float, t: Array) -> Array:
+    """Return the jets (J, m, 4) of the quintics from a state (m, 3) to rest at a place (m,)."""
+    p, v, a = start.T
+    curves = np.stack([p, p + duration / 5.0 * v, rest, rest, rest, rest], axis=-1)
+    curves[:, 2] = p + duration * (0.4 * v + duration / 20.0 * a)
+    weights = bernstein.jet_basis(np.minimum(t / duration, 1.0), 5, JET)
+    weights[t >= duration, :, 1:] = 0.0
+    found: Array = curves @ (weights / duration ** np.arange(JET))
+    return found
+
+
+def _turned(shape: Array, angle: Array) -> Array:
+    """Return the jets of shapes (J, points, 3, 4) turned by angles with jets (J, 4)."""
+    c, s = np.cos(angle[:, 0]), np.sin(angle[:, 0])
+    outer = np.stack([[c, -s, -c, s], [s, c, -s, -c]])  # derivatives of cosine and sine
+    around = jets.chained(np.moveaxis(outer, 2, 0), angle[:, None])
+    # (J, points, 2, 2, 4): cosine and sine times x and y.
+    parts = jets.product(around[:, None, :, None], shape[:, :, None, :2])
+    found = shape.copy()
+    found[:, :, 0] = parts[:, :, 0, 0] - parts[:, :, 1, 1]
+    found[:, :, 1] = parts[:, :, 1, 0] + parts[:, :, 0, 1]
+    return found
+
+
+def _turn(first: Array, last: Array) -> float:
+    """Return the angle [rad] by which points (k, 2) about their mean fit the last ones best."""
+    x, y = first - first.mean(axis=0), last - last.mean(axis=0)
+    return math.atan2(x[:, 0] @ y[:, 1] - x[:, 1] @ y[:, 0], np.vdot(x, y))

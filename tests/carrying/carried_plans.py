@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 import hitchopt as ho
+from hitchopt.checks import Check
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -90,12 +92,31 @@ def plan(name: str) -> ho.Plan:
     return found
 
 
-def with_contacts(motion: Motion, coefficients: Array) -> Motion:
-    """Return the motion with other contacts of its edges."""
-    return replace(motion, contacts=PiecewisePolynomial(motion.drones.breaks, coefficients))
+def check(motion: Motion, name: str) -> Check:
+    """Return a check of the certificate that counts something."""
+    found = RULE_OF[name].check(motion)
+    assert found is not None
+    return found
+
+
+def unit(vectors: Array) -> Array:
+    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / lengths
 
 
 def lifted(motion: Motion) -> Array:
     """Times at which the object is off its support."""
     lift, down = (next(p for p in motion.phases if p.name == n) for n in ("lift", "set_down"))
     return np.linspace(lift.start + 1.6, down.end - 1.6, 301)
+
+
+def with_body(motion: Motion, name: str, **changes: Any) -> Motion:
+    """Return the motion with another object of a name."""
+    objects = dict(motion.requirements.objects)
+    objects[name] = replace(objects[name], **changes)
+    return replace(motion, requirements=replace(motion.requirements, objects=objects))
+
+
+def moved(part: PiecewisePolynomial | None, offset: list[float]) -> PiecewisePolynomial:
+    assert part is not None
+    return PiecewisePolynomial(part.breaks, part.coefficients + np.array(offset)[:, None])

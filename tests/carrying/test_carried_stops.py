@@ -1,30 +1,30 @@
-"""Stops while something is carried, by the checks of the plan that is flown on their clocks."""
+"""Stops and aborts while something is carried, by the checks of the plan that is flown so."""
 
 from __future__ import annotations
 
-from functools import partial
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
-from carried_plans import plan
+from carried_plans import TO, check, plan, tray
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.stops import stop_phases
-from hitchopt.live.abort import Aborts
+from hitchopt.live.abort import Abort, Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import retimed
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases
 
 KINDS = ["tray", "drum"]
 
 
-def carried(motion: Motion) -> tuple[float, float]:
-    """When the object begins to move and when it stands again [s]."""
-    speeds = motion.object_poses.differentiated().coefficients[:, 0]
-    on = np.flatnonzero(np.any(np.abs(speeds) > 1e-6, axis=(1, 2)))
-    return float(motion.drones.breaks[on[0]]), float(motion.drones.breaks[on[-1] + 1])
+def during(motion: Motion, name: str, share: float = 0.5) -> float:
+    phase = next(p for p in motion.phases if p.name == name)
+    return phase.start + share * (phase.end - phase.start)
 
 
 def balanced(motion: Motion, clock: ClockPhases) -> bool:
@@ -38,8 +38,7 @@ def balanced(motion: Motion, clock: ClockPhases) -> bool:
 def test_a_pause_waits_until_what_is_carried_stays_in_balance(kind: str) -> None:
     """From where it gathers speed; and the clock can start again from there."""
     flown = plan(kind)
-    carry = next(p for p in flown.motion.phases if p.name == "carry")
-    time = carry.start + 0.2 * (carry.end - carry.start)
+    time = during(flown.motion, "carry", 0.2)
     player = Player(flown, time)
     player.pause()
     assert balanced(flown.motion, player.ahead)
@@ -57,29 +56,24 @@ def test_a_pause_waits_until_what_is_carried_stays_in_balance(kind: str) -> None
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_commands_keep_the_balance(kind: str) -> None:
     motion = plan(kind).motion
-    begin, end = carried(motion)
+    begin, end = during(motion, "lift", 0.0), during(motion, "set_down", 1.0)
     rng, done = np.random.default_rng(12), 0
     for _ in range(2):
         player = Player(motion, rng.uniform(begin, end))
-        for command in rng.choice(["pause", "resume", "back", "slow", "seek"], 4):
-            call = {
-                "slow": partial(player.rate, 0.5),
-                "seek": partial(player.seek, rng.uniform(begin, end)),
-            }.get(command) or getattr(player, command)
+        for command in rng.choice(["pause", "resume", "back", "rate", "seek"], 4):
+            given = {"rate": [0.5], "seek": [rng.uniform(begin, end)]}.get(command, [])
             try:
-                seconds = call()
+                seconds = getattr(player, command)(*given)
             except ho.InfeasibleError:
                 assert command not in {"pause", "resume"}
                 continue
             done += 1
             clock = player.ahead
-            if command == "slow" and len(clock):
-                jet = clock.ends[-1].copy()
-                jet[2:] = 0.0
-                left = np.array([2.0 * (motion.duration - jet[0])])
-                clock = clock.followed_by(ClockPhases(np.zeros(1, int), jet[None], left))
-            if len(clock):
-                assert balanced(motion, clock)
+            if command == "rate" and len(clock):
+                jet = clock.ends[-1:] * [1.0, 1.0, 0.0, 0.0]
+                left = 2.0 * (motion.duration - jet[:, 0])
+                clock = clock.followed_by(ClockPhases(np.zeros(1, int), jet, left))
+            assert not len(clock) or balanced(motion, clock)
             player.step(rng.uniform(0.3, 1.0) * seconds)
     assert done > 3
 
@@ -95,7 +89,69 @@ def test_a_rate_at_which_nothing_can_be_carried_is_refused() -> None:
 def test_a_hold_begins_where_the_balance_allows(kind: str) -> None:
     """In the lift; its certificate is that of polynomials of its own."""
     motion = plan(kind).motion
-    lift = next(p for p in motion.phases if p.name == "lift")
-    found = Aborts(motion).found(lift.end - 1.0, "hold")
+    end = during(motion, "lift", 1.0)
+    found = Aborts(motion).found(end - 1.0, "hold")
     assert found.certificate.certified
-    assert found.rest < lift.end + 0.2
+    assert found.rest < end + 0.2
+
+
+@cache
+def carried() -> Aborts:
+    """Of a tray that is carried to a table and left, the hitch then led away from there."""
+    problem = tray()
+    problem["mission"].append({"transport": {"to": [-0.3, 2.6, 1.0]}})
+    return Aborts(ho.solve(ho.problem_from_dict(problem)).motion)
+
+
+def check_landed(found: Abort) -> Motion:
+    """It is certified, nothing jumps, and all drones end on the ground."""
+    whole = found.motion
+    assert found.certificate.certified
+    assert np.max(np.abs(whole.drones.at(whole.duration)[:, 2])) <= 0.2
+    left, right = whole.object_poses.ends(0)
+    np.testing.assert_allclose(left[1:], right[:-1], rtol=0.0, atol=1e-9)
+    return whole
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["land", "release_and_land"])
+def test_what_was_lifted_is_set_down_first_and_stays_there(how: str) -> None:
+    aborts = carried()
+    left = during(aborts.motion, "leave", 0.0)
+    found = aborts.found(during(aborts.motion, "carry"), how)
+    assert found.rest >= left
+    whole = check_landed(found)
+    np.testing.assert_allclose(whole.object_poses.at(whole.duration)[0, :3], TO, atol=1e-9)
+
+
+def stays(whole: Motion) -> bool:
+    """Whether the tray never moves, or comes back to where it was."""
+    poses = whole.object_poses.at(np.array([0.0, whole.duration]))[:, 0]
+    return bool(np.max(np.abs(poses[1] - poses[0])) <= 1e-9)
+
+
+@pytest.mark.slow
+def test_before_it_is_lifted_the_hitch_goes_back() -> None:
+    aborts = carried()
+    found = aborts.found(during(aborts.motion, "grasp"), "release_and_land")
+    assert found.rest < during(aborts.motion, "grasp", 1.0)
+    assert stays(check_landed(found))
+
+
+@pytest.mark.slow
+def test_what_the_plan_leaves_in_the_air_is_set_down_where_it_was_taken() -> None:
+    names = {"enclose": {"object": "tray"}, "grasp": {"object": "tray"}, "lift": {"by": 0.2}}
+    problem = {**tray(), "mission": [{name: keys} for name, keys in names.items()]}
+    motion = ho.solve(ho.problem_from_dict(problem)).motion
+    assert stays(check_landed(Aborts(motion).found(motion.duration, "release_and_land")))
+
+
+def test_an_object_that_jumps_is_found() -> None:
+    motion = plan("tray").motion
+    poses = motion.object_poses.coefficients.copy()
+    poses[-1, 0, 0] += 1e-3
+    jumping = replace(motion, poses=PiecewisePolynomial(motion.drones.breaks, poses))
+    found = check(jumping, "continuity")
+    assert (check(motion, "continuity").holds, found.holds) == (True, False)
+    assert found.where == ("tray",)
+    assert found.bound == pytest.approx(1e-3, abs=1e-6)

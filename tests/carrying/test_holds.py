@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import carried_plans as plans
@@ -10,7 +11,6 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.checks.clearance import OBJECT_CLEARANCE
 from hitchopt.objects.placing import footing
 from hitchopt.planners.carrying.moves import SmoothLaw
 
@@ -146,8 +146,8 @@ def test_bends_of_edges_below_the_ground_count() -> None:
     assert motion.contacts is not None
     lowered = motion.contacts.coefficients.copy()
     lowered[:, 1, 0, 2] = -0.3
-    found = OBJECT_CLEARANCE.check(plans.with_contacts(motion, lowered))
-    assert found is not None
+    contacts = motion.contacts.alike(lowered)
+    found = plans.check(replace(motion, contacts=contacts), "object_clearance")
     assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
 
 

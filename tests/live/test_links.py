@@ -9,6 +9,7 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock, call
@@ -33,23 +34,21 @@ from hitchopt.live.links import (
 )
 
 HOME = "127.0.0.1"
-ORIGIN, YAW = (3.0, -2.0, 0.5), 0.7
+PLACE = (3.0, -2.0, 0.5), 0.7
+"""The plan's origin [m] and yaw [rad] for the drones."""
 
 
 @contextmanager
-def receivers(count: int) -> Iterator[list[socket.socket]]:
+def receivers(count: int) -> Iterator[tuple[list[socket.socket], list[Address]]]:
     with ExitStack() as stack:
         found = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
         for each in found:
             stack.enter_context(each).bind((HOME, 0))
             each.settimeout(5.0)
-        yield found
+        yield found, [each.getsockname() for each in found]
 
 
-def addresses(found: list[socket.socket]) -> list[Address]:
-    return [each.getsockname() for each in found]
-
-
+@cache
 def moving() -> Flown:
     rig = Rig()
     rig.begin(0.7)
@@ -62,24 +61,27 @@ def names() -> tuple[str, ...]:
 
 
 def test_json_arrives_and_answers_are_read() -> None:
-    flown, frame = moving(), ReferenceFrame("enu", ORIGIN, YAW)
-    with receivers(6) as found:
-        outlet = JsonOutlet(names(), addresses(found), frame, (HOME, 0))
+    flown, frame = moving(), ReferenceFrame("enu", *PLACE)
+    places = frame.points(flown.setpoints.positions)
+    with receivers(6) as (found, addresses):
+        outlet = JsonOutlet(names(), addresses, frame, (HOME, 0))
         outlet.send(flown, 12.5)
         for i, (name, each) in enumerate(zip(names(), found, strict=True)):
             data, sender = each.recvfrom(65536)
             got = json.loads(data)
             assert (got["drone"], got["number"], got["time"]) == (name, 0, 12.5)
-            place = frame.points(flown.setpoints.positions)[i]
-            np.testing.assert_allclose(got["position"], place, atol=1e-12)
+            np.testing.assert_allclose(got["position"], places[i], atol=1e-12)
             thrust = np.array(got["feed_forward"]) + [0.0, 0.0, 9.80665]
             w, x, y, z = got["quaternion"]
             up = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
             np.testing.assert_allclose(up, thrust / np.linalg.norm(thrust), atol=1e-3)
-            for answer in (b"{", b"[]", b'{"drone": "q9", "position": [1, 2, 3]}'):
+            own = {
+                "drone": name,
+                "position": [*got["position"][:2], None] if i else got["position"],
+            }
+            other = b'{"drone": "q9", "position": [1, 2, 3]}'
+            for answer in (b"{", b"[]", other, json.dumps(own).encode()):
                 each.sendto(answer, sender)
-            own = {"drone": name, "position": [*got["position"][:2], None] if i else place.tolist()}
-            each.sendto(json.dumps(own).encode(), sender)
         measured = outlet.measured()
         assert set(measured) == {"q0"}
         np.testing.assert_allclose(measured["q0"], flown.setpoints.positions[0], atol=1e-12)
@@ -87,37 +89,36 @@ def test_json_arrives_and_answers_are_read() -> None:
 
 
 def test_mavlink_is_understood_by_its_own_parser() -> None:
-    flown, frame = moving(), ReferenceFrame("ned", ORIGIN, YAW)
-    with receivers(1) as found:
-        router = addresses(found) * 6
-        outlet = MavlinkOutlet(names(), router, frame, (HOME, 0))
+    flown, frame = moving(), ReferenceFrame("ned", *PLACE)
+    east, north, up = ReferenceFrame("enu", *PLACE).points(flown.setpoints.positions).T
+    forward = frame.vectors(flown.feed_forward)
+    with receivers(1) as ([router], addresses):
+        outlet = MavlinkOutlet(names(), addresses * 6, frame, (HOME, 0))
         outlet.send(flown, 50.0)
         outlet.send(flown, 50.25)
         parser, got = mavlink.MAVLink(None), []
         for _ in range(13):
-            data, sender = found[0].recvfrom(65536)
+            data, sender = router.recvfrom(65536)
             got += parser.parse_buffer(data)
         beat, *targets = got
-        assert beat.get_type() == "HEARTBEAT"
-        assert beat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
+        assert (beat.get_type(), beat.type) == ("HEARTBEAT", mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
         assert [each.target_system for each in targets] == [*range(1, 7)] * 2
         assert {each.time_boot_ms for each in targets[6:]} == {250}
-        east, north, up = (ReferenceFrame("enu", ORIGIN, YAW).points(flown.setpoints.positions)).T
         for i, each in enumerate(targets[:6]):
             assert each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"
             assert each.coordinate_frame == mavlink.MAV_FRAME_LOCAL_NED
             assert each.type_mask == mavlink.POSITION_TARGET_TYPEMASK_YAW_RATE_IGNORE
             np.testing.assert_allclose([each.x, each.y, each.z], [north[i], east[i], -up[i]], 1e-6)
-            forward = frame.vectors(flown.feed_forward)[i]
-            np.testing.assert_allclose([each.afx, each.afy, each.afz], forward, atol=1e-6)
-            assert each.yaw == pytest.approx(np.pi / 2 - YAW, abs=1e-6)
-        vehicle = mavlink.MAVLink(None, srcSystem=3)
-        place = (targets[2].x, targets[2].y, targets[2].z, 0.0, 0.0, 0.0)
-        answer = vehicle.local_position_ned_encode(7, *place).pack(vehicle)
-        for data in (b"\xfd\x00nonsense", answer[:9], b"junk" + answer):
-            found[0].sendto(data, sender)
-        other = mavlink.MAVLink(None, srcSystem=77)
-        found[0].sendto(other.local_position_ned_encode(7, *place).pack(other), sender)
+            np.testing.assert_allclose([each.afx, each.afy, each.afz], forward[i], atol=1e-6)
+            assert each.yaw == pytest.approx(np.pi / 2 - PLACE[1], abs=1e-6)
+
+        def answered(system: int) -> bytes:
+            vehicle = mavlink.MAVLink(None, srcSystem=system)
+            place = north[2], east[2], -up[2], 0.0, 0.0, 0.0
+            return bytes(vehicle.local_position_ned_encode(7, *place).pack(vehicle))
+
+        for data in (b"\xfd\x00nonsense", answered(3)[:9], b"junk" + answered(3), answered(77)):
+            router.sendto(data, sender)
         measured = outlet.measured()
         assert set(measured) == {"q1"}
         np.testing.assert_allclose(measured["q1"], flown.setpoints.positions[2], atol=1e-6)
@@ -126,14 +127,15 @@ def test_mavlink_is_understood_by_its_own_parser() -> None:
 
 def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.MonkeyPatch) -> None:
     """By a stand-in for crazyflie_py's ``Crazyswarm``."""
-    flown, frame = moving(), ReferenceFrame("enu", ORIGIN, YAW)
+    flown, frame = moving(), ReferenceFrame("enu", *PLACE)
     robots = [f"cf{i}" for i in range(6)]
     node = Mock(crazyfliesByName={name: Mock() for name in robots})
+    rows = [frame.points(flown.setpoints.positions)]
+    rows += [frame.vectors(each) for each in (flown.setpoints.velocities, flown.feed_forward)]
 
     def spin_once(spun: Mock, timeout_sec: float) -> None:
         assert (spun, timeout_sec) == (node, 0.0)
-        x, y, z = frame.points(flown.setpoints.positions)[1].tolist()
-        place = SimpleNamespace(x=x, y=y, z=z)
+        place = SimpleNamespace(**dict(zip("xyz", rows[0][1].tolist(), strict=True)))
         heard = node.create_subscription.call_args_list[1].args[2]
         heard(SimpleNamespace(pose=SimpleNamespace(position=place)))
 
@@ -145,21 +147,17 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
     outlet = CrazyflieOutlet(names(), robots, frame)
     outlet.send(flown, 1.0)
     for i, robot in enumerate(node.crazyfliesByName.values()):
-        pos, vel, acc, yaw, omega = robot.cmdFullState.call_args.args
-        np.testing.assert_allclose(pos, frame.points(flown.setpoints.positions)[i])
-        np.testing.assert_allclose(vel, frame.vectors(flown.setpoints.velocities)[i])
-        np.testing.assert_allclose(acc, frame.vectors(flown.feed_forward)[i])
-        assert yaw == pytest.approx(YAW)
+        *vectors, yaw, omega = robot.cmdFullState.call_args.args
+        np.testing.assert_allclose(vectors, [each[i] for each in rows])
+        assert yaw == pytest.approx(PLACE[1])
         assert len(omega) == 3
-        assert all(type(x) is float for x in (*pos, *vel, *acc, *omega))
+        assert all(type(x) is float for part in (*vectors, omega) for x in part)
     measured = outlet.measured()
-    np.testing.assert_allclose(measured["r0"], flown.setpoints.positions[1], atol=1e-12)
     assert set(measured) == {"r0"}
+    np.testing.assert_allclose(measured["r0"], flown.setpoints.positions[1], atol=1e-12)
     outlet.close(landed=True)
-    assert node.crazyfliesByName["cf3"].mock_calls[1:] == [
-        call.notifySetpointsStop(500),
-        call.land(0.04, 1.0),
-    ]
+    ended = [call.notifySetpointsStop(500), call.land(0.04, 1.0)]
+    assert node.crazyfliesByName["cf3"].mock_calls[1:] == ended
     with pytest.raises(ho.InputError, match="fleet = 'cf9'"):
         CrazyflieOutlet(names(), ["cf9"] * 6, frame)
 
@@ -194,14 +192,13 @@ def test_what_is_wrong_or_not_here_is_refused() -> None:
 def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Path) -> None:
     plan_of().save(tmp_path / "plan")
     runner = CliRunner()
-    with receivers(1) as found:
-        host, port = addresses(found)[0]
+    with receivers(1) as ([receiver], [(host, port)]):
         options = ["--over", "json", "--to", f"{host}:{port}", "--patience", "0.1"]
         done = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options])
         assert done.exit_code == 3, done.output
         assert "at rest at the plan's start" in done.output
         assert "no operator is heard of" in done.output
-        got = json.loads(found[0].recv(65536))
+        got = json.loads(receiver.recv(65536))
         np.testing.assert_allclose(got["position"], plan_of().at(0.0).positions[0], atol=1e-9)
     wrong = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options, "--to", f"{host}:9"])
     assert wrong.exit_code == 2

@@ -36,29 +36,47 @@ def reactions_of(altitude: float) -> Reactions:
 
 
 @pytest.mark.parametrize("altitude", [1.0, 2.4])
-def test_survivors_sink_as_a_whole_clear_of_the_swing(altitude: float) -> None:
-    """All limits are kept, and no survivor is near where the lost drone may hang or swing."""
+def test_survivors_sink_as_a_whole(altitude: float) -> None:
     plan, found = plan_of(altitude), reactions_of(altitude).found("q1", TIME)
     motion, limits = found.motion, plan.motion.requirements.limits
     t = np.linspace(0.0, motion.duration, 2001)
     places, before = motion.drones.at(t), t <= TIME + DELAY
     assert found.begins == pytest.approx(TIME + DELAY)
     np.testing.assert_allclose(places[before], plan.at(t[before]).positions, atol=1e-9)
-    shape = places - places[:, :1]
+    every = np.concatenate([places, motion.vertices.at(t)], axis=1)
+    shape = every - every[:, :1]
     np.testing.assert_allclose(shape, np.broadcast_to(shape[0], shape.shape), atol=1e-6)
     for order, limit in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
         assert np.max(np.linalg.norm(motion.drones.at(t, order), axis=-1)) <= limit + 1e-6
     assert np.min(places[-1, :, 2]) == pytest.approx(0.0, abs=1e-9)
     assert np.max(np.abs(motion.drones.at(t[-1], 1))) <= 1e-9
-    states, lost = plan.at(TIME), plan.motion.team.drone_names.index("q1")
-    clasp = states.vertices[plan.motion.team.layout.pulled_to[lost]]
-    leg = states.positions[lost] - clasp
-    angles = np.linspace(0.0, 0.8 * np.pi, 50)[:, None]
-    down = np.linalg.norm(leg) * np.array([0.0, 0.0, -1.0])
-    swing = np.maximum(clasp + np.cos(angles) * leg + np.sin(angles) * down, [-9.0, -9.0, 0.0])
-    others = np.delete(states.positions, lost, axis=0)
-    nearest = np.min(np.linalg.norm(others[:, None] - swing, axis=-1))
-    assert 1.0 <= found.nearest <= nearest / 0.24 + 1e-2
+
+
+@pytest.mark.parametrize("lost", [0, 3, 5, 6])
+def test_survivors_keep_off_the_swing_of_the_lost_drone(lost: int) -> None:
+    """Turned about its clasp in its vertical plane, its cable longer by what its partner gives."""
+    team = ho.Team(4, 2.3, tension=0.5)
+    polygon = regular_polygon(4, 0.9).vertices + [1.0, 2.0]
+    hitch = ho.Hitch.balanced(team, polygon, 1.6, np.radians([20.0, -15.0, 10.0, -25.0]))
+    hitch = ho.Hitch(team, polygon, 1.6, hitch.slack * [0.4, 0.47, 0.53, 0.6], hitch.roll)
+    plan = ho.hold(hitch, 2.0)
+    clasps = hitch.vertices[team.layout.pulled_to]
+    leg, partner = (hitch.drones - clasps)[[lost, lost ^ 1]]
+    size = float(np.linalg.norm(partner))
+    level = np.hypot(*leg[:2])
+    down = np.array([*leg[:2] * leg[2] / level, -level])  # across the leg
+    turns = np.linspace(0.0, np.radians(155.0) + 2.0 * np.arctan2(leg[2], level), 300)[:, None]
+    longer = 1.0 + np.linspace(0.0, size - 0.05, 60)[:, None, None] / np.linalg.norm(leg)
+    swing = clasps[lost] + longer * (np.cos(turns) * leg + np.sin(turns) * down)
+    others = np.delete(hitch.drones, lost, axis=0)[:, None]
+    swing = np.maximum(swing.reshape(-1, 3), [-9.0, -9.0, 0.0])
+    apart = np.min(np.linalg.norm(others - swing, axis=-1)) / 0.24
+    drawn = hitch.drones.copy()
+    drawn[lost ^ 1] -= min(0.36, size - 0.05) / size * partner
+    drawn = np.delete(drawn, lost, axis=0) / [0.24, 0.24, 0.6]
+    between = np.min(np.linalg.norm(drawn[:, None] - drawn, axis=-1) + 9.0 * np.eye(7))
+    found = Reactions(plan.motion).found(team.drone_names[lost], 1.0)
+    assert found.nearest == pytest.approx(min(apart, between), abs=0.02)
 
 
 def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
@@ -88,6 +106,9 @@ def test_a_flown_reaction_is_the_plan_and_then_lets_go(tmp_path: Path) -> None:
     np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
     letting_go = (flown.t > found.begins) & (flown.t < found.begins + LETTING_GO)
     assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
+    times = found.begins + np.array([0.1, 0.5, 0.9]) * LETTING_GO
+    there = np.interp(times, flown.t, forces[:, 0])
+    np.testing.assert_allclose(there + there[::-1], 0.5, atol=5e-3)  # as fast at first as at last
     assert np.max(forces[flown.t >= found.begins + LETTING_GO]) == 0.0
 
 
@@ -101,13 +122,19 @@ def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
             reactions_of(1.0).found(drone, time)
 
 
+@pytest.mark.parametrize("share", [0.49, 0.6533])
+def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
+    """Just then polynomials do not follow the soonest stop closely enough, later they do."""
+    motion = planned("form_triangle").motion
+    assert Reactions(motion).found("q0", share * motion.duration).nearest >= 1.0
+
+
 @pytest.mark.slow
 def test_the_command_line_tells_losses(tmp_path: Path) -> None:
     plan_of(1.0).save(tmp_path)
     shown = CliRunner().invoke(main, ["check", str(tmp_path), "--survivable"])
-    assert shown.exit_code == 0
     (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
-    assert row.split()[1] == "1"
+    assert (shown.exit_code, row.split()[1]) == (0, "1")
     for given in (["q9@0.5"], ["q0@99"], ["q0"], ["q0@0.5", "--runs", "2"]):
         refused = CliRunner().invoke(main, ["simulate", str(tmp_path), "--lose", *given])
         assert refused.exit_code == 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -71,10 +70,15 @@ def test_every_kind_of_goal_is_reached_from_a_moving_state(kind: str) -> None:
         goal[2] += [0.03, -0.02]
         answer = replanner.retarget(vertex=2, to=goal[2], at=at)
     else:
-        place, height = np.array([1.2, 1.8]), 0.9
-        c, s = np.cos(0.7), np.sin(0.7)
-        goal = (goal - own.centroid) @ np.array([[c, -s], [s, c]]) + place
-        answer = replanner.retarget(to=[*place, height], yaw=-0.7, at=at)
+        place, height, yaw = np.array([1.2, 1.8]), 0.9, -3.6
+        c, s = np.cos(yaw), np.sin(yaw)
+        goal = (goal - own.centroid) @ np.array([[c, s], [-s, c]]) + place
+        answer = replanner.retarget(to=[*place, height], yaw=yaw, at=at)
+        edges = np.diff(
+            answer.ahead.vertices.at(np.linspace(0.0, answer.ahead.duration, 99)), axis=1
+        )
+        turned = np.unwrap(np.arctan2(edges[:, 0, 1], edges[:, 0, 0]))
+        assert turned[-1] - turned[0] == pytest.approx(yaw, abs=1e-6)  # not the shorter way
     assert answer.accepted, answer.reason
     assert answer.certificate.certified
     assert replanner.motion is answer.motion
@@ -83,7 +87,7 @@ def test_every_kind_of_goal_is_reached_from_a_moving_state(kind: str) -> None:
     np.testing.assert_allclose(end, np.column_stack([goal, [height] * 3]), atol=1e-9)
 
 
-def test_a_chain_of_goals_stays_certified_and_comes_back_from_its_file(tmp_path: Path) -> None:
+def test_a_chain_of_goals_stays_certified() -> None:
     replanner, rng, at = steered(), np.random.default_rng(4), 0.2
     for _ in range(6):
         at += float(rng.uniform(0.1, 0.9))
@@ -93,11 +97,7 @@ def test_a_chain_of_goals_stays_certified_and_comes_back_from_its_file(tmp_path:
         assert answer.accepted
         check_answer(old, answer)
         at = max(at, answer.start)
-    plan = replanner.plan
-    assert plan.certificate.certified
-    certificate = ho.certify(ho.load(plan.save(tmp_path / "steered", rate=10.0)).motion)
-    for check in certificate.checks:
-        assert check.bound == pytest.approx(plan.certificate[check.name].bound, abs=1e-9)
+    assert replanner.plan.certificate.certified
 
 
 def test_a_turn_that_has_hardly_begun_is_finished_on_the_way_to_the_next_goal() -> None:
@@ -139,17 +139,12 @@ def test_what_cannot_be_certified_is_refused_and_the_old_plan_stays() -> None:
     assert replanner.retarget(to=[1.0, 2.0, 1.0], at=at).accepted
 
 
-def test_a_plan_in_flight_is_taken_over_and_lasts_the_same_anywhere() -> None:
-    durations = []
-    for shift in ([0.0, 0.0], [3.0, -2.0]):
-        start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE + shift)
-        plan = ho.move_vertex(start, 0, by=[0.0, 0.4])
-        replanner = ho.Replanner(start.team, plan)
-        answer = replanner.retarget(TRIANGLE + shift + [0.2, 0.1], at=0.5 * plan.duration)
-        assert answer.accepted
-        check_answer(plan.motion, answer)
-        durations.append(answer.motion.duration)
-    assert durations[0] == pytest.approx(durations[1], rel=1e-6)
+def test_a_plan_in_flight_is_taken_over() -> None:
+    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    plan = ho.move_vertex(start, 0, by=[0.0, 0.4])
+    answer = ho.Replanner(start.team, plan).retarget(TRIANGLE + [0.2, 0.1], at=0.5 * plan.duration)
+    assert answer.accepted
+    check_answer(plan.motion, answer)
 
 
 def test_objects_stay_where_they_were_carried() -> None:
@@ -170,21 +165,22 @@ def test_objects_stay_where_they_were_carried() -> None:
 
 def test_goals_are_checked() -> None:
     replanner = steered()
-    cases: list[dict[str, object]] = [
-        {},
-        {"polygon": TRIANGLE, "to": [0.0, 0.0, 1.0]},
-        {"polygon": TRIANGLE, "vertex": 1},
-        {"polygon": TRIANGLE, "yaw": 0.1},
-        {"vertex": 0, "to": [1.0, 0.9], "yaw": 0.1},
-        {"polygon": TRIANGLE[::-1]},
-        {"vertex": 3, "to": [0.0, 0.0]},
-        {"vertex": 0, "to": [0.0, 0.0, 1.0]},
-        {"to": [0.0, 0.0]},
-        {"to": [0.0, 0.0, 1.0], "yaw": np.inf},
-        {"to": [0.0, 0.0, 1.0], "at": -1.0},
+    pose = {"to": [0.0, 0.0, 1.0]}
+    cases: list[tuple[str, dict[str, object]]] = [
+        ("polygon", {}),
+        ("polygon", {"polygon": TRIANGLE, **pose}),
+        ("polygon", {"polygon": TRIANGLE, "vertex": 1}),
+        ("polygon", {"polygon": TRIANGLE, "yaw": 0.1}),
+        ("polygon", {"vertex": 0, "to": [1.0, 0.9], "yaw": 0.1}),
+        ("polygon", {"polygon": TRIANGLE[::-1]}),
+        ("vertex", {"vertex": 3, "to": [0.0, 0.0]}),
+        ("to", {"vertex": 0, **pose}),
+        ("to", {"to": [0.0, 0.0]}),
+        ("yaw", {**pose, "yaw": np.inf}),
+        ("at", {**pose, "at": -1.0}),
     ]
-    for case in cases:
-        with pytest.raises(InputError):
+    for key, case in cases:
+        with pytest.raises(InputError, match=f"^{key}"):
             replanner.retarget(**({"at": 0.5} | case))  # type: ignore[arg-type]
 
 
