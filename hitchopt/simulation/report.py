@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.simulation.judgement import Simulation, Spread, tracking_errors, warnings
 from hitchopt.storage.archive import RECORDING
@@ -46,14 +47,11 @@ OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIG
 SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
 
 LABELLED = 6  # Largest number of vertices for which the legend has space
-
-# Radius of a drawn rope as a share of the flight's extent, and the largest one [m]
-THICKNESS, THICKEST = 0.005, 0.02
+THICKNESS, THICKEST = 0.005, 0.02  # Radius of drawn ropes over the flight's extent; at most [m]
+SAME_FRAME = 0.1  # Largest distance in time from a shot to a frame that shows it [s]
 
 # Kinds of failures of flights that may end hitched, or untied, as planned
 ELSE_WRONG = ("touch", "dropped", "misplaced", "caught")
-
-SAME_FRAME = 0.1  # Largest distance in time from a shot to a frame that shows it [s]
 
 
 def save_simulation(
@@ -61,16 +59,12 @@ def save_simulation(
 ) -> Path:
     """Write summary, tables, recording and picture, all of them or none; return the directory.
 
-    The picture shows the plan that was flown, ``motion``, under a title.
-
-    Raises
-    ------
-    FileError: the directory cannot be written to.
+    The picture shows the plan that was flown, ``motion``, under a title. Raises FileError where the
+    directory cannot be written to.
     """
     flight, errors = simulation.flight, simulation.errors
     record, team, cargo = flight.record, flight.task.team, flight.task.cargo
-    rows, t = errors.rows, record.t
-    off = np.linalg.norm(record.drones - record.commanded, axis=-1)
+    rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
     # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
     tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
         VERTICES: ("vertex", team.layout.clasps, errors.t, {
@@ -93,9 +87,7 @@ def save_simulation(
     }  # fmt: skip
     if not cargo.objects:
         del tables[OBJECTS]
-    writers: dict[str, Writer] = {
-        name: partial(_write_table, *parts) for name, parts in tables.items()
-    }
+    writers: dict[str, Writer] = {name: partial(_write_table, *v) for name, v in tables.items()}
     writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
     writers[PICTURE] = lambda path: save_figure(drawn_flight(simulation, motion, title), path)
     writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
@@ -137,7 +129,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "settings": asdict(simulation.settings),
         "warnings": list(warnings(flight.task, simulation.settings)),
         "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
-        "compensation": {"cables_longer": flight.longer},
+        "compensation": {"cables_longer": flight.longer, "legs_aside": flight.aside},
         "density": {"simulated": flight.density, "planned": team.cable_density},
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
@@ -174,11 +166,10 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
         if np.isfinite(simulation.flight.pulled):
             words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
             shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, kept=True)]
-        extent = float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
-        drawn = replace(scene, radius=float(np.clip(THICKNESS * extent, scene.radius, THICKEST)))
+        wide = THICKNESS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
+        drawn = replace(scene, radius=float(np.clip(wide, scene.radius, THICKEST)))
         draw_storyboard(grid[:, 0], drawn, shots, (scene.t, scene.drones))
-    plots = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-    _draw_over_time(plots, simulation, motion)
+    _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
     headline(figure, title, f"{facts(motion)}, simulated: {_ending(simulation)}")
     return figure
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ UP = np.array([0.0, 0.0, 1.0])  # Direction opposite to gravity
 
 
 class ShapeError(HitchoptError):
-    """Two drones that are farther apart than their cable is long."""
+    """Two drones that start farther apart than their cable is long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,26 +103,19 @@ class Ropes:
 
     def check_tension(self, tension: float) -> None:
         """Raise InputError where the time step is too long for a plan's largest tension [N]."""
-        needed = RESERVE * tension
+        step, needed = self.preset.time_step, RESERVE * tension
         if self.largest_tension < needed:
-            shortest = float(np.min(self.segment_lengths))
-            step = COURANT * shortest * math.sqrt(self.density / needed)
-            raise InputError(
-                "time_step",
-                self.preset.time_step,
-                f"at most {step:.3g} s for cables of {self.density:g} kg/m in segments of "
-                f"{shortest:.3g} m that pull with up to {needed:.3g} N",
-                "shorten it, or simulate heavier cables",
-            )
+            most = step * math.sqrt(self.largest_tension / needed)
+            bound = f"at most {most:.3g} s for cables of {self.density:g} kg/m with {needed:.3g} N"
+            raise InputError("time_step", step, bound, "shorten it, or simulate heavier cables")
 
 
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
-    """Return the cables of a formed hitch, loosely interlaced; drones are placed slightly inward.
+    """Return the cables of a formed hitch, loosely interlaced, for drones (2n, 3) [m].
 
-    They are chains of segments of exactly their length, n of (segments + 1, 3) [m]. At a clasp both
-    cables bend toward each other and overlap like two links of a chain: cable k is level, cable k-1
-    upright within it, its leg below, or above where it rises more than the other one. Drones are
-    (2n, 3) [m], vertices (points, 3) [m].
+    They are chains of segments of exactly their length, n of (segments + 1, 3) [m], and end a
+    little inward of the drones. At a clasp both overlap like two links of a chain: cable k is
+    level, cable k-1 upright within it, its leg below, or above where it rises more than the other.
     """
     lengths = ropes.segment_lengths
     gap = max(CLEARANCE * ropes.preset.diameter, CLEARANCE_SEGMENTS * float(np.max(lengths)))
@@ -183,10 +177,6 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
     They are chains of segments of exactly their length, n of (segments + 1, 3) [m], that end within
     a segment of their drones (2n, 3) [m]: the settling draws these back. ``ground`` is its height.
-
-    Raises
-    ------
-    ShapeError: drones farther apart than their cable is long.
     """
     found, floor = [], ground + 0.5 * ropes.preset.diameter
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
@@ -209,13 +199,12 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
 
 def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
-    """Return the directions (count, 3) of links that hang from q to the floor and rise to r.
+    """Return the directions (count, 3) of links, ``size`` long, from q to the floor and to r [m].
 
     From the floor a cable rises as a catenary whose parameter a, its tension over its weight per
     length, is equal at both ends: at an arc s its slope is s / a. Where the cable is too long for
     any tension, a is one link, and the part on the floor meanders: its direction swings like a sine
     of amplitude w, which bends it least, and advances by the Bessel function J₀(w) of its length.
-    There are ``count`` links of a ``size`` [m]; a cable on the floor is at a height ``floor`` [m].
     """
     offset, whole = r - q, count * size
     span = float(np.hypot(*offset[:2]))
@@ -254,12 +243,11 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     says of both clasps of a cable and, of one that is wrapped around an object, half a diameter
     times the angle by which it turns there, seen from above.
     """
-    layout = task.team.layout
-    allowance = np.zeros(task.team.robots)
+    layout, allowance = task.team.layout, np.zeros(task.team.robots)
     longer = bend_lengths(task, diameter, segment)
     np.add.at(allowance, layout.ahead, longer)
     np.add.at(allowance, layout.behind, longer)
-    if task.motion is not None and task.motion.contacts is not None:
+    if task.formed.any():
         leaving, arriving = (unit(each * [1.0, 1.0, 0.0]) for each in _edge_ends(task))
         turns = np.arccos(np.clip(dot(leaving, arriving), -1.0, 1.0))
         allowance += 0.5 * diameter * np.mean(turns, axis=0)
@@ -272,10 +260,8 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     Where a cable turns by ``π - φ`` about another, φ the angle between the edges there, its centre
     line follows a circle of one diameter whose far side is half a diameter from the vertex. That is
     ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of segments cannot
-    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. The result
-    is the mean over the time in which the plan has a hitch, or in which it carries what it grips,
-    if it does: ropes that are too short then grip harder. It is zero where there is no hitch.
-    Diameter and segment are those of the simulated cables [m].
+    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. It is the
+    mean over the time with a hitch, or with what that grips: ropes too short grip harder.
     """
     layout = task.team.layout
     if not task.formed.any():
@@ -302,12 +288,30 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
 
+def legs_aside(task: Task, diameter: float) -> Array:
+    """Return (samples, 2n, 3) [m]: where legs of thick cables end, from where thin ones do.
+
+    The circle of a bend, see ``bend_lengths``, leads a leg past the vertex, ``1 - sin(h)/2``
+    diameters aside from its edge, h half of the angle between leg and edge. Legs that ended at
+    their drones would point too far inward; triangles, which are soft, would give way by 2 cm. As
+    far as the tension of a leg is below its team's, it ends nearer to its drone.
+    """
+    layout, team = task.team.layout, task.team
+    edges = unit(layout.edges(task.vertices))
+    along = np.stack([edges, -edges], axis=-2).reshape(task.setpoints.positions.shape)
+    legs = unit(task.setpoints.positions - task.vertices[:, layout.pulled_to])
+    cosine = dot(legs, along)[..., None]
+    half = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))
+    tight = np.repeat(np.clip(task.tensions / team.tension, 0.0, 1.0), 2, axis=-1)
+    away: Array = unit(cosine * legs - along) * (1.0 - 0.5 * np.sin(half)) * tight[..., None]
+    return diameter * away
+
+
 def linking_number(one: Array, other: Array) -> int:
-    """Return Gauss's linking number of two closed polygons, with its sign.
+    """Return Gauss's linking number of two closed polygons (corners, 3) [m], with its sign.
 
     It is the sum over all pairs of edges of the solid angle that their directions span, over 4π
-    (Banchoff 1976; Klenin and Langowski 2000). Corners are (corners, 3) [m], the last joined to the
-    first; the polygons are apart from each other.
+    (Banchoff 1976; Klenin and Langowski 2000).
     """
     a, b = one[:, None], np.roll(one, -1, axis=0)[:, None]
     c, d = other[None], np.roll(other, -1, axis=0)[None]
@@ -323,14 +327,9 @@ def linking_matrix(cables: list[Array]) -> NDArray[np.int64]:
     """Return (n, n), symmetric: the linking number of every pair of cables (nodes, 3) [m].
 
     Each cable is closed by the straight line between its drones. That is meaningful with the drones
-    at the hitch or before it is formed, where these lines stay clear of the other cables; in
-    between a line may pass through a cable, which changes the number although no cable passes
-    another. Pairs whose boxes do not meet are not linked.
+    at the hitch or before it is formed, where these lines stay clear of the other cables.
     """
-    n = len(cables)
-    lower, upper = (np.array([end(cable, axis=0) for cable in cables]) for end in (np.min, np.max))
-    meet = np.all((lower[:, None] <= upper[None]) & (lower[None] <= upper[:, None]), axis=-1)
-    found = np.zeros((n, n), dtype=np.int64)
-    for i, j in np.argwhere(np.triu(meet, 1)):
+    found = np.zeros((len(cables),) * 2, dtype=np.int64)
+    for i, j in combinations(range(len(cables)), 2):
         found[i, j] = found[j, i] = linking_number(cables[i], cables[j])
     return found

@@ -120,5 +120,6 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
         "error": None,
         "touches": {},
     }
-    about = {"gains": gains, "density": 0.01, "longer": 0.0, "ground": 0.0, "objects": {}}
+    about = {"gains": gains, "density": 0.01, "longer": 0.0, "aside": 0.0}
+    about |= {"ground": 0.0, "objects": {}}
     return Flight(task, settings, *parts, **{**ended, **about, **known})
