@@ -157,11 +157,9 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     half_width = 0.5 * BODY_RADIUS + SPREADING * np.where(below, depth, 0.0)
     spread = half_width**2 / (4.0 * np.log(2.0))  # of the momentum, whose profile is the square
     across = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    share = np.pi * BODY_RADIUS**2 / (2.0 * np.pi * spread) * np.exp(-0.5 * across / spread)
+    share = 0.5 * BODY_RADIUS**2 / spread * np.exp(-0.5 * across / spread)
     push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[None], 0.0)
-    forces = np.zeros_like(drones)
-    forces[:, 2] = -np.sum(push, axis=1)
-    return forces
+    return -np.multiply.outer(np.sum(push, axis=1), UP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,22 +192,14 @@ class PositionGains:
         for mass, *gains in np.unique([team.mass, damping, stiffness, integral], axis=1).T:
             loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
             if np.any(np.roots(loop).real > 0.0):
-                bound = (
-                    f"lower: a drone of {mass:g} kg, whose thrust lags, oscillates more and more"
-                )
+                bound = f"lower: thrust lags, a drone of {mass:g} kg oscillates more and more"
                 raise InputError("stiffness", float(gains[1]), bound, "lower it")
         feeds = np.broadcast_to(team.feed_forward, stiffness.shape)
         return cls(stiffness, damping, integral, feeds)
 
 
 class Pilots:
-    """The drones' controllers and motors, which apply their forces to a world.
-
-    Attributes
-    ----------
-    gains: of the position loops.
-    thrusts: present thrusts (2n,) [N].
-    """
+    """The drones' controllers and motors, of present thrusts (2n,) [N], which act on a world."""
 
     def __init__(self, world: World, team: Team, settings: Settings) -> None:
         self.gains = PositionGains.of(team, settings)
@@ -228,12 +218,7 @@ class Pilots:
         self._wound += seconds * self.gains.integral[:, None] * errors
 
     def command(
-        self,
-        setpoints: Setpoints,
-        positions: Array,
-        velocities: Array,
-        seconds: float,
-        pull: Array | float = 0.0,
+        self, setpoints: Setpoints, positions: Array, velocities: Array, seconds: float, pull: Array
     ) -> None:
         """Apply the forces that lead drones back to their setpoints for the next ``seconds``.
 
@@ -243,8 +228,7 @@ class Pilots:
         error, rate = setpoints.positions - positions, setpoints.velocities - velocities
         desired: Array = world.masses[:, None] * (setpoints.accelerations + GRAVITY * UP)
         desired += gains.stiffness[:, None] * error + gains.damping[:, None] * rate + self._wound
-        desired -= gains.feed_forward[:, None] * setpoints.cable_forces
-        desired += pull
+        desired += pull - gains.feed_forward[:, None] * setpoints.cable_forces
         attitudes = world.data.xmat[world.drone_bodies].reshape(-1, 3, 3)
         rates = world.data.qvel[world.drone_dofs + 3]
         size = np.einsum("ia,ia->i", desired, attitudes[:, :, 2])
@@ -266,8 +250,7 @@ def turning_moments(
     """Return the moments (2n, 3) [N m] about the bodies' axes that turn drones to their thrusts.
 
     Thrusts ``desired`` and their rates ``growth`` are (2n, 3) [N], [N/s]; columns of the attitudes
-    (2n, 3, 3) are the bodies' axes in the world; rates and inertia are about these (2n, 3) [rad/s],
-    [kg m²].
+    (2n, 3, 3) are the bodies' axes, about which are rates and inertia (2n, 3) [rad/s], [kg m²].
     """
     goals = desired_attitudes(desired)
     swing = np.cross(unit(desired, UP), growth) / np.maximum(length(desired), LEAST_FORCE)[:, None]
@@ -292,8 +275,7 @@ def desired_attitudes(desired: Array) -> Array:
 class VertexFeedback:
     """The feedback of a flight: vertices measured with noise and delay, setpoints corrected.
 
-    Raises InputError for a task without its plan. ``stiffness`` (2n,) [N/m] is that of the drones'
-    position loops; ``offsets`` (2n, 3) [m] are the corrections in force.
+    ``stiffness`` (2n,) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections.
     """
 
     def __init__(

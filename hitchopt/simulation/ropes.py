@@ -9,10 +9,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import j0
 
 from hitchopt.errors import HitchoptError, InputError
-from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.geometry.vectors import EAST, dot, length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
@@ -38,11 +37,7 @@ BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 SAME_RISE = 1e-6  # Difference of the legs' slopes up to which they rise alike
 BEYOND = 0.5  # Length by which a cable's line continues beyond its drone, for its last segments [m]
 
-# Radius of the bends of a cable that lies on the ground, being longer than its place [m]
-LYING_RADIUS = 0.02
-
-# Range of the angle by which a lying cable swings to either side [rad]; beyond it ends recede
-SMALL_SWING, MOST_SWING = 0.1, 2.6
+FOLD = 4  # Links of a cable from one of its folds to the next on the ground, where it is too long
 
 # Length that coarse segments use up in a bend of 180°, over the square of a segment's length over
 # the diameter: within 1 mm at a clasp for regular hitches of n = 3, 6, 12 with segments of 30 mm,
@@ -203,12 +198,11 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
 
     From the floor a cable rises as a catenary whose parameter a, its tension over its weight per
     length, is equal at both ends: at an arc s its slope is s / a. Where the cable is too long for
-    any tension, a is one link, and the part on the floor meanders: its direction swings like a sine
-    of amplitude w, which bends it least, and advances by the Bessel function J₀(w) of its length.
+    any tension, a is one link, and the part on the floor goes to and fro by an equal angle.
     """
     offset, whole = r - q, count * size
     span = float(np.hypot(*offset[:2]))
-    forward = np.array([*offset[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
+    forward = unit(offset * [1.0, 1.0, 0.0], fallback=EAST)
     heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0)
 
     def surplus(a: float) -> float:
@@ -221,19 +215,13 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
         a = brentq(surplus, a, tightest)
     arcs = np.sqrt(heights * (heights + 2.0 * a))
     lying = max(whole - float(np.sum(arcs)), size)
-    share = 1.0 - max(surplus(a), 0.0) / lying
-    swing = MOST_SWING
-    if share > j0(MOST_SWING):
-        swing = brentq(lambda w: j0(w) - min(share, 1.0), 0.0, MOST_SWING) if share < 1.0 else 0.0
-    waves = round(lying / (2.0 * np.pi * LYING_RADIUS * max(swing, SMALL_SWING)))
-    waves = min(max(waves, 1), max(int(lying / size) // 4, 1))
+    share = min(max(1.0 - surplus(a) / lying, 0.0), 1.0)
     place = size * (np.arange(count) + 0.5)
     slope = np.maximum(place - whole + arcs[1], 0.0) - np.maximum(arcs[0] - place, 0.0)
-    flat = np.clip((place - arcs[0]) / lying, 0.0, 1.0)
-    turned = swing * np.sin(2.0 * np.pi * waves * flat)
-    aside = np.cross(UP, forward)
-    level = np.cos(turned)[:, None] * forward + np.sin(turned)[:, None] * aside
-    return unit(level + (slope / a)[:, None] * UP)
+    folds = 2 * max(round(lying / (2 * FOLD * size)), 1)
+    side = (-1.0) ** np.floor(folds * np.clip((place - arcs[0]) / lying, 0.0, 1.0))
+    level = share * forward + math.sqrt(1.0 - share**2) * side[:, None] * np.cross(UP, forward)
+    return unit(np.where(slope[:, None] == 0.0, level, forward + (slope / a)[:, None] * UP))
 
 
 def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:

@@ -75,7 +75,8 @@ def test_thrust_follows_a_command_with_the_lag_and_within_its_limit() -> None:
 
     def command(thrust: float) -> None:
         up = thrust / TEAM.mass[:, None] * [0.0, 0.0, 1.0] - weight
-        flying.command(Setpoints(world.drones, zero, up, zero, zero), world.drones, zero, 0.006)
+        given = Setpoints(world.drones, zero, up, zero, zero)
+        flying.command(given, world.drones, zero, 0.006, zero)
 
     command(1.0)
     np.testing.assert_allclose(flying.thrusts, 1.0)  # the first command applies at once

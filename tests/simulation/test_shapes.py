@@ -22,7 +22,7 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.simulation.flight import fly
 from hitchopt.simulation.ropes import (
     COARSENESS,
-    LYING_RADIUS,
+    FOLD,
     Ropes,
     ShapeError,
     bend_lengths,
@@ -180,12 +180,7 @@ def test_cables_that_reach_the_ground_hang_to_it_and_lie_on_it(
     assert len(lying) > 0.1 * len(cable)
     along = np.subtract(r, q)[:2] / np.hypot(*np.subtract(r, q)[:2])
     off = (cable[:, :2] - np.array(q)[:2]) @ [-along[1], along[0]]
-    # The meander: aside by a few radii, bent no tighter than its radius unless links are longer.
-    assert np.max(np.abs(off)) < 5.0 * max(LYING_RADIUS, link)
-    flat = np.diff(cable[lying], axis=0)[:, :2] / link
-    turns = np.arccos(np.clip(np.sum(flat[1:] * flat[:-1], axis=-1), -1.0, 1.0))
-    if link <= LYING_RADIUS:
-        assert np.max(turns, initial=0.0) < 1.5 * link / LYING_RADIUS
+    assert np.max(np.abs(off)) < (FOLD + 1) * link  # to and fro beside the straight line
     for rising in (cable[lying[-1] :], cable[lying[0] :: -1]):  # a catenary: an even pull
         steps = np.diff(rising, axis=0)
         slopes = steps[:, 2] / np.maximum(np.hypot(*steps[:, :2].T), 1e-12)
