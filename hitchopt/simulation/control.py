@@ -159,7 +159,7 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     across = offset[..., 0] ** 2 + offset[..., 1] ** 2
     share = 0.5 * BODY_RADIUS**2 / spread * np.exp(-0.5 * across / spread)
     push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[None], 0.0)
-    return -np.multiply.outer(np.sum(push, axis=1), UP)
+    return np.asarray(-np.sum(push, axis=1)[:, None] * UP)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,38 +13,10 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.objects import SolidObject
-from hitchopt.simulation.contacts import (
-    ClaspContacts,
-    HungLoads,
-    ObjectContacts,
-    least_bearing,
-    touching,
-)
-from hitchopt.simulation.control import (
-    Disturbances,
-    Pilots,
-    PositionGains,
-    VertexFeedback,
-    downwash,
-    drag,
-)
-from hitchopt.simulation.ropes import (
-    Ropes,
-    clasped,
-    hanging,
-    legs_aside,
-    linking_matrix,
-    thickness_allowance,
-)
+from hitchopt.simulation import contacts, control, ropes
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import RATE, Task
-from hitchopt.simulation.world import (
-    BODY_HALF_HEIGHT,
-    InvalidRunError,
-    World,
-    check_valid,
-    tensions,
-)
+from hitchopt.simulation.world import BODY_HALF_HEIGHT, InvalidRunError, World, check_valid
 from hitchopt.values import Array
 
 Progress = Callable[[str], None]
@@ -116,7 +88,7 @@ class Film:
     t: (frames,) [s]
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
     cables: (n + 1,), first node of each cable, and the number of nodes.
-    poses: of the objects (frames, objects, 7): positions of their bases [m], and quaternions.
+    poses: of the objects (frames, objects, 7), as in a ``Record``.
     """
 
     t: Array
@@ -142,7 +114,6 @@ class Flight:
     longer: largest length that a rope has more than its cable [m], as bends of thick ropes use up.
     aside: largest distance of a rope's end from its drone's position [m], so that legs of thick
         ropes point as those of thin cables do.
-    ground: its height [m].
     objects: as they really were, by name.
     error: what ended the flight early, or None.
     """
@@ -155,11 +126,10 @@ class Flight:
     linking: NDArray[np.int64] | None
     rested: float
     pulled: float
-    gains: PositionGains
+    gains: control.PositionGains
     density: float
     longer: float
     aside: float
-    ground: float
     objects: dict[str, SolidObject]
     error: InvalidRunError | None
 
@@ -190,29 +160,28 @@ class _Run:
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
         team, preset = task.team, settings.preset
         self._task, self._settings, self._progress = task, settings, progress
-        disturbances = Disturbances(settings.perturbations, team.robots, settings.seed)
-        self._disturbances = disturbances
-        allowance = thickness_allowance(task, preset.diameter, preset.segment)
-        self._longer, self._aside = float(np.max(allowance)), legs_aside(task, preset.diameter)
-        lengths = team.cable_length * disturbances.cable_scale + allowance
-        ropes = Ropes.of(team, settings, lengths)
-        ropes.check_tension(float(max(np.max(team.tension), np.max(task.tensions))))
-        ground, objects = _ground(task), disturbances.disturbed(task.cargo.objects)
-        self._world = world = World(ropes, team.mass, ground=ground, objects=objects)
+        disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
+        self._disturbances, self._aside = disturbances, ropes.legs_aside(task, preset.diameter)
+        self._longer = ropes.thickness_allowance(task, preset.diameter, preset.segment)
+        lengths = team.cable_length * disturbances.cable_scale + self._longer
+        built = ropes.Ropes.of(team, settings, lengths)
+        built.check_tension(float(max(np.max(team.tension), np.max(task.tensions))))
+        ground, objects = ground_of(task), disturbances.disturbed(task.cargo.objects)
+        self._world = world = World(built, team.mass, ground, objects)
         start = task.setpoints.positions[0] + self._aside[0] + disturbances.start_offset
         if task.formed[0]:
-            world.place(clasped(ropes, team.layout, start, task.vertices[0]))
+            world.place(ropes.clasped(built, team.layout, start, task.vertices[0]))
         else:
-            world.place(hanging(ropes, start, ground))
-        self._pilots = Pilots(world, team, settings)
-        self._loads = HungLoads(world, team) if np.any(team.load) else None
-        self._contacts = ClaspContacts(world, team)
-        self._objects = ObjectContacts(world, task.cargo)
-        self._least_bearing = least_bearing(task)
+            world.place(ropes.hanging(built, start, ground))
+        self._pilots = control.Pilots(world, team, settings)
+        self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
+        self._contacts = contacts.ClaspContacts(world, team)
+        self._objects = contacts.ObjectContacts(world, task.cargo)
+        self._least_bearing = contacts.least_bearing(task)
+        loops, delay = self._pilots.gains.stiffness, settings.perturbations.vertex_delay
         self._feedback = None
         if settings.feedback:
-            delay, stiffness = settings.perturbations.vertex_delay, self._pilots.gains.stiffness
-            self._feedback = VertexFeedback(task, delay, disturbances, stiffness)
+            self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
         self._lost = _lost_drone(task, settings)
         self._substeps = max(1, round(CONTROL / preset.time_step))
         self._period = self._substeps * preset.time_step
@@ -245,7 +214,7 @@ class _Run:
         self._fly(0.0, end)
         self._fly(end, end + REST)
         self._rested = end + REST
-        self._linking = linking_matrix(world.cables)
+        self._linking = ropes.linking_matrix(world.cables)
         if self._settings.pull_test and self._lost is None:
             self._fly(self._rested, self._rested + PULLED, PULL)
             self._pulled = self._rested + PULLED
@@ -293,22 +262,22 @@ class _Run:
             pilots.wind(setpoints.positions - measured, period)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
         if self._settings.perturbations.downwash:
-            push = push + downwash(world.drones, pilots.thrusts)
+            push = push + control.downwash(world.drones, pilots.thrusts)
         world.data.xfrc_applied[world.drone_bodies, :3] += push
         planned = min(pull, 1.0)
         if self._loads is not None:
             self._loads.apply(planned * task.load_shares(index), period)
-        world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
+        world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
         tight = WHIPPING * task.team.tension
         loose = np.any(planned * task.tensions[index] < tight)
-        loose = loose or np.mean(tensions(world)) < np.mean(tight)  # whatever the plan says
+        loose = loose or np.mean(world.tensions) < np.mean(tight)  # whatever the plan says
         world.step(self._substeps, loose=bool(loose), finer=fine)
         check_valid(world, time)
         self._contacts.gather()
-        np.maximum(self._peaks, np.maximum.reduceat(tensions(world), self._starts), out=self._peaks)
+        np.maximum(self._peaks, np.maximum.reduceat(world.tensions, self._starts), out=self._peaks)
         if flying and time - self._searched >= TOUCH_PERIOD - ROUNDING:
             self._searched = time
-            for pair in (*touching(world), *self._objects.wrong(index)):
+            for pair in (*contacts.touching(world), *self._objects.wrong(index)):
                 self._touches.setdefault(pair, time)
         if time - self._framed >= FRAME_PERIOD - ROUNDING:
             self._framed = time
@@ -321,10 +290,7 @@ class _Run:
         return places
 
     def _outward_pulls(self, index: int) -> Array:
-        """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch.
-
-        Level ones while the hitch bears an object: with the others it would be lifted.
-        """
+        """Return (2n, 3) [N]: the plan's tensions along the legs outward; level with an object."""
         task = self._task
         legs = task.setpoints.positions[index] - task.vertices[index][task.team.layout.pulled_to]
         pulls: Array = np.repeat(task.tensions[index], 2)[:, None] * unit(legs)
@@ -336,14 +302,14 @@ class _Run:
         """Record the state at ``time`` [s], until which setpoint ``index`` applied, and peaks."""
         world = self._world
         commanded = self._task.setpoints.positions[index]
-        contacts = self._contacts.collect(self._least_bearing[index])
+        touched = self._contacts.collect(self._least_bearing[index])
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
-            self._feedback.observe(time, contacts[0])
-        means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
+            self._feedback.observe(time, touched[0])
+        means = np.add.reduceat(world.tensions, self._starts) / world.ropes.segments
         state = (means, self._peaks.copy(), self._pilots.thrusts.copy())
         places = (time, self._task.index(time), self._drones(index), commanded)
-        self._rows.append((*places, *contacts, *state, world.poses, self._objects.cables))
+        self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
         self._peaks[:] = 0.0
 
     def flight(self, error: InvalidRunError | None) -> Flight:
@@ -364,15 +330,14 @@ class _Run:
             self._pulled,
             gains=self._pilots.gains,
             density=world.ropes.density,
-            longer=self._longer,
+            longer=float(np.max(self._longer)),
             aside=float(np.max(length(self._aside))),
-            ground=world.ground,
             objects=world.objects,
             error=error,
         )
 
 
-def _ground(task: Task) -> float:
+def ground_of(task: Task) -> float:
     """Return the height [m] on which objects stand; else 0, or lower for the lowest drone."""
     lowest = float(np.min(task.setpoints.positions[..., 2])) - REST_HEIGHT
     return task.cargo.floor if task.cargo.objects else min(0.0, lowest)

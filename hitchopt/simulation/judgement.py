@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.simulation.contacts import least_bearing
-from hitchopt.simulation.flight import Flight, Progress, fly
+from hitchopt.simulation.flight import Flight, Progress, fly, ground_of
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT
@@ -275,39 +275,38 @@ def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]
     for i, j in np.argwhere(apart).tolist():
         words = f"cables {i} and {j} are linked {linking[i, j]} times, and should not be"
         failures.append(Failure("tangled", (f"cable {i}", f"cable {j}"), rested, words))
-    for clasp in clasps:
-        kind, when = "", rested
-        if abs(clasp.linking) != 1:
-            kind, words = "unlinked", f"its cables are linked {clasp.linking} times, not once"
-        elif not clasp.bears:
-            kind, words = "lost", f"its cables press with {clasp.bearing:.3f} N, less than the "
-            words += f"{clasp.least_bearing:.3f} N from which on a clasp bears: they merely cross"
-        elif clasp.moved > HELD:
-            kind, when = "slipped", flight.pulled
-            words = f"moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
-        if kind:
-            failures.append(Failure(kind, (clasp.name,), when, f"{clasp.name}: {words}"))
+    for each in clasps:
+        force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
+        cases = (  # of which the first one counts
+            (abs(each.linking) != 1, "unlinked", f"is linked {each.linking} times, not once"),
+            (not each.bears, "lost", f"presses with {force}, less than {least}: cables cross"),
+            (moved > HELD, "slipped", f"moves {moved:.3f} m under the pull test, more than {HELD}"),
+        )
+        for kind, words in [case for wrong, *case in cases if wrong][:1]:
+            when = flight.pulled if kind == "slipped" else rested
+            failures.append(Failure(kind, (each.name,), when, f"{each.name} {words}"))
     return failures
 
 
 def _mishandled(flight: Flight, state: ObjectState) -> list[Failure]:
     """Return what went wrong with an object."""
-    name, found = state.name, []
-    if np.isfinite(state.dropped):
-        words = f"{name} is dropped: more than {100 * DROPPED:g} cm below its planned height"
-        found.append(Failure("dropped", (name,), state.dropped, words))
-    if flight.linking is None:  # the flight never ended
-        return found
-    if not state.well_placed:
-        words = (
-            f"{name} is {100 * state.placed:.1f} cm from its place, tilted by {state.tilted:.1f}°, "
-            f"turned by {state.turned:.1f}°; at most {100 * PLACED:g} cm and {TILTED:g}°"
-        )
-        found.append(Failure("misplaced", (name,), flight.rested, words))
-    cargo = flight.task.cargo
-    if not (state.free or cargo.held[-1, cargo.names.index(name)]):
-        found.append(Failure("caught", (name,), flight.rested, f"{name}: cables touch it still"))
-    return found
+    cargo, ended, rested = flight.task.cargo, flight.linking is not None, flight.rested
+    held, dropped = cargo.held[-1, cargo.names.index(state.name)], bool(np.isfinite(state.dropped))
+    off = (
+        f" is {100 * state.placed:.1f} cm from its place, tilted by {state.tilted:.1f}°, turned by "
+        f"{state.turned:.1f}°; at most {100 * PLACED:g} cm and {TILTED:g}°"
+    )
+    depth = f" is dropped: more than {100 * DROPPED:g} cm below its planned height"
+    cases = (
+        (dropped, "dropped", state.dropped, depth),
+        (ended and not state.well_placed, "misplaced", rested, off),
+        (ended and not (state.free or held), "caught", rested, ": cables touch it still"),
+    )
+    return [
+        Failure(kind, (state.name,), when, state.name + words)
+        for wrong, kind, when, words in cases
+        if wrong
+    ]
 
 
 def object_states(flight: Flight) -> tuple[ObjectState, ...]:
@@ -320,21 +319,22 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     t = record.t[record.t <= end + ROUNDING]
     rows, poses, touched = (x[: len(t)] for x in (record.index, record.poses, record.touched))
     plan, resting = cargo.poses[rows], t > end - JUDGED if rested else t == end
+    yaws = np.arctan2(plan[-1, :, 4], plan[-1, :, 3])
     offsets = poses[..., :3] - plan[..., :3]
     planned = task.vertices[rows][:, task.team.layout.clasps]
     hitch = np.mean(record.vertices[: len(t)] - planned, axis=1)
     found = []
     for i in np.flatnonzero(cargo.movable):
         name, carried = cargo.names[i], cargo.carried[rows, i]
-        axes = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean().as_matrix()
-        yaw = np.arctan2(axes[1, 0], axes[0, 0]) - np.arctan2(plan[-1, i, 4], plan[-1, i, 3])
+        turned = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean()
+        axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
         low = t[carried & (offsets[:, i, 2] < -DROPPED)]
         found.append(
             ObjectState(
                 name,
                 placed=float(length(np.mean(offsets[resting, i], axis=0))),
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
-                turned=float(np.degrees(np.arctan2(np.sin(yaw), np.cos(yaw)))),
+                turned=float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))),
                 slipped=_slipped(offsets[:, i] - hitch, carried),
                 dropped=float(np.min(low)) if low.size else np.nan,
                 free=not touched[t > end - RELEASED, i].any(),
@@ -403,7 +403,7 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
         tuple(pair for pair in late if not set(pair) <= names),
         float(np.max(record.peak_tensions[after])),
         float(np.max(length(record.drones - record.commanded)[after][:, survivors])),
-        float(np.mean(end)) - flight.ground - BODY_HALF_HEIGHT,
+        float(np.mean(end)) - ground_of(flight.task) - BODY_HALF_HEIGHT,
         tuple(team.point_names[point] for point in linked),
     )
 

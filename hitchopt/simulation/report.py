@@ -20,19 +20,10 @@ from hitchopt.simulation.judgement import Simulation, Spread, tracking_errors, w
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
+from hitchopt.view import style
 from hitchopt.view.painter import Shot, chosen_shots, draw_storyboard
 from hitchopt.view.pictures import draw_phases
 from hitchopt.view.scene import Scene, recorded_scene
-from hitchopt.view.style import (
-    DASHES,
-    INK,
-    LIMIT_COLOUR,
-    cable_colours,
-    facts,
-    headline,
-    new_figure,
-    save_figure,
-)
 
 FORMAT = "hitchopt-simulation/1"
 
@@ -89,7 +80,7 @@ def save_simulation(
         del tables[OBJECTS]
     writers: dict[str, Writer] = {name: partial(_write_table, *v) for name, v in tables.items()}
     writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
-    writers[PICTURE] = lambda path: save_figure(drawn_flight(simulation, motion, title), path)
+    writers[PICTURE] = lambda path: style.save_figure(drawn_flight(simulation, motion, title), path)
     writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
@@ -157,7 +148,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
 
 def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Figure:
     """Return the picture of a flight of a plan: a storyboard, and errors and tensions over time."""
-    figure = new_figure(SIZE)
+    figure = style.new_figure(SIZE)
     grid = figure.add_gridspec(3, 2, width_ratios=WIDTHS)
     scene = flight_scene(simulation, motion)
     if scene is not None:  # the plan's moments that were reached, and the end of all
@@ -170,7 +161,7 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
         drawn = replace(scene, radius=float(np.clip(wide, scene.radius, THICKEST)))
         draw_storyboard(grid[:, 0], drawn, shots, (scene.t, scene.drones))
     _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
-    headline(figure, title, f"{facts(motion)}, simulated: {_ending(simulation)}")
+    style.headline(figure, title, f"{style.facts(motion)}, simulated: {_ending(simulation)}")
     return figure
 
 
@@ -187,7 +178,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     flight, errors = simulation.flight, simulation.errors
     record, task = flight.record, flight.task
     team, end = task.team, float(record.t[-1]) or 1.0
-    colours = cable_colours(team.robots)
+    colours = style.cable_colours(team.robots)
     top, middle, bottom = plots
     for c, point in enumerate(team.layout.clasps):
         colour = colours[int(point) % team.robots]
@@ -199,9 +190,9 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
         middle.plot(record.t, record.tensions[:, k], color=colour, lw=1.2)
     planned = np.where(task.formed[:, None], task.tensions, np.nan)
     for tension in np.unique(planned.T, axis=0):
-        middle.plot(task.t - task.t[0], tension, color=LIMIT_COLOUR, lw=1.2, ls=DASHES)
+        middle.plot(task.t - task.t[0], tension, color=style.LIMIT_COLOUR, lw=1.2, ls=style.DASHES)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
-    bottom.plot(record.t[: len(tracking)], tracking, color=INK, lw=1.2)
+    bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
     titles = f"{first}\nsag included [cm]", "tension [N],\nplanned dashed"
     for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):

@@ -177,10 +177,8 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
         q, r, whole = drones[2 * k], drones[2 * k + 1], float(count * size)
         if (apart := float(np.linalg.norm(r - q))) > whole * (1.0 + 1e-6):
-            raise ShapeError(
-                f"cable {k}: its drones start {apart:.4g} m apart, more than its "
-                f"{whole:.4g} m; lengthen it, or start closer"
-            )
+            words = f"its drones start {apart:.4g} m apart, more than its {whole:.4g} m"
+            raise ShapeError(f"cable {k}: {words}; lengthen it, or start closer")
         curve = hanging_cable(q, r, max(whole, apart), int(count) + 1)
         along, lies = unit(np.diff(curve, axis=0), fallback=-UP), np.min(curve[:, 2]) < floor
         if lies:

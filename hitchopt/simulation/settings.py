@@ -10,8 +10,6 @@ from typing import Any
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import not_negative, positive
 
-EXACT_SEGMENT = 0.010  # Largest length of segments with which vertices are true to a centimetre [m]
-
 # Largest relative deviations; more is most likely a percentage
 LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
 
@@ -42,20 +40,17 @@ class Preset:
     diameter: float
     time_step: float
 
-    def __post_init__(self) -> None:
-        _check(self, positive, "segment", "diameter", "time_step")
-
     @property
     def exact(self) -> bool:
         """Whether places of vertices are true to a centimetre."""
-        return self.segment <= EXACT_SEGMENT
+        return self.segment <= ACCURATE.segment
 
 
 # Preset for topology: whether a hitch holds. Its bends have too few segments for friction
 FAST = Preset("fast", 0.030, 0.012, 0.001)
 
 # Preset for friction: the tension ratio of a clasp is that of a capstan
-ACCURATE = Preset("accurate", EXACT_SEGMENT, 0.012, 0.0004)
+ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
 
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 

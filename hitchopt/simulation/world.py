@@ -9,7 +9,6 @@ Contacts of drones with cables and with one another are found in ``contacts``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -96,22 +95,13 @@ class World:
     cable_vertices: (n + 1,), cable k's nodes, drones among them, are flex vertices
         ``cable_vertices[k]:cable_vertices[k + 1]``.
     edge_cables: cable of each edge (edges,).
-
-    Raises
-    ------
-    UnsupportedError: mujoco is not installed.
     """
 
     def __init__(
-        self,
-        ropes: Ropes,
-        masses: Array,
-        *,
-        ground: float = 0.0,
-        objects: Mapping[str, SolidObject] | None = None,
+        self, ropes: Ropes, masses: Array, ground: float, objects: dict[str, SolidObject]
     ) -> None:
         mujoco = self._mujoco = _imported_mujoco()
-        self.ropes, self.ground, self.objects = ropes, ground, dict(objects or {})
+        self.ropes, self.ground, self.objects = ropes, ground, objects
         self.masses = np.array(masses, dtype=np.float64)
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
         self.model = model = mujoco.MjModel.from_xml_string(_describe(self))
@@ -172,8 +162,12 @@ class World:
     @property
     def nodes(self) -> Array:
         """Positions of all nodes (nodes, 3) [m], cable after cable, with drones at the ends."""
-        found: Array = self.data.flexvert_xpos
-        return found
+        return np.asarray(self.data.flexvert_xpos)
+
+    @property
+    def tensions(self) -> Array:
+        """Tension of every segment (edges,) [N], in the order of ``edge_cables``."""
+        return -np.asarray(self.data.efc_force[: len(self.edge_cables)])
 
     @property
     def cables(self) -> list[Array]:
@@ -183,8 +177,7 @@ class World:
     @property
     def drones(self) -> Array:
         """Positions of the drones (2n, 3) [m]."""
-        found: Array = self.data.qpos[self._drone_qpos]
-        return found
+        return np.asarray(self.data.qpos[self._drone_qpos])
 
     @property
     def poses(self) -> Array:
@@ -198,9 +191,8 @@ def _imported_mujoco() -> Any:
     try:
         import mujoco
     except ImportError:
-        raise UnsupportedError(
-            "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
-        ) from None
+        words = "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
+        raise UnsupportedError(words) from None
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda _text: None)
     return mujoco
@@ -214,16 +206,8 @@ class InvalidRunError(HitchoptError):
 
     def __init__(self, quantity: str, broken: str, time: float, where: str) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        super().__init__(
-            f"simulation: {broken}, t = {time:.3f} s: ropes may have passed each other; take a "
-            "finer preset or a shorter time step, or fly more gently"
-        )
-
-
-def tensions(world: World) -> Array:
-    """Return (edges,) [N]: the tension of every segment, in the order of ``edge_cables``."""
-    found: Array = -world.data.efc_force[: len(world.edge_cables)]
-    return found
+        words = "ropes may have passed each other; take a finer preset, or fly more gently"
+        super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
 
 
 def check_valid(world: World, time: float) -> None:
@@ -237,7 +221,7 @@ def check_valid(world: World, time: float) -> None:
     depths, pairs = -data.contact.dist[between], data.contact.flex[between]
     for quantity, values, limit, unit in (
         ("strain", strains, MOST_STRAIN, "m/m"),
-        ("tension", tensions(world), finer**2 * ropes.largest_tension, "N"),
+        ("tension", world.tensions, finer**2 * ropes.largest_tension, "N"),
         ("penetration", depths, MOST_PENETRATION * ropes.preset.diameter, "m"),
     ):
         worst = int(np.argmax(values)) if len(values) else 0
@@ -306,7 +290,7 @@ def _text(values: ArrayLike) -> str:
     return " ".join(f"{x:.17g}" for x in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
 
-def _describe_objects(objects: Mapping[str, SolidObject]) -> tuple[str, str]:
+def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
     """Return the meshes and the bodies of objects where they stand, in MuJoCo's XML.
 
     An object's friction is that of its contacts, whatever it touches. Its mass is that of an even

@@ -121,5 +121,4 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
         "touches": {},
     }
     about = {"gains": gains, "density": 0.01, "longer": 0.0, "aside": 0.0}
-    about |= {"ground": 0.0, "objects": {}}
-    return Flight(task, settings, *parts, **{**ended, **about, **known})
+    return Flight(task, settings, *parts, **{**ended, **about, "objects": {}, **known})

@@ -16,7 +16,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.control import POSITION_GAIN, VELOCITY_GAIN
 from hitchopt.simulation.ropes import Ropes, clasped
 from hitchopt.simulation.settings import ACCURATE, Settings
-from hitchopt.simulation.world import World, check_valid, tensions
+from hitchopt.simulation.world import World, check_valid
 
 LEG, SIDE = 0.4, 0.6  # Lengths of the cables' parts on both sides of the clasp [m]
 
@@ -40,7 +40,7 @@ def test_the_accurate_preset_has_a_capstans_friction() -> None:
     )
     hitch = Hitch(team, [[-SIDE, 0.0], [0.0, 0.0], [0.0, -SIDE]], 1.0, [0.0, LEG])
     ropes = Ropes.of(team, Settings(preset=ACCURATE), team.cable_length)
-    world = World(ropes, team.mass)
+    world = World(ropes, team.mass, 0.0, {})
     world.model.opt.gravity[:] = 0.0
     world.place(clasped(ropes, team.layout, hitch.drones, hitch.vertices))
     loose, clasp = world.drones - hitch.drones, hitch.vertices[1]
@@ -68,5 +68,5 @@ def test_the_accurate_preset_has_a_capstans_friction() -> None:
         world.step()
         check_valid(world, time)
         if time >= DRAWN + slide:
-            sums += [np.mean(tensions(world)[part]) for part in (pulled, other)]
+            sums += [np.mean(world.tensions[part]) for part in (pulled, other)]
     assert sums[0] / sums[1] == pytest.approx(np.exp(0.5 * np.pi * friction), rel=0.05)

@@ -39,7 +39,7 @@ TEAM = Team(2, 1.5, topology="open", quadrotor=[WOUND, DEAF])
 def pilots(lag: float = 0.0, at: Array = PLACES) -> tuple[Pilots, World]:
     """Return drones that hover upright with two hanging cables."""
     ropes = Ropes(np.array([1.5, 1.5]), 0.01, 0.1, FAST)
-    world = World(ropes, TEAM.mass)
+    world = World(ropes, TEAM.mass, 0.0, {})
     world.place(hanging(ropes, at, 0.0))
     return Pilots(world, TEAM, Settings(perturbations=replace(CALM, lag=lag))), world
 

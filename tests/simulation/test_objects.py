@@ -10,6 +10,7 @@ from scripted import RATE, hanging_task, regular_hitch, smooth
 
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.simulation.control import Disturbances
+from hitchopt.simulation.flight import ground_of
 from hitchopt.simulation.judgement import Simulation, judge, simulate
 from hitchopt.simulation.report import summary
 from hitchopt.simulation.ropes import Ropes
@@ -34,7 +35,7 @@ def test_objects_stand_still_on_the_ground_and_on_tables_of_any_shape() -> None:
             objects[f"thing {i} {j}"] = SolidObject(section, mass=0.08, at=on_it, yaw=0.3 * j)
     objects["alone"] = SolidObject(BOX, at=[0.0, -3.0, 0.0], yaw=1.0)
     masses = np.full(2, 0.13)
-    world = World(Ropes(np.array([1.0]), 0.01, 0.1, FAST), masses, objects=objects)
+    world = World(Ropes(np.array([1.0]), 0.01, 0.1, FAST), masses, 0.0, objects)
     world.step()
     before = world.poses
     world.step(1000)
@@ -48,7 +49,7 @@ def test_objects_stand_still_on_the_ground_and_on_tables_of_any_shape() -> None:
 def test_moments_of_inertia_are_those_of_points_of_the_body(section: Section) -> None:
     body = SolidObject(section, 0.1, 0.4, MASS, at=[1.0, 2.0, 0.0])
     ropes = Ropes(np.array([1.0]), 0.01, 0.1, FAST)
-    world = World(ropes, np.full(2, 0.13), objects={"body": body})
+    world = World(ropes, np.full(2, 0.13), 0.0, {"body": body})
     x, step = np.linspace(-0.25, 0.25, 250, retstep=True)
     plane = np.stack(np.meshgrid(x, x + 0.3 * step), axis=-1).reshape(-1, 2)
     plane = plane[section.clearance(plane)[0] < 0.0]
@@ -122,7 +123,7 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test(lifted: Simulation
     assert lifted.outcome.failures == ()
     (tray,) = lifted.outcome.objects
     assert tray.well_placed
-    assert lifted.flight.ground == FLOOR
+    assert ground_of(lifted.flight.task) == FLOOR
     drawn, stood = summary(lifted)["objects"][0], lifted.flight.task.cargo.objects["tray"]
     assert (drawn["mass"], drawn["stood_at"]) == (MASS, stood.at.tolist())
     assert tray.slipped < 0.02
@@ -177,7 +178,7 @@ def test_a_cylinder_that_was_tilted_comes_to_rest(section: Section, preset: Pres
     """It neither wobbles nor rolls along its edge: what turns it afterwards is friction alone."""
     drum = SolidObject(section, 0.0, 0.3, 0.1, 0.5)
     ropes = Ropes(np.array([1.0]), 0.01, 0.1, preset)
-    world = World(ropes, np.array([0.1, 0.1]), objects={"drum": drum})
+    world = World(ropes, np.array([0.1, 0.1]), 0.0, {"drum": drum})
     away = np.zeros((ropes.segments[0] + 1, 3))
     away[:, 0], away[:, 2] = np.linspace(2.0, 3.0, len(away)), 0.1
     world.place([away])

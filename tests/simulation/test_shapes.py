@@ -73,7 +73,6 @@ def test_cables_without_weight_get_one() -> None:
 def test_wrong_numbers_are_refused_by_name() -> None:
     given: dict[str, Any]
     for kind, given, words in (
-        (Preset, {"name": "x", "segment": 0.0, "diameter": 0.01, "time_step": 0.001}, "segment"),
         (Perturbations, {"noise": -1.0}, "noise"),
         (Perturbations, {"lag": float("nan")}, "lag"),
         (Perturbations, {"cable_error": 0.5}, "cable_error"),
