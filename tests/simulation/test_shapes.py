@@ -192,9 +192,6 @@ def test_random_polygons_are_linked_as_their_crossings_say(seed: int) -> None:
     assert linking_number(turn.apply(one) - 0.7, turn.apply(other) - 0.7) == expected
 
 
-DIAMETER = 0.012
-
-
 @pytest.mark.parametrize("n", [3, 5, 12])
 def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n: int) -> None:
     """Drawn as polygons: a circle of one diameter about the other cable, and tangents to it."""
@@ -211,7 +208,7 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
     wanted = 2.0 * COARSENESS * 0.02**2 / diameter * np.cos(0.5 * turn)
     np.testing.assert_allclose(coarse - found, wanted)
     free = unformed(task)
-    np.testing.assert_array_equal(thickness_allowance(free, DIAMETER, 0.03), np.zeros(n))
+    np.testing.assert_array_equal(thickness_allowance(free, FAST.diameter, 0.03), np.zeros(n))
     # A leg on the tangent at the arc's end passes the vertex at this distance, on the outside.
     past, aside = (arc[0] * far.conjugate()).imag, legs_aside(task, diameter)[-1]
     np.testing.assert_allclose(np.linalg.norm(aside, axis=-1), past, rtol=0.02)
@@ -224,10 +221,11 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
 
 
 @pytest.mark.slow
-def test_simulated_cables_are_as_long_as_planned() -> None:
-    """Legs, edges and their arcs add up to the plan's length, whatever the ropes' bends use up."""
+@pytest.mark.parametrize(("preset", "longer"), [(FAST, 0.015), (ACCURATE, 0.01)])
+def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
+    """Legs, edges and their arcs add up to the plan's length, and vertices are not drawn inward."""
     task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
-    flight = fly(task, Settings(pull_test=False))
+    flight = fly(task, Settings(preset, pull_test=False))
     record, layout = flight.record, task.team.layout
     rows = (record.t > 0.1) & (record.t <= flight.rested)
     drones, vertices = (np.mean(x[rows], axis=0) for x in (record.drones, record.vertices))
@@ -236,7 +234,11 @@ def test_simulated_cables_are_as_long_as_planned() -> None:
     sag = (GRAVITY * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]) ** 2
     found = np.sum(chords + sag * chords**3 / 24.0, axis=-1)
     np.testing.assert_allclose(found, task.team.cable_length, atol=4e-3)
-    assert flight.longer > 0.015  # without which they would be as much too short
+    assert flight.longer > longer  # without which they would be as much too short
+    planned = np.linalg.norm(task.vertices[-1] - np.mean(task.vertices[-1], axis=0), axis=-1)
+    outward = np.linalg.norm(vertices - np.mean(vertices, axis=0), axis=-1) - planned
+    assert np.max(np.abs(outward)) < 0.01
+    assert flight.aside == pytest.approx(0.0068, abs=1e-4)  # without which -14 mm, at 10 mm
 
 
 @pytest.mark.slow
@@ -262,8 +264,8 @@ def test_what_grips_bends_around_its_object_and_farther_at_clasps(tmp_path: Path
     turn = np.arccos(np.sum(path[:, 0] * path[:, 1], axis=-1))  # from leg to edge
     away = 0.5 * (first + last)[:, :2] - motion.object_poses.at(t)[0, :2]
     wrapped = 2.0 * np.arccos(np.linalg.norm(away, axis=1) / 0.2)
-    found = thickness_allowance(task, DIAMETER, 0.0)
-    wanted = 2.0 * DIAMETER * (turn - np.sin(0.5 * turn)) + 0.5 * DIAMETER * wrapped
+    found = thickness_allowance(task, FAST.diameter, 0.0)
+    wanted = 2.0 * FAST.diameter * (turn - np.sin(0.5 * turn)) + 0.5 * FAST.diameter * wrapped
     np.testing.assert_allclose(found, wanted, atol=1e-3)
-    straight = thickness_allowance(replace(task, motion=None), DIAMETER, 0.0)
+    straight = thickness_allowance(replace(task, motion=None), FAST.diameter, 0.0)
     assert np.all(found > straight + 0.015)
