@@ -139,8 +139,7 @@ def drag(world: World, damping: float = 0.0) -> Array:
     segments = np.repeat(ropes.segment_lengths, ropes.segments - 1)
     area, mass = ropes.preset.diameter * segments, ropes.density * segments
     rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * length(velocities) + damping * mass
-    forces: Array = -rate[:, None] * velocities
-    return forces
+    return np.asarray(-rate[:, None] * velocities)
 
 
 def downwash(drones: Array, thrusts: Array) -> Array:
@@ -260,16 +259,14 @@ def turning_moments(
     error = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
     carried = np.einsum("iba,ib->ia", across, goal_rates)  # R^T R_d omega_d
     answer = -ATTITUDE_GAIN * error - RATE_GAIN * (rates - carried)
-    moments: Array = inertia * answer + np.cross(rates, inertia * rates)
-    return moments
+    return np.asarray(inertia * answer + np.cross(rates, inertia * rates))
 
 
 def desired_attitudes(desired: Array) -> Array:
     """Return (2n, 3, 3): the third axis along the desired thrust, the first toward x."""
     third = unit(desired, UP)
     second = unit(np.cross(third, EAST))
-    attitudes: Array = np.stack([np.cross(second, third), second, third], axis=-1)
-    return attitudes
+    return np.asarray(np.stack([np.cross(second, third), second, third], axis=-1))
 
 
 class VertexFeedback:

@@ -286,8 +286,7 @@ class _Run:
 
     def _drones(self, index: int) -> Array:
         """Return (2n, 3) [m]: positions of the drones, beside which legs of thick ropes end."""
-        places: Array = self._world.drones - self._aside[index]
-        return places
+        return np.asarray(self._world.drones - self._aside[index])
 
     def _outward_pulls(self, index: int) -> Array:
         """Return (2n, 3) [N]: the plan's tensions along the legs outward; level with an object."""

@@ -38,10 +38,8 @@ RELEASED = 0.2  # Last part of the rest in which no cable may touch an object th
 SETTLED = 0.5  # Last part of a flight over which it is judged where a lost drone hangs [s]
 
 # Warning of a flight whose cables slide freely
-NO_FRICTION = (
-    "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
-    "state team.cable_friction, or give --friction"
-)
+NO_FRICTION = "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
+NO_FRICTION += "state team.cable_friction, or give --friction"
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
 
@@ -464,9 +462,8 @@ class Simulation(OneLine):
         ``tilted`` [°] and ``slipped`` [m] of objects.
         """
         record = self.flight.record
-        found: dict[str, float] = {}
-        for name, spread in self.spreads.items():
-            found |= {f"{name}_{key}": value for key, value in vars(spread).items()}
+        spreads = self.spreads.items()
+        found = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
         found["peak_tension"] = float(np.max(record.peak_tensions))
         found["peak_thrust"] = float(np.max(record.thrusts))
         for name in ("placed", "tilted", "slipped"):

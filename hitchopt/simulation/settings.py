@@ -46,12 +46,9 @@ class Preset:
         return self.segment <= ACCURATE.segment
 
 
-# Preset for topology: whether a hitch holds. Its bends have too few segments for friction
+# Whether a hitch holds, with too few segments in its bends for friction; and a capstan's friction
 FAST = Preset("fast", 0.030, 0.012, 0.001)
-
-# Preset for friction: the tension ratio of a clasp is that of a capstan
 ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
-
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
 

@@ -164,8 +164,7 @@ class Task:
 
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of their parts of the loads that cables carry at a sample."""
-        shares: Array = self.tensions[index] > 0.0 if self.taut is None else self.taut[index]
-        return shares
+        return np.asarray(self.tensions[index] > 0.0 if self.taut is None else self.taut[index])
 
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""

@@ -224,8 +224,7 @@ def check_valid(world: World, time: float) -> None:
         ("tension", world.tensions, finer**2 * ropes.largest_tension, "N"),
         ("penetration", depths, MOST_PENETRATION * ropes.preset.diameter, "m"),
     ):
-        worst = int(np.argmax(values)) if len(values) else 0
-        if len(values) and values[worst] > limit:
+        if len(values) and values[worst := int(np.argmax(values))] > limit:
             where = f"cable {world.edge_cables[worst]}"
             if quantity == "penetration":
                 where = f"cables {pairs[worst][0]} and {pairs[worst][1]}"
