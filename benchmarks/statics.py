@@ -17,7 +17,6 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
-from hitchopt.geometry.vectors import unit
 from hitchopt.simulation.control import Disturbances
 from hitchopt.simulation.flight import CONTROL, SETTLE, Flight
 from hitchopt.simulation.judgement import Simulation
@@ -27,7 +26,7 @@ from problems.random_morph import random_convex_polygon
 
 LIMITATIONS = (
     "simulated ropes of 12 mm in segments of 10 mm, without friction; one flight each; noise of "
-    "1 cm, whose mean statics are told, with the ropes' thickness and effective lengths; "
+    "1 cm, whose mean statics are told, with the ropes' weight and effective lengths; "
     "calibration knows the ropes' weight"
 )
 
@@ -76,7 +75,7 @@ def settled(seed: int) -> tuple[object, ...]:
         cable_density=done.flight.density,
         load=team.load + done.flight.density * 2.0 * bend_lengths(done.flight.task, *ROPE),
         stiffness=stiffness,
-        offsets=passing(plan) - mean_noise(done),
+        offsets=-mean_noise(done),
     )
     tension = float(np.max(np.abs(found.tensions / pulls - 1.0)))
     away = np.linalg.norm(found.vertices[team.layout.clasps] - seen, axis=-1)
@@ -97,22 +96,6 @@ def effective_lengths(flight: Flight) -> Array:
     sizes, level = (np.linalg.norm(chords[..., :axes], axis=-1) for axes in (3, 2))
     slack = 9.81 * flight.density / np.mean(record.tensions[rows], axis=0)[:, None]
     return np.asarray(np.sum(sizes + slack**2 * sizes * level**2 / 24.0, axis=-1))
-
-
-def passing(plan: ho.Plan) -> Array:
-    """Return (2n, 3) [m] where drones would be if ropes were thin, from where they are.
-
-    A thick rope that bends about another passes the vertex aside, away from its edge, by
-    ``1 - sin(h)/2`` diameters, h half of the angle between leg and edge: its leg points elsewhere.
-    """
-    states, layout = plan.at(plan.duration), plan.motion.team.layout
-    edges = unit(layout.edges(states.vertices))
-    along = np.stack([edges, -edges], axis=1).reshape(-1, 3)
-    legs = unit(states.positions - states.vertices[layout.anchors])
-    cosine = np.sum(legs * along, axis=-1, keepdims=True)
-    half = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))
-    aside: Array = ROPE[0] * (1.0 - 0.5 * np.sin(half)) * unit(along - cosine * legs)
-    return aside
 
 
 def mean_noise(done: Simulation) -> Array:

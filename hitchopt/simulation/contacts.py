@@ -16,18 +16,12 @@ from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, Worl
 from hitchopt.values import Array
 
 # Least contact force of a clasp over the plan's. Cables that merely cross press by their weight
-# and by the drones' deviations, and Gauss's integral counts some of them as linked, since the
-# lines that close them cross there too
+# and by the drones' deviations, and Gauss's integral counts some of them as linked
 BEARING_SHARE = 0.3
 
-# Time constant with which a load passes from nodes to others as contacts come and go [s]
-SMOOTHING = 0.05
-
+SMOOTHING = 0.05  # Time constant with which a load passes from nodes to others [s]
 LEAST_FORCE = 1e-9  # Normal force below which cables do not touch [N]
-
-# Part of its own cable that a drone cannot touch, next to the drone, over the drone's radius
-OWN = 2.0
-
+OWN = 2.0  # Part of its own cable that a drone cannot touch, next to it, over the drone's radius
 LANDED = 0.2  # Height above the ground [m] below which a drone may stand beside its own cable
 GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of things in contact
 
@@ -36,13 +30,13 @@ def least_bearing(task: Task) -> Array:
     """Return (samples, clasps) [N]: the contact force from which on a clasp bears.
 
     It is a share of the force with which a clasp presses without friction, which is
-    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike. A cable without tension bears nothing.
+    ``|T (u_{k-1} + u_k)|`` where both its cables pull alike; 0 where one does not.
     """
-    least = np.zeros((len(task.t), len(task.team.layout.clasps)))
+    team = task.team
+    least = np.zeros((len(task.t), len(team.layout.clasps)))
     pulled = np.all(task.tensions > 0.0, axis=-1)
-    directions = unit(task.team.layout.edges(task.vertices[pulled]))
-    forces = contact_forces(directions, task.tensions[pulled], task.team.topology)
-    least[pulled] = BEARING_SHARE * forces
+    edges = unit(team.layout.edges(task.vertices[pulled]))
+    least[pulled] = BEARING_SHARE * contact_forces(edges, task.tensions[pulled], team.topology)
     return least
 
 
@@ -79,12 +73,8 @@ class ClaspContacts:
     def collect(self, least: Array | float = 0.0) -> tuple[Array, Array]:
         """Return vertices and forces since the last call, and start again.
 
-        Cables that press less than ``least`` (clasps,) [N] do not bear on each other.
-
-        Returns
-        -------
-        vertices: (clasps, 3) [m], centres of the contact force; nan where cables do not bear.
-        forces: (clasps,) [N], mean sums of normal forces.
+        Vertices (clasps, 3) [m] are centres of the contact force; nan where cables press less than
+        ``least`` (clasps,) [N]. Forces (clasps,) [N] are mean sums of normal forces.
         """
         forces = self._force / max(self._count, 1)
         bears = (forces > 0.0) & (forces >= least)
@@ -95,11 +85,9 @@ class ClaspContacts:
 
 
 class HungLoads:
-    """Loads that hang at the clasps: mass of the nodes where both cables of a clasp touch.
+    """Loads that hang at the clasps, like rings: mass of the nodes that press on each other there.
 
-    A load hangs on both cables like a ring through two links of a chain. Its mass is that of the
-    nodes that press on each other there, such that its weight and its inertia act; as cables slide
-    through the clasp it passes to the nodes that follow.
+    As cables slide through a clasp its load passes to the nodes that follow.
     """
 
     def __init__(self, world: World, team: Team) -> None:
@@ -112,8 +100,8 @@ class HungLoads:
     def apply(self, shares: Array, seconds: float) -> None:
         """Put the loads on the nodes at their clasps for the next ``seconds``.
 
-        A clasp whose cables do not touch loses its load. ``shares`` (n,) of its half of a load are
-        those that each cable carries already.
+        ``shares`` (n,) are those of its halves of loads that a cable carries already; clasps whose
+        cables do not touch lose theirs.
         """
         data = self._world.data
         chosen, clasp, force = self._contacts.now()
@@ -132,9 +120,8 @@ class HungLoads:
 def touching(world: World) -> list[tuple[str, str]]:
     """Return all pairs in contact by name: ``q0`` and ``r2``, or ``q0`` and ``cable 2``.
 
-    MuJoCo lets them pass through each other, such that a flight can be simulated to its end. Drones
-    are ellipsoids, cables the chains of their nodes. Nodes are closer to each other than half of a
-    drone's radius; a cable between two of them is at most 2 mm closer than they are.
+    They pass through each other, such that a flight can be simulated to its end. Drones are
+    ellipsoids, cables their nodes: between two of them a cable is at most 2 mm closer.
     """
     scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     drones, names = world.drones * scale, world.drone_names
@@ -159,47 +146,45 @@ class ObjectContacts:
 
     def __init__(self, world: World, cargo: Cargo) -> None:
         self._world, self._cargo, self._aloft = world, cargo, cargo.aloft
-        model, cables = world.model, np.arange(len(world.ropes.lengths))
-        vertex_cables = np.repeat(cables, np.diff(world.cable_vertices))
-        kind, rank = np.full(model.nbody, GROUND), np.zeros(model.nbody, dtype=np.intp)
-        for each, bodies, ranks in (
-            (CABLE, model.flex_vertbodyid, vertex_cables),
-            (DRONE, world.drone_bodies, np.arange(len(world.drone_bodies))),
-            (OBJECT, world.object_bodies, np.arange(len(world.object_bodies))),
+        cables = [f"cable {k}" for k in range(len(world.ropes.lengths))]
+        bodies, objects = world.model.nbody, world.object_bodies
+        self._kind, self._rank = np.full(bodies, GROUND), np.full(bodies, -1)
+        self._names = np.full(bodies, "the ground", dtype=object)
+        for kind, chosen, names in (
+            (CABLE, world.model.flex_vertbodyid, np.repeat(cables, np.diff(world.cable_vertices))),
+            (DRONE, world.drone_bodies, world.drone_names),  # the ends of cables
+            (OBJECT, objects, cargo.names),
         ):
-            kind[bodies], rank[bodies] = each, ranks
-        self._kind, self._rank = kind[model.geom_bodyid], rank[model.geom_bodyid]
-        names = [f"cable {k}" for k in cables]
-        self._names = (["the ground"], world.drone_names, names, cargo.names)
+            self._kind[chosen], self._names[chosen] = kind, names
+        self._rank[objects] = np.arange(len(objects))
 
     def wrong(self, index: int) -> list[tuple[str, str]]:
         """Return what touches objects and should not at a sample of the plan, by name.
 
-        Cables may touch the objects that the plan holds; objects that are aloft touch nothing else;
-        drones touch nothing.
+        Cables may touch what the plan holds; objects aloft touch nothing else, drones nothing.
         """
-        thing, kind, other = self._pairs()
+        thing, body = self._pairs()
         if not len(thing):
             return []
-        held, aloft = self._cargo.held[index], self._aloft[index]
-        above = aloft[thing] | ((kind == OBJECT) & aloft[np.minimum(other, len(aloft) - 1)])
+        held, aloft = self._cargo.held[index], np.append(self._aloft[index], False)
+        kind, above = self._kind[body], aloft[thing] | aloft[self._rank[body]]
         chosen = np.where(kind == CABLE, ~held[thing], (kind == DRONE) | above)
-        found = np.unique(np.column_stack([kind, other, thing])[chosen], axis=0)
-        return [(self._names[k][j], self._names[OBJECT][i]) for k, j, i in found]
+        named = zip(self._names[body[chosen]], thing[chosen], strict=True)
+        return sorted({(str(other), self._cargo.names[i]) for other, i in named})
 
     @property
     def cables(self) -> NDArray[np.bool_]:
         """Whether cables touch an object (objects,)."""
         touched = np.zeros(len(self._cargo.objects), dtype=np.bool_)
-        thing, kind, _ = self._pairs()
-        touched[thing[kind == CABLE]] = True
+        thing, body = self._pairs()
+        touched[thing[self._kind[body] == CABLE]] = True
         return touched
 
-    def _pairs(self) -> tuple[Index, Index, Index]:
-        """Return the objects (contacts,) in contact, and kind and rank of what touches them."""
+    def _pairs(self) -> tuple[Index, Index]:
+        """Return the ranks of objects (contacts,) in contact, and the bodies that touch them."""
         contact = self._world.data.contact
         geoms = contact.geom[np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)]
-        kinds, ranks = self._kind[geoms], self._rank[geoms]
-        chosen = np.flatnonzero(np.any(kinds == OBJECT, axis=1))
-        own = np.argmax(kinds[chosen] == OBJECT, axis=1)  # the object, or the first of two
-        return ranks[chosen, own], kinds[chosen, 1 - own], ranks[chosen, 1 - own]
+        bodies = self._world.model.geom_bodyid[geoms]
+        chosen = bodies[np.any(self._rank[bodies] >= 0, axis=1)]
+        rows, own = np.arange(len(chosen)), np.argmax(self._rank[chosen] >= 0, axis=1)
+        return self._rank[chosen[rows, own]], chosen[rows, 1 - own]

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import EAST, length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.live.feedback import Feedback
 from hitchopt.objects import SolidObject
-from hitchopt.simulation.contacts import ClaspContacts
 from hitchopt.simulation.settings import Perturbations, Settings
 from hitchopt.simulation.task import Setpoints, Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World
@@ -30,8 +29,7 @@ from hitchopt.values import Array
 # Correlation times of errors of measured positions and velocities, and of gusts [s]
 NOISE_TIME, VELOCITY_NOISE_TIME, GUST_TIME = 0.3, 0.1, 1.0
 
-# Density of air [kg/m³]; drag coefficient of a cylinder in cross-flow at a cord's Reynolds
-# numbers
+# Density of air [kg/m³]; drag coefficient of a cylinder across the flow at a cord's Reynolds number
 AIR_DENSITY, DRAG_COEFFICIENT = 1.2, 1.2
 
 # Half-width of a turbulent round jet per distance (Pope, Turbulent Flows, 2000, table 5.1)
@@ -49,16 +47,15 @@ INTEGRAL_TIME = 2.0
 # Gains of the attitude loop [1/s²], [1/s], whose delay is some 60 ms
 ATTITUDE_GAIN, RATE_GAIN = 900.0, 54.0
 
-LEAST_FORCE = 1e-9  # Thrust below which it has no direction [N]
-
 # Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius
 ARM = 0.5
+LEAST_FORCE = 1e-9  # Of a thrust that turns [N]
 
 # Largest roll, pitch and yaw moment over the largest roll moment: propellers' drag is small
 MOMENT_SHARES = np.array([1.0, 1.0, 0.2])
 
-# Period of the measurements of vertices, and rounding of sums of periods [s]
-MEASURED, ROUNDING = 0.01, 1e-9
+ROUNDING = 1e-9  # Rounding of sums of periods [s]
+UP = np.array([0.0, 0.0, 1.0])  # Of a thrust that has no direction
 
 
 class Drift:
@@ -85,7 +82,7 @@ class Drift:
 class Disturbances:
     """Disturbances of one flight of n robots.
 
-    Every quantity has a random stream of its own, thus disabling one does not change the others.
+    Every quantity has a random stream of its own: to disable one does not change the others.
 
     Attributes
     ----------
@@ -116,11 +113,7 @@ class Disturbances:
         return vertices + spread * self._vertices.standard_normal(vertices.shape)
 
     def disturbed(self, objects: Mapping[str, SolidObject]) -> dict[str, SolidObject]:
-        """Return objects as they really are; call it once.
-
-        Masses and friction deviate evenly within their bounds, the places of those that can move
-        evenly within a circle.
-        """
+        """Return objects as they really are, even within their bounds; call it once."""
         given = self._perturbations
         mass, friction, far = self._objects.uniform(-1.0, 1.0, (3, len(objects)))
         heading = self._objects.uniform(0.0, 2.0 * np.pi, len(objects))
@@ -146,18 +139,16 @@ def drag(world: World, damping: float = 0.0) -> Array:
     segments = np.repeat(ropes.segment_lengths, ropes.segments - 1)
     area, mass = ropes.preset.diameter * segments, ropes.density * segments
     rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * length(velocities) + damping * mass
-    forces: Array = -rate[:, None] * velocities
-    return forces
+    return np.asarray(-rate[:, None] * velocities)
 
 
 def downwash(drones: Array, thrusts: Array) -> Array:
     """Return (2n, 3) [N]: the forces with which drones push down those below them.
 
-    Below its disk a rotor's wake is modelled as a turbulent round jet: it carries the momentum of
-    the thrust, in a Gaussian profile whose half-width grows by ``SPREADING`` per distance (Pope
-    2000, section 5.1), starting from half of the drone's radius. A drone in it receives ``BLOCKED``
-    times the momentum that meets its disk. Real wakes of four rotors differ near the drone. All
-    pairs of drones (2n, 3) [m] are evaluated, with their thrusts (2n,) [N].
+    A wake is modelled as a turbulent round jet: it carries the momentum of the thrust, in a
+    Gaussian profile whose half-width grows by ``SPREADING`` per distance (Pope 2000, section 5.1),
+    from half of the drone's radius on. A drone in it receives ``BLOCKED`` times the momentum that
+    meets its disk. Drones are at (2n, 3) [m], with thrusts (2n,) [N].
     """
     offset = drones[:, None] - drones[None]  # [below, above]
     depth = -offset[..., 2]
@@ -165,11 +156,9 @@ def downwash(drones: Array, thrusts: Array) -> Array:
     half_width = 0.5 * BODY_RADIUS + SPREADING * np.where(below, depth, 0.0)
     spread = half_width**2 / (4.0 * np.log(2.0))  # of the momentum, whose profile is the square
     across = offset[..., 0] ** 2 + offset[..., 1] ** 2
-    share = np.pi * BODY_RADIUS**2 / (2.0 * np.pi * spread) * np.exp(-0.5 * across / spread)
+    share = 0.5 * BODY_RADIUS**2 / spread * np.exp(-0.5 * across / spread)
     push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[None], 0.0)
-    forces = np.zeros_like(drones)
-    forces[:, 2] = -np.sum(push, axis=1)
-    return forces
+    return np.asarray(-np.sum(push, axis=1)[:, None] * UP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,8 +180,8 @@ class PositionGains:
     def of(cls, team: Team, settings: Settings) -> PositionGains:
         """Return the gains of a team's drones, the settings replacing their stiffness.
 
-        Raise InputError for a stiffness with which the errors of a drone grow: the characteristic
-        polynomial of its loop, lag and attitude included, has a root with a positive real part.
+        Raise InputError for a stiffness with which errors grow: the characteristic polynomial of a
+        drone's loop, lag and attitude included, has a root with a positive real part.
         """
         stated = np.where(np.isfinite(team.stiffness), team.stiffness, POSITION_GAIN * team.mass)
         stiffness = np.broadcast_to(settings.stiffness or stated, team.mass.shape)
@@ -202,23 +191,14 @@ class PositionGains:
         for mass, *gains in np.unique([team.mass, damping, stiffness, integral], axis=1).T:
             loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
             if np.any(np.roots(loop).real > 0.0):
-                bound = (
-                    f"low enough for a drone of {mass:g} kg whose thrust lags behind its command; "
-                    "at this one it oscillates more and more"
-                )
+                bound = f"lower: thrust lags, a drone of {mass:g} kg oscillates more and more"
                 raise InputError("stiffness", float(gains[1]), bound, "lower it")
         feeds = np.broadcast_to(team.feed_forward, stiffness.shape)
         return cls(stiffness, damping, integral, feeds)
 
 
 class Pilots:
-    """The drones' controllers and motors, which apply their forces to a world.
-
-    Attributes
-    ----------
-    gains: of the position loops.
-    thrusts: present thrusts (2n,) [N].
-    """
+    """The drones' controllers and motors, of present thrusts (2n,) [N], which act on a world."""
 
     def __init__(self, world: World, team: Team, settings: Settings) -> None:
         self.gains = PositionGains.of(team, settings)
@@ -237,12 +217,7 @@ class Pilots:
         self._wound += seconds * self.gains.integral[:, None] * errors
 
     def command(
-        self,
-        setpoints: Setpoints,
-        positions: Array,
-        velocities: Array,
-        seconds: float,
-        pull: Array | float = 0.0,
+        self, setpoints: Setpoints, positions: Array, velocities: Array, seconds: float, pull: Array
     ) -> None:
         """Apply the forces that lead drones back to their setpoints for the next ``seconds``.
 
@@ -250,10 +225,9 @@ class Pilots:
         """
         world, most, gains = self._world, self._max_thrust, self.gains
         error, rate = setpoints.positions - positions, setpoints.velocities - velocities
-        desired: Array = world.masses[:, None] * (setpoints.accelerations + [0.0, 0.0, GRAVITY])
+        desired: Array = world.masses[:, None] * (setpoints.accelerations + GRAVITY * UP)
         desired += gains.stiffness[:, None] * error + gains.damping[:, None] * rate + self._wound
-        desired -= gains.feed_forward[:, None] * setpoints.cable_forces
-        desired += pull
+        desired += pull - gains.feed_forward[:, None] * setpoints.cable_forces
         attitudes = world.data.xmat[world.drone_bodies].reshape(-1, 3, 3)
         rates = world.data.qvel[world.drone_dofs + 3]
         size = np.einsum("ia,ia->i", desired, attitudes[:, :, 2])
@@ -275,56 +249,39 @@ def turning_moments(
     """Return the moments (2n, 3) [N m] about the bodies' axes that turn drones to their thrusts.
 
     Thrusts ``desired`` and their rates ``growth`` are (2n, 3) [N], [N/s]; columns of the attitudes
-    (2n, 3, 3) are the bodies' axes in the world; rates and inertia are about these (2n, 3) [rad/s],
-    [kg m²].
+    (2n, 3, 3) are the bodies' axes, about which are rates and inertia (2n, 3) [rad/s], [kg m²].
     """
     goals = desired_attitudes(desired)
-    turning = np.einsum("iba,ib->ia", goals, growth / _sizes(desired))
-    goal_rates = np.stack([-turning[:, 1], turning[:, 0], np.zeros(len(turning))], axis=-1)
+    swing = np.cross(unit(desired, UP), growth) / np.maximum(length(desired), LEAST_FORCE)[:, None]
+    goal_rates = np.einsum("iba,ib->ia", goals, swing)
     across = np.einsum("iba,ibc->iac", goals, attitudes)  # R_d^T R
     skew = 0.5 * (across - across.transpose(0, 2, 1))
     error = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
     carried = np.einsum("iba,ib->ia", across, goal_rates)  # R^T R_d omega_d
     answer = -ATTITUDE_GAIN * error - RATE_GAIN * (rates - carried)
-    moments: Array = inertia * answer + _cross(rates, inertia * rates)
-    return moments
+    return np.asarray(inertia * answer + np.cross(rates, inertia * rates))
 
 
 def desired_attitudes(desired: Array) -> Array:
     """Return (2n, 3, 3): the third axis along the desired thrust, the first toward x."""
-    third = desired / _sizes(desired)
-    second = _cross(third, np.broadcast_to([1.0, 0.0, 0.0], third.shape))
-    second /= _sizes(second)
-    attitudes: Array = np.stack([_cross(second, third), second, third], axis=-1)
-    return attitudes
-
-
-def _sizes(vectors: Array) -> Array:
-    """Return the sizes (2n, 1) of vectors, none of them zero."""
-    return np.maximum(length(vectors)[:, None], LEAST_FORCE)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Return cross products (k, 3); numpy's takes longer than all other parts of a command."""
-    (x, y, z), (u, v, w) = a.T, b.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+    third = unit(desired, UP)
+    second = unit(np.cross(third, EAST))
+    return np.asarray(np.stack([np.cross(second, third), second, third], axis=-1))
 
 
 class VertexFeedback:
     """The feedback of a flight: vertices measured with noise and delay, setpoints corrected.
 
-    Raises InputError for a task without its plan. ``stiffness`` (2n,) [N/m] is that of the drones'
-    position loops; ``offsets`` (2n, 3) [m] are the corrections in force.
+    ``stiffness`` (2n,) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections.
     """
 
     def __init__(
-        self, task: Task, world: World, delay: float, disturbances: Disturbances, stiffness: Array
+        self, task: Task, delay: float, disturbances: Disturbances, stiffness: Array
     ) -> None:
         if task.motion is None:
             raise InputError("feedback", True, "with a plan", "give the plan's directory")
         self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness)
         self._start, self._delay, self._disturbances = float(task.t[0]), delay, disturbances
-        self._contacts, self._measured = ClaspContacts(world, task.team), 0.0
         self._waiting: deque[tuple[float, Array]] = deque()
         self.offsets = self._feedback.offsets
 
@@ -345,10 +302,6 @@ class VertexFeedback:
         velocities = setpoints.velocities + self._feedback.velocities
         return replace(setpoints, positions=positions, velocities=velocities)
 
-    def observe(self, time: float, least_bearing: Array) -> None:
-        """Measure the vertices, where it is time to, after a step until a time [s]."""
-        self._contacts.gather()
-        if time - self._measured >= MEASURED - ROUNDING:
-            self._measured = time
-            vertices, _ = self._contacts.collect(least_bearing)
-            self._waiting.append((time, self._disturbances.measured(vertices)))
+    def observe(self, time: float, vertices: Array) -> None:
+        """Measure the vertices (clasps, 3) [m] at a time [s]."""
+        self._waiting.append((time, self._disturbances.measured(vertices)))

@@ -2,42 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import length, unit
 from hitchopt.objects import SolidObject
-from hitchopt.simulation.contacts import (
-    ClaspContacts,
-    HungLoads,
-    ObjectContacts,
-    least_bearing,
-    touching,
-)
-from hitchopt.simulation.control import (
-    Disturbances,
-    Pilots,
-    PositionGains,
-    VertexFeedback,
-    downwash,
-    drag,
-)
-from hitchopt.simulation.ropes import Ropes, clasped, hanging, linking_matrix, thickness_allowance
+from hitchopt.simulation import contacts, control, ropes
 from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.task import Task
-from hitchopt.simulation.world import (
-    BODY_HALF_HEIGHT,
-    InvalidRunError,
-    World,
-    check_valid,
-    tensions,
-)
+from hitchopt.simulation.task import RATE, Task
+from hitchopt.simulation.world import BODY_HALF_HEIGHT, InvalidRunError, World, check_valid
 from hitchopt.values import Array
 
 Progress = Callable[[str], None]
@@ -45,14 +24,12 @@ Progress = Callable[[str], None]
 
 CONTROL = 0.005  # Period of the controller [s], rounded to whole time steps
 
-# Time before the flight in which cables are drawn tight, or come to rest [s]; and its part in
-# which drones move from the positions of loose cables to the first setpoint, while the tension
-# grows: drawn at once, loose clasps would tear
+# Time before the flight in which cables come to rest [s]; and its part in which drones move from
+# the ends of loose cables to the first setpoint, while the tension grows: drawn at once, loose
+# clasps would tear
 SETTLE, DRAWN = 2.5, 1.5
 
-# Rate at which cables lose speed when they begin to settle [1/s]: falling freely until they are
-# taut, they would whip. In the flight only air slows them
-DAMPING = 40.0
+DAMPING = 40.0  # Rate at which cables lose speed when they begin to settle, not to whip [1/s]
 
 WHIPPING = 0.25  # Tension over the team's from which on ropes do not whip
 REST = 1.0  # Time after the flight, before anything is judged [s]
@@ -60,15 +37,12 @@ REST = 1.0  # Time after the flight, before anything is judged [s]
 # Pull test: tension over the plan's, and duration [s]; the tension grows in half of it
 PULL, PULLED = 1.5, 2.0
 
-# Times between two samples after the last setpoint, two recorded shapes of the cables, and two
-# searches for contacts [s]
-RESTING_SAMPLE, FRAME_PERIOD, TOUCH_PERIOD = 0.01, 0.04, 0.02
+FRAME_PERIOD, TOUCH_PERIOD = 0.04, 0.02  # Of shapes of cables and of searches for contacts [s]
+REPORT_PERIOD = 50  # Samples between two calls of ``progress``
 
-REPORT_PERIOD = 50  # Setpoints between two calls of ``progress``
-
-# [s] Time after the loss of a drone in which steps are at most so long, and that part of the
-# preset's: ropes slide fast over each other at its clasp, and strain by more than 2 % there else
-FALLING, FALLING_STEP, FALLING_PARTS = 2.5, 0.00034, 3
+# Time after the loss of a drone [s] in which steps are that part of the preset's: ropes slide fast
+# over each other at its clasp, and strain by more than 2 % there else
+FALLING, FALLING_PARTS = 2.5, 3
 
 REST_HEIGHT = BODY_HALF_HEIGHT + 0.005  # Height of the centre of a drone on the ground [m]
 ROUNDING = 1e-9  # Rounding of sums of periods [s]
@@ -80,7 +54,7 @@ class Record:
 
     Attributes
     ----------
-    t: (samples,) [s], those of the setpoints, and of rest and pull test after them.
+    t: (samples,) [s], at the rate of the setpoints, rest and pull test included.
     index: (samples,), the task's sample that applies from then on.
     drones, commanded: positions, and the setpoints' (samples, 2n, 3) [m].
     vertices: (samples, clasps, 3) [m], nan where cables do not bear on each other.
@@ -114,7 +88,7 @@ class Film:
     t: (frames,) [s]
     nodes: (frames, nodes, 3) [m], cable after cable, drones at their ends.
     cables: (n + 1,), first node of each cable, and the number of nodes.
-    poses: of the objects (frames, objects, 7): positions of their bases [m], and quaternions.
+    poses: of the objects (frames, objects, 7), as in a ``Record``.
     """
 
     t: Array
@@ -137,9 +111,9 @@ class Flight:
     rested, pulled: times [s] at which rest and pull test ended; nan if they did not.
     gains: of the drones' position loops.
     density: of the simulated cables [kg/m].
-    longer: largest length that a rope has more than its cable [m]; the bends of thick ropes use it
-        up, so that the planned length is the effective one.
-    ground: its height [m].
+    longer: largest length that a rope has more than its cable [m], as bends of thick ropes use up.
+    aside: largest distance of a rope's end from its drone's position [m], so that legs of thick
+        ropes point as those of thin cables do.
     objects: as they really were, by name.
     error: what ended the flight early, or None.
     """
@@ -152,10 +126,10 @@ class Flight:
     linking: NDArray[np.int64] | None
     rested: float
     pulled: float
-    gains: PositionGains
+    gains: control.PositionGains
     density: float
     longer: float
-    ground: float
+    aside: float
     objects: dict[str, SolidObject]
     error: InvalidRunError | None
 
@@ -164,9 +138,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
     It begins with a hitch where the plan has one at the first setpoint, else with hanging cables.
-    The plan's hitch also defines the correction for the ropes' thickness, whose size the flight
-    states. Drones know their setpoints alone: the ropes' weight is not fed forward unless the
-    setpoints' cable forces hold it.
+    Drones know their setpoints alone, with the cable forces that these hold.
 
     Raises
     ------
@@ -188,35 +160,33 @@ class _Run:
     def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
         team, preset = task.team, settings.preset
         self._task, self._settings, self._progress = task, settings, progress
-        disturbances = Disturbances(settings.perturbations, team.robots, settings.seed)
-        self._disturbances = disturbances
-        allowance = thickness_allowance(task, preset.diameter, preset.segment)
-        self._longer = float(np.max(allowance))
-        lengths = team.cable_length * disturbances.cable_scale + allowance
-        ropes = Ropes.of(team, settings, lengths)
-        ropes.check_tension(float(max(np.max(team.tension), np.max(task.tensions))))
-        ground, objects = _ground(task), disturbances.disturbed(task.cargo.objects)
-        self._world = world = World(ropes, team.mass, ground=ground, objects=objects)
-        start = task.setpoints.positions[0] + disturbances.start_offset
+        disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
+        self._disturbances, self._aside = disturbances, ropes.legs_aside(task, preset.diameter)
+        self._longer = ropes.thickness_allowance(task, preset.diameter, preset.segment)
+        lengths = team.cable_length * disturbances.cable_scale + self._longer
+        built = ropes.Ropes.of(team, settings, lengths)
+        built.check_tension(float(max(np.max(team.tension), np.max(task.tensions))))
+        ground, objects = ground_of(task), disturbances.disturbed(task.cargo.objects)
+        self._world = world = World(built, team.mass, ground, objects)
+        start = task.setpoints.positions[0] + self._aside[0] + disturbances.start_offset
         if task.formed[0]:
-            world.place(clasped(ropes, team.layout, start, task.vertices[0]))
+            world.place(ropes.clasped(built, team.layout, start, task.vertices[0]))
         else:
-            world.place(hanging(ropes, start, ground))
-        self._pilots = Pilots(world, team, settings)
-        self._loads = HungLoads(world, team) if np.any(team.load) else None
-        self._contacts = ClaspContacts(world, team)
-        self._objects = ObjectContacts(world, task.cargo)
-        self._least_bearing = least_bearing(task)
+            world.place(ropes.hanging(built, start, ground))
+        self._pilots = control.Pilots(world, team, settings)
+        self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
+        self._contacts = contacts.ClaspContacts(world, team)
+        self._objects = contacts.ObjectContacts(world, task.cargo)
+        self._least_bearing = contacts.least_bearing(task)
+        loops, delay = self._pilots.gains.stiffness, settings.perturbations.vertex_delay
         self._feedback = None
         if settings.feedback:
-            delay, stiffness = settings.perturbations.vertex_delay, self._pilots.gains.stiffness
-            self._feedback = VertexFeedback(task, world, delay, disturbances, stiffness)
+            self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
         self._lost = _lost_drone(task, settings)
-        self._fine = max(ceil(preset.time_step / FALLING_STEP - ROUNDING), FALLING_PARTS)
         self._substeps = max(1, round(CONTROL / preset.time_step))
         self._period = self._substeps * preset.time_step
         self._damping = 0.0
-        self._starts = np.searchsorted(world.edge_cables, np.arange(team.robots))
+        self._starts = world.cable_vertices[:-1] - np.arange(team.robots)  # of each cable's edges
         self._peaks: Array = np.zeros(team.robots)
         self._searched = self._framed = -np.inf
         self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
@@ -229,7 +199,7 @@ class _Run:
         """Simulate all of it; raises InvalidRunError where the simulation leaves its range."""
         task, world = self._task, self._world
         end, formed = task.duration, task.formed[0]
-        loose = world.drones - task.setpoints.positions[0] if formed else 0.0
+        loose = self._drones(0) - task.setpoints.positions[0] if formed else 0.0
         friction = world.model.flex_friction.copy()
         world.model.flex_friction[:] = 0.0  # such that the initial state has no history
         for time in self._times(-SETTLE, 0.0):
@@ -241,85 +211,85 @@ class _Run:
         self._contacts.collect()
         self._peaks[:] = 0.0
         self._sample(0.0, 0)
-        current = 0
-        for time in self._times(0.0, end):
-            index = task.index(time)
-            if index != current:
-                self._sample(time, current)
-                current = index
-                if self._progress is not None and index % REPORT_PERIOD == 0:
-                    self._progress(f"flying, {time:.1f} of {end:.1f} s")
-            self._step(time, index, 1.0)
-        self._sample(end, len(task.t) - 1)
-        self._rest(end, end + REST, 1.0)
+        self._fly(0.0, end)
+        self._fly(end, end + REST)
         self._rested = end + REST
-        self._linking = linking_matrix(world.cables)
+        self._linking = ropes.linking_matrix(world.cables)
         if self._settings.pull_test and self._lost is None:
-            self._rest(self._rested, self._rested + PULLED, PULL)
+            self._fly(self._rested, self._rested + PULLED, PULL)
             self._pulled = self._rested + PULLED
 
-    def _rest(self, begin: float, end: float, pull: float) -> None:
-        """Hold the last setpoint, the tension growing to ``pull`` times its value half-way."""
-        every, last = max(1, round(RESTING_SAMPLE / self._period)), len(self._task.t) - 1
-        for step, time in enumerate(self._times(begin, end)):
-            if step and step % every == 0:
-                self._sample(time, last)
+    def _fly(self, begin: float, end: float, pull: float = 1.0) -> None:
+        """Fly from a time to another [s], the tension growing to ``pull`` times its value."""
+        task, sample = self._task, math.floor(RATE * begin + ROUNDING)
+        index = task.index(begin)
+        for time in self._times(begin, end):
+            if (now := math.floor(RATE * time + ROUNDING)) != sample:
+                self._sample(time, index)
+                sample, index = now, task.index(time)
+                if self._progress is not None and sample % REPORT_PERIOD == 0:
+                    self._progress(f"flying, {time:.1f} of {end:.1f} s")
             grown = min(1.0, 2.0 * (time - begin) / (end - begin))
-            self._step(time, last, 1.0 + (pull - 1.0) * grown)
-        self._sample(end, last)
+            self._step(time, index, 1.0 + (pull - 1.0) * grown)
+        self._sample(end, index)
 
     def _times(self, begin: float, end: float) -> Array:
         """Return the times of the commands in [begin, end)."""
         count = max(0, round((end - begin) / self._period))
-        times: Array = begin + self._period * np.arange(count, dtype=np.float64)
-        return times
+        return begin + self._period * np.arange(count, dtype=np.float64)
 
     def _step(self, time: float, index: int, pull: float, offset: Array | float = 0.0) -> None:
         """Command the drones by a setpoint, moved by an offset [m], and advance by one period.
 
-        ``pull`` is a factor of the plan's tension. Less than 1 reduces what is fed forward while a
-        hitch is drawn tight; more than 1 is the force of the pull test, which every drone adds.
+        ``pull`` is a factor of the plan's tension: less than 1 while a hitch is drawn tight, more
+        in the pull test, whose force every drone adds.
         """
-        world, task, period, fine = self._world, self._task, self._period, 1
-        disturbances, pilots = self._disturbances, self._pilots
+        world, task, period, flying = self._world, self._task, self._period, time >= 0.0
+        disturbances, pilots, fine = self._disturbances, self._pilots, 1
         if self._lost is not None and time >= self._lost[1]:
             pilots.stop(self._lost[0])
-            fine = self._fine if time < self._lost[1] + FALLING else 1
+            fine = FALLING_PARTS if time < self._lost[1] + FALLING else 1
         setpoints = task.setpoints[index]
         setpoints = replace(setpoints, positions=setpoints.positions + offset)
-        measured = world.drones + disturbances.noise.advance(period)
-        velocities = world.data.qvel[world.drone_dofs]
-        velocities = velocities + disturbances.velocity_noise.advance(period)
-        if self._feedback is not None and time >= 0.0:
+        measured = self._drones(index) + disturbances.noise.advance(period)
+        velocities = disturbances.velocity_noise.advance(period) + world.data.qvel[world.drone_dofs]
+        if self._feedback is not None and flying:
             setpoints = self._feedback.corrected(setpoints, time, period, measured)
-        added: Array | float = 0.0
-        if pull != 1.0:
-            pulling = pilots.gains.feed_forward | (pull > 1.0)
-            added = (pull - 1.0) * pulling[:, None] * self._outward_pulls(index)
+        pulling = pilots.gains.feed_forward | (pull > 1.0)
+        added = (pull - 1.0) * pulling[:, None] * self._outward_pulls(index)
         pilots.command(setpoints, measured, velocities, period, added)
-        if time >= 0.0:
+        if flying:
             pilots.wind(setpoints.positions - measured, period)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
         if self._settings.perturbations.downwash:
-            push = push + downwash(world.drones, pilots.thrusts)
+            push = push + control.downwash(world.drones, pilots.thrusts)
         world.data.xfrc_applied[world.drone_bodies, :3] += push
+        planned = min(pull, 1.0)
         if self._loads is not None:
-            self._loads.apply(min(pull, 1.0) * task.load_shares(index), period)
-        world.data.qfrc_applied[world.node_dofs] = drag(world, self._damping)
+            self._loads.apply(planned * task.load_shares(index), period)
+        world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
         tight = WHIPPING * task.team.tension
-        loose = np.any(min(pull, 1.0) * task.tensions[index] < tight)
-        loose = loose or np.mean(tensions(world)) < np.mean(tight)  # whatever the plan says
+        loose = np.any(planned * task.tensions[index] < tight)
+        loose = loose or np.mean(world.tensions) < np.mean(tight)  # whatever the plan says
         world.step(self._substeps, loose=bool(loose), finer=fine)
         check_valid(world, time)
-        if self._feedback is not None and time >= 0.0:
-            self._feedback.observe(time + period, self._least_bearing[index])
-        self._observe(time, index)
+        self._contacts.gather()
+        np.maximum(self._peaks, np.maximum.reduceat(world.tensions, self._starts), out=self._peaks)
+        if flying and time - self._searched >= TOUCH_PERIOD - ROUNDING:
+            self._searched = time
+            for pair in (*contacts.touching(world), *self._objects.wrong(index)):
+                self._touches.setdefault(pair, time)
+        if time - self._framed >= FRAME_PERIOD - ROUNDING:
+            self._framed = time
+            state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
+            self._frames.append((time, *state))
+
+    def _drones(self, index: int) -> Array:
+        """Return (2n, 3) [m]: positions of the drones, beside which legs of thick ropes end."""
+        return np.asarray(self._world.drones - self._aside[index])
 
     def _outward_pulls(self, index: int) -> Array:
-        """Return (2n, 3) [N]: the plan's tensions along the legs outward; zero without a hitch.
-
-        Level ones while the hitch bears an object: with the others it would be lifted.
-        """
+        """Return (2n, 3) [N]: the plan's tensions along the legs outward; level with an object."""
         task = self._task
         legs = task.setpoints.positions[index] - task.vertices[index][task.team.layout.pulled_to]
         pulls: Array = np.repeat(task.tensions[index], 2)[:, None] * unit(legs)
@@ -327,32 +297,18 @@ class _Run:
             pulls[:, 2] = 0.0
         return pulls
 
-    def _observe(self, time: float, index: int) -> None:
-        """Update peaks, contacts and shapes after a step, in which sample ``index`` applied."""
-        world = self._world
-        self._contacts.gather()
-        largest = np.maximum.reduceat(tensions(world), self._starts)
-        np.maximum(self._peaks, largest, out=self._peaks)
-        if time >= 0.0 and time - self._searched >= TOUCH_PERIOD - ROUNDING:
-            self._searched = time
-            for pair in (*touching(world), *self._objects.wrong(index)):
-                self._touches.setdefault(pair, time)
-        if time - self._framed >= FRAME_PERIOD - ROUNDING:
-            self._framed = time
-            state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
-            self._frames.append((time, *state))
-
     def _sample(self, time: float, index: int) -> None:
         """Record the state at ``time`` [s], until which setpoint ``index`` applied, and peaks."""
         world = self._world
         commanded = self._task.setpoints.positions[index]
+        touched = self._contacts.collect(self._least_bearing[index])
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
-        contacts = self._contacts.collect(self._least_bearing[index])
-        means = np.add.reduceat(tensions(world), self._starts) / world.ropes.segments
+            self._feedback.observe(time, touched[0])
+        means = np.add.reduceat(world.tensions, self._starts) / world.ropes.segments
         state = (means, self._peaks.copy(), self._pilots.thrusts.copy())
-        places = (time, self._task.index(time), world.drones, commanded)
-        self._rows.append((*places, *contacts, *state, world.poses, self._objects.cables))
+        places = (time, self._task.index(time), self._drones(index), commanded)
+        self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
         self._peaks[:] = 0.0
 
     def flight(self, error: InvalidRunError | None) -> Flight:
@@ -373,14 +329,14 @@ class _Run:
             self._pulled,
             gains=self._pilots.gains,
             density=world.ropes.density,
-            longer=self._longer,
-            ground=world.ground,
+            longer=float(np.max(self._longer)),
+            aside=float(np.max(length(self._aside))),
             objects=world.objects,
             error=error,
         )
 
 
-def _ground(task: Task) -> float:
+def ground_of(task: Task) -> float:
     """Return the height [m] on which objects stand; else 0, or lower for the lowest drone."""
     lowest = float(np.min(task.setpoints.positions[..., 2])) - REST_HEIGHT
     return task.cargo.floor if task.cargo.objects else min(0.0, lowest)
@@ -388,12 +344,11 @@ def _ground(task: Task) -> float:
 
 def _lost_drone(task: Task, settings: Settings) -> tuple[int, float] | None:
     """Return the index of a lost drone and the time of its loss [s]; InputError for a wrong one."""
-    lost, names = settings.lost, task.team.drone_names
+    lost, names, end = settings.lost, task.team.drone_names, task.duration
     if lost is None:
         return None
     if lost.drone not in names:
         raise InputError("--lose", lost.drone, f"one of {', '.join(names)}", "name a drone")
-    if lost.time >= task.duration:
-        bound = f"before the flight ends at {task.duration:g} s"
-        raise InputError("--lose", lost.time, bound, "lose it in flight")
+    if lost.time >= end:
+        raise InputError("--lose", lost.time, f"before the flight ends at {end:g} s", "lower it")
     return names.index(lost.drone), lost.time

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.simulation.contacts import least_bearing
-from hitchopt.simulation.flight import Flight, Progress, fly
+from hitchopt.simulation.flight import Flight, Progress, fly, ground_of
 from hitchopt.simulation.settings import Settings
 from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import BODY_HALF_HEIGHT
@@ -27,33 +27,24 @@ TIGHT = 0.5
 
 ROUNDING = 1e-5  # Rounding of sample times [s]
 HELD = 0.10  # Largest movement under the pull test of a vertex that is held [m]
-
-# Time over which places and forces are averaged before they are judged: the last second of the
-# rest, and of the pull test [s]
-JUDGED = 1.0
+JUDGED = 1.0  # Time of rest, and of the pull test, over which places and forces are averaged [s]
 
 # Largest distance [m] of an object from where the plan puts it down, and largest angle [°] to its
 # planned attitude
 PLACED, TILTED = 0.03, 5.0
 
 DROPPED = 0.05  # Depth below its planned height from which on a carried object is dropped [m]
-
-# Time at the end of the rest in which no cable may touch an object that is to be free [s]
-RELEASED = 0.2
-
-SETTLED = 0.5  # Time at the end of a flight over which it is judged where a lost drone hangs [s]
+RELEASED = 0.2  # Last part of the rest in which no cable may touch an object that is free [s]
+SETTLED = 0.5  # Last part of a flight over which it is judged where a lost drone hangs [s]
 
 # Warning of a flight whose cables slide freely
-NO_FRICTION = (
-    "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
-    "state team.cable_friction, or give --friction"
-)
+NO_FRICTION = "friction is left at 0: at 0.1 hitches rest some 5 cm from their plans; "
+NO_FRICTION += "state team.cable_friction, or give --friction"
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
 
 # Failures of the simulation itself: it could not begin, or left its valid range
-START, INVALID = "start", "invalid"
-UNSIMULATED = (START, INVALID)
+UNSIMULATED = START, INVALID = "start", "invalid"
 
 
 @dataclass(frozen=True)
@@ -68,22 +59,20 @@ class Spread:
     def of(cls, errors: Array) -> Spread:
         """Return the spread of the errors that exist (not nan)."""
         there = errors[np.isfinite(errors)]
-        if not there.size:
-            return cls()
-        return cls(float(np.mean(there)), float(np.std(there)), float(np.max(there)))
+        measures = (np.mean, np.std, np.max) if there.size else ()
+        return cls(*(float(measure(there)) for measure in measures))
 
 
 @dataclass(frozen=True, eq=False)
 class VertexErrors:
-    """Errors of the vertices while the plan has a hitch, and until it has rested.
+    """Errors of the vertices while the plan has a hitch, drawn tight, and until it has rested.
 
     Attributes
     ----------
     t, rows: times [s] and places in the flight's record (samples,).
     planned: planned vertices (samples, clasps, 3) [m].
     offsets: (samples, clasps, 3) [m], from these; nan where cables do not bear on each other.
-    moving: whether the plan moves any vertex or changes any tension (samples,): a hitch that is
-        being drawn tight is not at rest yet.
+    moving: whether the plan moves any vertex or changes any tension (samples,).
     """
 
     t: Array
@@ -104,10 +93,9 @@ class VertexErrors:
 
 
 def vertex_errors(flight: Flight) -> VertexErrors:
-    """Return the errors at the samples of a flight at which its plan has a hitch, drawn tight.
+    """Return the errors at the samples of a flight; the pull test does not count.
 
-    The first sample does not count: no contact forces were gathered before it. After its end a plan
-    stands still; the time of rest counts, the pull test does not.
+    The first sample does not count either: no contact forces were gathered before it.
     """
     task, record = flight.task, flight.record
     tight = task.formed & np.all(task.tensions >= TIGHT * task.team.tension, axis=-1)
@@ -134,9 +122,9 @@ def tracking_errors(flight: Flight) -> Array:
 class Failure:
     """One failure at a time [s] from the flight's start, in words; ``where`` names things.
 
-    Kinds are those of UNSIMULATED, which say nothing about the plan; ``touch``, ``unlinked``,
-    ``tangled``, ``lost`` (cables that do not bear on each other), ``slipped`` (moved under the pull
-    test); of objects ``dropped``, ``misplaced`` and ``caught`` (not free at the end).
+    Kinds are those of UNSIMULATED; ``touch``, ``unlinked``, ``tangled``, ``lost`` (cables that do
+    not bear on each other), ``slipped`` (moved under the pull test); of objects ``dropped``,
+    ``misplaced`` and ``caught`` (not free at the end).
     """
 
     kind: str
@@ -152,9 +140,9 @@ class Clasp:
     Attributes
     ----------
     name: p0, p1, ….
-    linking: Gauss's linking number of its two cables, ±1 for a clasp. Cables that merely cross may
-        have any of 0 and ±1: a clasp bears as well.
-    bearing, least_bearing: contact force at rest, and that from which on it bears [N].
+    linking: Gauss's linking number of its two cables, ±1 for a clasp.
+    bearing, least_bearing: contact force at rest, and that from which on it bears [N]: cables that
+        merely cross may be linked too.
     moved: movement under the pull test [m]; nan without one.
     holds: whether it is linked once, bears and is held.
     bears: whether its cables press on each other as those of a clasp do.
@@ -181,7 +169,7 @@ class ObjectState:
     slipped: largest movement relative to the hitch while that carries all of it [m]; nan if never.
     dropped: time at which it was first DROPPED below its plan while carried [s]; nan if never.
     free: whether no cable touches it.
-    round: whether it looks the same however it is turned, which is not judged then.
+    round: whether it looks the same however it is turned.
     """
 
     name: str
@@ -234,7 +222,7 @@ def judge(flight: Flight) -> Outcome:
     """
     lost, names = flight.settings.lost, set(flight.task.team.drone_names)
     failures = [
-        Failure("touch", pair, time, f"{pair[0]} touches {pair[1]}")
+        Failure("touch", pair, time, " touches ".join(pair))
         for pair, time in flight.touches.items()
         if lost is None or time < lost.time or set(pair) & (names - {lost.drone})
     ]
@@ -268,62 +256,55 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[Clasp, ...]:
 def _means(flight: Flight, end: float) -> tuple[Array, Array]:
     """Return mean vertices and contact forces over the last JUDGED seconds until ``end`` [s]."""
     record = flight.record
-    chosen = (record.t > end - JUDGED) & (record.t <= end + 1e-9)
+    chosen = (record.t > end - JUDGED) & (record.t <= end + ROUNDING)
     vertices, bearing = record.vertices[chosen], record.bearing[chosen]
-    count = np.sum(np.isfinite(vertices[..., :1]), axis=0)
-    sums = np.nansum(vertices, axis=0)
-    places: Array = np.divide(sums, count, out=np.full_like(sums, np.nan), where=count > 0)
-    forces: Array = np.sum(bearing, axis=0) / max(len(bearing), 1)
-    return places, forces
+    there = np.isfinite(vertices)
+    sums, counts = np.nansum(vertices, axis=0), np.sum(there, axis=0)
+    places: Array = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
+    return places, np.sum(bearing, axis=0) / max(len(bearing), 1)
 
 
 def _loose(flight: Flight, linking: NDArray[np.int64], clasps: tuple[Clasp, ...]) -> list[Failure]:
     """Return cables that are not linked as the plan's end requires, and clasps that do not hold."""
-    layout, failures = flight.task.team.layout, []
-    pairs = zip(layout.behind.tolist(), layout.ahead.tolist(), strict=True)
-    at = dict(zip(map(frozenset, pairs), clasps, strict=False))  # none without a hitch
-    for i, j in np.argwhere(np.triu(np.ones_like(linking), 1)).tolist():
-        if frozenset((i, j)) not in at and linking[i, j]:
-            words = f"cables {i} and {j} are linked {linking[i, j]} times, and should not be"
-            where = f"cable {i}", f"cable {j}"
-            failures.append(Failure("tangled", where, flight.rested, words))
-    for pair, clasp in at.items():
-        (i, j), name, kind, when = sorted(pair), clasp.name, "", flight.rested
-        if abs(clasp.linking) != 1:
-            kind = "unlinked"
-            words = f"cables {i} and {j} are linked {clasp.linking} times, not once"
-        elif not clasp.bears:
-            kind = "lost"
-            words = (
-                f"its cables press with {clasp.bearing:.3f} N, less than the "
-                f"{clasp.least_bearing:.3f} N from which on a clasp bears: they merely cross"
-            )
-        elif clasp.moved > HELD:
-            kind, when = "slipped", flight.pulled
-            words = f"moves {clasp.moved:.3f} m under the pull test, more than {HELD} m"
-        if kind:
-            failures.append(Failure(kind, (name,), when, f"{name}: {words}"))
+    layout, rested, failures = flight.task.team.layout, flight.rested, []
+    apart = np.triu(linking, 1)
+    if clasps:
+        apart[layout.behind, layout.ahead] = apart[layout.ahead, layout.behind] = 0
+    for i, j in np.argwhere(apart).tolist():
+        words = f"cables {i} and {j} are linked {linking[i, j]} times, and should not be"
+        failures.append(Failure("tangled", (f"cable {i}", f"cable {j}"), rested, words))
+    for each in clasps:
+        force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
+        cases = (  # of which the first one counts
+            (abs(each.linking) != 1, "unlinked", f"is linked {each.linking} times, not once"),
+            (not each.bears, "lost", f"presses with {force}, less than {least}: cables cross"),
+            (moved > HELD, "slipped", f"moves {moved:.3f} m under the pull test, more than {HELD}"),
+        )
+        for kind, words in [case for wrong, *case in cases if wrong][:1]:
+            when = flight.pulled if kind == "slipped" else rested
+            failures.append(Failure(kind, (each.name,), when, f"{each.name} {words}"))
     return failures
 
 
 def _mishandled(flight: Flight, state: ObjectState) -> list[Failure]:
     """Return what went wrong with an object."""
-    name, found = state.name, []
-    if np.isfinite(state.dropped):
-        words = f"{name} is dropped: more than {100 * DROPPED:g} cm below its planned height"
-        found.append(Failure("dropped", (name,), state.dropped, words))
-    if flight.linking is None:  # the flight never ended
-        return found
-    if not state.well_placed:
-        words = (
-            f"{name} is {100 * state.placed:.1f} cm from its place, tilted by {state.tilted:.1f}°, "
-            f"turned by {state.turned:.1f}°; at most {100 * PLACED:g} cm and {TILTED:g}°"
-        )
-        found.append(Failure("misplaced", (name,), flight.rested, words))
-    cargo = flight.task.cargo
-    if not (state.free or cargo.held[-1, cargo.names.index(name)]):
-        found.append(Failure("caught", (name,), flight.rested, f"{name}: cables touch it still"))
-    return found
+    cargo, ended, rested = flight.task.cargo, flight.linking is not None, flight.rested
+    held, dropped = cargo.held[-1, cargo.names.index(state.name)], bool(np.isfinite(state.dropped))
+    off = (
+        f" is {100 * state.placed:.1f} cm from its place, tilted by {state.tilted:.1f}°, turned by "
+        f"{state.turned:.1f}°; at most {100 * PLACED:g} cm and {TILTED:g}°"
+    )
+    depth = f" is dropped: more than {100 * DROPPED:g} cm below its planned height"
+    cases = (
+        (dropped, "dropped", state.dropped, depth),
+        (ended and not state.well_placed, "misplaced", rested, off),
+        (ended and not (state.free or held), "caught", rested, ": cables touch it still"),
+    )
+    return [
+        Failure(kind, (state.name,), when, state.name + words)
+        for wrong, kind, when, words in cases
+        if wrong
+    ]
 
 
 def object_states(flight: Flight) -> tuple[ObjectState, ...]:
@@ -333,28 +314,29 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
         return ()
     rested = bool(np.isfinite(flight.rested))
     end = flight.rested if rested else record.t[-1]
-    t = record.t[: np.searchsorted(record.t, end + 1e-9, side="right")]
-    rows, poses = record.index[: len(t)], record.poses[: len(t)]
-    plan, clasps = cargo.poses[rows], task.team.layout.clasps
+    t = record.t[record.t <= end + ROUNDING]
+    rows, poses, touched = (x[: len(t)] for x in (record.index, record.poses, record.touched))
+    plan, resting = cargo.poses[rows], t > end - JUDGED if rested else t == end
+    yaws = np.arctan2(plan[-1, :, 4], plan[-1, :, 3])
     offsets = poses[..., :3] - plan[..., :3]
-    hitch = np.mean(record.vertices[: len(t)] - task.vertices[rows][:, clasps], axis=1)
-    resting = t > end - JUDGED if rested else t == end
+    planned = task.vertices[rows][:, task.team.layout.clasps]
+    hitch = np.mean(record.vertices[: len(t)] - planned, axis=1)
     found = []
     for i in np.flatnonzero(cargo.movable):
-        carried, body = cargo.carried[rows, i], cargo.objects[cargo.names[i]]
-        axes = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean().as_matrix()
-        yaw = np.arctan2(axes[1, 0], axes[0, 0]) - np.arctan2(plan[-1, i, 4], plan[-1, i, 3])
-        low = np.flatnonzero(carried & (offsets[:, i, 2] < -DROPPED))
+        name, carried = cargo.names[i], cargo.carried[rows, i]
+        turned = Rotation.from_quat(poses[resting, i, 3:], scalar_first=True).mean()
+        axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
+        low = t[carried & (offsets[:, i, 2] < -DROPPED)]
         found.append(
             ObjectState(
-                cargo.names[i],
+                name,
                 placed=float(length(np.mean(offsets[resting, i], axis=0))),
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
-                turned=float(np.degrees(np.arctan2(np.sin(yaw), np.cos(yaw)))),
+                turned=float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))),
                 slipped=_slipped(offsets[:, i] - hitch, carried),
-                dropped=float(t[low[0]]) if low.size else np.nan,
-                free=not bool(record.touched[: len(t)][t > end - RELEASED, i].any()),
-                round=all(slab.section.radius is not None for slab in body.slabs),
+                dropped=float(np.min(low)) if low.size else np.nan,
+                free=not touched[t > end - RELEASED, i].any(),
+                round=all(slab.section.radius is not None for slab in cargo.objects[name].slabs),
             )
         )
     return tuple(found)
@@ -404,17 +386,14 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
     record, team, loss = flight.record, flight.task.team, flight.settings.lost
     if loss is None:
         return None
-    after = record.t >= loss.time - 1e-9
-    after[-1] = True
+    after = record.t >= min(loss.time - 1e-9, record.t[-1])
     survivors = np.array(team.drone_names) != loss.drone
     names = set(team.drone_names) - {loss.drone}
     late = [p for p, t in flight.touches.items() if t >= loss.time - 1e-9 and set(p) & names]
     end = record.drones[record.t > record.t[-1] - SETTLED][:, ~survivors, 2]
-    linked: tuple[str, ...] = ()
+    layout, linked = team.layout, np.zeros(0, dtype=np.intp)
     if flight.linking is not None:
-        layout = team.layout
-        found = np.abs(flight.linking[layout.behind, layout.ahead]) == 1
-        linked = tuple(team.point_names[point] for point in layout.clasps[found])
+        linked = layout.clasps[np.abs(flight.linking[layout.behind, layout.ahead]) == 1]
     return LossOutcome(
         loss.drone,
         loss.time,
@@ -422,8 +401,8 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
         tuple(pair for pair in late if not set(pair) <= names),
         float(np.max(record.peak_tensions[after])),
         float(np.max(length(record.drones - record.commanded)[after][:, survivors])),
-        float(np.mean(end)) - flight.ground - BODY_HALF_HEIGHT,
-        linked,
+        float(np.mean(end)) - ground_of(flight.task) - BODY_HALF_HEIGHT,
+        tuple(team.point_names[point] for point in linked),
     )
 
 
@@ -465,11 +444,7 @@ class Simulation(OneLine):
 
     @property
     def spreads(self) -> dict[str, Spread]:
-        """Spreads [m] of the vertices' errors, and of drones' distances from their commands.
-
-        ``vertex_error`` is over vertices and time in three dimensions, sag included; ``resting``
-        while the plan stands still, ``moving`` while it moves; ``without_sag`` its level part.
-        """
+        """Spreads [m] of vertices' errors, sag included, and of drones' from their commands."""
         errors = self.errors
         return {
             "vertex_error": Spread.of(errors.errors),
@@ -481,15 +456,14 @@ class Simulation(OneLine):
 
     @property
     def figures(self) -> dict[str, float]:
-        """Figures by name, nan where there is none.
+        """Figures by name, nan where there is none, such as ``tracking_mean``.
 
-        They are the spreads as ``tracking_mean``, …; ``peak_tension`` and ``peak_thrust`` [N];
-        largest ``placed`` [m], ``tilted`` [°] and ``slipped`` [m] of objects.
+        Besides spreads ``peak_tension`` and ``peak_thrust`` [N], and the largest ``placed`` [m],
+        ``tilted`` [°] and ``slipped`` [m] of objects.
         """
         record = self.flight.record
-        found: dict[str, float] = {}
-        for name, spread in self.spreads.items():
-            found |= {f"{name}_{key}": value for key, value in vars(spread).items()}
+        spreads = self.spreads.items()
+        found = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
         found["peak_tension"] = float(np.max(record.peak_tensions))
         found["peak_thrust"] = float(np.max(record.thrusts))
         for name in ("placed", "tilted", "slipped"):

@@ -14,24 +14,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hitchopt.geometry.vectors import length
 from hitchopt.motion.motion import Motion
 from hitchopt.simulation.judgement import Simulation, Spread, tracking_errors, warnings
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
+from hitchopt.view import style
 from hitchopt.view.painter import Shot, chosen_shots, draw_storyboard
 from hitchopt.view.pictures import draw_phases
 from hitchopt.view.scene import Scene, recorded_scene
-from hitchopt.view.style import (
-    DASHES,
-    INK,
-    LIMIT_COLOUR,
-    cable_colours,
-    facts,
-    headline,
-    new_figure,
-    save_figure,
-)
 
 FORMAT = "hitchopt-simulation/1"
 
@@ -46,14 +38,11 @@ OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIG
 SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
 
 LABELLED = 6  # Largest number of vertices for which the legend has space
-
-# Radius of a drawn rope as a share of the flight's extent, and the largest one [m]
-THICKNESS, THICKEST = 0.005, 0.02
+THICKNESS, THICKEST = 0.005, 0.02  # Radius of drawn ropes over the flight's extent; at most [m]
+SAME_FRAME = 0.1  # Largest distance in time from a shot to a frame that shows it [s]
 
 # Kinds of failures of flights that may end hitched, or untied, as planned
 ELSE_WRONG = ("touch", "dropped", "misplaced", "caught")
-
-SAME_FRAME = 0.1  # Largest distance in time from a shot to a frame that shows it [s]
 
 
 def save_simulation(
@@ -61,16 +50,12 @@ def save_simulation(
 ) -> Path:
     """Write summary, tables, recording and picture, all of them or none; return the directory.
 
-    The picture shows the plan that was flown, ``motion``, under a title.
-
-    Raises
-    ------
-    FileError: the directory cannot be written to.
+    The picture shows the plan that was flown, ``motion``, under a title. Raises FileError where the
+    directory cannot be written to.
     """
     flight, errors = simulation.flight, simulation.errors
     record, team, cargo = flight.record, flight.task.team, flight.task.cargo
-    rows, t = errors.rows, record.t
-    off = np.linalg.norm(record.drones - record.commanded, axis=-1)
+    rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
     # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
     tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
         VERTICES: ("vertex", team.layout.clasps, errors.t, {
@@ -93,11 +78,9 @@ def save_simulation(
     }  # fmt: skip
     if not cargo.objects:
         del tables[OBJECTS]
-    writers: dict[str, Writer] = {
-        name: partial(_write_table, *parts) for name, parts in tables.items()
-    }
+    writers: dict[str, Writer] = {name: partial(_write_table, *v) for name, v in tables.items()}
     writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
-    writers[PICTURE] = lambda path: save_figure(drawn_flight(simulation, motion, title), path)
+    writers[PICTURE] = lambda path: style.save_figure(drawn_flight(simulation, motion, title), path)
     writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
@@ -137,7 +120,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "settings": asdict(simulation.settings),
         "warnings": list(warnings(flight.task, simulation.settings)),
         "position_loops": {name: gains.tolist() for name, gains in vars(flight.gains).items()},
-        "compensation": {"cables_longer": flight.longer},
+        "compensation": {"cables_longer": flight.longer, "legs_aside": flight.aside},
         "density": {"simulated": flight.density, "planned": team.cable_density},
         "verdict": outcome.verdict,
         "succeeded": outcome.succeeded,
@@ -165,7 +148,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
 
 def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Figure:
     """Return the picture of a flight of a plan: a storyboard, and errors and tensions over time."""
-    figure = new_figure(SIZE)
+    figure = style.new_figure(SIZE)
     grid = figure.add_gridspec(3, 2, width_ratios=WIDTHS)
     scene = flight_scene(simulation, motion)
     if scene is not None:  # the plan's moments that were reached, and the end of all
@@ -174,12 +157,11 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
         if np.isfinite(simulation.flight.pulled):
             words = "after the pull test" if simulation.flight.task.formed[-1] else "at rest"
             shots = [*shots[: max(1, len(shots) - 1)], Shot(words, end, kept=True)]
-        extent = float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
-        drawn = replace(scene, radius=float(np.clip(THICKNESS * extent, scene.radius, THICKEST)))
+        wide = THICKNESS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
+        drawn = replace(scene, radius=float(np.clip(wide, scene.radius, THICKEST)))
         draw_storyboard(grid[:, 0], drawn, shots, (scene.t, scene.drones))
-    plots = [figure.add_subplot(grid[row, 1]) for row in range(3)]
-    _draw_over_time(plots, simulation, motion)
-    headline(figure, title, f"{facts(motion)}, simulated: {_ending(simulation)}")
+    _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
+    style.headline(figure, title, f"{style.facts(motion)}, simulated: {_ending(simulation)}")
     return figure
 
 
@@ -196,7 +178,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     flight, errors = simulation.flight, simulation.errors
     record, task = flight.record, flight.task
     team, end = task.team, float(record.t[-1]) or 1.0
-    colours = cable_colours(team.robots)
+    colours = style.cable_colours(team.robots)
     top, middle, bottom = plots
     for c, point in enumerate(team.layout.clasps):
         colour = colours[int(point) % team.robots]
@@ -208,9 +190,9 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
         middle.plot(record.t, record.tensions[:, k], color=colour, lw=1.2)
     planned = np.where(task.formed[:, None], task.tensions, np.nan)
     for tension in np.unique(planned.T, axis=0):
-        middle.plot(task.t - task.t[0], tension, color=LIMIT_COLOUR, lw=1.2, ls=DASHES)
+        middle.plot(task.t - task.t[0], tension, color=style.LIMIT_COLOUR, lw=1.2, ls=style.DASHES)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
-    bottom.plot(record.t[: len(tracking)], tracking, color=INK, lw=1.2)
+    bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
     titles = f"{first}\nsag included [cm]", "tension [N],\nplanned dashed"
     for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
-from scipy.special import j0
 
 from hitchopt.errors import HitchoptError, InputError
-from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.geometry.vectors import EAST, dot, length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
@@ -37,15 +37,10 @@ BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 SAME_RISE = 1e-6  # Difference of the legs' slopes up to which they rise alike
 BEYOND = 0.5  # Length by which a cable's line continues beyond its drone, for its last segments [m]
 
-# Radius of the bends of a cable that lies on the ground, being longer than its place [m]
-LYING_RADIUS = 0.02
-
-# Range of the angle by which a lying cable swings to either side [rad]; beyond it ends recede
-SMALL_SWING, MOST_SWING = 0.1, 2.6
+FOLD = 4  # Links of a cable from one of its folds to the next on the ground, where it is too long
 
 # Length that coarse segments use up in a bend of 180°, over the square of a segment's length over
-# the diameter: within 1 mm at a clasp for regular hitches of n = 3, 6, 12 with segments of 30 mm,
-# and n = 3, 6 with 10 mm (12 mm thick, 10 g/m at 0.5 N)
+# the diameter: within 1 mm at clasps of regular hitches of 3 to 12 cables, in both presets
 COARSENESS = 0.15
 
 # Least length of a normal [m²]: edges in one plane have none, and span no solid angle
@@ -55,7 +50,7 @@ UP = np.array([0.0, 0.0, 1.0])  # Direction opposite to gravity
 
 
 class ShapeError(HitchoptError):
-    """Two drones that are farther apart than their cable is long."""
+    """Two drones that start farther apart than their cable is long."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,26 +97,19 @@ class Ropes:
 
     def check_tension(self, tension: float) -> None:
         """Raise InputError where the time step is too long for a plan's largest tension [N]."""
-        needed = RESERVE * tension
+        step, needed = self.preset.time_step, RESERVE * tension
         if self.largest_tension < needed:
-            shortest = float(np.min(self.segment_lengths))
-            step = COURANT * shortest * math.sqrt(self.density / needed)
-            raise InputError(
-                "time_step",
-                self.preset.time_step,
-                f"at most {step:.3g} s for cables of {self.density:g} kg/m in segments of "
-                f"{shortest:.3g} m that pull with up to {needed:.3g} N",
-                "shorten it, or simulate heavier cables",
-            )
+            most = step * math.sqrt(self.largest_tension / needed)
+            bound = f"at most {most:.3g} s for cables of {self.density:g} kg/m with {needed:.3g} N"
+            raise InputError("time_step", step, bound, "shorten it, or simulate heavier cables")
 
 
 def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> list[Array]:
-    """Return the cables of a formed hitch, loosely interlaced; drones are placed slightly inward.
+    """Return the cables of a formed hitch, loosely interlaced, for drones (2n, 3) [m].
 
-    They are chains of segments of exactly their length, n of (segments + 1, 3) [m]. At a clasp both
-    cables bend toward each other and overlap like two links of a chain: cable k is level, cable k-1
-    upright within it, its leg below, or above where it rises more than the other one. Drones are
-    (2n, 3) [m], vertices (points, 3) [m].
+    They are chains of segments of exactly their length, n of (segments + 1, 3) [m], and end a
+    little inward of the drones. At a clasp both overlap like two links of a chain: cable k is
+    level, cable k-1 upright within it, its leg below, or above where it rises more than the other.
     """
     lengths = ropes.segment_lengths
     gap = max(CLEARANCE * ropes.preset.diameter, CLEARANCE_SEGMENTS * float(np.max(lengths)))
@@ -183,19 +171,13 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
     They are chains of segments of exactly their length, n of (segments + 1, 3) [m], that end within
     a segment of their drones (2n, 3) [m]: the settling draws these back. ``ground`` is its height.
-
-    Raises
-    ------
-    ShapeError: drones farther apart than their cable is long.
     """
     found, floor = [], ground + 0.5 * ropes.preset.diameter
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
         q, r, whole = drones[2 * k], drones[2 * k + 1], float(count * size)
         if (apart := float(np.linalg.norm(r - q))) > whole * (1.0 + 1e-6):
-            raise ShapeError(
-                f"cable {k}: its drones start {apart:.4g} m apart, more than its "
-                f"{whole:.4g} m; lengthen it, or start closer"
-            )
+            words = f"its drones start {apart:.4g} m apart, more than its {whole:.4g} m"
+            raise ShapeError(f"cable {k}: {words}; lengthen it, or start closer")
         curve = hanging_cable(q, r, max(whole, apart), int(count) + 1)
         along, lies = unit(np.diff(curve, axis=0), fallback=-UP), np.min(curve[:, 2]) < floor
         if lies:
@@ -209,17 +191,15 @@ def hanging(ropes: Ropes, drones: Array, ground: float) -> list[Array]:
 
 
 def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
-    """Return the directions (count, 3) of links that hang from q to the floor and rise to r.
+    """Return the directions (count, 3) of links, ``size`` long, from q to the floor and to r [m].
 
     From the floor a cable rises as a catenary whose parameter a, its tension over its weight per
     length, is equal at both ends: at an arc s its slope is s / a. Where the cable is too long for
-    any tension, a is one link, and the part on the floor meanders: its direction swings like a sine
-    of amplitude w, which bends it least, and advances by the Bessel function J₀(w) of its length.
-    There are ``count`` links of a ``size`` [m]; a cable on the floor is at a height ``floor`` [m].
+    any tension, a is one link, and the part on the floor goes to and fro by an equal angle.
     """
     offset, whole = r - q, count * size
     span = float(np.hypot(*offset[:2]))
-    forward = np.array([*offset[:2], 0.0]) / span if span > 0.0 else np.array([1.0, 0.0, 0.0])
+    forward = unit(offset * [1.0, 1.0, 0.0], fallback=EAST)
     heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0)
 
     def surplus(a: float) -> float:
@@ -232,19 +212,13 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
         a = brentq(surplus, a, tightest)
     arcs = np.sqrt(heights * (heights + 2.0 * a))
     lying = max(whole - float(np.sum(arcs)), size)
-    share = 1.0 - max(surplus(a), 0.0) / lying
-    swing = MOST_SWING
-    if share > j0(MOST_SWING):
-        swing = brentq(lambda w: j0(w) - min(share, 1.0), 0.0, MOST_SWING) if share < 1.0 else 0.0
-    waves = round(lying / (2.0 * np.pi * LYING_RADIUS * max(swing, SMALL_SWING)))
-    waves = min(max(waves, 1), max(int(lying / size) // 4, 1))
+    share = min(max(1.0 - surplus(a) / lying, 0.0), 1.0)
     place = size * (np.arange(count) + 0.5)
     slope = np.maximum(place - whole + arcs[1], 0.0) - np.maximum(arcs[0] - place, 0.0)
-    flat = np.clip((place - arcs[0]) / lying, 0.0, 1.0)
-    turned = swing * np.sin(2.0 * np.pi * waves * flat)
-    aside = np.cross(UP, forward)
-    level = np.cos(turned)[:, None] * forward + np.sin(turned)[:, None] * aside
-    return unit(level + (slope / a)[:, None] * UP)
+    folds = 2 * max(round(lying / (2 * FOLD * size)), 1)
+    side = (-1.0) ** np.floor(folds * np.clip((place - arcs[0]) / lying, 0.0, 1.0))
+    level = share * forward + math.sqrt(1.0 - share**2) * side[:, None] * np.cross(UP, forward)
+    return unit(np.where(slope[:, None] == 0.0, level, forward + (slope / a)[:, None] * UP))
 
 
 def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
@@ -254,12 +228,11 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     says of both clasps of a cable and, of one that is wrapped around an object, half a diameter
     times the angle by which it turns there, seen from above.
     """
-    layout = task.team.layout
-    allowance = np.zeros(task.team.robots)
+    layout, allowance = task.team.layout, np.zeros(task.team.robots)
     longer = bend_lengths(task, diameter, segment)
     np.add.at(allowance, layout.ahead, longer)
     np.add.at(allowance, layout.behind, longer)
-    if task.motion is not None and task.motion.contacts is not None:
+    if task.formed.any():
         leaving, arriving = (unit(each * [1.0, 1.0, 0.0]) for each in _edge_ends(task))
         turns = np.arccos(np.clip(dot(leaving, arriving), -1.0, 1.0))
         allowance += 0.5 * diameter * np.mean(turns, axis=0)
@@ -272,10 +245,8 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     Where a cable turns by ``π - φ`` about another, φ the angle between the edges there, its centre
     line follows a circle of one diameter whose far side is half a diameter from the vertex. That is
     ``(π - φ - cos(φ/2))`` diameters longer than the plan's sharp bend. A chain of segments cannot
-    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. The result
-    is the mean over the time in which the plan has a hitch, or in which it carries what it grips,
-    if it does: ropes that are too short then grip harder. It is zero where there is no hitch.
-    Diameter and segment are those of the simulated cables [m].
+    follow the circle; it uses up ``COARSENESS · segment²/diameter · cos(φ/2)`` besides. It is the
+    mean over the time with a hitch, or with what that grips: ropes too short grip harder.
     """
     layout = task.team.layout
     if not task.formed.any():
@@ -285,8 +256,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     turn = np.arccos(np.clip(cosine, -1.0, 1.0))
     half = np.cos(0.5 * turn)
     bends = diameter * (np.pi - turn - half) + COARSENESS * segment**2 / diameter * half
-    longer: Array = np.mean(bends, axis=0)
-    return longer
+    return np.asarray(np.mean(bends, axis=0))
 
 
 def _edge_ends(task: Task) -> tuple[Array, Array]:
@@ -302,12 +272,30 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
 
+def legs_aside(task: Task, diameter: float) -> Array:
+    """Return (samples, 2n, 3) [m]: where legs of thick cables end, from where thin ones do.
+
+    The circle of a bend, see ``bend_lengths``, leads a leg past the vertex, ``1 - sin(h)/2``
+    diameters aside from its edge, h half of the angle between leg and edge. Legs that ended at
+    their drones would point too far inward; triangles, which are soft, would give way by 2 cm. As
+    far as the tension of a leg is below its team's, it ends nearer to its drone.
+    """
+    layout, team = task.team.layout, task.team
+    edges = unit(layout.edges(task.vertices))
+    along = np.stack([edges, -edges], axis=-2).reshape(task.setpoints.positions.shape)
+    legs = unit(task.setpoints.positions - task.vertices[:, layout.pulled_to])
+    cosine = dot(legs, along)[..., None]
+    half = 0.5 * np.arccos(np.clip(cosine, -1.0, 1.0))
+    tight = np.repeat(np.clip(task.tensions / team.tension, 0.0, 1.0), 2, axis=-1)
+    away: Array = unit(cosine * legs - along) * (1.0 - 0.5 * np.sin(half)) * tight[..., None]
+    return diameter * away
+
+
 def linking_number(one: Array, other: Array) -> int:
-    """Return Gauss's linking number of two closed polygons, with its sign.
+    """Return Gauss's linking number of two closed polygons (corners, 3) [m], with its sign.
 
     It is the sum over all pairs of edges of the solid angle that their directions span, over 4π
-    (Banchoff 1976; Klenin and Langowski 2000). Corners are (corners, 3) [m], the last joined to the
-    first; the polygons are apart from each other.
+    (Banchoff 1976; Klenin and Langowski 2000).
     """
     a, b = one[:, None], np.roll(one, -1, axis=0)[:, None]
     c, d = other[None], np.roll(other, -1, axis=0)[None]
@@ -323,14 +311,9 @@ def linking_matrix(cables: list[Array]) -> NDArray[np.int64]:
     """Return (n, n), symmetric: the linking number of every pair of cables (nodes, 3) [m].
 
     Each cable is closed by the straight line between its drones. That is meaningful with the drones
-    at the hitch or before it is formed, where these lines stay clear of the other cables; in
-    between a line may pass through a cable, which changes the number although no cable passes
-    another. Pairs whose boxes do not meet are not linked.
+    at the hitch or before it is formed, where these lines stay clear of the other cables.
     """
-    n = len(cables)
-    lower, upper = (np.array([end(cable, axis=0) for cable in cables]) for end in (np.min, np.max))
-    meet = np.all((lower[:, None] <= upper[None]) & (lower[None] <= upper[:, None]), axis=-1)
-    found = np.zeros((n, n), dtype=np.int64)
-    for i, j in np.argwhere(np.triu(meet, 1)):
+    found = np.zeros((len(cables),) * 2, dtype=np.int64)
+    for i, j in combinations(range(len(cables)), 2):
         found[i, j] = found[j, i] = linking_number(cables[i], cables[j])
     return found

@@ -10,8 +10,6 @@ from typing import Any
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import not_negative, positive
 
-EXACT_SEGMENT = 0.010  # Largest length of segments with which vertices are true to a centimetre [m]
-
 # Largest relative deviations; more is most likely a percentage
 LARGEST = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
 
@@ -31,7 +29,7 @@ class Preset:
 
     Parameters
     ----------
-    name: identifies the preset.
+    name: one of PRESETS.
     segment: largest length of a rope's segments [m].
     diameter: rope diameter [m]; larger than that of real cables, because contact needs it.
     time_step: integration step [s].
@@ -42,21 +40,15 @@ class Preset:
     diameter: float
     time_step: float
 
-    def __post_init__(self) -> None:
-        _check(self, positive, "segment", "diameter", "time_step")
-
     @property
     def exact(self) -> bool:
         """Whether places of vertices are true to a centimetre."""
-        return self.segment <= EXACT_SEGMENT
+        return self.segment <= ACCURATE.segment
 
 
-# Preset for topology: whether a hitch holds. Its bends have too few segments for friction
+# Whether a hitch holds, with too few segments in its bends for friction; and a capstan's friction
 FAST = Preset("fast", 0.030, 0.012, 0.001)
-
-# Preset for friction: the tension ratio of a clasp is that of a capstan
-ACCURATE = Preset("accurate", EXACT_SEGMENT, 0.012, 0.0004)
-
+ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
 
@@ -123,13 +115,7 @@ USUAL = Perturbations(
 
 @dataclass(frozen=True)
 class Loss(OneLine):
-    """A drone that is lost.
-
-    Parameters
-    ----------
-    drone: its name.
-    time: of the flight, at which its motors stop [s].
-    """
+    """A drone, by name, whose motors stop at a time of the flight [s]."""
 
     drone: str
     time: float
@@ -155,11 +141,10 @@ class Settings(OneLine):
     perturbations: disturbances.
     seed: seed of all random numbers.
     friction: coefficient at the clasps that replaces the team's; None: the team's.
-    density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where the
-        team's cables have no weight, because a rope without mass cannot be simulated. Drones feed
-        forward what the setpoints hold, whatever the ropes weigh.
-    stiffness: of the drones' position loops [N/m]; None: the team's, and that of POSITION_GAIN in
-        ``control`` where the team's drones are rigid.
+    density: cable density that replaces the team's [kg/m]; None: the team's, and DENSITY where its
+        cables have no weight, as ropes need some. Drones do not know what the ropes weigh.
+    stiffness: of the drones' position loops [N/m]; None: the team's, and 36/s² times their masses
+        where the team's drones are rigid.
     pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
     lost: a drone whose motors stop; None: all fly on.
     feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
@@ -185,11 +170,7 @@ class Settings(OneLine):
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
     """Return settings by the names of their fields and of perturbations'; None counts as absent.
 
-    Parameters
-    ----------
-    preset: name of one of PRESETS.
-    perturbed: whether perturbations are the USUAL ones where they are not given, not CALM.
-    given: values of fields.
+    Perturbations that are not given are the USUAL ones if ``perturbed``, else CALM.
     """
     usual = USUAL if perturbed else CALM
     stated = {name: value for name, value in given.items() if value is not None}

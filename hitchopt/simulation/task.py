@@ -24,10 +24,7 @@ from hitchopt.values import Array
 Flags = NDArray[np.bool_]
 
 RATE = 100.0  # Setpoints per second [Hz]
-
-# Height over the places where it stood and will stand from which on an object is aloft [m]
-ALOFT = 0.03
-
+ALOFT = 0.03  # Height over where it stood and will stand from which on an object is aloft [m]
 CARRIED = 1.0 - 1e-6  # Share of its weight from which on a hitch carries all of an object
 SAME_TIME = 1e-6  # Tolerance of a time that falls on a sample [s]: rounding of sums of periods
 
@@ -167,8 +164,7 @@ class Task:
 
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of their parts of the loads that cables carry at a sample."""
-        shares: Array = self.tensions[index] > 0.0 if self.taut is None else self.taut[index]
-        return shares
+        return np.asarray(self.tensions[index] > 0.0 if self.taut is None else self.taut[index])
 
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""
@@ -177,13 +173,7 @@ class Task:
 
 
 def read_task(directory: Path) -> Task:
-    """Return the task of the plan in a directory.
-
-    Raises
-    ------
-    FileError: the plan is missing or broken, or the certificate is another plan's.
-    UnsupportedError: a plan of drones without cables.
-    """
+    """Return the task of the plan in a directory; FileError where that is missing or broken."""
     motion = read_plan(directory / PLAN)
     refuse_mixture(directory)
     return Task.of(motion)

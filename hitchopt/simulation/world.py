@@ -9,13 +9,13 @@ Contacts of drones with cables and with one another are found in ``contacts``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import HitchoptError, UnsupportedError
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.objects import Section, SolidObject
 from hitchopt.simulation.ropes import ROUNDING, Ropes
@@ -64,13 +64,9 @@ EDGE_TIME, EDGE_IMPEDANCE, EDGE_STEPS = 0.002, 'solimp="0.999 0.9999 0.0005"', 2
 # strained by ``(ω t)²``. And the least constant over that of links which hardly turn
 TURNED, LEAST_EDGE_TIME = 0.07, 0.06
 
-# Factors by which the time constant changes at most at once, the last one where ropes are taut:
-# they yield a little, and would jerk
-TIGHTER, LOOSER, LOOSER_TAUT = 0.8, 1.05, 1.002
-
-# Time constant of the ropes' lengths in refined steps, of which MuJoCo takes at least 2, and the
-# factor by which it falls at most at once: what ropes have yielded pulls by its square
-FIRM_STEPS, FIRMER = 2.2, 0.95
+# Factors by which the time constant changes at most at once, for ropes that are loose, and for taut
+# ones: these yield a little, and would jerk
+LOOSE_CHANGES, TAUT_CHANGES = (0.8, 1.05), (0.95, 1.002)
 
 # Largest relative change of a segment's length, beyond which the time step is too long; and largest
 # penetration over the diameter: ropes that press deeper are about to pass each other
@@ -99,45 +95,38 @@ class World:
     cable_vertices: (n + 1,), cable k's nodes, drones among them, are flex vertices
         ``cable_vertices[k]:cable_vertices[k + 1]``.
     edge_cables: cable of each edge (edges,).
-
-    Raises
-    ------
-    UnsupportedError: mujoco is not installed.
     """
 
     def __init__(
-        self,
-        ropes: Ropes,
-        masses: Array,
-        *,
-        ground: float = 0.0,
-        objects: Mapping[str, SolidObject] | None = None,
+        self, ropes: Ropes, masses: Array, ground: float, objects: dict[str, SolidObject]
     ) -> None:
         mujoco = self._mujoco = _imported_mujoco()
-        self.ropes, self.ground, self.objects = ropes, ground, dict(objects or {})
+        self.ropes, self.ground, self.objects = ropes, ground, objects
         self.masses = np.array(masses, dtype=np.float64)
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
         self.model = model = mujoco.MjModel.from_xml_string(_describe(self))
         self.data = mujoco.MjData(model)
-        names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
-        self.drone_names = names
-        self.drone_bodies: Index = np.array([model.body(name).id for name in names])
+        self.drone_names = [f"{end}{k}" for k in range(len(ropes.lengths)) for end in "qr"]
+        things = [f"{PREFIX}{name}" for name in self.objects]
+        self.drone_bodies, self.object_bodies = (
+            np.array([model.body(name).id for name in names], dtype=np.intp)
+            for names in (self.drone_names, things)
+        )
         nodes = np.setdiff1d(model.flex_vertbodyid, self.drone_bodies)
-        things = [model.body(f"{PREFIX}{name}").id for name in self.objects]
-        self.object_bodies: Index = np.array(things, dtype=np.intp)
-        drone_joint, node_joint = model.body_jntadr[self.drone_bodies], model.body_jntadr[nodes]
-        joints, axes = model.body_jntadr[model.flex_vertbodyid], np.arange(3)
-        self.drone_dofs: Index = model.jnt_dofadr[drone_joint][:, None] + axes
-        self.node_dofs: Index = model.jnt_dofadr[node_joint][:, None] + axes
-        self._vertex_dofs = model.jnt_dofadr[joints][:, None] + axes
-        self._drone_qpos = model.jnt_qposadr[drone_joint][:, None] + axes
-        self._node_qpos = model.jnt_qposadr[node_joint][:, None] + axes
+
+        def places(addresses: Index, bodies: Index) -> Index:
+            return np.asarray(addresses[model.body_jntadr[bodies]][:, None] + np.arange(3))
+
+        self.drone_dofs = places(model.jnt_dofadr, self.drone_bodies)
+        self.node_dofs = places(model.jnt_dofadr, nodes)
+        self._vertex_dofs = places(model.jnt_dofadr, model.flex_vertbodyid)
+        self._drone_qpos = places(model.jnt_qposadr, self.drone_bodies)
+        self._node_qpos = places(model.jnt_qposadr, nodes)
         self._node_origins = model.body_pos[nodes]  # where the qpos of bodies that slide is zero
         self.cable_vertices: Index = np.concatenate([[0], np.cumsum(ropes.segments + 1)])
         self.edge_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments)
         self._last_edges: Index = self.cable_vertices[1:-1] - 1  # none, from a cable to the next
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
-        self._firm = math.inf
 
     def place(self, cables: list[Array]) -> None:
         """Put every cable's nodes, its drones at the ends, at n of (segments + 1, 3) [m]."""
@@ -151,37 +140,34 @@ class World:
         """Advance by ``count`` time steps of the preset, in smaller ones where ropes whip.
 
         ``loose`` ropes, which are not drawn tight, do so where they are picked up from the ground
-        or drawn straight. ``finer`` is the least number of smaller steps for one of the preset's;
-        ropes are firmer then as well.
+        or drawn straight. ``finer`` is the least number of smaller steps for one of the preset's.
+        Where steps are smaller, lengths of ropes are held by a shorter time constant.
         """
-        turning = 0.0  # largest rate at which a link turns [rad/s]
+        step, longest = self.ropes.preset.time_step, self._longest_edge_time
+        time = longest if finer == 1 else min(longest, EDGE_STEPS * step / finer)
         if loose:
             across = np.diff(self.data.qvel[self._vertex_dofs], axis=0)
             across[self._last_edges] = 0.0
-            across = np.linalg.norm(across, axis=-1)
-            turning = float(np.max(across) / np.min(self.ropes.segment_lengths))
-        time = TURNED / max(turning, TURNED / self._longest_edge_time)
-        looser = LOOSER if loose else LOOSER_TAUT
-        time = min(max(time, TIGHTER * self._edge_time), looser * self._edge_time)
-        self._edge_time = time = max(time, LEAST_EDGE_TIME * self._longest_edge_time)
-        step = self.ropes.preset.time_step
-        parts = max(1, math.ceil(EDGE_STEPS * step / time - ROUNDING))
-        if time >= self._longest_edge_time:
-            self._edge_time, parts = self._longest_edge_time, 1
-        parts = max(parts, finer)
+            turning = float(np.max(length(across))) / float(np.min(self.ropes.segment_lengths))
+            time = max(min(time, TURNED / max(turning, 1.0)), LEAST_EDGE_TIME * longest)
+        less, more = LOOSE_CHANGES if loose else TAUT_CHANGES
+        time = self._edge_time = min(max(time, less * self._edge_time), more * self._edge_time)
+        parts = finer
+        if time < longest:
+            parts = max(parts, math.ceil(EDGE_STEPS * step / time - ROUNDING))
         self.model.opt.timestep = step / parts
-        firm = math.inf
-        if finer > 1:
-            firm = max(FIRM_STEPS * step / parts, FIRMER * min(self._firm, self._edge_time))
-        self._firm = firm
-        self.model.eq_solref[:, 0] = min(self._edge_time, firm)
+        self.model.eq_solref[:, 0] = time
         self._mujoco.mj_step(self.model, self.data, nstep=count * parts)
 
     @property
     def nodes(self) -> Array:
         """Positions of all nodes (nodes, 3) [m], cable after cable, with drones at the ends."""
-        found: Array = self.data.flexvert_xpos
-        return found
+        return np.asarray(self.data.flexvert_xpos)
+
+    @property
+    def tensions(self) -> Array:
+        """Tension of every segment (edges,) [N], in the order of ``edge_cables``."""
+        return -np.asarray(self.data.efc_force[: len(self.edge_cables)])
 
     @property
     def cables(self) -> list[Array]:
@@ -191,8 +177,7 @@ class World:
     @property
     def drones(self) -> Array:
         """Positions of the drones (2n, 3) [m]."""
-        found: Array = self.data.qpos[self._drone_qpos]
-        return found
+        return np.asarray(self.data.qpos[self._drone_qpos])
 
     @property
     def poses(self) -> Array:
@@ -202,16 +187,12 @@ class World:
 
 
 def _imported_mujoco() -> Any:
-    """Return the module, prevented from writing its warnings to a file in the current directory.
-
-    They are counted in the data nevertheless, and end a run (see ``check_valid``).
-    """
+    """Return the module; its warnings, which end a run, are not written to a file as well."""
     try:
         import mujoco
     except ImportError:
-        raise UnsupportedError(
-            "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
-        ) from None
+        words = "simulating needs MuJoCo, which is not installed; pip install 'hitchopt[simulate]'"
+        raise UnsupportedError(words) from None
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(lambda _text: None)
     return mujoco
@@ -225,16 +206,8 @@ class InvalidRunError(HitchoptError):
 
     def __init__(self, quantity: str, broken: str, time: float, where: str) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        super().__init__(
-            f"simulation: {broken}, t = {time:.3f} s: ropes may have passed each other; take a "
-            "finer preset or a shorter time step, or fly more gently"
-        )
-
-
-def tensions(world: World) -> Array:
-    """Return (edges,) [N]: the tension of every segment, in the order of ``edge_cables``."""
-    found: Array = -world.data.efc_force[: len(world.edge_cables)]
-    return found
+        words = "ropes may have passed each other; take a finer preset, or fly more gently"
+        super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
 
 
 def check_valid(world: World, time: float) -> None:
@@ -248,11 +221,10 @@ def check_valid(world: World, time: float) -> None:
     depths, pairs = -data.contact.dist[between], data.contact.flex[between]
     for quantity, values, limit, unit in (
         ("strain", strains, MOST_STRAIN, "m/m"),
-        ("tension", tensions(world), finer**2 * ropes.largest_tension, "N"),
+        ("tension", world.tensions, finer**2 * ropes.largest_tension, "N"),
         ("penetration", depths, MOST_PENETRATION * ropes.preset.diameter, "m"),
     ):
-        worst = int(np.argmax(values)) if len(values) else 0
-        if len(values) and values[worst] > limit:
+        if len(values) and values[worst := int(np.argmax(values))] > limit:
             where = f"cable {world.edge_cables[worst]}"
             if quantity == "penetration":
                 where = f"cables {pairs[worst][0]} and {pairs[worst][1]}"
@@ -269,19 +241,19 @@ def _describe(world: World) -> str:
     # Nodes meet objects, not edges: distances of capsules from convex bodies are found by an
     # iteration whose normals are too rough for light ropes at the corners of a rim.
     ball = f'<geom size="{radius}" contype="0" conaffinity="{OBJECTS}"/>' if objects else ""
-    size = _text([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
+    axes = _text([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     meets = f'contype="0" conaffinity="{GROUND | OBJECTS}"'
-    ellipsoid = f'<geom type="ellipsoid" size="{size}" {meets}/>'
-    for k, (count, length) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
+    ellipsoid = f'<geom type="ellipsoid" size="{axes}" {meets}/>'
+    for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
         names = [f"q{k}", *(f"c{k}_{i}" for i in range(1, count)), f"r{k}"]
         for i, name in enumerate(names):
-            mass, turning, moves, shape = ropes.density * length, TINY_INERTIA, SLIDES, ball
+            mass, turning, moves, shape = ropes.density * size, TINY_INERTIA, SLIDES, ball
             if i in (0, count):  # a drone, and half of the last segment
                 drone, moves, shape = 2 * k + (i == count), "<freejoint/>", ellipsoid
                 mass = world.masses[drone] + 0.5 * mass
                 turning = _text(world.inertia[drone])
             bodies += (
-                f'<body name="{name}" pos="{_text([i * length, k, ground + 1.0])}">'
+                f'<body name="{name}" pos="{_text([i * size, k, ground + 1.0])}">'
                 f'<inertial pos="0 0 0" mass="{_text(mass)}" diaginertia="{turning}"/>'
                 f"{moves}{shape}</body>"
             )
@@ -317,12 +289,11 @@ def _text(values: ArrayLike) -> str:
     return " ".join(f"{x:.17g}" for x in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
 
-def _describe_objects(objects: Mapping[str, SolidObject]) -> tuple[str, str]:
+def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
     """Return the meshes and the bodies of objects where they stand, in MuJoCo's XML.
 
-    An object's priority makes its friction that of its contacts, whatever it touches. Its mass is
-    that of an even prism with the widest of its outlines, which touches nothing: a tray's mass is
-    in its rim.
+    An object's friction is that of its contacts, whatever it touches. Its mass is that of an even
+    prism with the widest of its outlines, which touches nothing: a tray's mass is in its rim.
     """
     meshes, bodies = "", ""
     for name, each in objects.items():
@@ -330,8 +301,9 @@ def _describe_objects(objects: Mapping[str, SolidObject]) -> tuple[str, str]:
         if each.rim is not None:
             slabs.append((each.rim.section, each.rim.height, each.rim.height + RIM))
         touch = f'condim="3" friction="{_text(each.friction)} 0 0" {CONTACT_SOLVER} mass="0"'
-        solid = f'contype="{OBJECTS}" priority="1" {touch}'
-        parts = [(*slab, np.zeros(2), solid) for slab in slabs]
+        parts = [
+            (*slab, np.zeros(2), f'contype="{OBJECTS}" priority="1" {touch}') for slab in slabs
+        ]
         widest = max((section for section, *_ in slabs), key=lambda section: section.area)
         away = each.section.centroid - widest.centroid
         parts.append((widest, each.lower, each.upper, away, f'contype="0" mass="{each.mass:.17g}"'))
@@ -361,9 +333,9 @@ def _shape(label: str, section: Section, heights: Array, shift: Array) -> tuple[
     if section.outline is None:
         return "", f'type="cylinder" size="{_text([section.rounding, half])}" pos="{_text(centre)}"'
     corners, sides = section.outline, np.diff(section.outline, axis=0)
-    sizes = np.linalg.norm(sides, axis=1)
-    square = len(corners) == 4 and np.allclose(corners[0] + corners[2], corners[1] + corners[3])
-    if square and abs(sides[0] @ sides[1]) <= RIGHT * sizes[0] * sizes[1]:
+    sizes = length(sides)
+    even = len(corners) == 4 and np.allclose(corners[0] + corners[2], corners[1] + corners[3])
+    if even and abs(sides[0] @ sides[1]) <= RIGHT * sizes[0] * sizes[1]:
         # MuJoCo finds contacts of a box in closed form.
         turn = 0.5 * math.atan2(sides[0, 1], sides[0, 0])
         box = _text([0.5 * sizes[0], 0.5 * sizes[1], half])
@@ -375,10 +347,7 @@ def _shape(label: str, section: Section, heights: Array, shift: Array) -> tuple[
 
 
 def _feet(section: Section, lower: float, upper: float, sizes: tuple[float, ...]) -> Array:
-    """Return the centres (feet, 3) [m] of balls in rings that end at a prism's floor and ceiling.
-
-    Corners of an outline are among them.
-    """
+    """Return centres (feet, 3) [m] of balls in rings, corners among them, in floor and ceiling."""
     if section.outline is None:
         angle = 2.0 * np.pi * np.arange(FEET) / FEET
         ring = section.rounding * np.column_stack([np.cos(angle), np.sin(angle)])

@@ -1,4 +1,4 @@
-"""Tasks written by hand: a formed hitch at rest, and drones that form one."""
+"""Tasks written by hand, such as a formed hitch at rest; and flights in which nothing moves."""
 
 from __future__ import annotations
 
@@ -66,35 +66,6 @@ def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
 
 
-def forming(hitch: Hitch, swap: float, leg: float = 0.3) -> Task:
-    """Return the task of pairs that turn once in two halves [s] each, and draw the hitch tight.
-
-    They turn about the outward bisector, tilted up by 45°.
-    """
-    team, layout = hitch.team, hitch.team.layout
-    start = hitch.drones - (hitch.legs.reshape(-1, 1) - leg) * hitch.leg_directions
-    q, r = 2 * layout.ahead, 2 * layout.behind + 1
-    middle, half = 0.5 * (start[q] + start[r]), 0.5 * (start[q] - start[r])
-    size = np.linalg.norm(half, axis=-1, keepdims=True)
-    axis = (np.cross([0.0, 0.0, 1.0], half / size) + [0.0, 0.0, 1.0]) / np.sqrt(2.0)
-    up = np.cross(half / size, axis) * 0.35
-    wide = half / size * np.maximum(size, 0.2)
-    t = np.arange(round((1.5 + 2.0 * swap + 3.5) * RATE) + 1) / RATE
-    turned = smooth((t - 1.0) / swap) + smooth((t - 1.0 - swap - 0.5) / swap)
-    angle = np.pi * turned[:, None, None]
-    chord = half + smooth(t)[:, None, None] * (wide - half)
-    offset = chord * np.cos(angle) + up * np.sin(angle)
-    positions = np.repeat(start[None], len(t), axis=0)
-    positions[:, q], positions[:, r] = middle + offset, middle - offset
-    begin = 1.5 + 2.0 * swap
-    tighten = smooth((t - begin) / 2.0)[:, None, None]
-    positions = positions + tighten * (hitch.drones - positions)
-    pull = smooth((t - begin - 1.0) / 1.5)[:, None, None]
-    weight = np.multiply.outer(team.cable_weight, [0.0, 0.0, 1.0])
-    forces = pull * (hitch.cable_forces + weight) - weight
-    return formed_where(hanging_task(team, positions, forces), hitch, t >= begin + 2.5)
-
-
 def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     """Return a flight at times ``t`` in which all stays at its place; ``known`` are other fields.
 
@@ -113,12 +84,6 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
         names = {each.name for each in fields(part)} & known.keys()
         parts.append(replace(part, **{name: known.pop(name) for name in names}))
     gains = PositionGains.of(hitch.team, settings)
-    ended: dict[str, Any] = {
-        "linking": None,
-        "rested": np.nan,
-        "pulled": np.nan,
-        "error": None,
-        "touches": {},
-    }
-    about = {"gains": gains, "density": 0.01, "longer": 0.0, "ground": 0.0, "objects": {}}
-    return Flight(task, settings, *parts, **{**ended, **about, **known})
+    about: dict[str, Any] = {"touches": {}, "linking": None, "rested": np.nan, "pulled": np.nan}
+    about |= {"gains": gains, "density": 0.01, "longer": 0.0, "aside": 0.0}
+    return Flight(task, settings, *parts, **{**about, "objects": {}, "error": None, **known})

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
 from scripted import flight_of, formed_where, regular_hitch, standing, unformed
@@ -34,7 +36,6 @@ from hitchopt.view.style import save_figure
 HITCH = regular_hitch(4)
 NEIGHBOURS = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]])
 STRAIN = InvalidRunError("strain", "strain of 5 %", 1.25, "cable 3")
-TOUCHED = {("q0", "cable 2"): 0.5}
 
 
 def judged(
@@ -65,78 +66,65 @@ def judged(
     return judge(flight)
 
 
-def test_linked_bearing_and_held_is_hitched() -> None:
-    outcome = judged()
-    assert outcome.succeeded
-    assert outcome.hitched
-    assert [round(clasp.moved, 9) for clasp in outcome.clasps] == [0.0, 0.02, 0.0, 0.0]
-    assert judged(-NEIGHBOURS).hitched  # either sense
-    assert judged(pulled=float("nan")).hitched  # no pull test was asked for
+def linked(i: int, j: int, number: int) -> NDArray[np.int64]:
+    """Return the linking numbers of a hitch of which one pair is linked otherwise."""
+    linking = NEIGHBOURS.copy()
+    linking[i, j] = linking[j, i] = number
+    return linking
 
 
-def test_wrong_links_are_named() -> None:
-    for pair, number, kind, where in (
-        ((0, 1), 0, "unlinked", ("p1",)),
-        ((3, 0), 0, "unlinked", ("p0",)),
-        ((1, 2), 2, "unlinked", ("p2",)),
-        ((0, 2), 1, "tangled", ("cable 0", "cable 2")),
-        ((1, 3), -1, "tangled", ("cable 1", "cable 3")),
-    ):
-        linking = NEIGHBOURS.copy()
-        linking[pair] = linking[pair[::-1]] = number
-        outcome = judged(linking)
-        (failure,) = outcome.failures
-        assert (failure.kind, failure.where, failure.time) == (kind, where, 3.0)
-        assert outcome.hitched == (kind == "tangled")
+UNTESTED = {"pulled": float("nan")}
+UNENDED = {"linking": None, "error": STRAIN, **UNTESTED}
+PAIRS = [(f"cable {i}", f"cable {j}") for i, j in ((0, 1), (0, 3), (1, 2), (2, 3))]
+TOUCH = {("q0", "cable 2"): 0.5}
+BROKEN = ("invalid", ("cable 3",), 1.25)
 
 
-def test_a_vertex_that_gives_way_has_slipped() -> None:
-    (failure,) = judged(moved=0.13).failures
-    assert (failure.kind, failure.where, failure.time) == ("slipped", ("p1",), 5.0)
-    assert "0.130 m" in failure.words
+@pytest.mark.parametrize(
+    ("given", "verdict", "failures", "hitched"),
+    [
+        ({}, SUCCEEDED, [], True),
+        ({"linking": -NEIGHBOURS}, SUCCEEDED, [], True),  # either sense
+        (UNTESTED, SUCCEEDED, [], True),  # no pull test was asked for
+        # 14 cm off between two instants, but rest is judged over a second
+        ({"moved": 0.0, "swing": 0.07}, SUCCEEDED, [], True),
+        ({"linking": linked(0, 1, 0)}, FAILED, [("unlinked", ("p1",), 3.0)], False),
+        ({"linking": linked(3, 0, 0)}, FAILED, [("unlinked", ("p0",), 3.0)], False),
+        ({"linking": linked(1, 2, 2)}, FAILED, [("unlinked", ("p2",), 3.0)], False),
+        ({"linking": linked(0, 2, 1)}, FAILED, [("tangled", ("cable 0", "cable 2"), 3.0)], True),
+        ({"linking": linked(1, 3, -1)}, FAILED, [("tangled", ("cable 1", "cable 3"), 3.0)], True),
+        ({"moved": 0.13}, FAILED, [("slipped", ("p1",), 5.0)], False),
+        ({"lost": 2}, FAILED, [("lost", ("p2",), 3.0)], False),
+        ({"lost": 2, **UNTESTED}, FAILED, [("lost", ("p2",), 3.0)], False),
+        ({"linking": 0 * NEIGHBOURS, "formed": False}, SUCCEEDED, [], False),
+        ({"formed": False}, FAILED, [("tangled", pair, 3.0) for pair in PAIRS], False),
+        (UNENDED, NOT_SIMULATED, [BROKEN], False),
+        ({"touches": TOUCH, **UNENDED}, FAILED, [("touch", *TOUCH, 0.5), BROKEN], False),
+        ({"error": STRAIN, **UNTESTED}, NOT_SIMULATED, [BROKEN], False),  # as it pulled
+    ],
+)
+def test_flights_are_judged_by_links_contact_and_pull(
+    given: dict[str, Any], verdict: str, failures: list[Any], hitched: bool
+) -> None:
+    outcome = judged(**given)
+    assert [(found.kind, found.where, found.time) for found in outcome.failures] == failures
+    assert (outcome.verdict, outcome.hitched) == (verdict, hitched)
+    assert outcome.succeeded is (verdict == SUCCEEDED)
 
 
-def test_rest_is_judged_over_a_second() -> None:
-    """A vertex that swings by 7 cm to either side would be 14 cm off between two instants."""
-    outcome = judged(moved=0.0, swing=0.07)
-    assert outcome.hitched
-    assert outcome.clasps[1].moved < 0.04
+def test_clasps_tell_their_movement_and_force() -> None:
+    assert [round(clasp.moved, 9) for clasp in judged().clasps] == [0.0, 0.02, 0.0, 0.0]
+    assert judged(moved=0.0, swing=0.07).clasps[1].moved < 0.04
+    assert "moves 0.130 m" in judged(moved=0.13).failures[0].words
+    assert "presses with 0.200 N, less than 0.212 N" in judged(lost=2).failures[0].words
+    assert [clasp.holds for clasp in judged(lost=2).clasps] == [True, True, False, True]
+    assert all(np.isnan(clasp.moved) for clasp in judged(lost=2, pulled=np.nan).clasps)
+    pulling = judged(error=STRAIN, pulled=np.nan).clasps
+    assert [(clasp.bears, clasp.holds) for clasp in pulling] == [(True, False)] * 4
+    assert judged(None, error=STRAIN, pulled=np.nan).clasps == ()
 
 
-def test_cables_that_do_not_bear_have_lost_their_vertex() -> None:
-    outcome = judged(lost=2)
-    (failure,) = outcome.failures
-    assert (failure.kind, failure.where) == ("lost", ("p2",))
-    assert "press with 0.200 N, less than the 0.212 N from which on a clasp bears" in failure.words
-    untested = judged(lost=2, pulled=float("nan"))
-    for clasps in (outcome.clasps, untested.clasps):
-        assert [clasp.holds for clasp in clasps] == [True, True, False, True]
-    assert all(np.isnan(clasp.moved) for clasp in untested.clasps)
-
-
-def test_a_plan_that_ends_without_a_hitch_has_to_end_untangled() -> None:
-    assert judged(np.zeros((4, 4), dtype=np.int64), formed=False).succeeded
-    outcome = judged(formed=False)
-    assert [failure.kind for failure in outcome.failures] == ["tangled"] * 4
-    assert not outcome.hitched
-
-
-def test_a_run_that_left_its_range_is_not_a_failed_plan() -> None:
-    settling = judged(None, error=STRAIN, pulled=float("nan"))
-    assert (settling.verdict, settling.succeeded, settling.clasps) == (NOT_SIMULATED, False, ())
-    touched = judged(None, touches=TOUCHED, error=STRAIN, pulled=float("nan"))
-    assert touched.verdict == FAILED
-    assert [(f.kind, f.where, f.time) for f in touched.failures] == [
-        ("touch", ("q0", "cable 2"), 0.5),
-        ("invalid", ("cable 3",), 1.25),
-    ]
-    assert (judged().verdict, judged(lost=2).verdict) == (SUCCEEDED, FAILED)
-    pulling = judged(error=STRAIN, pulled=float("nan"))  # linked and bearing until then
-    assert pulling.verdict == NOT_SIMULATED
-    assert [(clasp.bears, clasp.holds) for clasp in pulling.clasps] == [(True, False)] * 4
-
-
-def test_errors_are_distances_where_there_is_a_hitch() -> None:
+def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> None:
     hitch = regular_hitch(3)
     task = standing(hitch, 0.2)
     late = formed_where(task, hitch, np.arange(len(task.t)) >= 10)
@@ -156,19 +144,10 @@ def test_errors_are_distances_where_there_is_a_hitch() -> None:
     for changed in (moving, drawn):
         again = vertex_errors(flight_of(changed, hitch, t, vertices=found))
         np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
-
-
-def test_the_time_of_rest_counts_and_the_pull_test_does_not() -> None:
-    hitch = regular_hitch(3)
-    task = standing(hitch, 0.2)
-    shift = np.linspace(0.0, 0.1, len(task.t))[:, None, None]
-    moved = replace(task, vertices=task.vertices + shift)
-    t = np.append(task.t, [0.4, 0.7, 0.9])
-    found = np.repeat(moved.vertices[-1:], len(t), axis=0) + [0.0, 0.0, -0.05]
-    errors = vertex_errors(flight_of(moved, hitch, t, vertices=found, rested=0.7))
-    np.testing.assert_allclose(errors.t, t[1:-1])
-    np.testing.assert_array_equal(errors.moving, [True] * (len(t) - 4) + [False] * 2)
-    np.testing.assert_allclose(errors.errors[-2:], 0.05)
+    t = np.append(task.t, [0.4, 0.7, 0.9])  # rest, then the pull test
+    rested = vertex_errors(flight_of(moving, hitch, t, rested=0.7))
+    np.testing.assert_allclose(rested.t, t[10:-1])
+    np.testing.assert_array_equal(rested.moving, [False, *[True] * 10, False, False])
     free = unformed(task)
     flight = flight_of(free, hitch, task.t, drones=free.setpoints.positions + [0.03, 0.0, 0.04])
     assert vertex_errors(flight).errors.shape == (0, 3)
@@ -214,7 +193,7 @@ def flown(
     return Simulation(flight, judge(flight), vertex_errors(flight))
 
 
-def test_the_storyboard_ends_after_the_pull_test(tmp_path: Path) -> None:
+def test_the_picture_tells_what_a_flight_was(tmp_path: Path) -> None:
     figure = drawn_flight(flown(LINKED), MOTION, "Three ropes")
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:2] == ["start, 0.0 s", f"after the pull test, {END:.1f} s"]
@@ -223,20 +202,14 @@ def test_the_storyboard_ends_after_the_pull_test(tmp_path: Path) -> None:
     path = tmp_path / "flight.png"
     save_figure(figure, path)
     assert imread(path).shape[:2] == (864, 1560)
-
-
-def test_a_flight_is_called_what_it_was() -> None:
-    untied = np.zeros((3, 3), dtype=np.int64)
-    cases: list[tuple[Simulation, str]] = [
+    untied, failure = 0 * LINKED, Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
+    for simulation, words in (
         (flown(untied), "not hitched"),
         (flown(None), "not simulated to its end"),
         (flown(untied, formed=False), "untied, as planned"),
         (flown(LINKED, formed=False), "not untied"),
-    ]
-    failure = Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
-    wrong = replace(flown(LINKED), outcome=Outcome((), (failure,)))
-    cases.append((wrong, "not hitched, but tray is dropped: far below"))
-    for simulation, words in cases:
+        (replace(flown(LINKED), outcome=Outcome((), (failure,))), f"but {failure.words}"),
+    ):
         assert drawn_flight(simulation, MOTION).get_suptitle().endswith(words)
     brief = flown(None, end=0.005)  # without frames
     assert flight_scene(brief, MOTION) is None
@@ -244,14 +217,10 @@ def test_a_flight_is_called_what_it_was() -> None:
 
 
 def test_centimetres_are_those_of_the_accurate_preset() -> None:
-    exact = flight_tables(flown(LINKED, settings=Settings(preset=ACCURATE)))
-    assert "1.0 ± 0.0 (1.0)" in exact
-    assert "without sag" in exact
-    assert INEXACT not in exact
-    text = flight_tables(flown(LINKED, settings=Settings(preset=FAST)))
-    assert "1.0 ± 0.0 (1.0)" not in text
-    assert text.count(INEXACT) == 1
-    assert "without sag" not in text
+    for preset in (ACCURATE, FAST):
+        text, exact = flight_tables(flown(LINKED, settings=Settings(preset))), preset is ACCURATE
+        assert ("1.0 ± 0.0 (1.0)" in text) is ("without sag" in text) is exact
+        assert text.count(INEXACT) == (not exact)
 
 
 def test_friction_that_is_left_at_0_is_warned_of() -> None:
