@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import hitchopt as ho
 from hitchopt.cli.failures import complain, unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, record, say
@@ -16,8 +17,6 @@ from hitchopt.cli.planning import SUFFIXES, report_suggestions
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
 
 if TYPE_CHECKING:
-    from hitchopt.mission.repair import Suggestion
-    from hitchopt.plan import Plan
     from hitchopt.view.editing import Status
     from hitchopt.view.live import LiveView
     from hitchopt.view.scene import Scene
@@ -40,11 +39,9 @@ def report(directory: Path) -> None:
     It plays the plan in three dimensions, with plots of separation, speed, thrust and tension, the
     certificate, the phases, the problem file, versions and digests.
     """
-    from hitchopt.plan import load
-
     place = plan_path(directory).parent
     with LateProgress("certifying and writing"):
-        path = load(place).report(place)
+        path = ho.load(place).report(place)
     record(file=str(path))
     say(f"open {path} in a browser")
 
@@ -113,7 +110,6 @@ def view(
 def _save(file: Path, path: Path, recording: Path | None) -> None:
     """Write a plan as a page or picture, or the film of a simulated flight of it."""
     from hitchopt.motion.plan_file import read_plan, read_title
-    from hitchopt.plan import load
     from hitchopt.view.film import check_film
     from hitchopt.view.scene import ghost_scene
 
@@ -126,7 +122,7 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
     changes = f"nothing is written; hitchopt view {path} shows the first change"
     plan = shown_plan(path, changes)[0] if path.suffix in SUFFIXES else None
     with LateProgress("certifying and drawing") as progress:
-        plan = plan or load(plan_path(path).parent)
+        plan = plan or ho.load(plan_path(path).parent)
         plan.view(file, progress=progress)
     record(file=str(file))
     say(f"wrote {file}")
@@ -143,10 +139,9 @@ def save_flight_film(path: Path, scene: Scene, title: str) -> None:
 
 
 def _serve(
-    server: Any, path: Path, plan: Plan | None, status: Status | None, ghost: Path | None
+    server: Any, path: Path, plan: ho.Plan | None, status: Status | None, ghost: Path | None
 ) -> LiveView:
     """Show a plan, or that in a directory, in the page of a server, to be edited there."""
-    from hitchopt.checks import certify
     from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
     from hitchopt.steps.certified_motions import Certified
     from hitchopt.view.editing import Editing
@@ -168,7 +163,7 @@ def _serve(
         if live.wait_for_page(PATIENCE):
             time.sleep(DRAWING)
         with LateProgress("certifying"):
-            certificate = certify(motion)
+            certificate = ho.certify(motion)
         live.show_certificate(certificate)
     try:
         editing = Editing(text, path, Certified(live.motion, certificate), status=status)
@@ -179,26 +174,23 @@ def _serve(
     return live
 
 
-def shown_plan(path: Path, instead: str = "") -> tuple[Plan, Status | None]:
+def shown_plan(path: Path, instead: str = "") -> tuple[ho.Plan, Status | None]:
     """Return what is shown of a problem file: its plan, or one with a change, and how they relate.
 
     Exits where there is no plan, and no change was found, or something is said ``instead``.
     """
-    from hitchopt import api
-    from hitchopt.mission.loading import read_problem
-    from hitchopt.mission.problem import Problem
     from hitchopt.storage.yaml_file import read_text
     from hitchopt.view.editing import Stage, Status
 
-    problem, text = read_problem(path), read_text(path)[0]
+    problem, text = ho.read_problem(path), read_text(path)[0]
     try:
         with LateProgress("planning") as progress:
-            return replace(api.solve(problem, progress), problem=text), None
+            return replace(ho.solve(problem, progress), problem=text), None
     except InfeasibleError as error:
         complain(error)
         words = str(error)
-        found: tuple[Suggestion, ...] = ()
-        if isinstance(problem, Problem):
+        found: tuple[ho.Suggestion, ...] = ()
+        if isinstance(problem, ho.Problem):
             found = report_suggestions(problem, error, SEARCH)[1]
     if instead or not found:
         nothing = f"nothing to show: change {path} as the errors say, then view it again"
@@ -206,6 +198,6 @@ def shown_plan(path: Path, instead: str = "") -> tuple[Plan, Status | None]:
         unmet()
     say("the page shows the plan of the first change; a click on a change makes it")
     with LateProgress("planning the first change") as progress:
-        plan = api.solve(found[0].change.problem, progress)
+        plan = ho.solve(found[0].change.problem, progress)
     plan = replace(plan, title=problem.title, problem=text)
     return plan, Status(Stage.SUGGESTED, words, found)

@@ -7,6 +7,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, quantities, record, say, span_text, table
@@ -268,19 +269,19 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     an earlier one has ended: only what is missing is computed. Where STUDY is the DIR of a sweep,
     nothing is.
     """
-    from hitchopt.sweeps.sweep import load_sweep, read_study, run_sweep, summary
+    from hitchopt.sweeps.sweep import read_study, summary
 
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with LateProgress("starting workers") as progress:
-            run_sweep(
+            ho.run_sweep(
                 study,
                 place,
                 workers=workers,
                 scheduler=scheduler,
                 progress=progress,
             )
-    rows = load_sweep(place)
+    rows = ho.load_sweep(place)
     found = summary(rows, len(read_study(place)["cases"]))
     record(directory=str(place), summary=asdict(found))
     say(_sweep_tables(found))

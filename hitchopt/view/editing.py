@@ -35,15 +35,11 @@ from hitchopt.storage.yaml_file import (
     read_text,
     split_key,
     value_at,
-    with_entry,
-    with_entry_moved,
+    with_entries,
     with_value,
-    without_entry,
 )
 from hitchopt.values import Array
 from hitchopt.view.style import drafted
-
-MISSION = ("mission",)
 
 START = -1
 """Index of the start, before the first step."""
@@ -284,17 +280,23 @@ class Editing:
     def add(self, index: int, kind: str) -> None:
         """Add a step of a kind after another one (START: before all); errors as of ``change``."""
         step = new_step(self.problem, index, kind, height_after(self.planned.motion, index))
-        self.change(with_entry(self.text, MISSION, index + 1, step))
+        self._rearrange(lambda steps: steps.insert(index + 1, step))
 
     def remove(self, index: int) -> None:
         """Remove a step; errors as of ``change``."""
-        self.change(without_entry(self.text, MISSION, index))
+        self._rearrange(lambda steps: steps.pop(index))
 
     def move(self, index: int, to: int) -> None:
         """Put a step to another place in the mission; errors as of ``change``."""
         if not 0 <= to < len(self.problem.mission):
             raise InputError("mission", to, "the index of a step", "there is no place beyond it")
-        self.change(with_entry_moved(self.text, MISSION, index, to))
+        self._rearrange(lambda steps: steps.insert(to, steps.pop(index)))
+
+    def _rearrange(self, change: Callable[[list[Any]], object]) -> None:
+        """Change the list of steps, given by their indices, a new one by its content."""
+        steps: list[Any] = list(range(len(self.problem.mission)))
+        change(steps)
+        self.change(with_entries(self.text, ("mission",), steps))
 
     def apply(self, suggestion: Suggestion) -> None:
         """Make a suggested change; errors as of ``change``."""

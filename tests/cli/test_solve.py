@@ -150,7 +150,7 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
     run("solve", CLOSE, "-o", "out", code=130)
     found = diagnosis()
     assert (found["violations"][0]["constraint"], found["suggestions"]) == ("separation", [])
-    monkeypatch.setattr("hitchopt.api.solve", interrupted)
+    monkeypatch.setattr("hitchopt.solve", interrupted)
     assert run("solve", TRIANGLE, "-o", "other", code=130).output == ""
     assert not Path("other").exists()
 
@@ -180,7 +180,7 @@ def test_a_certificate_that_fails_ends_with_3_and_a_diagnosis(
     plan = solve(TRIANGLE)
     broken = Check.of("speed", 1.5, 1.0, "max", "m/s", 0.75, ("q1",))
     failed = Plan(plan.motion, Certificate(plan.duration, (broken,)), "Too fast")
-    monkeypatch.setattr("hitchopt.api.solve", lambda *_, **__: failed)
+    monkeypatch.setattr("hitchopt.solve", lambda *_, **__: failed)
     result = run("solve", TRIANGLE, "-o", "out", code=3)
     assert "error: speed: 1.5 m/s is above the limit of 1 m/s at q1, t = 0.75 s" in result.stderr
     assert "NO" in result.stdout

@@ -21,10 +21,8 @@ from hitchopt.storage.yaml_file import (
     read_yaml,
     split_key,
     value_at,
-    with_entry,
-    with_entry_moved,
+    with_entries,
     with_value,
-    without_entry,
 )
 
 # fmt: off
@@ -77,11 +75,13 @@ def test_other_yaml_is_refused_with_line_and_column(text: str, message: str) -> 
 
 def test_keys_are_given_once_and_are_text() -> None:
     text = "a:\n  - b: 1\n  - c: {d: 1, d: 2}\n"
-    with pytest.raises(InputError, match=r"^a\[1\]\.c\.d = .*given once; remove .* in line 3"):
+    with pytest.raises(InputError, match=r"^text:3:15: a\[1\]\.c\.d = .*given once; remove"):
         parse_yaml(text)
-    with pytest.raises(InputError, match=r"^a\.b = 1.5: must be a mapping whose keys are text"):
+    with pytest.raises(
+        InputError, match=r"^text:1:9: a\.b = 1.5: must be a mapping whose keys are text"
+    ):
         parse_yaml("a: {b: {1.5: 2}}")
-    with pytest.raises(InputError, match=r"^problem = None"):
+    with pytest.raises(InputError, match=r"^text:1:\d: problem = None"):
         parse_yaml("? \n: 1")
 
 
@@ -225,15 +225,15 @@ def test_the_same_value_leaves_the_text_and_what_is_not_there_is_refused() -> No
 
 
 def test_steps_go_with_the_comments_above_them() -> None:
-    moved = with_entry_moved(TEXT, MISSION, 1, 0)
+    moved = with_entries(TEXT, MISSION, [1, 0, 2])
     assert "mission:\n  # stay\n  - hold: {seconds: 1.0}\n  # go\n  - morph: {pol" in moved
-    assert with_entry_moved(moved, MISSION, 0, 1) == TEXT
-    removed = without_entry(TEXT, MISSION, 1)
+    assert with_entries(moved, MISSION, [1, 0, 2]) == TEXT
+    removed = with_entries(TEXT, MISSION, [0, 2])
     assert "stay" not in removed
     assert removed.endswith("      blend: false\n\n# The end.\n")
-    added = with_entry(TEXT, MISSION, 3, {"hold": {"seconds": 0.5}})
+    added = with_entries(TEXT, MISSION, [0, 1, 2, {"hold": {"seconds": 0.5}}])
     assert "      blend: false\n  - hold: {seconds: 0.5}\n\n# The end." in added
-    assert without_entry(added, MISSION, 3) == TEXT
+    assert with_entries(added, MISSION, range(3)) == TEXT
 
 
 @given(st.permutations(range(3)), st.sampled_from(["\n", "\r\n"]), st.booleans())
@@ -241,13 +241,16 @@ def test_the_file_holds_what_was_done(order: list[int], line: str, brackets: boo
     text = "a: [{b: 1}, {c: 2}, {d: 3}]" if brackets else TEXT.replace("\n", line).rstrip()
     path = ("a",) if brackets else MISSION
     steps = value_at(parse_yaml(text), path)
-    i, to, _ = order
-    moved = with_entry_moved(text, path, i, to)
-    expected = [*steps[:i], *steps[i + 1 :]]
-    assert value_at(parse_yaml(without_entry(text, path, i)), path) == expected
-    expected.insert(to, steps[i])
-    assert value_at(parse_yaml(moved), path) == expected
-    assert with_entry_moved(moved, path, to, i) == text
-    added = with_entry(text, path, to, {"land": {}})
-    assert value_at(parse_yaml(added), path) == [*steps[:to], {"land": {}}, *steps[to:]]
+    moved = with_entries(text, path, order)
+    assert value_at(parse_yaml(moved), path) == [steps[i] for i in order]
+    assert with_entries(moved, path, [order.index(i) for i in range(3)]) == text
+    few = with_entries(text, path, order[:2])
+    assert value_at(parse_yaml(few), path) == [steps[i] for i in order[:2]]
+    added = with_entries(text, path, [order[0], {"land": {}}, *order[1:]])
+    found = value_at(parse_yaml(added), path)
+    assert found == [steps[order[0]], {"land": {}}, *(steps[i] for i in order[1:])]
     assert brackets or ("\r\n" in added) is (line == "\r\n")
+    empty = with_entries(text, path, [])
+    assert value_at(parse_yaml(empty), path) == []
+    again = with_entries(empty, path, [{"land": {}}])
+    assert value_at(parse_yaml(again), path) == [{"land": {}}]
