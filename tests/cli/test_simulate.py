@@ -7,9 +7,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from problem_files import run
+from commands import run
 
 import hitchopt as ho
 from hitchopt.statics.files import statics_content
@@ -52,13 +51,12 @@ def test_one_flight_reports_that_it_holds_and_writes_files(
     for words in (
         "hitched: every vertex is linked and held",
         "the fast preset is 1 to 2 cm off; take the accurate one",
-        "drones to their setpoints [cm]",
-        "nobody: the simulator's own",
+        r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes",
+        r"drones to their setpoints \[cm\] +\d\.\d ± \d\.\d",
+        r"position loops \[N/m\] +4.75\n +stated by +nobody: the simulator's own",
+        r"ropes weigh \[g/m\] +10\n +as the plan knows +10\n",
     ):
-        assert words in result.stdout
-    assert re.search(r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes", result.stdout)
-    assert re.search(r"position loops \[N/m\] +4.75\n", result.stdout)
-    assert re.search(r"ropes weigh \[g/m\] +10\n +as the plan knows +10\n", result.stdout)
+        assert re.search(words, result.stdout), words
     assert result.stderr == ""
     place = solved / "simulation"
     tables = {"vertices.csv", "cables.csv", "drones.csv"}
@@ -66,12 +64,8 @@ def test_one_flight_reports_that_it_holds_and_writes_files(
     assert {path.name for path in place.iterdir()} == files
     summary = read(place / "simulation.json")
     assert summary["hitched"] is summary["succeeded"] is True
-    assert [clasp["name"] for clasp in summary["clasps"]] == ["p0", "p1", "p2"]
-    assert summary["settings"]["preset"]["name"] == "fast"
-    assert summary["warnings"] == []
     size = 1e3 * summary["compensation"]["cables_longer"]
     assert re.search(rf"ropes longer for their bends \[mm\] +≤ {size:.1f}", result.stdout)
-    assert summary["position_loops"]["stiffness"] == pytest.approx([36.0 * 0.132] * 6)
     assert film.read_bytes()[:6] in {b"GIF87a", b"GIF89a"}
     run("check", solved, code=0)  # the plan's own files are as they were
 
@@ -109,11 +103,8 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
     assert re.search(told, result.stderr, re.DOTALL)
     assert shown in result.stdout
     summary = read(Path("x/simulation.json"))
-    assert summary["verdict"] == told.partition(":")[0]
-    assert not summary["succeeded"]
-    judged = summary["verdict"] == "failed"
-    assert bool(summary["clasps"]) is ("p0" in result.stdout) is judged
-    assert ("NOT hitched" in result.output) is ("failed" in result.output) is judged
+    assert (summary["verdict"], summary["succeeded"]) == (told.partition(":")[0], False)
+    assert bool(summary["clasps"]) is ("p0" in result.stdout) is (summary["verdict"] == "failed")
 
 
 @pytest.mark.parametrize(
@@ -184,10 +175,9 @@ def test_what_rests_is_what_python_says(settling: Path, options: str, conditions
     if not conditions:  # it rests where the plan says
         assert result.stdout.count("0.500         0.500   no") == 3
         assert "note" not in result.stdout
-        np.testing.assert_allclose(found.drones[0], plan.at(0.5).positions, atol=1e-9)
-        np.testing.assert_allclose(found.vertices[0], plan.at(0.5).vertices, atol=1e-9)
-    if "friction" in conditions:
-        assert np.all(found.band[0] * [-1.0, 1.0] > 0.05)
+    if "load" in conditions:  # vertices hang lower by as much
+        lower = 1e3 * (plan.at(0.5).vertices - found.vertices[0])[:, 2]
+        assert re.search(rf"p0 +\d+\.\d +{lower[0]:.1f}\n", result.stdout)
 
 
 def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> None:

@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
+import threading
 from importlib import metadata
 from pathlib import Path
 
@@ -14,7 +14,8 @@ import click
 import pydantic
 import pytest
 from click.testing import CliRunner
-from problem_files import BAD, TRIANGLE, header, refused, run, started
+from commands import TRIANGLE, refused, run, started
+from plans import BAD
 from pydantic_core import core_schema
 
 from hitchopt.checks.certificate import CertificateError
@@ -33,21 +34,8 @@ from hitchopt.storage import interrupts
 pytestmark = pytest.mark.usefixtures("place")
 
 SOLVE = f"solve {TRIANGLE}"
+FAULTY = next(path for path in BAD if path.stem == "several_faults")
 RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
-
-
-@pytest.mark.parametrize("path", BAD[::8], ids=lambda path: path.stem)
-def test_bad_files_end_with_2_name_the_place_and_leave_nothing(path: Path, place: Path) -> None:
-    told = refused("solve", path)
-    assert header(path, "Names") in told
-    for line in told.splitlines():
-        assert line.startswith("error: ")
-        if " = " in line:  # a fault of a value
-            assert line.startswith(f"error: {path}:"), line
-            number, column = line.removeprefix(f"error: {path}:").split(":")[:2]
-            text = path.read_text(encoding="utf-8").splitlines()[int(number) - 1]
-            assert 1 <= int(column) <= len(text) + 1
-    assert list(place.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -65,6 +53,10 @@ def test_bad_files_end_with_2_name_the_place_and_leave_nothing(path: Path, place
         ("export out --format csv -o ''", "error: -o = '': must be a path that is not empty"),
         ("simulate out -o ''", "error: -o = '': must be a path that is not empty"),
         (f"{SOLVE} -o /", "error: -o = '/': must be a directory of its own"),
+        (
+            f"solve {FAULTY}",
+            f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; give",
+        ),
         ("solve nowhere.yaml", "error: nowhere.yaml: no such file"),
         ("solve .", "is a directory"),
         ("check nowhere", "error: nowhere/plan.npz: "),
@@ -81,8 +73,7 @@ def test_wrong_usage_ends_with_2(words: str, told: str, place: Path) -> None:
 
 def test_what_is_in_the_way_is_told(place: Path) -> None:
     (place / "triangle").write_text("mine")
-    told = refused("solve", TRIANGLE)
-    assert "error: triangle: is not a directory; choose another one with -o" in told
+    assert "error: triangle: is not a directory; choose another" in refused("solve", TRIANGLE)
     told = run("solve", TRIANGLE, "-o", "triangle/out", "--rate", "5", code=2).stderr
     assert told.startswith("error: triangle/out: ")
     assert (place / "triangle").read_text() == "mine"
@@ -94,13 +85,10 @@ def test_what_is_in_the_way_is_told(place: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_bad_file_in_a_process_of_its_own(place: Path) -> None:
-    bad = next(path for path in BAD if path.stem == "several_faults")
-    done = started("-m", "hitchopt", "solve", str(bad))
-    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 4)
-    reason = "limits.jerk = 0: must be greater than 0; give a positive number"
-    assert f"\nerror: {bad}:8:23: {reason}\n" in done.stderr
-    assert list(place.iterdir()) == []
+def test_a_bad_file_in_a_process_of_its_own() -> None:
+    done = started("-m", "hitchopt", "solve", str(FAULTY))
+    assert (done.returncode, done.stdout) == (2, "")
+    assert [line.partition(" ")[0] for line in done.stderr.splitlines()] == ["error:"] * 4
     done = started("-m", "hitchopt", "solve", "größe.yaml", PYTHONIOENCODING="ascii:strict")
     assert (done.returncode, done.stderr[:31]) == (2, "error: gr??e.yaml: no such file")
 
@@ -181,9 +169,7 @@ SLOW = [pytest.mark.slow]
     ("script", "target", "name", "words"),
     [
         pytest.param(WITHIN, "click", "SIGINT", SOLVED, marks=SLOW),
-        pytest.param(WITHIN, "hitchopt.mission", "SIGTERM", SOLVED, marks=SLOW),
-        pytest.param(WITHIN, "numpy", "SIGINT", SOLVED, marks=SLOW),
-        pytest.param(WITHIN, "casadi", "SIGTERM", SOLVED, marks=SLOW),
+        pytest.param(WITHIN, "numpy", "SIGTERM", SOLVED, marks=SLOW),
         (AROUND, "click.Context.__init__", "SIGINT", ("init", "x")),
         (AROUND, "click.Context.close", "SIGTERM", ("init", "-h")),
         pytest.param(
@@ -216,10 +202,10 @@ def test_signals_wait_until_pydantic_has_built_a_model() -> None:
             signal.raise_signal(signal.SIGINT)
             return core_schema.any_schema()
 
+    @interrupts.ending_signals()
     def build_and_wait() -> None:
-        with interrupts.ending_signals():
-            built.append(pydantic.create_model("Model", noisy=(Noisy, ...)))
-            time.sleep(10.0)
+        built.append(pydantic.create_model("Model", noisy=(Noisy, ...)))
+        threading.Event().wait(10.0)
 
     with pytest.raises(SystemExit) as end:
         build_and_wait()

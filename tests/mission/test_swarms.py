@@ -9,7 +9,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from problem_cases import header
+from plans import header
 
 import hitchopt as ho
 from hitchopt.mission.keys import problem_schema
