@@ -249,12 +249,10 @@ def fit(
     from hitchopt.statics.files import fit_as_json, save_fit
     from hitchopt.values import positive
 
-    if not 0.0 < tilt_deg < 90.0:
-        raise InputError("--tilt-deg", tilt_deg, "above 0 and below 90", "45 is usual")
     if mass is not None:
         positive("--mass", mass)
     kind = ho.Quadrotor(quadrotor_mass, max_thrust)
-    limits = ho.Limits(tilt=math.radians(tilt_deg))
+    limits = ho.Limits(tilt_deg=tilt_deg)
     with LateProgress("fitting"):
         found = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
         content = fit_as_json(found)

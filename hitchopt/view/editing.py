@@ -210,15 +210,13 @@ class Editing:
         self, text: str, path: Path, planned: Certified, status: Status | None = None
     ) -> None:
         self.path, self.planned = path, planned
+        self._worker: threading.Thread | None = None
         self.listener: Callable[[], None] = lambda: None
         self._texts, self._place = [text], 0
-        self._version, self._answered, self._open = 0, 0, True
         self._on_disk = text if path.exists() else None
-        self._changed = threading.Condition(threading.RLock())
+        self._version, self._lock, self._planning = 0, threading.RLock(), threading.Lock()
         self.problem = self._read(text)
         self.status = status or Status(Stage.CURRENT)
-        self._worker = threading.Thread(target=self._work, daemon=True)
-        self._worker.start()
 
     @property
     def text(self) -> str:
@@ -232,7 +230,7 @@ class Editing:
 
     def now(self) -> tuple[str, Status, Certified]:
         """Return the text, what is known of it, and the plan that is there, of one moment."""
-        with self._changed:
+        with self._lock:
             return self.text, self.status, self.planned
 
     def handles(self, index: int) -> dict[str, Handle]:
@@ -243,7 +241,7 @@ class Editing:
 
     def change(self, text: str) -> None:
         """Go on with another text; an InputError or FileError if it is no problem of a hitch."""
-        with self._changed:
+        with self._lock:
             problem = self._read(text)
             if text == self.text:
                 return
@@ -254,7 +252,7 @@ class Editing:
 
     def undo(self, steps: int = 1) -> bool:
         """Take changes back, or with a negative number make them again; return whether it can."""
-        with self._changed:
+        with self._lock:
             place = self._place - steps
             if not 0 <= place < len(self._texts):
                 return False
@@ -307,7 +305,7 @@ class Editing:
 
         It is a FileError if it cannot be written, or if someone else has changed it meanwhile.
         """
-        with self._changed:
+        with self._lock:
             there = read_text(self.path)[0] if self.path.exists() else None
             if there not in (self._on_disk, self.text):
                 words = "has been changed by someone else; move it away, then save again"
@@ -320,15 +318,14 @@ class Editing:
 
     def wait(self, seconds: float = 60.0) -> bool:
         """Wait until nothing is being computed; return whether that is so."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._answered == self._version, seconds)
+        if self._worker is not None:
+            self._worker.join(seconds)
+        return self._worker is None or not self._worker.is_alive()
 
     def close(self) -> None:
         """Stop planning."""
-        with self._changed:
-            self._open, self._version = False, -1
-            self._changed.notify_all()
-        self._worker.join()
+        self._version = -1
+        self.wait()
 
     def _read(self, text: str) -> Problem:
         problem = parse_problem(text, self.path.name, self.path.parent)
@@ -337,51 +334,41 @@ class Editing:
         return problem
 
     def _begin(self, problem: Problem) -> None:
+        """Plan the newest text as soon as the planning of an older one has ended."""
         self.problem, self.status = problem, Status(Stage.PLANNING)
         self._version += 1
-        self._changed.notify_all()
-
-    def _work(self) -> None:
-        """Plan the newest text, again and again."""
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._version != self._answered)
-                if not self._open:
-                    return
-                version, problem = self._version, self.problem
-            with suppress(_StaleError):
-                self._answer(version, problem)
-            with self._changed:
-                self._answered = version
-                self._changed.notify_all()
+        told = (self._version, problem)
+        self._worker = threading.Thread(target=self._answer, args=told, daemon=True)
+        self._worker.start()
 
     def _answer(self, version: int, problem: Problem) -> None:
-        def tell(words: str) -> None:
-            self._publish(version, replace(self.status, words=words))
+        with self._planning, suppress(_StaleError):
+            self._check(version)
+            try:
+                planned = solve_problem(problem, lambda words: self._tell(version, words))
+            except InfeasibleError as error:
+                words = f"{error}\nlooking for changes that make it feasible …"
+                self._publish(version, Status(Stage.REFUSED, words))
+                found = find_suggestions(problem, error, progress=lambda _: self._check(version))
+                words = str(error) if found else f"{error}\n{NO_CHANGE}"
+                self._publish(version, Status(Stage.REFUSED, words, found))
+            except HitchoptError as error:
+                self._publish(version, Status(Stage.REFUSED, str(error)))
+            except Exception as error:  # a fault of ours must not end the editing
+                self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
+            else:
+                self._publish(version, Status(Stage.CURRENT), planned)
 
-        def go_on(_: str) -> None:
-            if version != self._version:
-                raise _StaleError
+    def _tell(self, version: int, words: str) -> None:
+        self._publish(version, replace(self.status, words=words))
 
-        try:
-            planned = solve_problem(problem, tell)
-        except InfeasibleError as error:
-            refused = Status(Stage.REFUSED, f"{error}\nlooking for changes that make it feasible …")
-            self._publish(version, refused)
-            found = find_suggestions(problem, error, progress=go_on)
-            words = str(error) if found else f"{error}\n{NO_CHANGE}"
-            self._publish(version, Status(Stage.REFUSED, words, found))
-        except HitchoptError as error:
-            self._publish(version, Status(Stage.REFUSED, str(error)))
-        except Exception as error:  # a fault of ours must not end the editing
-            self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
-        else:
-            self._publish(version, Status(Stage.CURRENT), planned)
+    def _check(self, version: int) -> None:
+        if version != self._version:
+            raise _StaleError
 
     def _publish(self, version: int, status: Status, planned: Certified | None = None) -> None:
-        with self._changed:
-            if version != self._version:
-                raise _StaleError
+        with self._lock:
+            self._check(version)
             self.status = status
             if planned is not None:
                 self.planned = planned
