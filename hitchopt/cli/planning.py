@@ -118,10 +118,10 @@ def _plan(
     # Edges that bend around an object need more digits than fitted polynomials keep.
     chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
     name = shlex.quote(str(place))
-    flown = [f"simulate {name}"] if motion.team.has_cables else []
-    commands = [f"      hitchopt {each}" for each in (*flown, f"export {name} --format {chosen}")]
+    said = [f"next: look at {place / SUMMARY}"]
+    said += [f"      hitchopt simulate {name}"] if motion.team.has_cables else []
     if not (output().quiet or output().json):
-        say("\n".join([f"next: look at {place / SUMMARY}", *commands]), err=True)
+        say("\n".join([*said, f"      hitchopt export {name} --format {chosen}"]), err=True)
 
 
 def _leave_diagnosis(
@@ -308,7 +308,4 @@ def _write_new(name: str, text: str) -> Path:
             file.write(text)
     except FileExistsError:
         raise FileError(f"{path}: exists already; give another name, or remove it") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FileError(f"{str(path)!r}: cannot be written ({reason}); give another name") from None
     return path

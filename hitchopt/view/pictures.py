@@ -77,21 +77,13 @@ STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), DASHED, strict=True))
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One limited quantity over time.
+    """One limited quantity over time."""
 
-    Attributes
-    ----------
-    name, label: of its check; name and unit for people.
-    values: the curve (samples,), in the label's unit.
-    limit: its limit, in the same unit.
-    share: whether values are shares of the limit, in place of the check's unit.
-    """
-
-    name: str
-    label: str
-    values: Array
-    limit: float
-    share: bool = False
+    name: str  # of its check
+    label: str  # name and unit for people
+    values: Array  # the curve (samples,), in the label's unit
+    limit: float  # in the same unit
+    share: bool = False  # whether values are shares of the limit, in place of the check's unit
 
     def worst_of(self, certificate: Certificate) -> tuple[float, float] | None:
         """Return time and value of the certificate's worst, in this unit, if it has one."""
@@ -167,15 +159,15 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
     picture = BytesIO()
     style.save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
     image = b64encode(picture.getvalue()).decode()
+    heads = ("phase", "step", "start", "end", "remark")
     phases = [
         (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in motion.phases
     ]
+    drones = f"{len(motion.team.drone_names)} drones, {motion.duration:.4g} s"
     return (
-        f"<p><b>{escape(title or 'Plan')}</b>: {len(motion.team.drone_names)} drones, "
-        f"{motion.duration:.4g} s</p>"
+        f"<p><b>{escape(title or 'Plan')}</b>: {drones}</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
-        f"{html_table(('phase', 'step', 'start', 'end', 'remark'), phases)}"
-        f"{certificate._repr_html_()}"
+        f"{html_table(heads, phases)}{certificate._repr_html_()}"
     )
 
 
@@ -195,14 +187,12 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
     ``duration`` is the plan's [s].
     """
     for i, phase in enumerate(phases):
-        for each in axes:
+        for each in axes if i else ():
+            each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
             if i % 2:
                 each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
-            if i > 0:
-                each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
         if (phase.end - phase.start) / duration > CHARACTER * (len(phase.name) + 1):
-            middle = (0.5 * (phase.start + phase.end), 1.0)
-            where = axes[0].get_xaxis_transform()
+            middle, where = (0.5 * (phase.start + phase.end), 1.0), axes[0].get_xaxis_transform()
             write(axes[0], phase.name, middle, (0, 4), xycoords=where, parse_math=False)
 
 
@@ -250,7 +240,6 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
     axes.plot(t, panel.values, color=INK, linewidth=CURVE, zorder=3)
     worst, lowest = panel.worst_of(certificate), RULE_OF[panel.name].sense == "min"
     top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
-    axes.set_ylim(0.0, top)
     axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
     forbidden = (0.0, panel.limit) if lowest else (panel.limit, top)
     axes.axhspan(*forbidden, zorder=0, **FORBIDDEN)
@@ -265,7 +254,7 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
         gap = (value - panel.limit) / top * HEIGHT
         shift = math.copysign(max(LINE - abs(gap), 0.0), gap or (1.0 if lowest else -1.0))
         _label(axes, f"worst {value:.4g}", value, INK, shift)
-    axes.set(ylabel=panel.label, xlim=(t[0], t[-1]))
+    axes.set(ylabel=panel.label, xlim=(t[0], t[-1]), ylim=(0.0, top))
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
 
