@@ -1,17 +1,29 @@
-"""Problems to load and to change."""
+"""The problem files of this repository, and what their headers say of them."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plans import ROOT
 
 from hitchopt.geometry import ConvexArc
 from hitchopt.mission.problem import HitchStart, Problem
 from problems.random_morph import random_convex_polygon
 
+ROOT = Path(__file__).parents[2]
+GOOD = sorted((ROOT / "problems").glob("*.yaml"))
+BAD = sorted((ROOT / "problems" / "bad").glob("*.yaml"))
+INFEASIBLE = sorted((ROOT / "problems" / "infeasible").glob("*.yaml"))
 TEMPLATE = ROOT / "hitchopt" / "mission" / "template.yaml"
+
+
+def header(path: Path, word: str) -> str:
+    """What the comment ``# word: …`` of a bad problem says."""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"# {word}: "):
+            return line.removeprefix(f"# {word}: ")
+    raise KeyError(f"{path} has no comment '# {word}: …'")
 
 
 def hitch_start(problem: Problem) -> HitchStart:

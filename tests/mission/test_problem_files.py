@@ -9,8 +9,7 @@ from typing import Any
 
 import jsonschema
 import pytest
-from plans import BAD, GOOD, INFEASIBLE, ROOT, header
-from problem_cases import TEMPLATE, triangle
+from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, header, triangle
 from ruamel.yaml import YAML
 
 from hitchopt.errors import FileError, HitchoptError, InputError

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import INFEASIBLE
-from problem_cases import hitch_start, triangle
+from problem_cases import INFEASIBLE, hitch_start, triangle
 from problem_edits import edited
 
 import hitchopt as ho

@@ -9,7 +9,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from plans import header
+from problem_cases import header
 
 import hitchopt as ho
 from hitchopt.mission.keys import problem_schema
