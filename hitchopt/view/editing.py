@@ -176,7 +176,6 @@ class Stage(StrEnum):
     CURRENT = "the plan of this problem"
     PLANNING = "an OLD plan: the changed problem is being planned"
     REFUSED = "an OLD plan: the changed problem cannot be met"
-    SUGGESTED = "the plan of a suggested change: the problem as it is cannot be met"
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,13 +201,10 @@ class Editing:
     ----------
     text: what the problem file holds; an InputError or FileError if it is no problem of a hitch.
     path: where it is saved; outlines of objects are beside it.
-    planned: the plan of this text, or of a change that makes it feasible.
-    status: how they relate; by default it is the plan of this text.
+    planned: the plan of this text.
     """
 
-    def __init__(
-        self, text: str, path: Path, planned: Certified, status: Status | None = None
-    ) -> None:
+    def __init__(self, text: str, path: Path, planned: Certified) -> None:
         self.path, self.planned = path, planned
         self._worker: threading.Thread | None = None
         self.listener: Callable[[], None] = lambda: None
@@ -216,7 +212,7 @@ class Editing:
         self._on_disk = text if path.exists() else None
         self._version, self._lock, self._planning = 0, threading.RLock(), threading.Lock()
         self.problem = self._read(text)
-        self.status = status or Status(Stage.CURRENT)
+        self.status = Status(Stage.CURRENT)
 
     @property
     def text(self) -> str:
