@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import shlex
@@ -275,9 +274,8 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
         say(table("Examples", rows))
         return
     if example is not None and example not in files:
-        near = difflib.get_close_matches(example, files, 1)
-        remedy = f"did you mean {near[0]}?" if near else "hitchopt init --list names them"
-        raise InputError("--example", example, "an example's name", remedy)
+        words = "an example's name", "hitchopt init --list names them"
+        raise InputError("--example", example, *words)
     source = files[example] if example else PACKAGE / "mission" / "template.yaml"
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
     record(file=str(path))

@@ -62,7 +62,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("check nowhere", "error: nowhere/plan.npz: "),
         ("check nowhere/plan.npz", "error: nowhere/plan.npz: "),
         ("simulate .", "plan.npz: there is no such file"),
-        ("init --example triangl", "did you mean triangle?"),
+        ("init --example triangl", "hitchopt init --list names them"),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],
 )
