@@ -109,42 +109,27 @@ def test_help_is_light_and_names_every_command() -> None:
     assert run("--version", code=0).stdout.split()[-1] == metadata.version("hitchopt")
 
 
-WITHIN = """
+DISTURBED = """
 import builtins, os, signal, sys
-
-real = builtins.__import__
-
-def disturbed(name, *rest, **options):
-    if name.startswith({target!r}):
-        builtins.__import__ = real
-        open("seen", "w").close()
-        try:
-            os.kill(os.getpid(), signal.{name})
-            for _ in range(1000):
-                pass
-        except BaseException:  # as compiled modules do
-            raise ImportError("failed to import") from None
-    return real(name, *rest, **options)
-
-builtins.__import__ = disturbed
-sys.argv = ["hitchopt", *{words!r}]
-from hitchopt.__main__ import run
-run()
-"""
-
-AROUND = """
-import os, signal, sys
-import click, hitchopt.exports.directory
-
-real = {target}
+{needs}
+real = {place}
 
 def disturbed(*arguments, **options):
-    {target} = real
+    if {within!r} and not arguments[0].startswith({within!r}):
+        return real(*arguments, **options)
+    {place} = real
     open("seen", "w").write(repr(os.listdir()))
-    os.kill(os.getpid(), signal.{name})
+    try:
+        os.kill(os.getpid(), signal.{name})
+        for _ in range(1000):
+            pass
+    except BaseException:
+        if {within!r}:  # as compiled modules do
+            raise ImportError("failed to import") from None
+        raise
     return real(*arguments, **options)
 
-{target} = disturbed
+{place} = disturbed
 sys.argv = ["hitchopt", *{words!r}]
 from hitchopt.__main__ import run
 run()
@@ -166,24 +151,27 @@ SLOW = [pytest.mark.slow]
 
 
 @pytest.mark.parametrize(
-    ("script", "target", "name", "words"),
+    ("target", "within", "name", "words"),
     [
-        pytest.param(WITHIN, "click", "SIGINT", SOLVED, marks=SLOW),
-        pytest.param(WITHIN, "numpy", "SIGTERM", SOLVED, marks=SLOW),
-        (AROUND, "click.Context.__init__", "SIGINT", ("init", "x")),
-        (AROUND, "click.Context.close", "SIGTERM", ("init", "-h")),
+        pytest.param("builtins.__import__", "click", "SIGINT", SOLVED, marks=SLOW),
+        pytest.param("builtins.__import__", "numpy", "SIGTERM", SOLVED, marks=SLOW),
+        ("click.Context.__init__", "", "SIGINT", ("init", "x")),
+        ("click.Context.close", "", "SIGTERM", ("init", "-h")),
         pytest.param(
-            *(AROUND, "hitchopt.exports.directory.write_setpoints", "SIGTERM", SOLVED), marks=SLOW
+            *("hitchopt.exports.directory.write_setpoints", "", "SIGTERM", SOLVED), marks=SLOW
         ),
     ],
 )
 def test_signals_end_quietly_wherever_they_come(
-    script: str, target: str, name: str, words: tuple[str, ...], place: Path
+    target: str, within: str, name: str, words: tuple[str, ...], place: Path
 ) -> None:
-    done = started("-c", script.format(target=target, name=name, words=words))
+    needs = "" if within else "import click, hitchopt.exports.directory"
+    told = {"place": target, "within": within, "name": name, "words": words, "needs": needs}
+    done = started("-c", DISTURBED.format(**told))
     assert (done.returncode, done.stderr) == ({"SIGINT": 130, "SIGTERM": 143}[name], "")
     assert [path.name for path in place.iterdir()] == ["seen"]
-    assert (".hitchopt-" in (place / "seen").read_text()) is target.endswith("write_setpoints")
+    written = ".hitchopt-" in (place / "seen").read_text()
+    assert written is target.endswith("write_setpoints")
 
 
 def test_signals_after_the_command_end_the_process() -> None:
