@@ -47,7 +47,6 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
         "hitched: every vertex is linked and held",
         "the fast preset is 1 to 2 cm off; take the accurate one",
         r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes",
-        r"drones to their setpoints \[cm\] +\d\.\d ± \d\.\d",
         r"position loops \[N/m\] +4.75\n +stated by +nobody: the simulator's own",
         r"ropes weigh \[g/m\] +10\n +as the plan knows +10\n",
     ):
@@ -59,6 +58,9 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
     assert {path.name for path in place.iterdir()} == files
     summary = read(place / "simulation.json")
     assert summary["hitched"] is summary["succeeded"] is True
+    mean, deviation, largest = (100.0 * x for x in summary["tracking_error"].values())
+    errors = f"{mean:.1f} ± {deviation:.1f} ({largest:.1f})"
+    assert re.search(rf"drones to their setpoints \[cm\] +{re.escape(errors)}", result.stdout)
     size = 1e3 * summary["compensation"]["cables_longer"]
     assert re.search(rf"ropes longer for their bends \[mm\] +≤ {size:.1f}", result.stdout)
     run("check", solved, code=0)  # the plan's own files are as they were
