@@ -7,10 +7,13 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from commands import run
 
 import hitchopt as ho
+from hitchopt.cli.simulating import spread_text
+from hitchopt.simulation.judgement import Spread
 from hitchopt.statics.files import statics_content
 from hitchopt.storage.files import strict_json
 
@@ -58,9 +61,9 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
     assert {path.name for path in place.iterdir()} == files
     summary = read(place / "simulation.json")
     assert summary["hitched"] is summary["succeeded"] is True
-    mean, deviation, largest = (100.0 * x for x in summary["tracking_error"].values())
-    errors = f"{mean:.1f} ± {deviation:.1f} ({largest:.1f})"
-    assert re.search(rf"drones to their setpoints \[cm\] +{re.escape(errors)}", result.stdout)
+    tracked = spread_text(Spread(**summary["tracking_error"]))
+    assert re.search(rf"drones to their setpoints \[cm\] +{re.escape(tracked)}", result.stdout)
+    assert spread_text(Spread.of(np.array([0.01, 0.03, np.nan]))) == "2.0 ± 1.0 (3.0)"
     size = 1e3 * summary["compensation"]["cables_longer"]
     assert re.search(rf"ropes longer for their bends \[mm\] +≤ {size:.1f}", result.stdout)
     run("check", solved, code=0)  # the plan's own files are as they were
