@@ -1,4 +1,4 @@
-"""Plans of this repository's problems, each solved once for all tests of a package as it is.
+"""Problem files of this repository, and their plans, each solved once for all tests of a package.
 
 Workers share them as files in the folder that ``conftest`` names: below ``.pytest_cache`` by the
 contents of package and problems, so that tests of an unchanged package plan nothing twice; a
@@ -17,6 +17,9 @@ import hitchopt as ho
 
 ROOT = Path(__file__).parents[1]
 PROBLEMS = ROOT / "problems"
+GOOD, BAD, INFEASIBLE = (
+    sorted((PROBLEMS / folder).glob("*.yaml")) for folder in ("", "bad", "infeasible")
+)
 FOLDER = "HITCHOPT_TESTED_PLANS"
 
 
@@ -34,6 +37,14 @@ def planned(name: str) -> ho.Plan:
     own.write_bytes(pickle.dumps(plan))
     own.replace(path)
     return plan
+
+
+def header(path: Path, word: str) -> str:
+    """What the comment ``# word: …`` of a problem says."""
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.startswith(f"# {word}: "):
+            return line.removeprefix(f"# {word}: ")
+    raise KeyError(f"{path} has no comment '# {word}: …'")
 
 
 def digest() -> str:

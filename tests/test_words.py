@@ -1,4 +1,4 @@
-"""The package's words and names: docstrings, identifiers, file names, and nothing unused."""
+"""The package's words and names: docstrings, file names, and nothing unused."""
 
 from __future__ import annotations
 
@@ -20,29 +20,13 @@ PREPOSITIONS = frozenset(
     without""".split()  # noqa: SIM905
 )
 
-BANNED = frozenset(
-    "asking dear honey manners promise promises standing urge wary wish wishes".split()  # noqa: SIM905
-)
-"""Words that identifiers do not use; the field's terms are priority rule, penalty weight, damping,
-options, evaluation and estimate."""
-
 CALLED = frozenset(
     # by toppra, click, pydantic, click, pickle
     ["compute_constraint_params", "convert", "field_title_should_be_set", "invoke"]
     + ["reducer_override"]
     # by users: methods of Certificate, Plan and the outlines
-    + [
-        "abort",
-        "displacements",
-        "from_dict",
-        "mirrored",
-        "pause",
-        "renumbered",
-        "retarget",
-        "resume",
-        "rotated",
-    ]
-    + ["to_dataframe"]
+    + ["abort", "displacements", "from_dict", "mirrored", "pause", "renumbered", "resume"]
+    + ["retarget", "rotated", "to_dataframe"]
 )
 """Methods that the package itself does not call."""
 
@@ -71,19 +55,6 @@ def test_docstrings_begin_with_no_preposition() -> None:
     found = [place(*each) for each in texts if first_word(each[-1]) in PREPOSITIONS]
     assert len(texts) > 1000
     assert not found, "\n".join(found)
-
-
-def test_identifiers_are_the_field_s_words() -> None:
-    names = [(path, path.stem) for path in TREES] + [
-        (path, value)
-        for path, node in NODES
-        for field in ("id", "attr", "name", "asname", "arg", "module")
-        if isinstance(value := getattr(node, field, None), str)
-    ]
-    words = {name: re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower() for _, name in names}
-    parts = {name: set(re.split(r"[_.]+", spaced)) for name, spaced in words.items()}
-    found = {f"{path}: {name}" for path, name in names if parts[name] & BANNED}
-    assert not found, "\n".join(sorted(found))
 
 
 def defined(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, record, say, span_text, table
 from hitchopt.errors import InputError
-
-if TYPE_CHECKING:
-    from hitchopt.statics.calibrate import Calibration
 
 USUAL = {"cable": "0.01", "position": "0.02"}
 """[m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
@@ -159,12 +157,11 @@ def calibrate(
     come with standard errors, and what the recording does not determine is said so. Distances to
     the plan are in three dimensions.
     """
-    from hitchopt.statics.calibrate import calibrate as calibrated
     from hitchopt.statics.files import save_calibration_picture, save_team
 
     place = None if plan is None else plan_path(plan).parent
     with LateProgress("estimating"):
-        found = calibrated(recording, place, density=density)
+        found = ho.calibrate(recording, place, density=density)
     record(
         lengths=[vars(estimate) for estimate in found.lengths],
         stiffness=[vars(estimate) for estimate in found.stiffness],
@@ -179,7 +176,7 @@ def calibrate(
         say(f"the picture is {picture}")
 
 
-def _calibration_tables(found: Calibration) -> str:
+def _calibration_tables(found: ho.Calibration) -> str:
     """Return the tables of estimates and of distances to the plan."""
     from hitchopt.cli.simulating import spread_text
 
@@ -249,20 +246,15 @@ def fit(
     OUTLINE is a drawing (SVG, DXF, GeoJSON, CSV), points as '[[x, y], …]', or circle:RADIUS, in
     metres unless a drawing states its unit.
     """
-    from hitchopt.hitch import Quadrotor
-    from hitchopt.hitch.requirements import Limits
     from hitchopt.statics.files import fit_as_json, save_fit
-    from hitchopt.statics.fit import fit as fitted
     from hitchopt.values import positive
 
-    if not 0.0 < tilt_deg < 90.0:
-        raise InputError("--tilt-deg", tilt_deg, "above 0 and below 90", "45 is usual")
     if mass is not None:
         positive("--mass", mass)
-    kind = Quadrotor(quadrotor_mass, max_thrust)
-    limits = Limits(tilt=math.radians(tilt_deg))
+    kind = ho.Quadrotor(quadrotor_mass, max_thrust)
+    limits = ho.Limits(tilt_deg=tilt_deg)
     with LateProgress("fitting"):
-        found = fitted(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
+        found = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
         content = fit_as_json(found)
     record(fit=content)
     say("\n\n".join([*(f"note: {note}" for note in found.notes), *_fit_tables(content)]))

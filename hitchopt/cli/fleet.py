@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, completing, plan_path
 from hitchopt.cli.output import LateProgress, certificate_table, record, say, table
@@ -20,10 +21,8 @@ from hitchopt.exports.options import HOMES
 
 if TYPE_CHECKING:
     from hitchopt.exports.lint import Report
-    from hitchopt.hitch import Swarm, Team
     from hitchopt.live.abort import AbortTable
     from hitchopt.live.fly import Flight, Outlet
-    from hitchopt.motion.motion import Motion
 
 MAX_SHOWN = 5
 """Number of findings of one rule that are shown; the rest are counted."""
@@ -57,7 +56,6 @@ PORT = {"json": 14600, "mavlink": 14580}
 )
 def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any) -> None:
     """Write the plan in DIR as fleets, scripts or viewers read it, and certify what was written."""
-    from hitchopt.checks import Certificate
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
@@ -79,7 +77,7 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
         entry |= {"duration": verdict.duration, "position_error": vars(position)}
         entry |= {"velocity_error": vars(velocity), "checks": [vars(c) for c in verdict.checks]}
         entries.append({**entry, "not_carried": verdict.not_carried, "notes": part.notes})
-        say(certificate_table(Certificate(verdict.duration, verdict.checks)))
+        say(certificate_table(ho.Certificate(verdict.duration, verdict.checks)))
         say(
             f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
             f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
@@ -106,15 +104,13 @@ def lint(path: Path, **limits: float | None) -> None:
     itself are always held. Ends with 3 if there are errors.
     """
     from hitchopt.exports.lint import Rules
-    from hitchopt.exports.lint import lint as linted
-    from hitchopt.hitch.requirements import Separation
     from hitchopt.values import positive
 
     given = {key: positive(f"--{key}", x) for key, x in limits.items() if x is not None}
-    separation = Separation(given["radius"], given["height"])
+    separation = ho.Separation(given["radius"], given["height"])
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
     with LateProgress("reading and checking"):
-        reports = linted(path, rules)
+        reports = ho.lint(path, rules)
     entries = []
     for report in reports:
         entry = asdict(report)
@@ -205,7 +201,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         unmet()
 
 
-def _usual_abort(motion: Motion) -> str:
+def _usual_abort(motion: ho.Motion) -> str:
     return "release_and_land" if motion.team.has_cables else "land"
 
 
@@ -247,12 +243,11 @@ def fly(
     """
     from hitchopt.live.fly import Course, Flight
     from hitchopt.live.links import KEYS_HELP, Operator
-    from hitchopt.plan import load
     from hitchopt.values import positive
 
     rate, patience = positive("--rate", rate), positive("--patience", patience)
     with LateProgress("certifying"):
-        plan = load(plan_path(directory).parent)
+        plan = ho.load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
     motion = plan.motion
     outlet = _outlet_of(motion.team, **options)
@@ -277,7 +272,7 @@ def fly(
 
 
 def _outlet_of(
-    team: Team | Swarm,
+    team: ho.Team | ho.Swarm,
     over: str,
     targets: tuple[str, ...],
     listen: str,
@@ -311,11 +306,11 @@ def _targets(given: tuple[str, ...], count: int, port: int) -> list[tuple[str, i
     return found * count if len(found) == 1 else found
 
 
-def _flown_aborts(motion: Motion, how: str | None) -> dict[str, AbortTable]:
+def _flown_aborts(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:
     """Return the aborts for the commands ``abort`` and ``land``."""
     from hitchopt.live.abort import abort_table
 
-    chosen = how or ("release_and_land" if motion.team.has_cables else "land")
+    chosen = how or _usual_abort(motion)
     found = {}
     with LateProgress("planning aborts") as progress:
         for each in dict.fromkeys(("land", chosen)):

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
+import hitchopt as ho
+
 if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.text import Text
-
-    from hitchopt.checks.certificate import Certificate, Check
-    from hitchopt.motion.motion import Motion, Phase
 
 KEY = "hitchopt.output"
 """Key of a call's Output in click's contexts."""
@@ -139,16 +138,16 @@ def quantities(title: str, values: Mapping[str, object]) -> str:
     return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
 
 
-def show_plan(title: str, motion: Motion, certificate: Certificate) -> None:
+def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> None:
     """Report the phases and the certificate of a plan."""
-    names = ("name", "step", "start", "end", "remark")
-    phases = [{name: getattr(phase, name) for name in names} for phase in motion.phases]
+    kept = ("name", "step", "start", "end", "remark")
+    phases = [{name: getattr(phase, name) for name in kept} for phase in motion.phases]
     record(title=title, phases=phases, certificate=certificate.to_dict())
-    tables = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
-    say(f"{title}\n{tables}" if title else tables)
+    tables = [phase_table(motion.phases), certificate_table(certificate)]
+    say("\n\n".join(tables).join([f"{title}\n" if title else "", "\n"]))
 
 
-def phase_table(phases: Sequence[Phase]) -> str:
+def phase_table(phases: Sequence[ho.Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
     rows = []
     for p in phases:
@@ -159,7 +158,7 @@ def phase_table(phases: Sequence[Phase]) -> str:
     return table("Phases", rows)
 
 
-def certificate_table(certificate: Certificate) -> str:
+def certificate_table(certificate: ho.Certificate) -> str:
     """Return the table of a certificate's checks, each with its worst value over all of time.
 
     Checks stand under the headings of their groups, and those closest to their limits are marked.
@@ -174,7 +173,7 @@ def certificate_table(certificate: Certificate) -> str:
     return f"{shown}\n\n ◂ closest to its limit" if closest else shown
 
 
-def _check_row(check: Check) -> dict[str, object]:
+def _check_row(check: ho.Check) -> dict[str, object]:
     limit = f"{'≥' if check.sense == 'min' else '≤'} {number(check.limit)}"
     if check.limit is None:
         limit = "–" if check.gamma is None else f"γ = {check.gamma:g}"

@@ -9,18 +9,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hitchopt.cli.failures import complain, unmet
+import hitchopt as ho
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, record, say
-from hitchopt.cli.planning import SUFFIXES, report_suggestions
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError
+from hitchopt.cli.planning import SUFFIXES
+from hitchopt.errors import FileError, HitchoptError, InputError
 
 if TYPE_CHECKING:
-    from hitchopt.mission.repair import Suggestion
-    from hitchopt.plan import Plan
-    from hitchopt.view.editing import Status
     from hitchopt.view.live import LiveView
-    from hitchopt.view.scene import Scene
 
 PROBLEM = "problem.yaml"
 """Name under which an edited problem is saved beside its plan."""
@@ -28,9 +24,6 @@ PROBLEM = "problem.yaml"
 PATIENCE, DRAWING = 3.0, 1.5
 """Times for which the processor is left to the browser [s]: until it has loaded the page, and after
 that to draw the first picture, as graphics cards are not everywhere."""
-
-SEARCH = 60.0
-"""Time limit of the search for changes that make a problem feasible [s]."""
 
 
 @command("directory DIR")
@@ -40,11 +33,9 @@ def report(directory: Path) -> None:
     It plays the plan in three dimensions, with plots of separation, speed, thrust and tension, the
     certificate, the phases, the problem file, versions and digests.
     """
-    from hitchopt.plan import load
-
     place = plan_path(directory).parent
     with LateProgress("certifying and writing"):
-        path = load(place).report(place)
+        path = ho.load(place).report(place)
     record(file=str(path))
     say(f"open {path} in a browser")
 
@@ -64,9 +55,8 @@ def view(
 ) -> None:
     """Show the plan in DIR in the browser, live, and edit it by hand; Ctrl-C ends it (needs viser).
 
-    Of a problem FILE (.yaml) the plan is made first, or that of the smallest change that makes it
-    feasible. What is dragged is planned again, and Save writes the problem file: FILE, or
-    DIR/problem.yaml.
+    Of a problem FILE (.yaml) the plan is made first. What is dragged is planned again, and Save
+    writes the problem file: FILE, or DIR/problem.yaml.
 
     With --save FILE nothing is served: .html is the report; .png, .svg and .pdf are the summary;
     .mp4 and .gif are a film (needs imageio). Of a simulated flight, DIR/simulation, the film is
@@ -88,9 +78,9 @@ def view(
         return
     from hitchopt.view.server import open_server, server_address
 
-    plan, status = None, None
+    plan = None
     if path.suffix in SUFFIXES:
-        plan, status = shown_plan(path)
+        plan = _planned(path)
     else:
         file = plan_path(path)
         try:  # before a page is opened for it
@@ -104,7 +94,7 @@ def view(
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     close = server.stop
     try:
-        close = _serve(server, path, plan, status, ghost or (recording if flown else None)).close
+        close = _serve(server, path, plan, ghost or (recording if flown else None)).close
         threading.Event().wait()
     finally:
         close()
@@ -113,40 +103,30 @@ def view(
 def _save(file: Path, path: Path, recording: Path | None) -> None:
     """Write a plan as a page or picture, or the film of a simulated flight of it."""
     from hitchopt.motion.plan_file import read_plan, read_title
-    from hitchopt.plan import load
-    from hitchopt.view.film import check_film
+    from hitchopt.view.film import check_film, save_film
     from hitchopt.view.scene import ghost_scene
 
     if recording is not None:
         check_film(file)
         flown = plan_path(path)
-        save_flight_film(file, ghost_scene(recording, read_plan(flown)), read_title(flown))
+        scene, words = ghost_scene(recording, read_plan(flown)), f"{read_title(flown)} (simulated)"
+        with LateProgress("drawing the film") as tell:
+            save_film(
+                file, scene, words.strip(), lambda done: tell(f"drawing the film, {done:.0%}")
+            )
         record(file=str(file))
+        say(f"the film is {file}")
         return
-    changes = f"nothing is written; hitchopt view {path} shows the first change"
-    plan = shown_plan(path, changes)[0] if path.suffix in SUFFIXES else None
+    plan = _planned(path) if path.suffix in SUFFIXES else None
     with LateProgress("certifying and drawing") as progress:
-        plan = plan or load(plan_path(path).parent)
+        plan = plan or ho.load(plan_path(path).parent)
         plan.view(file, progress=progress)
     record(file=str(file))
     say(f"wrote {file}")
 
 
-def save_flight_film(path: Path, scene: Scene, title: str) -> None:
-    """Write the film of a simulated flight."""
-    from hitchopt.view.film import save_film
-
-    with LateProgress("drawing the film") as progress:
-        words = f"{title} (simulated)".strip()
-        save_film(path, scene, words, lambda share: progress(f"drawing the film, {share:.0%}"))
-    say(f"the film is {path}")
-
-
-def _serve(
-    server: Any, path: Path, plan: Plan | None, status: Status | None, ghost: Path | None
-) -> LiveView:
+def _serve(server: Any, path: Path, plan: ho.Plan | None, ghost: Path | None) -> LiveView:
     """Show a plan, or that in a directory, in the page of a server, to be edited there."""
-    from hitchopt.checks import certify
     from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
     from hitchopt.steps.certified_motions import Certified
     from hitchopt.view.editing import Editing
@@ -168,10 +148,10 @@ def _serve(
         if live.wait_for_page(PATIENCE):
             time.sleep(DRAWING)
         with LateProgress("certifying"):
-            certificate = certify(motion)
+            certificate = ho.certify(motion)
         live.show_certificate(certificate)
     try:
-        editing = Editing(text, path, Certified(live.motion, certificate), status=status)
+        editing = Editing(text, path, Certified(live.motion, certificate))
     except HitchoptError as error:
         say(f"it cannot be edited here: {error}")
     else:
@@ -179,33 +159,10 @@ def _serve(
     return live
 
 
-def shown_plan(path: Path, instead: str = "") -> tuple[Plan, Status | None]:
-    """Return what is shown of a problem file: its plan, or one with a change, and how they relate.
-
-    Exits where there is no plan, and no change was found, or something is said ``instead``.
-    """
-    from hitchopt import api
-    from hitchopt.mission.loading import read_problem
-    from hitchopt.mission.problem import Problem
+def _planned(path: Path) -> ho.Plan:
+    """Return the plan of a problem file."""
     from hitchopt.storage.yaml_file import read_text
-    from hitchopt.view.editing import Stage, Status
 
-    problem, text = read_problem(path), read_text(path)[0]
-    try:
-        with LateProgress("planning") as progress:
-            return replace(api.solve(problem, progress), problem=text), None
-    except InfeasibleError as error:
-        complain(error)
-        words = str(error)
-        found: tuple[Suggestion, ...] = ()
-        if isinstance(problem, Problem):
-            found = report_suggestions(problem, error, SEARCH)[1]
-    if instead or not found:
-        nothing = f"nothing to show: change {path} as the errors say, then view it again"
-        say(instead if found else nothing, err=True)
-        unmet()
-    say("the page shows the plan of the first change; a click on a change makes it")
-    with LateProgress("planning the first change") as progress:
-        plan = api.solve(found[0].change.problem, progress)
-    plan = replace(plan, title=problem.title, problem=text)
-    return plan, Status(Stage.SUGGESTED, words, found)
+    problem, text = ho.read_problem(path), read_text(path)[0]
+    with LateProgress("planning") as progress:
+        return replace(ho.solve(problem, progress), problem=text)

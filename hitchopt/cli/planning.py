@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import shlex
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-import hitchopt
+import hitchopt as ho
 from hitchopt.cli.failures import complain, exit_code, unmet
 from hitchopt.cli.options import command, completing, plan_path
 from hitchopt.cli.output import LateProgress, output, record, say, show_plan, table
@@ -24,8 +23,6 @@ from hitchopt.exports.options import checked_rate
 if TYPE_CHECKING:
     from hitchopt.live.lost import Lost
     from hitchopt.mission.loading import AnyProblem
-    from hitchopt.mission.problem import Problem
-    from hitchopt.mission.repair import Suggestion
 
 MAX_ROWS, SUFFIXES = 5e8, {".yaml", ".yml"}
 """Largest number of rows of setpoints.csv, about 100 GB: more is a typing error; and endings of the
@@ -34,7 +31,7 @@ names of problem files."""
 MIN_SEARCH_TIME = 1e-3
 """Time limit of the search for changes [s] if no time is left: its end is then reported."""
 
-PACKAGE = Path(hitchopt.__file__).parent
+PACKAGE = Path(ho.__file__).parent
 SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="
 """The schema with which editors complete and check problem files, and what names it to them."""
 
@@ -101,12 +98,11 @@ def _plan(
     problem: AnyProblem, text: str, place: Path, rate: float, limit: float, *, report: bool
 ) -> None:
     """Plan, show and write a problem, and say what to do next."""
-    from hitchopt import api
     from hitchopt.exports.directory import SUMMARY, certificate_content
     from hitchopt.storage.archive import PLAN
 
     with LateProgress("planning", limit) as progress:
-        plan = api.solve(problem, progress=progress, limit=limit)
+        plan = ho.solve(problem, progress=progress, limit=limit)
     motion = plan.motion
     samples = motion.duration * len(motion.team.drone_names)
     if rate * samples > MAX_ROWS:
@@ -121,10 +117,10 @@ def _plan(
     # Edges that bend around an object need more digits than fitted polynomials keep.
     chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
     name = shlex.quote(str(place))
-    flown = [f"simulate {name}"] if motion.team.has_cables else []
-    commands = [f"      hitchopt {each}" for each in (*flown, f"export {name} --format {chosen}")]
+    said = [f"next: look at {place / SUMMARY}"]
+    said += [f"      hitchopt simulate {name}"] if motion.team.has_cables else []
     if not (output().quiet or output().json):
-        say("\n".join([f"next: look at {place / SUMMARY}", *commands]), err=True)
+        say("\n".join([*said, f"      hitchopt export {name} --format {chosen}"]), err=True)
 
 
 def _leave_diagnosis(
@@ -135,13 +131,12 @@ def _leave_diagnosis(
     If a problem is given, changes that make it feasible are searched for in the time ``left`` [s].
     """
     from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
-    from hitchopt.mission.problem import Problem
     from hitchopt.storage.files import PREVIOUS
 
     complain(error)  # first, in case the diagnosis cannot be written
     save_diagnosis(place, error)  # the search may be interrupted
-    found: tuple[Suggestion, ...] = ()
-    if isinstance(problem, Problem) and isinstance(error, InfeasibleError):
+    found: tuple[ho.Suggestion, ...] = ()
+    if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
         error, found = report_suggestions(problem, error, left)
         save_diagnosis(place, error, found)
     record(directory=str(place), diagnosis=diagnosis_content(error, found))
@@ -154,8 +149,8 @@ def _leave_diagnosis(
 
 
 def report_suggestions(
-    problem: Problem, error: InfeasibleError, left: float
-) -> tuple[InfeasibleError, tuple[Suggestion, ...]]:
+    problem: ho.Problem, error: InfeasibleError, left: float
+) -> tuple[InfeasibleError, tuple[ho.Suggestion, ...]]:
     """Return the verified changes that make the problem feasible, and report them.
 
     The error has a note if the time limit has ended the search.
@@ -163,7 +158,7 @@ def report_suggestions(
     from hitchopt.errors import time_left, time_limit
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
 
-    found: tuple[Suggestion, ...] = ()
+    found: tuple[ho.Suggestion, ...] = ()
     with LateProgress("searching for changes that make it feasible", left) as progress:
         try:
             with time_limit(left):
@@ -193,15 +188,13 @@ def check(
     directory: Path, picture: Path | None, gamma: float, *, closest: bool, survivable: bool
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
-    from hitchopt.checks import certify
     from hitchopt.exports.directory import certificate_content
-    from hitchopt.plan import Plan, read_asked_plan
-    from hitchopt.plan import closest as closest_pairs
+    from hitchopt.plan import read_asked_plan
 
     path = plan_path(directory)
     motion, _ = read_asked_plan(path)
     with LateProgress("certifying") as progress:
-        certificate = certify(motion, progress, gamma)
+        certificate = ho.certify(motion, progress, gamma)
     without: Sequence[Lost] = ()
     if survivable:
         from hitchopt.live.lost import survivable as survived
@@ -216,7 +209,7 @@ def check(
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:
         with LateProgress("finding the closest neighbours"):
-            found = closest_pairs(Plan(motion, certificate), picture=picture)
+            found = ho.closest(ho.Plan(motion, certificate), picture=picture)
         record(closest=str(found).splitlines())
         say(f"Closest neighbours\n{found}\n")
         if picture is not None:
@@ -281,9 +274,8 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
         say(table("Examples", rows))
         return
     if example is not None and example not in files:
-        near = difflib.get_close_matches(example, files, 1)
-        remedy = f"did you mean {near[0]}?" if near else "hitchopt init --list names them"
-        raise InputError("--example", example, "an example's name", remedy)
+        words = "an example's name", "hitchopt init --list names them"
+        raise InputError("--example", example, *words)
     source = files[example] if example else PACKAGE / "mission" / "template.yaml"
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
     record(file=str(path))
@@ -314,7 +306,4 @@ def _write_new(name: str, text: str) -> Path:
             file.write(text)
     except FileExistsError:
         raise FileError(f"{path}: exists already; give another name, or remove it") from None
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise FileError(f"{str(path)!r}: cannot be written ({reason}); give another name") from None
     return path

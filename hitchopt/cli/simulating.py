@@ -7,11 +7,11 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
 from hitchopt.cli.output import LateProgress, quantities, record, say, span_text, table
-from hitchopt.cli.pictures import save_flight_film
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
     from hitchopt.simulation.judgement import Simulation, Spread
@@ -66,7 +66,6 @@ MOST_REASONS = 8
     --feedback: Correct setpoints by measured vertices, as ho.Feedback does.
     --lose DRONE@SECONDS (text): Stop its motors then, such as q0@12.5; the others react.
     --reaction/--no-reaction (True): Or they fly on as if nothing had happened.
-    --film FILE (path): Film of a single flight, .gif or .mp4.
     """,
 )
 def simulate(
@@ -74,7 +73,6 @@ def simulate(
     output: Path | None,
     runs: int | None,
     processes: int | None,
-    film: Path | None,
     lose: str | None,
     *,
     reaction: bool,
@@ -93,14 +91,10 @@ def simulate(
     from hitchopt.simulation.settings import settings_of
     from hitchopt.simulation.task import read_task
     from hitchopt.sweeps.campaign import run_campaign, save_campaign
-    from hitchopt.view.film import check_film
 
     directory = plan_path(directory).parent
-    if film is not None:
-        check_film(film)
-    for key, value in (("--film", film), ("--lose", lose)):
-        if value is not None and runs is not None:
-            raise InputError(key, str(value), "of a single flight", "leave out --runs")
+    if lose is not None and runs is not None:
+        raise InputError("--lose", lose, "of a single flight", "leave out --runs")
     settings = settings_of(**options)
     with LateProgress("reading the plan"):
         task = read_task(directory)
@@ -110,7 +104,7 @@ def simulate(
         say(f"note: {warning}")
     place = directory / RESULTS if output is None else output
     if runs is None:
-        _simulate_one(task, settings, place, film, directory)
+        _simulate_one(task, settings, place, directory)
         return
     with LateProgress("flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
@@ -142,14 +136,12 @@ def _lost(
     return settings, reacting(task, found)
 
 
-def _simulate_one(
-    task: Task, settings: Settings, place: Path, film: Path | None, directory: Path
-) -> None:
+def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) -> None:
     """Simulate, save and report one flight; exit with UNMET unless it succeeded."""
     from hitchopt.motion.plan_file import read_plan, read_title
     from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.judgement import simulate as simulated
-    from hitchopt.simulation.report import flight_scene, save_simulation, summary
+    from hitchopt.simulation.report import save_simulation, summary
 
     with LateProgress("building ropes") as progress:
         done = simulated(task, settings, progress)
@@ -161,11 +153,6 @@ def _simulate_one(
     for failure in done.outcome.failures:
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
-    if film is not None:
-        scene = flight_scene(done, plan)
-        if scene is None:
-            raise FileError(f"{film}: the flight ended before there was anything to film")
-        save_flight_film(film, scene, title)
     if not done.outcome.succeeded:
         unmet()
 
@@ -268,19 +255,19 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     an earlier one has ended: only what is missing is computed. Where STUDY is the DIR of a sweep,
     nothing is.
     """
-    from hitchopt.sweeps.sweep import load_sweep, read_study, run_sweep, summary
+    from hitchopt.sweeps.sweep import read_study, summary
 
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with LateProgress("starting workers") as progress:
-            run_sweep(
+            ho.run_sweep(
                 study,
                 place,
                 workers=workers,
                 scheduler=scheduler,
                 progress=progress,
             )
-    rows = load_sweep(place)
+    rows = ho.load_sweep(place)
     found = summary(rows, len(read_study(place)["cases"]))
     record(directory=str(place), summary=asdict(found))
     say(_sweep_tables(found))

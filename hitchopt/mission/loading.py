@@ -65,14 +65,14 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 
     ``name`` is what messages call it, ``directory`` where outlines of objects are.
     """
+    data = parse_yaml(text, name)
+    if not isinstance(data, dict):
+        kind = _KINDS.get(type(data), "a number")
+        raise FileError(
+            f"{name}: holds {kind}, but a problem is a mapping with the keys "
+            f"{', '.join(ProblemKeys.model_fields)}; `hitchopt init` writes one"
+        )
     try:
-        data = parse_yaml(text, name)
-        if not isinstance(data, dict):
-            kind = _KINDS.get(type(data), "a number")
-            raise FileError(
-                f"{name}: holds {kind}, but a problem is a mapping with the keys "
-                f"{', '.join(ProblemKeys.model_fields)}; `hitchopt init` writes one"
-            )
         return any_problem_from_dict(data, directory)
     except InputError as error:
         places = key_places(text, name)

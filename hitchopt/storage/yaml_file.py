@@ -8,7 +8,6 @@ comments, order, number formats and line breaks of everything else stay those of
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import re
@@ -54,6 +53,8 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
 )
 """Patterns of plain scalars that are no text, and how to read them; the first match counts."""
 
+TEXT_KEYS = "a mapping whose keys are text", "write the key as a name"
+"""What must be of keys, and what to do."""
 
 STDIN = "-"  # Path that stands for standard input
 
@@ -87,14 +88,14 @@ def _read(text: str, name: str = "text") -> Node:
 
 
 def key_places(text: str, name: str) -> dict[str, Place]:
-    """Return where every key and list entry of the YAML ``text`` is, by its path.
+    """Return where every key and list entry of the YAML ``text`` is, by its path."""
+    return dict(_places(_read(text, name), []))
 
-    Of a text that is refused those are returned that come before the fault.
-    """
-    reader = _Reader(text, name, marking=True)
-    with contextlib.suppress(FileError, InputError):
-        reader.document()
-    return reader.places
+
+def _places(node: Node, path: list[str | int]) -> Iterator[tuple[str, Place]]:
+    yield key_path(path), node.place
+    for name, child in zip(node.names, node.children, strict=True):
+        yield from _places(child, [*path, name])
 
 
 def place_of(places: dict[str, Place], key: str) -> Place | None:
@@ -148,43 +149,51 @@ class Node:
     """A value, and where it stands in its text."""
 
     value: Plain
-    start: int  # place of its first character
-    end: int  # and of the end of what it reads
+    place: Place  # of its key, or of itself where it has none
+    start: int  # of its first character in the text
+    end: int  # of what it reads
     column: int  # of the first character, from 0 on
     flow: bool = True  # whether it is in brackets, or a scalar
+    head: int = 0  # where its key ends
     children: list[Node] = field(default_factory=list)  # of a list or mapping, in order
-    keys: list[int] = field(default_factory=list)  # where a mapping's keys end
 
-    def child(self, part: str | int) -> Node | None:
-        """Return what is at a key or index; None where there is nothing."""
-        if isinstance(self.value, dict) and part in self.value:
-            return self.children[list(self.value).index(str(part))]
-        within = isinstance(self.value, list) and isinstance(part, int)
-        return self.children[int(part)] if within and int(part) < len(self.children) else None
+    def child(self, part: str | int) -> Node:
+        """Return what is at a key or index; ValueError where there is nothing."""
+        return self.children[self.names.index(part)]
+
+    @property
+    def names(self) -> list[Any]:
+        """Keys of a mapping, or indices of a list."""
+        return list(self.value if isinstance(self.value, dict) else range(len(self.children)))
 
 
 class _Reader:
     """Values of one text, made by recursive descent; MAX_DEPTH bounds the recursion."""
 
-    def __init__(self, text: str, name: str, *, marking: bool = False) -> None:
-        self.text, self.name, self.marking = text, name, marking
-        self.places: dict[str, Place] = {}
-        self.events = self._parsed()
-        self.budget = Budget()
+    def __init__(self, text: str, name: str) -> None:
+        self.text, self.name, self.budget = text, name, Budget()
+        self.events, self.place = self._parsed(), Place(name, 1, 1)
 
     def document(self) -> Node | None:
         """Return the only document's value; None where there is none."""
         found: list[Node] = []
-        for event in self.events:
-            if isinstance(event, events.DocumentStartEvent) and found:
-                raise self._fault(event, "a second document begins here; keep one problem per file")
-            if isinstance(event, events.NodeEvent):
-                found.append(self._node(event, []))
+        try:
+            for event in self.events:
+                if isinstance(event, events.DocumentStartEvent) and found:
+                    raise self._fault("a second document begins here; keep one problem per file")
+                if isinstance(event, events.NodeEvent):
+                    found.append(self._node(event, []))
+        except InputError as error:
+            raise error.located(lambda _: self.place) from None
         return found[0] if found else None
 
     def _parsed(self) -> Iterator[Any]:
+        """Yield the events of the text; ``place`` is where the last one begins."""
         try:
-            yield from YAML(typ="safe", pure=True).parse(StringIO(self.text))
+            for event in YAML(typ="safe", pure=True).parse(StringIO(self.text)):
+                mark = event.start_mark
+                self.place = Place(self.name, mark.line + 1, mark.column + 1)
+                yield event
         except MarkedYAMLError as error:
             mark, reason = error.problem_mark or error.context_mark, error.problem or error.context
             place = "" if mark is None else f":{mark.line + 1}:{mark.column + 1}"
@@ -196,10 +205,10 @@ class _Reader:
             raise FileError(f"{self.name}: is not YAML ({reason}); correct its escapes") from None
 
     def _node(self, event: Any, path: list[str | int]) -> Node:
-        self._refuse_extras(event, path)
+        self._refuse_extras(event)
         self.budget.spend(path)
         start = event.start_mark
-        node = Node(None, start.index, event.end_mark.index, start.column)
+        node = Node(None, self.place, start.index, event.end_mark.index, start.column)
         if isinstance(event, events.ScalarEvent):
             node.value = self.budget.checked(_scalar(event), path)
             return self._ended(node)
@@ -210,11 +219,12 @@ class _Reader:
                 node.end = entry.end_mark.index
                 break
             key: str | int = len(node.children)
+            place, head = self.place, entry.end_mark.index
             if is_mapping:
                 key = self._new_key(entry, path, mapping)
-                node.keys.append(entry.end_mark.index)
                 entry = next(self.events)  # noqa: PLW2901
             child = self._node(entry, [*path, key])
+            child.place, child.head = place, head
             node.children.append(child)
             mapping[str(key)] = child.value
         node.value = mapping if is_mapping else list(mapping.values())
@@ -228,40 +238,31 @@ class _Reader:
             node.end = node.start + len(self.text[node.start : node.end].rstrip())
         return node
 
-    def _refuse_extras(self, event: Any, path: list[str | int]) -> None:
-        """Mark the place of a node or key; raise FileError of what is no plain data."""
-        if self.marking:
-            mark = event.start_mark
-            place = Place(self.name, mark.line + 1, mark.column + 1)
-            self.places.setdefault(key_path(path), place)
+    def _refuse_extras(self, event: Any) -> None:
+        """Raise FileError of what is no plain data."""
         if isinstance(event, events.AliasEvent):
-            raise self._fault(event, "aliases (*) are not allowed; write the value out")
+            raise self._fault("aliases (*) are not allowed; write the value out")
         if event.anchor is not None:
-            reason = "anchors (&) are not allowed; write each value where it belongs"
-            raise self._fault(event, reason)
+            raise self._fault("anchors (&) are not allowed; write each value where it belongs")
         if event.ctag is not None:
-            raise self._fault(event, "tags (!) are not allowed; remove it")
+            raise self._fault("tags (!) are not allowed; remove it")
 
     def _new_key(self, event: Any, path: list[str | int], mapping: dict[str, Plain]) -> str:
-        key = _scalar(event) if isinstance(event, events.ScalarEvent) else None
-        self._refuse_extras(event, [*path, key] if isinstance(key, str) else path)
+        self._refuse_extras(event)
         if not isinstance(event, events.ScalarEvent):
-            raise self._fault(event, "a key must be a word; quote it if it is meant as text")
-        line = event.start_mark.line + 1
+            raise self._fault("a key must be a word; quote it if it is meant as text")
+        key = _scalar(event)
         if not isinstance(key, str):
-            where, remedy = key_path(path) or "problem", f"write the key in line {line} as a name"
-            raise InputError(where, key, "a mapping whose keys are text", remedy)
+            raise InputError(_where(path), key, *TEXT_KEYS)
         if len(key) > MAX_TEXT:
-            reason = f"a key must have at most {MAX_TEXT} characters; shorten it"
-            raise self._fault(event, reason)
+            raise self._fault(f"a key must have at most {MAX_TEXT} characters; shorten it")
         if key in mapping:
-            remedy = f"remove one of the two (the second is in line {line})"
-            raise InputError(key_path([*path, key]), "(twice)", "given once", remedy)
+            where = key_path([*path, key])
+            raise InputError(where, "(twice)", "given once", "remove this one, or that before")
         return key
 
-    def _fault(self, event: Any, reason: str) -> FileError:
-        mark = event.start_mark
-        return FileError(f"{self.name}:{mark.line + 1}:{mark.column + 1}: {reason}")
+    def _fault(self, reason: str) -> FileError:
+        return FileError(f"{self.place}: {reason}")
 
 
 def _scalar(event: Any) -> Plain:
@@ -270,11 +271,11 @@ def _scalar(event: Any) -> Plain:
     if not text.isascii():
         # JSON writes characters beyond 16 bits as two escapes; halves are no text.
         text = text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
-    if event.implicit[0]:  # neither quoted nor a block
-        for pattern, value in _CORE_SCHEMA:
-            if pattern.fullmatch(text):
-                return value(text)
-    return text
+    return _unquoted(text) if event.implicit[0] else text  # else quoted, or a block
+
+
+def _unquoted(text: str) -> Plain:
+    return next((value(text) for kind, value in _CORE_SCHEMA if kind.fullmatch(text)), text)
 
 
 def key_path(parts: Iterable[str | int]) -> str:
@@ -300,12 +301,7 @@ class Budget:
         self.nodes = 0
 
     def spend(self, path: list[str | int]) -> None:
-        """Count one value at ``path``.
-
-        Raises
-        ------
-        InputError: too deep, or too many.
-        """
+        """Count one value at a path; raise InputError where it is too deep, or one too many."""
         self.nodes += 1
         if len(path) > MAX_DEPTH:
             bound = f"nested at most {MAX_DEPTH} levels deep"
@@ -355,8 +351,7 @@ def _plain(data: object, path: list[str | int], budget: Budget) -> Plain:
         raise InputError(_where(path), type(data).__name__, bound, "give plain data")
     for key in data:
         if not isinstance(key, str):
-            bound, remedy = "a mapping whose keys are text", "write the key as a name"
-            raise InputError(_where(path), key, bound, remedy)
+            raise InputError(_where(path), key, *TEXT_KEYS)
     return {str(key): _plain(value, [*path, key], budget) for key, value in data.items()}
 
 
@@ -399,35 +394,38 @@ def with_value(text: str, path: KeyPath, value: Plain) -> str:
     """
     node = _read(text)
     for i, part in enumerate(path):
-        child = node.child(part)
-        if child is None:
-            if not isinstance(node.value, dict) or not isinstance(part, str):
-                raise InputError(str(part), list(path), "an entry of the file", "add it before")
+        if isinstance(node.value, dict) and isinstance(part, str) and part not in node.value:
             for name in reversed(path[i + 1 :]):
                 value = {str(name): value}
             return _spliced(text, [_new_entry(text, node, f"{flow(part)}: {flow(value)}")])
-        node = child
+        node = _inner(node, part)
     return _spliced(text, _differences(node, value))
 
 
-def with_entry(text: str, path: KeyPath, index: int, value: Plain) -> str:
-    """Return the text with a value inserted before an entry of the list at a path."""
-    return _rearranged(text, path, lambda old: [*old[:index], value, *old[index:]])
+def with_entries(text: str, path: KeyPath, entries: Iterable[int | dict[str, Plain]]) -> str:
+    """Return the text with other entries of the list at a path.
+
+    Entries that were there are given by their index, and keep their text and the comment lines
+    above it; new ones are given as mappings of one key. Errors are those of ``with_value``.
+    """
+    node = _read(text)
+    for part in path:
+        node = _inner(node, part)
+    if node.flow or not node.children:
+        old = [text[child.start : child.end] for child in node.children]
+        parts = [old[e] if isinstance(e, int) else flow(e) for e in entries]
+        return _spliced(text, [(node.start, node.end, f"[{', '.join(parts)}]")])
+    ends = [_line_end(text, place) for place in (node.head, *(c.end for c in node.children))]
+    old, dash = [text[a:b] for a, b in pairwise(ends)], f"{_line_break(text)}{' ' * node.column}- "
+    body = "".join(old[e] if isinstance(e, int) else dash + flow(e)[1:-1] for e in entries)
+    return _spliced(text, [(ends[0], ends[-1], body or " []")])
 
 
-def without_entry(text: str, path: KeyPath, index: int) -> str:
-    """Return the text without an entry of the list at a path, and the comment above that entry."""
-    return _rearranged(text, path, lambda old: [*old[:index], *old[index + 1 :]])
-
-
-def with_entry_moved(text: str, path: KeyPath, index: int, to: int) -> str:
-    """Return the text with an entry, and the comment above it, at another place of its list."""
-
-    def move(old: list[Any]) -> list[Any]:
-        others = [*old[:index], *old[index + 1 :]]
-        return [*others[:to], old[index], *others[to:]]
-
-    return _rearranged(text, path, move)
+def _inner(node: Node, part: str | int) -> Node:
+    try:
+        return node.child(part)
+    except ValueError:
+        raise InputError(str(part), node.value, "an entry of the file", "add it before") from None
 
 
 def _spliced(text: str, splices: Iterable[tuple[int, int, str]]) -> str:
@@ -439,8 +437,7 @@ def _spliced(text: str, splices: Iterable[tuple[int, int, str]]) -> str:
 
 def _line_end(text: str, place: int) -> int:
     """Return where the line of a place ends, before its line break."""
-    match = _LINE_END.search(text, place)
-    return len(text) if match is None else match.start()
+    return next(_LINE_END.finditer(text, place)).start()
 
 
 def _differences(node: Node, value: Plain) -> Iterator[tuple[int, int, str]]:
@@ -477,41 +474,6 @@ def _line_break(text: str) -> str:
     return "\r\n" if "\r\n" in text else "\n"
 
 
-class _Old(str):
-    """The text of an entry that is there, with the lines of comment above it."""
-
-    __slots__ = ()
-
-
-def _rearranged(text: str, path: KeyPath, change: Callable[[list[Any]], list[Any]]) -> str:
-    """Return the text with the entries of a list changed, given as texts; new ones are values."""
-    parent, node = None, _read(text)
-    for part in path:
-        found = node.child(part)
-        if found is None:
-            raise InputError(str(part), list(path), "an entry of the file", "add it before")
-        parent, node = node, found
-    if parent is None or node.flow or not node.children:
-        old = [_Old(text[child.start : child.end]) for child in node.children]
-        parts = [e if isinstance(e, _Old) else flow(e) for e in change(old)]
-        return _spliced(text, [(node.start, node.end, f"[{', '.join(parts)}]")])
-    key = parent.keys[next(i for i, child in enumerate(parent.children) if child is node)]
-    ends = [_line_end(text, place) for place in (key, *(child.end for child in node.children))]
-    line, dash = _line_break(text), " " * node.column + "- "
-    changed = change([_Old(text[a:b].removeprefix(line)) for a, b in pairwise(ends)])
-    entries = [e if isinstance(e, _Old) else dash + _entry(e) for e in changed]
-    body = "".join(line + entry for entry in entries) if entries else " []"
-    return _spliced(text, [(ends[0], ends[-1], body)])
-
-
-def _entry(value: Plain) -> str:
-    """Return an entry of a block list: a mapping of one key without its braces."""
-    if isinstance(value, dict) and len(value) == 1:
-        ((name, inner),) = value.items()
-        return f"{flow(name)}: {flow(inner)}"
-    return flow(value)
-
-
 def flow(value: Plain) -> str:
     """Return a value on one line."""
     if isinstance(value, dict):
@@ -519,7 +481,7 @@ def flow(value: Plain) -> str:
     if isinstance(value, list):
         return "[" + ", ".join(map(flow, value)) + "]"
     if isinstance(value, str):
-        plain = _WORD.fullmatch(value) and parse_yaml(value) == value
+        plain = _WORD.fullmatch(value) and _unquoted(value) == value
         return value if plain else json.dumps(value, ensure_ascii=False)
     if isinstance(value, float) and math.isfinite(value):
         return repr(round(value, DECIMALS) + 0.0)

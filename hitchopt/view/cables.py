@@ -21,7 +21,6 @@ from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 LEG, BEND, EDGE = 6, 9, 9
@@ -66,8 +65,9 @@ def cable_curves(
     points = _hanging(motion, states.positions, np.linspace(0.0, 1.0, POINTS))
     some = np.flatnonzero(hooked > 0.0)
     if len(some):
-        drones, vertices = states.positions[some], _at(motion.vertices, times[some])
-        contacts = None if motion.contacts is None else _at(motion.contacts, times[some])
+        at = motion.drones.breaks[0] + times[some]
+        drones, vertices = states.positions[some], motion.vertices.at(at)
+        contacts = None if motion.contacts is None else motion.contacts.at(at)
         radius = min(radius, _largest_radius(motion.team.layout, drones, vertices))
         bent = _bent(motion, drones, vertices, BEND_RADIUS * radius, contacts)
         along = np.cumsum(np.linalg.norm(np.diff(bent, axis=-2), axis=-1), axis=-1)
@@ -87,14 +87,22 @@ def clasp_senses(motion: Motion) -> Array:
     check ``interlacing`` takes it.
     """
     layout = motion.team.layout
-    runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
-    for before, after in pairwise(runs):
-        if before[0].state is CableState.CLASPING and after[0].state in HOOKED:
-            start, end = before[0].start, before[-1].end
+    for (before, start, end), (after, _, _) in pairwise(_runs(motion)):
+        if (before, after) == (CableState.CLASPING, CableState.HITCHED):
             heights = motion.drones.at([start, start + 0.25 * (end - start)])[..., 2]
             apart = heights[:, 2 * layout.ahead] - heights[:, 2 * layout.behind + 1]
             return np.where(apart[1] >= apart[0], 1.0, -1.0)
     return np.ones(len(layout.clasps))
+
+
+def _runs(motion: Motion) -> list[tuple[CableState, float, float]]:
+    """Return the states of the cables one after the other, with their starts and ends [s].
+
+    Whatever is hooked is HITCHED here.
+    """
+    runs = groupby(motion.phases, lambda p: CableState.HITCHED if p.state in HOOKED else p.state)
+    listed = [(state, list(run)) for state, run in runs]
+    return [(state, run[0].start, run[-1].end) for state, run in listed]
 
 
 def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Array]:
@@ -118,11 +126,6 @@ def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Ar
     return total, np.concatenate([first[..., None, :], arc, last[..., None, :]], axis=-2)
 
 
-def _at(curves: PiecewisePolynomial, t: Array) -> Array:
-    """Return curves at times since their start [s]."""
-    return curves.at(curves.breaks[0] + t)
-
-
 def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
     """Return at which times vertices are to be taken, and how far cables are hooked (times,).
 
@@ -130,18 +133,15 @@ def _hooked_times(motion: Motion, t: Array) -> tuple[Array, Array]:
     hitch, and falls in the first half of the one that undoes it.
     """
     times, hooked = t.copy(), np.zeros(len(t))
-    runs = [list(run) for _, run in groupby(motion.phases, lambda phase: phase.state)]
-    spans = [(run[0].state, run[0].start, run[-1].end) for run in runs]
     nothing = (CableState.NONE, 0.0, 0.0)
-    for before, (state, start, end), after in zip(
-        [nothing, *spans], spans, [*spans[1:], nothing], strict=False
-    ):
-        if state in HOOKED:
+    runs = [nothing, *_runs(motion), nothing]
+    for before, (state, start, end), after in zip(runs, runs[1:], runs[2:], strict=False):
+        if state is CableState.HITCHED:
             rise, fall = (
                 max(0.5 * (b - a), SHORTEST) if other is CableState.CLASPING else SHORTEST
                 for other, a, b in (before, after)
             )
-            share = np.clip(1.0 + np.minimum((t - start) / rise, (end - t) / fall), 0.0, 1.0)
+            share = np.interp(t, [start - rise, start, end, end + fall], [0.0, 1.0, 1.0, 0.0])
             more = share > hooked
             hooked[more], times[more] = share[more], np.clip(t, start, end)[more]
     return times, hooked**2 * (3.0 - 2.0 * hooked)

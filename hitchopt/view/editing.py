@@ -35,15 +35,11 @@ from hitchopt.storage.yaml_file import (
     read_text,
     split_key,
     value_at,
-    with_entry,
-    with_entry_moved,
+    with_entries,
     with_value,
-    without_entry,
 )
 from hitchopt.values import Array
 from hitchopt.view.style import drafted
-
-MISSION = ("mission",)
 
 START = -1
 """Index of the start, before the first step."""
@@ -180,7 +176,6 @@ class Stage(StrEnum):
     CURRENT = "the plan of this problem"
     PLANNING = "an OLD plan: the changed problem is being planned"
     REFUSED = "an OLD plan: the changed problem cannot be met"
-    SUGGESTED = "the plan of a suggested change: the problem as it is cannot be met"
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,23 +201,18 @@ class Editing:
     ----------
     text: what the problem file holds; an InputError or FileError if it is no problem of a hitch.
     path: where it is saved; outlines of objects are beside it.
-    planned: the plan of this text, or of a change that makes it feasible.
-    status: how they relate; by default it is the plan of this text.
+    planned: the plan of this text.
     """
 
-    def __init__(
-        self, text: str, path: Path, planned: Certified, status: Status | None = None
-    ) -> None:
+    def __init__(self, text: str, path: Path, planned: Certified) -> None:
         self.path, self.planned = path, planned
+        self._worker: threading.Thread | None = None
         self.listener: Callable[[], None] = lambda: None
         self._texts, self._place = [text], 0
-        self._version, self._answered, self._open = 0, 0, True
         self._on_disk = text if path.exists() else None
-        self._changed = threading.Condition(threading.RLock())
+        self._version, self._lock, self._planning = 0, threading.RLock(), threading.Lock()
         self.problem = self._read(text)
-        self.status = status or Status(Stage.CURRENT)
-        self._worker = threading.Thread(target=self._work, daemon=True)
-        self._worker.start()
+        self.status = Status(Stage.CURRENT)
 
     @property
     def text(self) -> str:
@@ -236,7 +226,7 @@ class Editing:
 
     def now(self) -> tuple[str, Status, Certified]:
         """Return the text, what is known of it, and the plan that is there, of one moment."""
-        with self._changed:
+        with self._lock:
             return self.text, self.status, self.planned
 
     def handles(self, index: int) -> dict[str, Handle]:
@@ -247,7 +237,7 @@ class Editing:
 
     def change(self, text: str) -> None:
         """Go on with another text; an InputError or FileError if it is no problem of a hitch."""
-        with self._changed:
+        with self._lock:
             problem = self._read(text)
             if text == self.text:
                 return
@@ -258,7 +248,7 @@ class Editing:
 
     def undo(self, steps: int = 1) -> bool:
         """Take changes back, or with a negative number make them again; return whether it can."""
-        with self._changed:
+        with self._lock:
             place = self._place - steps
             if not 0 <= place < len(self._texts):
                 return False
@@ -284,17 +274,23 @@ class Editing:
     def add(self, index: int, kind: str) -> None:
         """Add a step of a kind after another one (START: before all); errors as of ``change``."""
         step = new_step(self.problem, index, kind, height_after(self.planned.motion, index))
-        self.change(with_entry(self.text, MISSION, index + 1, step))
+        self._rearrange(lambda steps: steps.insert(index + 1, step))
 
     def remove(self, index: int) -> None:
         """Remove a step; errors as of ``change``."""
-        self.change(without_entry(self.text, MISSION, index))
+        self._rearrange(lambda steps: steps.pop(index))
 
     def move(self, index: int, to: int) -> None:
         """Put a step to another place in the mission; errors as of ``change``."""
         if not 0 <= to < len(self.problem.mission):
             raise InputError("mission", to, "the index of a step", "there is no place beyond it")
-        self.change(with_entry_moved(self.text, MISSION, index, to))
+        self._rearrange(lambda steps: steps.insert(to, steps.pop(index)))
+
+    def _rearrange(self, change: Callable[[list[Any]], object]) -> None:
+        """Change the list of steps, given by their indices, a new one by its content."""
+        steps: list[Any] = list(range(len(self.problem.mission)))
+        change(steps)
+        self.change(with_entries(self.text, ("mission",), steps))
 
     def apply(self, suggestion: Suggestion) -> None:
         """Make a suggested change; errors as of ``change``."""
@@ -305,7 +301,7 @@ class Editing:
 
         It is a FileError if it cannot be written, or if someone else has changed it meanwhile.
         """
-        with self._changed:
+        with self._lock:
             there = read_text(self.path)[0] if self.path.exists() else None
             if there not in (self._on_disk, self.text):
                 words = "has been changed by someone else; move it away, then save again"
@@ -318,15 +314,14 @@ class Editing:
 
     def wait(self, seconds: float = 60.0) -> bool:
         """Wait until nothing is being computed; return whether that is so."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._answered == self._version, seconds)
+        if self._worker is not None:
+            self._worker.join(seconds)
+        return self._worker is None or not self._worker.is_alive()
 
     def close(self) -> None:
         """Stop planning."""
-        with self._changed:
-            self._open, self._version = False, -1
-            self._changed.notify_all()
-        self._worker.join()
+        self._version = -1
+        self.wait()
 
     def _read(self, text: str) -> Problem:
         problem = parse_problem(text, self.path.name, self.path.parent)
@@ -335,51 +330,41 @@ class Editing:
         return problem
 
     def _begin(self, problem: Problem) -> None:
+        """Plan the newest text as soon as the planning of an older one has ended."""
         self.problem, self.status = problem, Status(Stage.PLANNING)
         self._version += 1
-        self._changed.notify_all()
-
-    def _work(self) -> None:
-        """Plan the newest text, again and again."""
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._version != self._answered)
-                if not self._open:
-                    return
-                version, problem = self._version, self.problem
-            with suppress(_StaleError):
-                self._answer(version, problem)
-            with self._changed:
-                self._answered = version
-                self._changed.notify_all()
+        told = (self._version, problem)
+        self._worker = threading.Thread(target=self._answer, args=told, daemon=True)
+        self._worker.start()
 
     def _answer(self, version: int, problem: Problem) -> None:
-        def tell(words: str) -> None:
-            self._publish(version, replace(self.status, words=words))
+        with self._planning, suppress(_StaleError):
+            self._check(version)
+            try:
+                planned = solve_problem(problem, lambda words: self._tell(version, words))
+            except InfeasibleError as error:
+                words = f"{error}\nlooking for changes that make it feasible …"
+                self._publish(version, Status(Stage.REFUSED, words))
+                found = find_suggestions(problem, error, progress=lambda _: self._check(version))
+                words = str(error) if found else f"{error}\n{NO_CHANGE}"
+                self._publish(version, Status(Stage.REFUSED, words, found))
+            except HitchoptError as error:
+                self._publish(version, Status(Stage.REFUSED, str(error)))
+            except Exception as error:  # a fault of ours must not end the editing
+                self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
+            else:
+                self._publish(version, Status(Stage.CURRENT), planned)
 
-        def go_on(_: str) -> None:
-            if version != self._version:
-                raise _StaleError
+    def _tell(self, version: int, words: str) -> None:
+        self._publish(version, replace(self.status, words=words))
 
-        try:
-            planned = solve_problem(problem, tell)
-        except InfeasibleError as error:
-            refused = Status(Stage.REFUSED, f"{error}\nlooking for changes that make it feasible …")
-            self._publish(version, refused)
-            found = find_suggestions(problem, error, progress=go_on)
-            words = str(error) if found else f"{error}\n{NO_CHANGE}"
-            self._publish(version, Status(Stage.REFUSED, words, found))
-        except HitchoptError as error:
-            self._publish(version, Status(Stage.REFUSED, str(error)))
-        except Exception as error:  # a fault of ours must not end the editing
-            self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
-        else:
-            self._publish(version, Status(Stage.CURRENT), planned)
+    def _check(self, version: int) -> None:
+        if version != self._version:
+            raise _StaleError
 
     def _publish(self, version: int, status: Status, planned: Certified | None = None) -> None:
-        with self._changed:
-            if version != self._version:
-                raise _StaleError
+        with self._lock:
+            self._check(version)
             self.status = status
             if planned is not None:
                 self.planned = planned

@@ -87,8 +87,7 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     height = max(upper[1] - lower[1], (upper[0] - lower[0]) * SIZE[1] / SIZE[0]) / (1.0 - HEAD)
     width = height * SIZE[0] / SIZE[1]
     middle, bottom = 0.5 * (lower + upper) - [0.0, 0.5 * height * (1.0 - HEAD)]
-    axes.set_xlim(middle - 0.5 * width, middle + 0.5 * width)
-    axes.set_ylim(bottom, bottom + height)
+    axes.set(xlim=middle + [-0.5 * width, 0.5 * width], ylim=(bottom, bottom + height))
     draw_lines(axes, camera.seen(_ground(scene))[..., :2], "0.9", 0.7, 1)
     size = max(1.0, SMALL * height / scene.motion.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, THIN * height), size)

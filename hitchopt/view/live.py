@@ -23,7 +23,7 @@ FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 QUIET = "gray"
-"""Colour of buttons, but for that of the phase shown and those of checks that do not hold."""
+"""Colour of buttons, but for those of checks that do not hold."""
 
 FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
 """Direction and shortest distance [m] from which the scene is seen at first."""
@@ -58,7 +58,7 @@ class LiveView:
         aspect: float = ASPECT,
     ) -> None:
         self.server = open_server(host, port) if server is None else server
-        self.time, self.playing, self.speed, self.phase = 0.0, False, 1.0, -1
+        self.time, self.playing, self.speed = 0.0, False, 1.0
         self.motion, self.certificate = motion, certificate
         self._note, self._title, self._aspect = "", title, aspect
         self._lock, self._open = threading.RLock(), True
@@ -205,9 +205,8 @@ class LiveView:
         """Say in the panel what the plan is, and show its time."""
         self._show_head()
         self.found.visible = False
-        phases, self.phase = self.motion.phases, -1
-        labels = [f"{phase.name}: {phase.start:.2f} – {phase.end:.2f} s" for phase in phases]
-        self.phases.show(labels, [QUIET] * len(phases))
+        spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.motion.phases]
+        self.phases.show(spans, [QUIET] * len(spans))
         self._show_checks()
         self.seek(self.time)
         longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
@@ -222,16 +221,10 @@ class LiveView:
 
     def _show_phase(self) -> None:
         phases, duration = self.motion.phases, self.motion.duration
-        i = next((i for i, phase in enumerate(phases) if self.time < phase.end), len(phases) - 1)
-        if i != self.phase:
-            if self.phase >= 0:
-                self.phases.paint(self.phase, QUIET)
-            self.phases.paint(i, None)
-            self.phase = i
-        words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phases[i].name}**"
-        if phases[i].state is not CableState.NONE:
-            words += f" ({phases[i].state})"
-        remark = plain_words(phases[i].remark)
+        phase = next((phase for phase in phases if self.time < phase.end), phases[-1])
+        state = "" if phase.state is CableState.NONE else f" ({phase.state})"
+        words = f"**{self.time:.2f} s** of {duration:.2f} s: **{phase.name}**{state}"
+        remark = plain_words(phase.remark)
         self.now.content = f"{words}  \n{remark}" if remark else words
 
     def _show_checks(self) -> None:
@@ -271,8 +264,8 @@ class Buttons:
         self._gui, self._place, self._clicked = gui, place, clicked
         self._all: list[Any] = []
 
-    def show(self, labels: Sequence[str], colours: Sequence[str | None]) -> None:
-        """Show one button a label, in these colours; None is the theme's own."""
+    def show(self, labels: Sequence[str], colours: Sequence[str]) -> None:
+        """Show one button a label, in these colours."""
         for i, (label, colour) in enumerate(zip(labels, colours, strict=True)):
             if i == len(self._all):
                 with self._place:
@@ -282,10 +275,6 @@ class Buttons:
             button.label, button.color, button.visible = label, colour, True
         for button in self._all[len(labels) :]:
             button.visible = False
-
-    def paint(self, index: int, colour: str | None) -> None:
-        """Draw a button in a colour; None is the theme's own."""
-        self._all[index].color = colour
 
     @property
     def labels(self) -> list[str]:

@@ -91,11 +91,16 @@ class LiveScene:
 
     def _paint(self) -> None:
         """Give everything the colours that it has now."""
+        left = COLOUR_LEFT if self._pale else 1.0
+
+        def mixed(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+            return np.rint(left * colours + (1.0 - left) * np.array(FADED)).astype(np.uint8)
+
         for batch, colours in zip(self._drones, self._bright, strict=True):
-            batch.batched_colors = faded(colours) if self._pale else colours.copy()
+            batch.batched_colors = mixed(colours)
         for solid in self._objects:
             solid.opacity = GHOSTLY if self._pale else None
-        colours = faded(self._cable_colours) if self._pale else self._cable_colours.copy()
+        colours = mixed(self._cable_colours)
         colours[list(self._marked.cables)] = MARK_COLOUR
         if len(colours):
             self._cables.colors = self._per_segment(colours, len(self._cables.points))
@@ -242,12 +247,6 @@ class LiveScene:
         """Return colours (count, 2, 3), each for equally many segments."""
         each = count // max(len(colours), 1)
         return np.repeat(np.repeat(_in_linear_light(colours), each, axis=0)[:, None], 2, axis=1)
-
-
-def faded(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return colours of which little is left, before the grey of what does not count any more."""
-    mixed = COLOUR_LEFT * colours + (1.0 - COLOUR_LEFT) * np.array(FADED)
-    return np.rint(mixed).astype(np.uint8)
 
 
 def _single(values: Array) -> NDArray[np.float32]:

@@ -24,7 +24,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view.scene import Moment, Scene, scene_at
 from hitchopt.view.shapes import SEGMENTS, drone_faces, normals, object_faces, split
-from hitchopt.view.style import cable_colours, draw_lines, drone_colours, object_colours
+from hitchopt.view.style import cable_colours, draw_lines, drone_colours, object_colours, write
 
 CASING, OVERLAP = 1.8, 0.5
 """Width of a cable with its pale edges over that without, and length by which its segments overlap,
@@ -247,11 +247,8 @@ def draw_storyboard(
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
         draw_lines(axes, lines, drone_colours(team), 0.6, 1, alpha=PALE)
         draw_painting(axes, painter.painted(scene.at(float(scene.t[i]))))
-        axes.set_aspect("equal")
-        axes.set_xlim(middle[0] - half[0], middle[0] + half[0])
-        axes.set_ylim(middle[1] - half[1], middle[1] + half[1])
-        axes.xaxis.set_visible(False)
-        axes.yaxis.set_visible(False)
+        (left, low), (right, high) = middle - half, middle + half
+        axes.set(aspect="equal", xlim=(left, right), ylim=(low, high), xticks=[], yticks=[])
         axes.spines[:].set_color("0.85")
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     _draw_scale(axes, middle + half * [1.0, -1.0], half)
@@ -277,7 +274,5 @@ def _draw_scale(axes: Axes, corner: Array, half: Array) -> None:
     length = 10.0 ** math.floor(math.log10(float(half[0])))
     right, up = corner - 0.06 * half[0] * np.array([1.0, -1.0])
     axes.plot([right - length, right], [up, up], color="0.3", linewidth=1.6, zorder=3)
-    axes.annotate(
-        f"{length:g} m", (right - 0.5 * length, up), (0, 3), textcoords="offset points",
-        ha="center", fontsize="x-small", zorder=3,
-    )  # fmt: skip
+    middle = (right - 0.5 * length, up)
+    write(axes, f"{length:g} m", middle, (0, 3), fontsize="x-small", zorder=3)

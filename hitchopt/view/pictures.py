@@ -19,7 +19,6 @@ from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
-from matplotlib.transforms import blended_transform_factory
 from scipy.spatial import cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
@@ -30,32 +29,10 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
-from hitchopt.view.painter import (
-    FEW,
-    PALE,
-    Camera,
-    Painter,
-    chosen_shots,
-    draw_painting,
-    draw_plan_storyboard,
-    few_corners,
-)
+from hitchopt.view import painter, style
+from hitchopt.view.painter import PALE
 from hitchopt.view.scene import scene_at
-from hitchopt.view.style import (
-    COLOURS,
-    DASHES,
-    INK,
-    LIMIT_COLOUR,
-    draw_lines,
-    drone_colours,
-    facts,
-    headline,
-    legend_below,
-    marker,
-    new_figure,
-    save_figure,
-    verdict,
-)
+from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
 SIZE, WIDTHS, HEIGHTS = (13.0, 7.2), (1.25, 1.0), (1.0, 1.25)
 """Width and height [inch], shares of left and right, and on the left of few panels and what is
@@ -100,28 +77,19 @@ STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), DASHED, strict=True))
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One limited quantity over time.
+    """One limited quantity over time."""
 
-    Attributes
-    ----------
-    name, label: of its check; name and unit for people.
-    values: the curve (samples,), in the label's unit.
-    limit: its limit, in the same unit.
-    share: whether values are shares of the limit, in place of the check's unit.
-    """
-
-    name: str
-    label: str
-    values: Array
-    limit: float
-    share: bool = False
+    name: str  # of its check
+    label: str  # name and unit for people
+    values: Array  # the curve (samples,), in the label's unit
+    limit: float  # in the same unit
+    share: bool = False  # whether values are shares of the limit, in place of the check's unit
 
     def worst_of(self, certificate: Certificate) -> tuple[float, float] | None:
         """Return time and value of the certificate's worst, in this unit, if it has one."""
-        for check in certificate.checks:
-            if check.name == self.name:
-                value = check.bound / (check.number if self.share else 1.0)
-                return (check.time, value) if abs(value) < ENDLESS else None
+        for check in (check for check in certificate.checks if check.name == self.name):
+            value = check.bound / (check.number if self.share else 1.0)
+            return (check.time, value) if abs(value) < ENDLESS else None
         return None
 
 
@@ -163,7 +131,7 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
 
     The certificate's worst values are marked.
     """
-    figure = new_figure(SIZE)
+    figure = style.new_figure(SIZE)
     states = sampled_states(motion)
     shown = panels(motion, states)
     grid = figure.add_gridspec(len(shown), 2, width_ratios=WIDTHS)
@@ -181,25 +149,25 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
         _worst_marker(),
         Patch(label="forbidden", **FORBIDDEN),
     ]
-    legend_below(axes[-1], handles, 0.32, 2)
-    headline(figure, title, f"{facts(motion)}; {verdict(certificate)}")
+    style.legend_below(axes[-1], handles, 0.32, 2)
+    style.headline(figure, title, f"{style.facts(motion)}; {style.verdict(certificate)}")
     return figure
 
 
 def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
     """Return what notebooks show, as HTML without an outside address: picture, phases, checks."""
     picture = BytesIO()
-    save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
+    style.save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
     image = b64encode(picture.getvalue()).decode()
+    heads = ("phase", "step", "start", "end", "remark")
     phases = [
         (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in motion.phases
     ]
+    drones = f"{len(motion.team.drone_names)} drones, {motion.duration:.4g} s"
     return (
-        f"<p><b>{escape(title or 'Plan')}</b>: {len(motion.team.drone_names)} drones, "
-        f"{motion.duration:.4g} s</p>"
+        f"<p><b>{escape(title or 'Plan')}</b>: {drones}</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
-        f"{html_table(('phase', 'step', 'start', 'end', 'remark'), phases)}"
-        f"{certificate._repr_html_()}"
+        f"{html_table(heads, phases)}{certificate._repr_html_()}"
     )
 
 
@@ -219,43 +187,36 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
     ``duration`` is the plan's [s].
     """
     for i, phase in enumerate(phases):
-        for each in axes:
+        for each in axes if i else ():
+            each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
             if i % 2:
                 each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
-            if i > 0:
-                each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
         if (phase.end - phase.start) / duration > CHARACTER * (len(phase.name) + 1):
-            middle = (0.5 * (phase.start + phase.end), 1.0)
-            axes[0].annotate(
-                phase.name, middle, (0, 4), xycoords=axes[0].get_xaxis_transform(),
-                textcoords="offset points", ha="center", fontsize="small", parse_math=False,
-            )  # fmt: skip
+            middle, where = (0.5 * (phase.start + phase.end), 1.0), axes[0].get_xaxis_transform()
+            write(axes[0], phase.name, middle, (0, 4), xycoords=where, parse_math=False)
 
 
 def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
     """Return the picture: bounds of every span as steps, the closest pairs as curves."""
-    figure = new_figure(CLOSE_SIZE)
+    figure = style.new_figure(CLOSE_SIZE)
     axes = figure.add_subplot()
     edges = [span.start for span in closest.spans] + [closest.spans[-1].end]
     bounds = np.array([span.bound for span in closest.spans])
     t = np.linspace(edges[0], edges[-1], CLOSE_SAMPLES)
     positions = motion.drones.at(t) * motion.requirements.separation.scale
     index = {name: i for i, name in enumerate(motion.team.drone_names)}
-    for pair, (colour, style) in zip(closest.pairs, STYLES, strict=False):
+    for pair, (colour, dashes) in zip(closest.pairs, STYLES, strict=False):
         i, j = (index[name] for name in pair.pair)
         ratio = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
         words = f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})"
-        axes.plot(t, ratio, color=colour, linestyle=style, linewidth=1.2, zorder=3, label=words)
-    axes.stairs(
-        bounds, edges, baseline=0.0, fill=True, color="0.87", zorder=1,
-        label="no pair is closer, for all t",
-    )  # fmt: skip
+        axes.plot(t, ratio, color=colour, linestyle=dashes, linewidth=1.2, zorder=3, label=words)
+    words = "no pair is closer, for all t"
+    axes.stairs(bounds, edges, baseline=0.0, fill=True, color="0.87", zorder=1, label=words)
     axes.stairs(bounds, edges, baseline=None, color=INK, linewidth=1.4, zorder=2)
     axes.axhline(1.0, color=LIMIT_COLOUR, linestyle=DASHES, linewidth=1.2, label="limit", zorder=2)
-    axes.set_xlim(edges[0], edges[-1])
-    axes.set_ylim(0.0, float(min(CLOSE_TOP, 1.35 * max(1.0, float(np.max(bounds))))))
-    axes.set_xlabel("t [s]")
-    axes.set_ylabel("separation [–]")
+    top = float(min(CLOSE_TOP, 1.35 * max(1.0, float(np.max(bounds)))))
+    axes.set(xlim=(edges[0], edges[-1]), ylim=(0.0, top))
+    axes.set(xlabel="t [s]", ylabel="separation [–]")
     axes.set_title("The closest neighbours over time", fontsize="medium")
     figure.legend(loc="outside right upper", frameon=False, fontsize="small")
     return figure
@@ -263,15 +224,15 @@ def draw_closeness(motion: Motion, closest: Closeness) -> Figure:
 
 def _draw_left(figure: Figure, place: SubplotSpec, motion: Motion) -> None:
     """Draw the storyboard, or the plan from above where few moments leave space, or no cables."""
-    shots = chosen_shots(motion) if motion.team.has_cables else ()
+    shots = painter.chosen_shots(motion) if motion.team.has_cables else ()
     if not shots:
         draw_plan_view(figure.add_subplot(place), motion)
-    elif len(shots) > FEW:
-        draw_plan_storyboard(place, motion, shots)
+    elif len(shots) > painter.FEW:
+        painter.draw_plan_storyboard(place, motion, shots)
     else:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS)
         draw_plan_view(figure.add_subplot(parts[1]), motion, LEGEND_GAP)
-        draw_plan_storyboard(parts[0], motion, shots)
+        painter.draw_plan_storyboard(parts[0], motion, shots)
 
 
 def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
@@ -279,7 +240,6 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
     axes.plot(t, panel.values, color=INK, linewidth=CURVE, zorder=3)
     worst, lowest = panel.worst_of(certificate), RULE_OF[panel.name].sense == "min"
     top = 1.22 * max(panel.limit, float(np.max(panel.values)), worst[1] if worst else 0.0)
-    axes.set_ylim(0.0, top)
     axes.axhline(panel.limit, color=LIMIT_COLOUR, linewidth=1.2, linestyle=DASHES, zorder=2)
     forbidden = (0.0, panel.limit) if lowest else (panel.limit, top)
     axes.axhspan(*forbidden, zorder=0, **FORBIDDEN)
@@ -294,25 +254,21 @@ def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) ->
         gap = (value - panel.limit) / top * HEIGHT
         shift = math.copysign(max(LINE - abs(gap), 0.0), gap or (1.0 if lowest else -1.0))
         _label(axes, f"worst {value:.4g}", value, INK, shift)
-    axes.set_ylabel(panel.label)
-    axes.set_xlim(float(t[0]), float(t[-1]))
+    axes.set(ylabel=panel.label, xlim=(t[0], t[-1]), ylim=(0.0, top))
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
 
 
 def _worst_marker() -> Line2D:
-    line = marker("D", "white", INK, "worst for all t, from the certificate")
+    line = style.marker("D", "white", INK, "worst for all t, from the certificate")
     line.set_markeredgewidth(CURVE)
     return line
 
 
 def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0) -> None:
     """Write a text on the right of the axes, where no curve can be."""
-    transform = blended_transform_factory(axes.transAxes, axes.transData)
-    axes.annotate(
-        text, (1.0, value), (5.0, shift), xycoords=transform, textcoords="offset points",
-        va="center", fontsize="small", color=colour, annotation_clip=False,
-    )  # fmt: skip
+    look: Any = {"ha": "left", "va": "center", "color": colour, "annotation_clip": False}
+    write(axes, text, (1.0, value), (5.0, shift), xycoords=axes.get_yaxis_transform(), **look)
 
 
 def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
@@ -321,22 +277,24 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     ``gap`` is between the axes and the legend below, as a share of the axes' height.
     """
     team, requirements, cables = motion.team, motion.requirements, motion.team.has_cables
-    radius, colours = requirements.separation.radius, drone_colours(team)
+    radius, colours = requirements.separation.radius, style.drone_colours(team)
     flown = motion.drones.at(motion.drones.breaks[0] + _sampled_times(motion))[..., :2]
     opacity = PALE if cables else 1.0
     draw_lines(axes, np.moveaxis(flown, 1, 0), colours, 0.8, 1, alpha=opacity)
     handles: list[Artist] = [
         Line2D([], [], color=COLOURS[0], alpha=opacity, label="paths"),
-        marker("o", "white", START_COLOUR, "start", 9.0),
+        style.marker("o", "white", START_COLOUR, "start", 9.0),
     ]
-    style = ("white", INK) if cables else (INK, INK)
-    handles.append(marker("o", *style, "end, as wide as its ellipsoid", 9.0))
+    fill = "white" if cables else INK
+    handles.append(style.marker("o", fill, INK, "end, as wide as its ellipsoid", 9.0))
     if cables:
         ends = scene_at(motion, np.array([0.0, motion.duration]))
         draw_lines(axes, ends.cables[0, ..., :2], START_COLOUR, 1.0, 2, linestyles="--")
-        above = Painter(ends, Camera.toward(-90.0, 90.0), step=few_corners(team.robots))
-        draw_painting(axes, above.painted(ends.at(motion.duration)))
-        handles += [marker("o", INK, INK, "drones q"), marker("o", "white", INK, "drones r")]
+        camera, step = painter.Camera.toward(-90.0, 90.0), painter.few_corners(team.robots)
+        above = painter.Painter(ends, camera, step=step)
+        painter.draw_painting(axes, above.painted(ends.at(motion.duration)))
+        kinds = (INK, "drones q"), ("white", "drones r")
+        handles += [style.marker("o", filled, INK, name) for filled, name in kinds]
     _draw_ellipsoids(axes, radius, flown[0], "none" if cables else "white", START_COLOUR)
     end = ("none", START_COLOUR) if cables else (colours, colours)
     _draw_ellipsoids(axes, radius, flown[-1], *end)
@@ -356,19 +314,15 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     axes.margins(0.0)
     axes.update_datalim([lower - margin, upper + margin])
     axes.autoscale_view()
-    axes.set_xlabel("x [m]")
-    axes.set_ylabel("y [m]")
-    legend_below(axes, handles, gap, 3)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    style.legend_below(axes, handles, gap, 3)
 
 
 def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: Any) -> None:
     """Draw the drones' ellipsoids about ``points`` (N, 2)."""
-    size, data = [2.0 * radius], axes.transData
-    style: dict[str, Any] = {"facecolors": fill, "edgecolors": edge, "linewidths": 0.8, "zorder": 3}
-    discs = EllipseCollection(
-        size, size, [0.0], units="xy", offsets=points, offset_transform=data, **style
-    )
-    axes.add_collection(discs)
+    size, look = [2.0 * radius], {"facecolors": fill, "edgecolors": edge, "linewidths": 0.8}
+    placed: Any = {"units": "xy", "offsets": points, "offset_transform": axes.transData}
+    axes.add_collection(EllipseCollection(size, size, [0.0], zorder=3, **placed, **look))
 
 
 def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
@@ -382,7 +336,4 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
         return
     halo = [withStroke(linewidth=2.0, foreground="white")]
     for name, place, offset in zip(names, places, aside, strict=True):
-        axes.annotate(
-            name, place, offset, textcoords="offset points", ha="center", va="center",
-            fontsize="small", path_effects=halo, zorder=6,
-        )  # fmt: skip
+        write(axes, name, place, offset, va="center", path_effects=halo, zorder=6)

@@ -203,8 +203,8 @@ def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]
     for panel in panels(motion, states):
         bound = (np.array([0.0, duration]), np.full(2, panel.limit), f"limit {panel.limit:.4g}")
         worst = panel.worst_of(certificate)
-        plot = _plot(panel.label, states.t, [panel.values], [bound], worst)
-        yield {**plot, "sense": RULE_OF[panel.name].sense}
+        sense = RULE_OF[panel.name].sense
+        yield _plot(panel.label, sense, states.t, [panel.values], [bound], worst)
     if motion.team.has_cables and np.any(states.formed):
         least, most = np.min(states.tensions, axis=1), np.max(states.tensions, axis=1)
         curves = [np.where(states.formed, values, np.nan) for values in (least, most)]
@@ -212,12 +212,12 @@ def _plots(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]
         ends = np.min(stated[..., 0], axis=1), np.max(stated[..., 1], axis=1)
         steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
         limits = [(steps, np.repeat(np.where(motion.formed, end, np.nan), 2), "") for end in ends]
-        plot = _plot("tension [N],\nas stated", states.t, curves, limits, None)
-        yield {**plot, "sense": "max"}
+        yield _plot("tension [N],\nas stated", "max", states.t, curves, limits, None)
 
 
 def _plot(
     label: str,
+    sense: str,
     t: Array,
     curves: Sequence[Array],
     limits: Sequence[tuple[Array, Array, str]],
@@ -227,6 +227,7 @@ def _plot(
     values = [*curves, *(values for _, values, _ in limits), np.array(worst[1:] if worst else [])]
     return {
         "label": label,
+        "sense": sense,
         "t": _rounded(t),
         "curves": [_rounded(curve) for curve in curves],
         "limits": [{"t": _rounded(a), "values": _rounded(b), "words": c} for a, b, c in limits],

@@ -130,7 +130,7 @@ def ghost_scene(path: Path, motion: Motion) -> Scene:
     except BROKEN as error:
         raise FileError(f"{path}: not a recording of a simulated flight: {error}") from error
     first, t = arrays["cables"], arrays["t"]
-    if len(first) != motion.team.robots + 1 or len(t) < 2:
+    if len(first) != motion.team.robots + 1 or np.sum(t >= 0.0) < 2:
         raise FileError(f"{path}: a flight of {len(first) - 1} cables; simulate this plan")
     return recorded_scene(motion, t, arrays["nodes"], first, arrays["poses"])
 

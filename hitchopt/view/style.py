@@ -137,10 +137,8 @@ def marker(shape: str, fill: str, edge: str, label: str, size: float = 6.0) -> L
     """Return a single marker of a size [points], such as a legend shows."""
     from matplotlib.lines import Line2D
 
-    return Line2D(
-        [], [], linestyle="none", marker=shape, markersize=size, markerfacecolor=fill,
-        markeredgecolor=edge, label=label,
-    )  # fmt: skip
+    look: Any = {"markersize": size, "markerfacecolor": fill, "markeredgecolor": edge}
+    return Line2D([], [], linestyle="none", marker=shape, label=label, **look)
 
 
 def draw_lines(
@@ -155,7 +153,11 @@ def draw_lines(
 
 def legend_below(axes: Axes, handles: Sequence[Artist], gap: float, columns: int) -> None:
     """Draw a legend below the axes, ``gap`` of their height away."""
-    axes.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -gap), ncols=columns,
-        frameon=False, fontsize="small",
-    )  # fmt: skip
+    place: Any = {"loc": "upper center", "bbox_to_anchor": (0.5, -gap), "ncols": columns}
+    axes.legend(handles=handles, frameon=False, fontsize="small", **place)
+
+
+def write(axes: Axes, text: str, place: Any, offset: Any, **more: Any) -> None:
+    """Write a small text at an offset [points] from a place of the axes."""
+    look = {"textcoords": "offset points", "ha": "center", "fontsize": "small", **more}
+    axes.annotate(text, place, offset, **look)

@@ -1,7 +1,7 @@
 """Durations and figures of this repository's problems when ``baseline.json`` was written.
 
 A change of structure must not change them. Where a planner is meant to plan otherwise, write them
-anew with ``python tests/cli/baseline.py`` and say so in the changelog.
+anew with ``PYTHONPATH=tests python tests/cli/baseline.py`` and say so in the changelog.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from problem_files import GOOD, ROOT
+from plans import GOOD, ROOT
 
 FILE = Path(__file__).with_name("baseline.json")
 

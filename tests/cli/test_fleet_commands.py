@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from problem_files import run
+from commands import run
 
 from hitchopt.exports import exporting
 from hitchopt.exports.options import HOMES
@@ -45,22 +45,20 @@ def test_every_format_there_and_back(name: str, plan: Path) -> None:
     for words in ("certified as exported", "from the plan, over all time", "not carried: "):
         assert words in said
     again = run("lint", "files", code=0).stdout
-    assert f"0 errors, {WARNINGS.get(name, 0)} warning" in again
-    assert again.count("warning: tension: ") == WARNINGS.get(name, 0)
-    assert name in run("export", "--help").stdout
-    if name in ONE_FILE:  # written where it is wanted
+    warnings = WARNINGS.get(name, 0)
+    assert f"0 errors, {warnings} warning" in again
+    assert again.count("warning: tension: ") == warnings
+    if name in ONE_FILE:  # written where it is wanted, again too
+        file = Path("new") / f"table.{ONE_FILE[name]}"
         for _ in range(2):
-            file = Path("new") / f"table.{ONE_FILE[name]}"
             run("export", plan, "--format", name, "-o", file, code=0)
-        (same,) = (path for path in Path("files").iterdir() if path.name != "export.json")
-        assert file.stat().st_size == same.stat().st_size
-        beside = {path.name for path in file.parent.iterdir()}
-        assert beside == {file.name, f"{file.name}.export.json"}
-
-
-def test_a_bag_is_for_the_release_that_is_named(plan: Path) -> None:
-    run("export", plan, "--format", "ros2bag", "-o", "bag", "--ros-distro", "jazzy", code=0)
-    assert "version: 9" in Path("bag/metadata.yaml").read_text()
+        assert {path.name for path in file.parent.iterdir()} == {
+            file.name,
+            f"{file.name}.export.json",
+        }
+    if name == "ros2bag":
+        run("export", plan, "--format", name, "-o", "bag", "--ros-distro", "jazzy", code=0)
+        assert "version: 9" in Path("bag/metadata.yaml").read_text()
 
 
 @pytest.mark.slow
@@ -71,10 +69,9 @@ def test_a_lost_limit_ends_with_3_and_what_would_do(
     export = ("export", plan, "--format", "compressed", "-o", "files")
     done = run(*export, code=3)
     assert done.stdout == ""
-    assert "error: speed: " in done.stderr
-    assert "(the plan keeps 0.29" in done.stderr
+    for words in ("error: speed: ", "(the plan keeps 0.29", "fly it slower with --stretch"):
+        assert words in done.stderr
     assert list(place.iterdir()) == []
-    assert "fly it slower with --stretch" in done.stderr
     run(*export, "--stretch", "1.02", code=0)
 
 
@@ -124,15 +121,7 @@ def test_usage_that_is_wrong_ends_with_2(
     assert list(place.iterdir()) == []
 
 
-def test_what_is_somebody_elses_stays(plan: Path) -> None:
-    assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
-    for name, told in (("taken", "an export is a folder"), ("mine.csv", "")):
-        Path(name).write_text("mine")
-        assert told in run("export", plan, "--format", "csv", "-o", name, code=2).stderr
-        assert Path(name).read_text() == "mine"
-
-
-def test_lint_reports_what_would_go_wrong(plan: Path) -> None:
+def test_lint_reports_what_would_go_wrong_and_what_is_somebody_elses_stays(plan: Path) -> None:
     run("export", plan, "--format", "crazyswarm2", "-o", "files")
     done = run("lint", "files", "--speed", "0.1", "--radius", "2", code=3)
     assert "error: speed: " in done.stderr
@@ -142,6 +131,11 @@ def test_lint_reports_what_would_go_wrong(plan: Path) -> None:
     run("lint", "nowhere", code=2)
     for path in (plan, plan / "plan.npz"):
         assert "hitchopt check" in run("lint", path, code=2).stderr
+    assert "there is no such file" in run("export", "nowhere", "--format", "csv").stderr
+    for name, told in (("taken", "an export is a folder"), ("mine.csv", "")):
+        Path(name).write_text("mine")
+        assert told in run("export", plan, "--format", "csv", "-o", name, code=2).stderr
+        assert Path(name).read_text() == "mine"
 
 
 def test_a_show_has_limits_of_its_own_and_holds_the_tension_where_asked(plan: Path) -> None:

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from problem_files import run
+from commands import run
 
 import hitchopt as ho
+from hitchopt.cli.simulating import spread_text
+from hitchopt.simulation.judgement import Spread
 from hitchopt.statics.files import statics_content
 from hitchopt.storage.files import strict_json
-from hitchopt.view.film import RATES
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -43,22 +44,16 @@ def read(path: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_one_flight_reports_that_it_holds_and_writes_files(
-    solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    film = tmp_path / "flight.gif"
-    monkeypatch.setitem(RATES, ".gif", 2.0)  # frames a second: some are enough
-    result = run("simulate", solved, "--film", film, code=0)
+def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None:
+    result = run("simulate", solved, code=0)
     for words in (
         "hitched: every vertex is linked and held",
         "the fast preset is 1 to 2 cm off; take the accurate one",
-        "drones to their setpoints [cm]",
-        "nobody: the simulator's own",
+        r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes",
+        r"position loops \[N/m\] +4.75\n +stated by +nobody: the simulator's own",
+        r"ropes weigh \[g/m\] +10\n +as the plan knows +10\n",
     ):
-        assert words in result.stdout
-    assert re.search(r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes", result.stdout)
-    assert re.search(r"position loops \[N/m\] +4.75\n", result.stdout)
-    assert re.search(r"ropes weigh \[g/m\] +10\n +as the plan knows +10\n", result.stdout)
+        assert re.search(words, result.stdout), words
     assert result.stderr == ""
     place = solved / "simulation"
     tables = {"vertices.csv", "cables.csv", "drones.csv"}
@@ -66,13 +61,11 @@ def test_one_flight_reports_that_it_holds_and_writes_files(
     assert {path.name for path in place.iterdir()} == files
     summary = read(place / "simulation.json")
     assert summary["hitched"] is summary["succeeded"] is True
-    assert [clasp["name"] for clasp in summary["clasps"]] == ["p0", "p1", "p2"]
-    assert summary["settings"]["preset"]["name"] == "fast"
-    assert summary["warnings"] == []
+    tracked = spread_text(Spread(**summary["tracking_error"]))
+    assert re.search(rf"drones to their setpoints \[cm\] +{re.escape(tracked)}", result.stdout)
+    assert spread_text(Spread.of(np.array([0.01, 0.03, np.nan]))) == "2.0 ± 1.0 (3.0)"
     size = 1e3 * summary["compensation"]["cables_longer"]
     assert re.search(rf"ropes longer for their bends \[mm\] +≤ {size:.1f}", result.stdout)
-    assert summary["position_loops"]["stiffness"] == pytest.approx([36.0 * 0.132] * 6)
-    assert film.read_bytes()[:6] in {b"GIF87a", b"GIF89a"}
     run("check", solved, code=0)  # the plan's own files are as they were
 
 
@@ -109,11 +102,8 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
     assert re.search(told, result.stderr, re.DOTALL)
     assert shown in result.stdout
     summary = read(Path("x/simulation.json"))
-    assert summary["verdict"] == told.partition(":")[0]
-    assert not summary["succeeded"]
-    judged = summary["verdict"] == "failed"
-    assert bool(summary["clasps"]) is ("p0" in result.stdout) is judged
-    assert ("NOT hitched" in result.output) is ("failed" in result.output) is judged
+    assert (summary["verdict"], summary["succeeded"]) == (told.partition(":")[0], False)
+    assert bool(summary["clasps"]) is ("p0" in result.stdout) is (summary["verdict"] == "failed")
 
 
 @pytest.mark.parametrize(
@@ -126,8 +116,7 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --stiffness 60", "oscillates more and more; lower it"),
         ("simulate --density 0.0001", "time_step = 0.001: must be at most"),
         ("simulate --runs 0", "runs = 0: must be at least 1"),
-        ("simulate --film flight.avi", "must be a name in .gif or .mp4"),
-        ("simulate --film flight.gif --runs 3", "must be of a single flight"),
+        ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("simulate --seed -3", "seed = -3: must be a whole number"),
         ("statics --at -1", "t = "),
         ("statics --samples 0", "--samples = 0: must be from 1 to 1000"),
@@ -184,10 +173,9 @@ def test_what_rests_is_what_python_says(settling: Path, options: str, conditions
     if not conditions:  # it rests where the plan says
         assert result.stdout.count("0.500         0.500   no") == 3
         assert "note" not in result.stdout
-        np.testing.assert_allclose(found.drones[0], plan.at(0.5).positions, atol=1e-9)
-        np.testing.assert_allclose(found.vertices[0], plan.at(0.5).vertices, atol=1e-9)
-    if "friction" in conditions:
-        assert np.all(found.band[0] * [-1.0, 1.0] > 0.05)
+    if "load" in conditions:  # vertices hang lower by as much
+        lower = 1e3 * (plan.at(0.5).vertices - found.vertices[0])[:, 2]
+        assert re.search(rf"p0 +\d+\.\d +{lower[0]:.1f}\n", result.stdout)
 
 
 def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> None:

@@ -35,18 +35,16 @@ def save(tag):
     replace_files(directory, writers, OWNED, SEAL, "remove" if tag % 2 else "keep")
 
 def put(place, contents):
-    place.mkdir(exist_ok=True)
+    place.mkdir(parents=True, exist_ok=True)
     for name, text in contents.items():
         (place / name).write_text(text)
 
 def prepare(now, last):
     """The directory after save(now); ``last`` is the plan that a refusal keeps, or 0."""
-    put(directory, files(now))
+    put(directory, {**files(now), "notes.txt": "mine"})
+    put(directory / "sub" / "deep", {"keep.txt": "keep"})
     if last:
         put(directory / "previous", files(last))
-    (directory / "notes.txt").write_text("mine")
-    (directory / "sub" / "deep").mkdir(parents=True)
-    (directory / "sub" / "deep" / "keep.txt").write_text("keep")
     (directory / "link").symlink_to("notes.txt")
 
 def check_others(final):

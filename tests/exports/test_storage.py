@@ -102,8 +102,7 @@ def test_modes_links_and_the_current_directory_stay(
     finally:
         os.umask(old)
     modes = [stat.S_IMODE(p.stat().st_mode) for p in (real, real / "plan", real.with_name("new"))]
-    assert modes == [0o2715, 0o640, 0o750]
-    assert (home / "out").is_symlink()
+    assert (modes, (home / "out").is_symlink()) == ([0o2715, 0o640, 0o750], True)
     monkeypatch.chdir(real / "a")
     for up in (".", ".."):
         inode = os.stat(up).st_ino
@@ -141,8 +140,7 @@ def test_long_names_and_faster_writers(home: Path) -> None:
         path.write_text("3")
 
     replace_files(out, {"plan": slow, "seal": text("3")}, OWNED, "seal")
-    assert everything(out) == {"plan": "3", "seal": "3"}
-    assert [p.name for p in (home / "out").iterdir()] == [out.name]
+    assert everything(home / "out") == {f"{out.name}/plan": "3", f"{out.name}/seal": "3"}
 
 
 FILES = {"plan.npz", "setpoints.csv", "vertices.csv", "certificate.json"}
@@ -171,7 +169,7 @@ def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path
     assert (done[-1], read_title(out / "plan.npz")) == (1.0, "Drei")
     samples = len(sample_times(motion.duration, 5.0))
     for name, rows in (("setpoints.csv", 6), ("vertices.csv", 3)):
-        assert len((out / name).read_text().splitlines()) == 1 + rows * samples
+        assert (out / name).read_text().count("\n") == 1 + rows * samples
     low = Check.of("legs", 0.1, 0.15, "min", "m", 1.25, ("q2",))
     failing = with_changes(certificate_of(motion), checks=(low,))
     with pytest.raises(CertificateError, match="legs"):
@@ -215,7 +213,6 @@ def test_a_diagnosis_of_what_cannot_be_met(tmp_path: Path) -> None:
     save_diagnosis(tmp_path, InfeasibleError([first, second]))
     data = strict_json(tmp_path / "diagnosis.json")
     assert (data["format"], data["feasible"]) == ("hitchopt-diagnosis/1", False)
-    expected = {**vars(first), "where": ["q0", "r2"], "message": str(first)}
-    assert data["violations"][0] == expected
-    said = data["violations"][1]
-    assert (said["value"], said["remedy"]) == (None, second.remedy)
+    one, other = data["violations"]
+    assert one == {**vars(first), "where": ["q0", "r2"], "message": str(first)}
+    assert (other["value"], other["remedy"]) == (None, second.remedy)

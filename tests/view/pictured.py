@@ -16,6 +16,7 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 ORDER = 9
 MOVING, RESTING = 2.2, 0.9  # [s]
+CORNERS = [[-0.3, -0.1], [0.2, -0.2], [0.3, 0.15], [-0.1, 0.25]]
 
 
 def make_motion(n: int, shift: float = 0.3, thrusts: tuple[float, ...] = (2.6,)) -> Motion:
@@ -63,7 +64,6 @@ def made_certificate() -> Certificate:
 
 def with_box(yaw: float = 0.7) -> Motion:
     """Return a motion beside which a box stands."""
-    corners = [[-0.3, -0.1], [0.2, -0.2], [0.3, 0.15], [-0.1, 0.25]]
-    box = SolidObject(Section(corners), 0.0, 0.3, at=(1.5, 2.0, 0.4), yaw=yaw)
+    box = SolidObject(Section(CORNERS), 0.0, 0.3, at=(1.5, 2.0, 0.4), yaw=yaw)
     motion = make_motion(3)
     return replace(motion, requirements=replace(motion.requirements, objects={"box": box}))

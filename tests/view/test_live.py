@@ -19,7 +19,6 @@ from click.testing import CliRunner
 from pictured import made_certificate, make_motion
 
 from hitchopt.cli import main
-from hitchopt.exports.directory import OWNED
 from hitchopt.plan import load
 from hitchopt.values import Array
 from hitchopt.view.live import ASPECT, NARROW_ASPECT, LiveView
@@ -78,7 +77,6 @@ def test_the_camera_sees_all_paths_from_near(aspect: float, port: int) -> None:
 def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -> None:
     view = LiveView(make_motion(3), None, port=8396)
     assert "being certified" in view.head.content
-    assert view.checks.labels == []
     assert not view.wait_for_page(0.0)  # nobody has opened it
     view.show_certificate(made_certificate())
     assert "certified for all t" in view.head.content
@@ -89,9 +87,11 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     view.show_plan(make_motion(4), None, "another")
     assert view.head is head
     assert "another" in head.content
-    assert view.live.shown["thrusts"]
-    assert view.player.label == "Pause"
-    assert view.checks.labels == []
+    assert (view.live.shown["thrusts"], view.player.label, view.checks.labels) == (
+        True,
+        "Pause",
+        [],
+    )
     phases = [phase.name for phase in view.motion.phases]
     assert [label.split(":")[0] for label in view.phases.labels] == phases
     assert view.scrub.max >= view.motion.duration
@@ -136,9 +136,10 @@ def test_samples_are_the_plan_s_and_numbers_the_certificate_s(tmp_path: Path, n:
     drones = motion.drones.at(scene.t).reshape(len(scene.t), -1)
     np.testing.assert_allclose(found["drones"], drones, atol=1e-4)
     np.testing.assert_allclose(found["cables"], scene.cables.reshape(len(scene.t), -1), atol=1e-4)
-    for shown, check in zip(data["checks"], certificate.checks, strict=True):
-        for name in ("name", "holds", "worst", "limit", "sense", "unit", "time"):
-            assert shown[name] == getattr(check, name)
+    told = certificate.to_dict()["checks"]
+    assert [{**x, "concerned": None} for x in data["checks"]] == [
+        {**x, "concerned": None} for x in told
+    ]
     assert data["checks"][0]["concerned"]["drones"] == [0, 3]
     for plot, name in zip(data["plots"], ("separation", "speed", "thrust"), strict=False):
         assert plot["worst"] == {"time": certificate[name].time, "value": certificate[name].worst}
@@ -151,7 +152,7 @@ def test_no_text_ends_its_script_and_nothing_is_fetched(tmp_path: Path) -> None:
     assert data["title"] == data["problem"] == evil
     page = (tmp_path / "r.html").read_text("utf-8")
     assert page.count("<script") == 4
-    assert "alert(" not in re.sub(r"\\u003c/script>\\u003cscript>alert", "", page).split("&lt;")[0]
+    assert "<script>alert" not in page
     assert "default-src 'none'" in page
     assert not re.search(r"<(link|img|iframe)\b|\b(src|href)=[\"']", page.split("<script>")[0])
 
@@ -170,7 +171,5 @@ def test_report_of_a_directory_has_problem_and_digests(tmp_path: Path) -> None:
     (out / "report.html").unlink()
     assert CliRunner().invoke(main, ["report", str(out)]).exit_code == 0
     assert (out / "report.html").read_bytes() == first  # the same plan, the same bytes
-    assert "report.html" in OWNED
-    again = CliRunner().invoke(main, ["solve", str(problem), "-o", str(out)])
-    assert again.exit_code == 0
+    assert CliRunner().invoke(main, ["solve", str(problem), "-o", str(out)]).exit_code == 0
     assert not (out / "report.html").exists()  # it would tell of another solve

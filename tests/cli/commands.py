@@ -1,4 +1,4 @@
-"""The problem files of this repository, what their headers say of them, and how commands run."""
+"""How commands run."""
 
 from __future__ import annotations
 
@@ -10,22 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from click.testing import CliRunner, Result
+from plans import PROBLEMS
 
 from hitchopt.cli import main
 
-ROOT = Path(__file__).parents[2]
-GOOD = sorted((ROOT / "problems").glob("*.yaml"))
-BAD = sorted((ROOT / "problems" / "bad").glob("*.yaml"))
-INFEASIBLE = sorted((ROOT / "problems" / "infeasible").glob("*.yaml"))
-TRIANGLE = ROOT / "problems" / "triangle.yaml"
-
-
-def header(path: Path, word: str) -> str:
-    """What the comment ``# word: …`` of a problem says."""
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.startswith(f"# {word}: "):
-            return line.removeprefix(f"# {word}: ")
-    raise KeyError(f"{path} has no comment '# {word}: …'")
+TRIANGLE = PROBLEMS / "triangle.yaml"
 
 
 def run(*arguments: str | Path, code: int | None = None, given: str | None = None) -> Result:
