@@ -1,4 +1,4 @@
-"""Clasps that carry weight and legs that are rolled: balance, laws, limits and closed forms."""
+"""Hitches at rest: balance at the clasps, lengths, loads and roll, open ends, closed forms."""
 
 from __future__ import annotations
 
@@ -7,26 +7,110 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from clasp_balance import random_hitch
+from clasp_balance import KINDS, random_hitch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.forces import ClaspLoads, cable_of, leg_directions, sag_factors, shortening
-
-Array = NDArray[np.float64]
+from hitchopt.hitch.forces import (
+    ClaspLoads,
+    cable_of,
+    contact_forces,
+    leg_directions,
+    sag_factors,
+    shortening,
+)
 
 seeds = st.integers(0, 2**32 - 1)
-sizes = st.integers(3, 9)
-
+topologies = st.sampled_from(["closed", "open"])
 RHO = 9.81 * 0.01
 """[N/m] Weight of the cables here."""
 
 
-@given(seeds, sizes)
+@given(seeds, st.integers(3, 9), topologies, st.sampled_from(KINDS))
+@settings(max_examples=120)
+def test_clasps_balance_and_cables_have_their_length(
+    seed: int, n: int, topology: str, kind: str
+) -> None:
+    """Written out: at every clasp half of the cables about it, and the arc of every span."""
+    h = random_hitch(seed, n, topology, kind)
+    T, layout, rho = h.team.tension, h.team.layout, 9.81 * h.team.cable_density
+    p, x = h.vertices, h.drones.reshape(-1, 2, 3)
+    here, following = p[layout.starts], p[layout.ends]
+    spans = np.stack([x[:, 0] - here, following - here, x[:, 1] - following], axis=1)
+    length = np.linalg.norm(spans, axis=-1)
+    level = np.hypot(spans[..., 0], spans[..., 1])
+    arcs = length + (rho / T[:, None]) ** 2 * length * level**2 / 24.0
+    tolerance = 2e-7 if rho else 1e-12
+    np.testing.assert_allclose(np.sum(arcs, axis=1), h.team.cable_length, rtol=tolerance)
+    np.testing.assert_allclose(h.legs, length[:, ::2], atol=1e-15)
+    if kind in KINDS[:2]:
+        np.testing.assert_allclose(x[..., 2], 0.8)
+    if topology == "open":
+        np.testing.assert_array_equal(x[0, 0], p[0])
+        np.testing.assert_allclose(x[-1, 1], p[-1], atol=1e-15)
+    # The pull of legs with weight is found by iteration; lengths of parts count as their cables'.
+    tolerance = {"loaded": 1e-12, "heavy": 3e-4}.get(kind, 1e-9)
+    for k, clasp in enumerate(layout.clasps):
+        a, b = layout.ahead[k], layout.behind[k]
+        weight = 0.5 * rho * (arcs[a, 0] + arcs[a, 1] + arcs[b, 1] + arcs[b, 2])
+        force = np.array([0.0, 0.0, -weight - 9.81 * h.team.load[k]])
+        for cable, part, sign in ((a, 0, 1.0), (a, 1, 1.0), (b, 2, 1.0), (b, 1, -1.0)):
+            half, sine = (
+                0.5 * rho * length[cable, part],
+                spans[cable, part, 2] / length[cable, part],
+            )
+            pull = half * sine + math.sqrt(T[cable] ** 2 - half**2 * (1.0 - sine**2))
+            force += sign * pull * spans[cable, part] / length[cable, part]
+        assert np.linalg.norm(force) < tolerance * T[a], clasp
+
+
+@given(seeds, st.integers(3, 30))
+@settings(max_examples=30)
+def test_equal_tensions_give_the_papers_positions(seed: int, n: int) -> None:
+    """Its eq. (4), written out robot by robot."""
+    h = random_hitch(seed, n, kind="equal")
+    p, u = h.polygon.vertices, h.polygon.edge_directions
+    for k in range(n):
+        d, e = h.legs[k]
+        ahead = (k + 1) % n
+        np.testing.assert_allclose(h.drones[2 * k, :2], p[k] + d * u[k - 1], atol=1e-12)
+        np.testing.assert_allclose(h.drones[2 * k + 1, :2], p[ahead] - e * u[ahead], atol=1e-12)
+
+
+@given(seeds, st.integers(3, 12), topologies)
+@settings(max_examples=60)
+def test_contact_forces_follow_the_closed_form_and_press(seed: int, n: int, topology: str) -> None:
+    h = random_hitch(seed, n, topology)
+    layout, u, T = h.team.layout, h.polygon.edge_directions, h.team.tension
+    a, b = layout.ahead, layout.behind
+    V = T[b, None] * u[b] - T[a, None] * u[a]
+    sine = u[b, 1] * u[a, 0] - u[b, 0] * u[a, 1]
+    forces = contact_forces(u, T, topology)
+    expected = 2.0 * T[a] * T[b] * sine / np.linalg.norm(V, axis=1)
+    np.testing.assert_allclose(forces, expected, rtol=1e-9)
+    assert np.all(forces > 0.0)
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_the_cable_pulls_drones_toward_their_vertices(topology: str) -> None:
+    """Toward its edge's other end where a chain's end has no leg."""
+    team = Team(3, 2.4, topology=topology, tension=[0.4, 0.5, 0.45])
+    points = [[1.0, 0.0], [0.6, 1.5], [1.4, 1.5], [1.7, 0.5]]
+    h = Hitch.balanced(team, points[: len(points) - (topology == "closed")])
+    p = h.vertices
+    ends = [(p[k], p[(k + 1) % len(p)]) for k in range(3)]
+    if topology == "open":
+        ends[0], ends[-1] = (p[1], p[1]), (p[2], p[2])
+    toward = np.reshape(ends, (6, 3)) - h.drones
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    expected = np.repeat([0.4, 0.5, 0.45], 2)[:, None] * toward
+    np.testing.assert_allclose(h.cable_forces, expected, atol=1e-12)
+
+
+@given(seeds, st.integers(3, 9))
 @settings(max_examples=30)
 def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -43,25 +127,6 @@ def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
     held = T[:, None] * q + np.roll(T[:, None] * r, 1, axis=0)
     np.testing.assert_allclose(held, V, atol=1e-12)
-
-
-@given(seeds, sizes)
-@settings(max_examples=30)
-def test_the_mirror_image_exchanges_q_and_r_and_the_sense_of_roll(seed: int, n: int) -> None:
-    h = random_hitch(seed, n, kind="heavy")
-    back = np.arange(n)[::-1]
-    corners = np.roll(h.polygon.vertices[back] * [-1.0, 1.0], -1, axis=0)
-    at = np.roll(back, -1)  # clasp k of the image is this one of the hitch
-    cable = (at - 1) % n
-    team = replace(
-        h.team,
-        cable_length=h.team.cable_length[cable],
-        tension=h.team.tension[cable],
-        load=h.team.load[at],
-    )
-    image = Hitch(team, corners, 0.8, h.r_legs[cable], -h.roll[at])
-    expected = h.drones.reshape(n, 2, 3)[cable][:, ::-1] * [-1.0, 1.0, 1.0]
-    np.testing.assert_allclose(image.drones.reshape(n, 2, 3), expected, atol=1e-9)
 
 
 def test_a_positive_roll_raises_q_and_lowers_the_other_drone_of_its_clasp() -> None:
@@ -134,18 +199,6 @@ def test_thrust_of_a_weight_shared_alike() -> None:
     np.testing.assert_allclose(level, pull * math.sqrt(1.0 - sine**2), rtol=1e-9)
 
 
-def test_the_roll_of_a_hitch_is_checked() -> None:
-    team = Team(3, 2.4)
-    points = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
-    for roll in (1.6, float("nan"), [0.1, 0.2], "up"):
-        with pytest.raises(InputError, match="roll"):
-            Hitch.balanced(team, points, roll=roll)
-    with pytest.raises(InputError, match=r"load = .*one per clasp"):
-        Team(3, 2.4, load=[0.1, 0.2])
-    with pytest.raises(InputError, match=r"load\[1\]"):
-        Team(3, 2.4, load=[0.1, -0.2, 0.1])
-
-
 def test_the_arc_of_a_span_and_its_chord() -> None:
     """A parabola's length by quadrature, and the inverse of the series."""
     team = Team(3, 2.4, tension=[0.4, 0.5, 0.6], cable_density=0.01)
@@ -163,3 +216,15 @@ def test_the_arc_of_a_span_and_its_chord() -> None:
         assert cable - size == pytest.approx(length - size, rel=0.02, abs=1e-9)
         share = factors[k] * cable**2 * (level / size) ** 2
         assert cable * shortening(np.asarray(share)) == pytest.approx(size, rel=1e-9)
+
+
+def test_a_leg_at_a_chains_end_is_no_choice() -> None:
+    team = Team(2, [2.0, 2.2], topology="open", tension=[0.4, 0.45])
+    points = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
+    slack = 2.2 - math.hypot(1.2, 0.8)
+    h = Hitch(team, points, 1.2, [0.0, round(slack, 5)])  # to within 1e-4 of the cable: as meant
+    assert h.q_legs[1] == pytest.approx(slack, abs=1e-15)
+    with pytest.raises(InfeasibleError, match=r"above the limit of 0 m at q0; q0 stands at the ch"):
+        Hitch(team, points, 1.2, [0.1, slack])
+    with pytest.raises(InfeasibleError, match=r"at q1; r1 stands at the chain's end, .* 0\.75777"):
+        Hitch(team, points, 1.2, [0.0, slack - 0.01])
