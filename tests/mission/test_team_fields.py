@@ -16,7 +16,10 @@ from hitchopt.mission.repair import Edit, outlines_scaled, team_edit, with_edits
 from hitchopt.steps import Hold
 
 ORDER = (2, 0, 3, 1)
-
+KINDS = [
+    Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k if k else None, k == 1, k != 2)
+    for k in range(4)
+]
 VALUES: dict[str, Any] = {
     "robots": 4,
     "cable_length": [2.4, 2.5, 2.6, 2.7],
@@ -24,45 +27,23 @@ VALUES: dict[str, Any] = {
     "cable_density": 0.003,
     "cable_friction": 0.05,
     "tension": [0.41, 0.42, 0.43, 0.44],
-    "quadrotor": tuple(
-        Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k if k else None, k == 1, k != 2)
-        for k in range(4)
-    ),
+    "quadrotor": tuple(KINDS),
     "load": [0.001, 0.002, 0.003],
 }
-"""One value for every field of a team, none its default; those per robot or clasp all differ."""
+"""One value for every field of a team, none its default; those per robot all differ."""
 
-AT_PLACES = "load"
-"""The field of what hangs at the hitch's inner points, whichever robots hold them."""
-
+PER_ROBOT = {"cable_length", "tension", "quadrotor"}
 ARC = [[-1.0, 0.0], [-0.5, 0.9], [0.5, 1.1], [1.4, 0.7], [1.7, -0.3]]
+TEAM = Team(**VALUES)
 
 
-def team() -> Team:
-    return Team(**VALUES)
-
-
-def per_robot(name: str) -> bool:
-    return isinstance(VALUES[name], list | tuple) and name != AT_PLACES
-
-
-def test_values_are_given_for_every_field_and_none_is_a_default() -> None:
+def test_a_renumbered_team_has_every_field_and_none_here_is_a_default() -> None:
     assert set(VALUES) == {field.name for field in fields(Team)}
-    plain = Team(3, 1.0)
-    for field in fields(Team):
-        value, default = getattr(team(), field.name), getattr(plain, field.name)
-        assert not np.array_equal(value, default), field.name
-        if per_robot(field.name):
-            assert len(value) == len(set(value)) == 4, field.name
-    assert len(set(VALUES[AT_PLACES])) == 3
-
-
-def test_a_renumbered_team_has_every_field() -> None:
-    found = Assignment(ORDER, (False, True, False, True)).team(team())
-    for field in fields(Team):
-        value = VALUES[field.name]
-        expected = [value[i] for i in ORDER] if per_robot(field.name) else value
-        np.testing.assert_array_equal(getattr(found, field.name), expected, err_msg=field.name)
+    found, plain = Assignment(ORDER, (False, True, False, True)).team(TEAM), Team(3, 1.0)
+    for name, value in VALUES.items():
+        assert not np.array_equal(getattr(TEAM, name), getattr(plain, name)), name
+        expected = [value[i] for i in ORDER] if name in PER_ROBOT else value
+        np.testing.assert_array_equal(getattr(found, name), expected, err_msg=name)
 
 
 @pytest.mark.parametrize(
@@ -76,11 +57,11 @@ def test_a_renumbered_team_has_every_field() -> None:
     ],
 )
 def test_a_repaired_problem_has_every_field(edit: Callable[[Problem], Any], changed: str) -> None:
-    start = HitchStart(Hitch.balanced(team(), ARC, 1.1).polygon, 1.1, "balanced")
-    problem = Problem(team(), start, (Hold(2.0),))
+    start = HitchStart(Hitch.balanced(TEAM, ARC, 1.1).polygon, 1.1, "balanced")
+    problem = Problem(TEAM, start, (Hold(2.0),))
     found = with_edits(problem, edit(problem))
     assert found is not problem
     for field in fields(Team):
-        values = [getattr(each, field.name) for each in (found.team, team())]
+        values = [getattr(each, field.name) for each in (found.team, TEAM)]
         assert np.array_equal(*values) is (field.name != changed), field.name
         assert type(values[0]) is type(values[1]), field.name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,131 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
+from hitchopt.motion.motion import Motion
+from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
 from hitchopt.values import Array
 
+POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
+
+GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
+
+LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
+
+
+def morphed(goal: Array = GOAL, seconds: float | None = 4.0) -> Motion:
+    """A morph of cables without friction, by fractions that stay, so that laws are exact."""
+    start = ho.Hitch.balanced(ho.Team(4, LENGTHS, tension=TENSIONS), POLYGON, altitude=1.2)
+    motion = ho.morph(start, goal, legs="balanced", duration=seconds).motion
+    assert isinstance(motion, Motion)
+    return motion
+
+
+def lean(motion: Motion, friction: float, share: float = 1.0) -> Leaning | None:
+    rubbing = replace(motion, team=replace(motion.team, cable_friction=friction))
+    return leaning(rubbing, motion.requirements.limits, share, slower=True)
+
+
+def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Leaning:
+    found = lean(motion, friction, share)
+    assert found is not None
+    return found
+
+
+def legs_of(motion: Motion, s: Array) -> Array:
+    """Vectors (times, 2n, 3) of legs at shares of a motion's time."""
+    t = s * motion.duration
+    legs: Array = motion.drones.at(t) - motion.vertices.at(t)[:, motion.team.layout.anchors]
+    return legs
+
+
+def test_the_hitch_stays_as_it_is_and_drones_begin_and_end_at_rest_where_they_did() -> None:
+    plain = morphed(seconds=None)
+    motion, s = leaned(plain).motion, np.linspace(0.0, 1.0, 201)
+    for name in ("vertices", "legs", "tensions"):
+        found, wanted = (getattr(m, name).at(s * m.duration) for m in (motion, plain))
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+    lengths = np.linalg.norm(legs_of(motion, s), axis=-1)
+    np.testing.assert_allclose(
+        lengths.reshape(201, -1, 2), plain.legs.at(s * plain.duration), atol=1e-6
+    )
+    for end in (0, -1):
+        for order in range(3):
+            found, wanted = (m.drones.ends(order)[end][end] for m in (motion, plain))
+            np.testing.assert_allclose(found, wanted if order == 0 else 0.0, atol=1e-7)
+        pulls = motion.pulls.ends()[end][end]
+        np.testing.assert_allclose(pulls, np.repeat(TENSIONS, 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.3])
+def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: float) -> None:
+    plain = morphed()
+    motion = leaned(plain, friction).motion
+    t = np.linspace(0.0, motion.duration, 201)
+    inner = t[40:-40]
+    rates = motion.legs.at(inner, 1).reshape(len(inner), -1)
+    ratio = np.log(motion.pulls.at(inner) / np.repeat(motion.tensions.at(inner), 2, axis=1))
+    sliding = np.abs(rates) > 0.3 * np.max(np.abs(rates))
+    assert np.sum(sliding) > 100
+    assert np.all(np.sign(rates[sliding]) == np.sign(ratio[sliding]))
+    assert np.max(np.abs(ratio)) > 0.2 * friction
+    assert np.max(np.abs(ratio)) < np.pi * friction
+
+
+def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
+    """Of unequal tensions the weaker cable turns by more than the other one, by half of V each."""
+    team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
+    start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
+    legs = start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0]
+    plain = ho.adjust(start, legs, duration=6.0).motion
+    assert isinstance(plain, Motion)
+    found = plain.leg_tensions
+    assert found is not None
+    ratio = np.log(found.at(3.0) / plain.tensions.at(3.0)[:, None])
+    p, x = plain.vertices.at(3.0), start.drones
+    for end, sign in ((0, 1.0), (1, -1.0)):  # both of cable 1, one let out, one drawn in
+        arriving, leaving = p[1 + end] - x[2 + end], p[2 - end] - p[1 + end]
+        cosine = arriving @ leaving / np.linalg.norm(arriving) / np.linalg.norm(leaving)
+        alone = 0.03 * np.arccos(cosine) / 1.1  # a tenth of the largest speed counts as still
+        assert ratio[1, end] == pytest.approx(sign * alone, rel=0.03)
+    assert np.max(np.abs(ratio[[0, 2, 3]])) < 1e-9
+
+
+@pytest.mark.parametrize("friction", [0.05, 2.0])
+def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
+    """At large friction both limits bind: a sharp vertex would lock."""
+    plain = morphed()
+    found, s = leaned(plain, friction), np.linspace(0.0, 1.0, 401)
+    ways = [legs_of(m, s) for m in (found.motion, plain)]
+    here, there = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in ways)
+    most = np.max(np.arccos(np.clip(np.sum(here * there, axis=-1), -1.0, 1.0)))
+    assert most <= FARTHEST * 1.05
+    assert found.turned == pytest.approx(most, rel=0.02)
+    layout, radius = plain.team.layout, plain.requirements.separation.radius
+    places = [m.drones.at(s * m.duration) for m in (found.motion, plain)]
+    pairs = [x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1] for x in places]
+    gaps = [np.linalg.norm(pair, axis=-1) / (2.0 * radius) for pair in pairs]
+    assert np.all(gaps[0] >= np.minimum(gaps[1], ROOM) - 0.01)
+
+
+def test_it_leans_as_much_as_is_counted_on_and_not_where_nothing_slides() -> None:
+    plain = morphed()
+    turned = [leaned(plain, 0.04, share).turned for share in (0.25, 0.5, 1.0)]
+    np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
+    np.testing.assert_allclose(leaned(plain, 0.02).turned, turned[1], rtol=1e-9)
+    assert lean(morphed(goal=POLYGON + 1e-9), 0.3) is None
+    assert lean(plain, 1e-3) is None  # too little
+
+
 SLIDING = [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
+
 WORKED = [[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]]
+
 Q = [[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]]
+
 R = [[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]]
+
 LEANING = "legs lean against friction, by up to"
+
 Steps = list[dict[str, Any]]
 
 
@@ -73,15 +192,6 @@ def test_only_the_steps_that_slide_lean() -> None:
         t = np.linspace(phase.start, phase.end, 50)
         np.testing.assert_allclose(plan.motion.pulls.at(t), 0.5, atol=1e-9)
     assert np.ptp(plan.motion.pulls.at(np.linspace(0.0, plan.duration, 2_000))) > 0.02
-
-
-def test_vertices_go_where_and_when_they_would_without_friction() -> None:
-    plain, leaned = slid([MOVE], 0.0), slid([MOVE])
-    t = np.linspace(0.0, 4.0, 500)
-    assert leaned.duration == plain.duration == 4.0
-    np.testing.assert_allclose(leaned.at(t).vertices, plain.at(t).vertices, atol=1e-9)
-    away = np.linalg.norm(leaned.at(t).positions - plain.at(t).positions, axis=-1)
-    assert 0.01 < np.max(away) < 0.2
 
 
 def test_where_limits_leave_little_room_legs_lean_less() -> None:
