@@ -5,18 +5,17 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from problem_cases import TEMPLATE, VALIDATOR, hitch_start, triangle
+from problem_cases import VALIDATOR, hitch_start, triangle
 
 import hitchopt as ho
 from hitchopt.errors import HitchoptError, InputError
-from hitchopt.mission.loading import load_problem, problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 
 pytestmark = pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 
@@ -90,20 +89,3 @@ def _listed(data: Any) -> Any:
     if isinstance(data, list):
         return [_listed(value) for value in data]
     return data.tolist() if isinstance(data, np.ndarray) else data
-
-
-@pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("fuzz") / "problem.yaml"
-
-
-@given(st.integers(0, 10**6), st.binary(max_size=6), st.integers(0, 40))
-@settings(max_examples=150)
-def test_a_damaged_file_is_a_problem_or_a_told_error(
-    place: Path, at: int, inserted: bytes, removed: int
-) -> None:
-    data = TEMPLATE.read_bytes()
-    at %= len(data)
-    place.write_bytes(data[:at] + inserted + data[at + removed :])
-    with contextlib.suppress(HitchoptError):
-        load_problem(place)
