@@ -12,6 +12,7 @@ from refusals import Refusal, assert_refused
 from scipy.spatial import ConvexHull
 
 import hitchopt as ho
+from hitchopt.motion.loads import centre_path
 from hitchopt.objects import Slab
 from hitchopt.objects.placing import check_placed, surface_below
 from hitchopt.values import Array
@@ -115,6 +116,14 @@ def test_objects_stand_on_the_ground_or_on_each_other() -> None:
     assert surface_below(objects, poses, "box", 0.0) == (0.5, "table")
     poses[1, 0] += 2.0
     assert surface_below(objects, poses, "box", 0.0) == (0.0, None)
+
+
+def test_the_centre_of_mass_turns_with_its_object() -> None:
+    body = ho.SolidObject(ho.Section(np.add(BOX, [0.3, 0.2])), at=[1.0, 2.0, 0.5], yaw=0.7)
+    c, s = np.cos(0.7), np.sin(0.7)
+    expected = [1.0 + 0.3 * c - 0.2 * s, 2.0 + 0.3 * s + 0.2 * c, 0.5 + body.centre_of_mass[2]]
+    found = centre_path(body.pose[None, :, None], body)
+    np.testing.assert_allclose(found[0, :, 0], expected)
 
 
 def placed(at: list[float]) -> None:

@@ -28,7 +28,7 @@ from hitchopt.planners.timing.clock import (
     SplineBasis,
     fastest_rate,
 )
-from hitchopt.planners.timing.flight import GRID, fly, turning_stretch
+from hitchopt.planners.timing.flight import GRID, fly, needed_stretch, turning_stretch
 from hitchopt.planners.timing.profile import (
     Demands,
     TimingError,
@@ -300,3 +300,15 @@ def test_the_stretch_of_a_known_turn_is_exact() -> None:
     assert found == pytest.approx((30.0 / GRAVITY / 0.5) ** (1 / 3), rel=2e-3)
     assert turning_stretch(Swarm(1), 0.5, part, 7.0) == 7.0
     assert turning_stretch(Swarm(1), None, part, 1.5) == 1.5
+
+
+def test_a_flight_that_is_slowed_as_needed_just_keeps_its_limit() -> None:
+    motion = planned("triangle").motion
+    rest = math.atan(0.4 / (0.132 * 9.81))
+    tilt = 0.5 * (rest + math.radians(planned("triangle").certificate["tilt"].bound))
+    tight = replace(motion.requirements, limits=replace(motion.requirements.limits, tilt=tilt))
+    stretch = needed_stretch(motion.team, tight.limits, motion)
+    assert stretch > 1.05
+    for share, kept in ((1.001, True), (0.98, False)):
+        slowed = replace(motion, requirements=tight).slowed(share * stretch)
+        assert ho.certify(slowed)["tilt"].holds is kept
