@@ -192,17 +192,8 @@ def test_the_gallery_has_every_problem_with_a_picture_and_views_and_reports_of_t
         assert f"{{figure}} {path.relative_to(PICTURES.parent).as_posix()}" in page
 
 
-@pytest.mark.parametrize(
-    ("printed", "shown", "agrees"),
-    [
-        ("a 1.001 b\n", "a 1.002 b\n", True),
-        ("a 1.001 b\n", "a 1.005 b\n", False),
-        ("3 rows\n", "4 rows\n", False),
-        ("3.4e-09\n", "9.1e-10\n", True),
-        ("one\n", "two\n", False),
-        ("a long line\n", "a long …\n", True),
-        ("one\ntwo\n", "one\n", False),
-    ],
-)
-def test_texts_are_compared_by_their_digits(printed: str, shown: str, *, agrees: bool) -> None:
-    assert same(printed, shown) is agrees
+def test_texts_are_compared_by_their_digits() -> None:
+    for a, b in (("a 1.001 b", "a 1.002 b"), ("3.4e-09", "9.1e-10"), ("a long line", "a long …")):
+        assert same(a, b)
+    for a, b in (("a 1.001 b", "a 1.005 b"), ("3 rows", "4 rows"), ("one", "two"), ("1\n2", "1")):
+        assert not same(a, b)

@@ -175,22 +175,6 @@ def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused(
     assert told.value.violations[0].constraint in {"cable_clearance", "crossing"}
 
 
-def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
-    plan = forming(HIGH, HIGH * MIRROR, team=ho.Team(3, 2.4, cable_density=0.008))
-    free, taut, weight = plan.at(0.0), plan.at(plan.duration), 9.81 * 0.008 * 2.4
-    pairs = free.cable_forces.reshape(3, 2, 3)
-    np.testing.assert_allclose(pairs.sum(axis=1), np.outer(np.ones(3), [0, 0, -weight]), atol=1e-12)
-    assert np.all(pairs[:, 0, 0] * np.sign(free.positions[1::2, 0] - free.positions[0::2, 0]) > 0)
-    # Of the whole weight drones carry all; a leg pulls with its tension and what that grows by.
-    assert np.sum(taut.cable_forces[:, 2]) == pytest.approx(-3.0 * weight, rel=1e-3)
-    legs, half = taut.positions - taut.vertices[[0, 1, 1, 2, 2, 0]], 0.5 * 9.81 * 0.008
-    pull = taut.cable_forces + np.outer(half * np.linalg.norm(legs, axis=1), [0.0, 0.0, 1.0])
-    # The tension is that at the middle of a span, the pull along its chord.
-    expected = np.sqrt(0.16 - half**2 * np.sum(legs[:, :2] ** 2, axis=1)) + half * legs[:, 2]
-    np.testing.assert_allclose(np.linalg.norm(pull, axis=1), expected, atol=1e-9)
-    assert np.min(legs[:, 2]) > 0.01
-
-
 @pytest.mark.parametrize(("low", "altitude"), [(0.0, -1.0), (-1.0, 1.2)])
 def test_nobody_flies_below_the_ground(low: float, altitude: float) -> None:
     below = [0.0, 0.0, low]

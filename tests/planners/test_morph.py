@@ -81,8 +81,8 @@ def test_legs_that_lead_leave_ends_vertices_and_edges_as_they_are() -> None:
     path = ShapePath.straight(start, Hitch.balanced(start.team, last))
     s = np.linspace(0.0, 1.0, 11)
     (led,) = leading(path, Limits())
-    places = [drones_along(each, ENDS).positions[..., 0] for each in (led, path)]
-    np.testing.assert_allclose(*places)
+    there, here = (drones_along(each, ENDS).positions[..., 0] for each in (led, path))
+    np.testing.assert_allclose(there, here)
     np.testing.assert_array_equal(led.flat(s).vertices, path.flat(s).vertices)
     assert np.max(np.abs(led.flat(s).q_legs - path.flat(s).q_legs)) > 0.01
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from refusals import assert_refused
 
 import hitchopt as ho
@@ -17,7 +16,6 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import Separated, SeparationTask, separate
 from hitchopt.planners.separation.guesses import points_along, routes_around
-from hitchopt.planners.separation.program import hull_points
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle
 
@@ -131,7 +129,11 @@ def test_what_is_moved_turned_and_renumbered_takes_as_long() -> None:
     expected = found.at(s * found.duration)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     order = np.random.default_rng(1).permutation(9)
-    for change in (lambda x: x @ turn.T + [4.0, -3.0, 1.0], lambda x: x[..., order, :]):
+    changes: list[Callable[[Array], Array]] = [
+        lambda x: x @ turn.T + [4.0, -3.0, 1.0],
+        lambda x: x[..., order, :],
+    ]
+    for change in changes:
         other = separate(replace(task, start=change(task.start), goal=change(task.goal))).drones
         assert other.duration == pytest.approx(found.duration, rel=1e-3)
         np.testing.assert_allclose(other.at(s * other.duration), change(expected), atol=5e-3)
@@ -170,8 +172,8 @@ def test_noise_on_the_input_changes_nothing(task: SeparationTask) -> None:
         noise = 1e-14 * rng.uniform(-1.0, 1.0, (2, *task.start.shape))
         found = separate(replace(task, start=task.start + noise[0], goal=task.goal + noise[1]))
         assert found.drones.duration == pytest.approx(expected.duration, rel=1e-6)
-        places = [each.at(0.4 * each.duration) for each in (found.drones, expected)]
-        np.testing.assert_allclose(*places, atol=1e-5)
+        here, there = (each.at(0.4 * each.duration) for each in (found.drones, expected))
+        np.testing.assert_allclose(here, there, atol=1e-5)
 
 
 def astray(task: SeparationTask, found: Separated) -> float:
@@ -257,19 +259,6 @@ def test_a_duration_that_would_do_is_offered() -> None:
 def test_tasks_that_are_wrong_in_themselves(change: dict[str, Any], key: str) -> None:
     task = task_of(np.zeros((1, 3)), np.ones((1, 3)))
     assert_refused(lambda: replace(task, **change), key, "")
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))
-@settings(max_examples=40)
-def test_no_point_of_a_hull_is_nearer_than_the_one_that_is_found(seed: int, away: float) -> None:
-    points = np.random.default_rng(seed).normal(size=(1, 3, 6)) + away * np.ones((3, 1))
-    (nearest,) = hull_points(points)
-    if np.any(nearest):  # a plane through it has all of the hull on its far side
-        assert np.min(nearest @ points[0]) == pytest.approx(nearest @ nearest, rel=1e-3)
-    else:  # the origin is a mean of the points, which no plane cuts off
-        normals = np.random.default_rng(1).normal(size=(4000, 3))
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        assert np.max(np.min(normals @ points[0], axis=1)) < 0.05
 
 
 def route(start: list[float], goal: list[float], *walls: Prism) -> Array:

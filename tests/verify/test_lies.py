@@ -19,7 +19,8 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
 
-Settings, Arrays = dict[str, Any], dict[str, Any]
+Settings = dict[str, Any]
+Arrays = dict[str, Any]
 Change = Callable[[Settings, Arrays], object]
 REFUSED = "refused"
 """The file cannot be read as a plan."""
@@ -169,7 +170,7 @@ exchanged = assigned(lambda robots, _: robots.insert(0, robots.pop(1)))
 flipped = assigned(lambda _, ends: ends.__setitem__(0, not ends[0]))
 
 
-def pieces_in(settings: Settings, arrays: Arrays, state: str) -> list[Array]:
+def pieces_in(settings: Settings, arrays: Arrays, state: str) -> list[Any]:
     """Return the pieces of every phase in a state."""
     middles = 0.5 * (arrays["breaks"][1:] + arrays["breaks"][:-1])
     spans = [(p["start"], p["end"]) for p in settings["phases"] if p["state"] == state]
