@@ -21,7 +21,6 @@ from click.testing import CliRunner
 from hitchopt.cli import main
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
-
 NUMBER = re.compile(r"[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 TINY = 1e-6

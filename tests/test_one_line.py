@@ -17,11 +17,8 @@ import hitchopt as ho
 from hitchopt.errors import LONGEST, OneLine, broken_limit, short
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
-
 ARRAYS = [np.zeros((4, 3)), np.arange(5000.0), np.zeros(0), np.float64(2.5), object()]
-
 PLAIN = st.none() | st.floats() | st.text(max_size=300) | st.sampled_from(ARRAYS)
-
 VALUES = PLAIN | st.lists(PLAIN, max_size=12) | st.lists(st.lists(PLAIN, max_size=3), max_size=12)
 
 

@@ -17,9 +17,7 @@ from hitchopt.cli import main
 from hitchopt.mission.loading import parse_problem
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
-
 ORIGIN = np.array([0.0, 0.0, 1.0])
-
 FILE = """
 team: {robots: 3, cable_length: 2.4, quadrotor: {mass: MASS}}
 limits: {tilt_deg: TILT}

@@ -18,11 +18,8 @@ from hitchopt.geometry.drawings import FLATNESS, outline_of_geometry, read_outli
 from hitchopt.values import Array
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" {size}viewBox="0 0 400 300">{shape}</svg>'
-
 RECTANGLE = '<rect x="0" y="0" width="400" height="300"/>'
-
 SMALL = '<rect x="0" y="0" width="4" height="3"/>'
-
 RING = [[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3], [0.0, 0.0]]
 
 
@@ -34,7 +31,6 @@ def size_and_area(outline: Array) -> tuple[float, float, float]:
 
 
 POLYGON = {"type": "Polygon", "coordinates": [RING]}
-
 FEATURE = {"type": "Feature", "properties": {}, "geometry": POLYGON}
 
 BOXES: list[tuple[str, str, float]] = [

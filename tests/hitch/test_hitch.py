@@ -11,12 +11,14 @@ from clasp_balance import KINDS, random_hitch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.errors import InfeasibleError
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.forces import (
+    ClaspLoads,
     cable_of,
     contact_forces,
+    leg_directions,
     sag_factors,
     shortening,
 )
@@ -139,6 +141,45 @@ def test_the_largest_weight_of_regular_hitches(n: int) -> None:
         replace(team, load=np.full(n, 1.25 * most / 9.81), tension=np.full(n, 0.6 * 1.26)),
         regular_polygon(n, 1.0),
     )
+
+
+@given(seeds, st.integers(3, 9))
+@settings(max_examples=30)
+def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    edges = rng.normal(size=(n, 3))
+    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+    T = rng.uniform(0.8, 1.0, n)
+    forces, roll = 0.05 * rng.normal(size=(n, 3)), rng.uniform(-1.0, 1.0, n)
+    V = np.roll(T, 1)[:, None] * np.roll(edges, 1, axis=0) - T[:, None] * edges - forces
+    size = np.linalg.norm(V, axis=1)
+    if np.any(size > 0.98 * (T + np.roll(T, 1))) or np.any(size < 0.3):
+        return
+    none = np.zeros((n, 2))
+    q, r = leg_directions(edges, T, loads=ClaspLoads(forces, none, roll, none))
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
+    held = T[:, None] * q + np.roll(T[:, None] * r, 1, axis=0)
+    np.testing.assert_allclose(held, V, atol=1e-12)
+
+
+def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
+    """Nearly straight cables of unlike tensions, whose legs pull harder the higher they rise."""
+    rng = np.random.default_rng(5)
+    told: list[Violation] = []
+    for _ in range(300):
+        angles = np.cumsum(rng.uniform(0.0, 0.2, 2))
+        u = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(2)])
+        T, halves = rng.uniform(0.3, 0.5, 2), rng.uniform(0.0, 0.2, (1, 2))
+        forces = np.zeros((1, 3))
+        forces[0, 2] = -np.sum(halves) - rng.uniform(0.0, 0.4)
+        forces[0, :2] = rng.choice([0.0, 0.3]) * rng.normal(size=2)
+        loads = ClaspLoads(forces, halves, np.zeros(1), np.zeros((1, 2)))
+        try:
+            leg_directions(u, T, "open", loads)
+        except InfeasibleError as error:
+            told += error.violations
+    assert {violation.constraint for violation in told} == {"load", "tension"}
+    assert all(violation.value > violation.limit for violation in told)
 
 
 def test_thrust_of_a_weight_shared_alike() -> None:

@@ -18,7 +18,6 @@ from hitchopt.motion.retiming import cut
 from hitchopt.trajectory import PiecewisePolynomial
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
-
 POINTS = np.array([[0.3, 0.1], [0.6, 1.4], [1.7, 0.6]])
 
 

@@ -97,14 +97,12 @@ def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> No
 
 
 FORM = {"form": {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}}
-
 PLACES: dict[str, Any] = {
     "q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]],
     "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]],
 }
 
 STAY = {"hold": {"seconds": 1}}
-
 ARC = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
 
 

@@ -28,11 +28,8 @@ def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str 
 
 
 ODD = [0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x", object()]
-
 KEYS = ["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]
-
 inner: st.SearchStrategy[Any] = st.none() | st.floats() | st.just({}) | st.just({"seconds": 1})
-
 values = st.one_of(
     *(st.none(), st.booleans(), st.integers(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
     *(st.integers(10**300, 10**310), st.sampled_from(ODD), st.text(max_size=8)),

@@ -14,7 +14,6 @@ from hitchopt.mission.solving import contents
 from hitchopt.steps import Step
 
 HEXAGON = ho.regular_polygon(6, 1.3, angle=0.2).translated([1.0, 2.0])
-
 MOVES: tuple[Step, ...] = (
     ho.MoveVertex(0, by=np.array([-0.15, 0.03])),
     ho.MoveEdge(2, by=np.array([0.02, 0.1])),
@@ -96,7 +95,6 @@ def test_a_blend_that_cannot_be_flown_says_that_a_stop_would_help() -> None:
 
 
 VERTEX = blended(MOVES)[0]
-
 STILL = ho.Adjust("balanced", blend=True)
 
 

@@ -19,9 +19,7 @@ from hitchopt.mission.problem import SwarmProblem
 from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = PROBLEMS / "swarms"
-
 READ = [*GOOD, *INFEASIBLE, TEMPLATE, *sorted(SWARMS.glob("*.yaml"))]
-
 REFUSED = [*BAD, *sorted((SWARMS / "bad").glob("*.yaml"))]
 
 

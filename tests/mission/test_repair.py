@@ -19,7 +19,6 @@ from hitchopt.mission.repair import outlines_scaled, with_edits
 from hitchopt.storage.yaml_file import read_yaml
 
 CASES = {path.stem: path for path in INFEASIBLE}
-
 SMALLEST = {
     "drones_too_close": "team.cable_length",
     "paper_experiment_1": "team.cable_length",

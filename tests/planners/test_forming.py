@@ -27,7 +27,6 @@ from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 
 IRREGULAR = np.array([[0, 1.0], [1.1, 0.5], [0.8, -0.6], [-0.4, -0.8], [-0.9, 0.3]]) + [3.0, -2.0]
-
 LENGTHS = np.array([2.2, 2.3, 2.1, 2.4, 2.2])
 
 PENTAGON = Hitch(

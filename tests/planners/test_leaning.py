@@ -16,9 +16,7 @@ from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
 from hitchopt.values import Array
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
-
 GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
-
 LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
 
 
@@ -101,15 +99,10 @@ def test_it_leans_as_much_as_is_counted_on() -> None:
 
 
 SLIDING = [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
-
 WORKED = [[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]]
-
 Q = [[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]]
-
 R = [[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]]
-
 LEANING = "legs lean against friction, by up to"
-
 Steps = list[dict[str, Any]]
 
 

@@ -16,7 +16,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
-from hitchopt.planners.optimise.program import build_program, solve_program
+from hitchopt.planners.optimise.program import build_program, iterates, solve_program
 from hitchopt.planners.optimise.search import Candidate, OptimisedMorph, guesses
 from hitchopt.planners.timing.flight import Flight, fly
 from problems.random_morph import random_convex_polygon
@@ -155,3 +155,21 @@ def test_a_solved_program_keeps_its_rows_and_lowers_its_cost() -> None:
     assert np.all(np.asarray(rows).ravel() >= around.numbers["lbg"] - 1e-4)
     assert np.all(np.asarray(rows).ravel() <= around.numbers["ubg"] + 1e-4)
     assert float(cost) <= float(value(around.numbers["x0"])[0]) + 1e-6
+
+
+def smallest_distance(path: KnotPath, parts: int) -> float:
+    """Smallest distance of two drones at ends of all parts of steps [m]."""
+    drones = path.at(np.linspace(0.0, 1.0, parts * path.steps + 1)).table[:, path.columns.drones]
+    first, second = np.triu_indices(drones.shape[1], 1)
+    return float(np.min(np.linalg.norm(drones[:, first] - drones[:, second], axis=-1)))
+
+
+def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
+    last = PENTAGON.renumbered(2)
+    polygons = list(guesses(PENTAGON, last, 9).values())[1]
+    first = KnotPath.through("turned", *ends(Team(5, 2.6), PENTAGON, last), polygons)
+    bounds, limit = Search(FREE, lambda _: None, None, (1.5, 1.5), 1.03), 0.24
+    for parts, kept in ((1, False), (8, True)):
+        *_, path = iterates(first, bounds, SolverStep(0.17, parts), 12)
+        assert smallest_distance(path, 1) > limit
+        assert (smallest_distance(path, 8) > limit) == kept

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from refusals import assert_refused
 
 import hitchopt as ho
@@ -16,6 +18,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import Separated, SeparationTask, separate
 from hitchopt.planners.separation.guesses import points_along, routes_around
+from hitchopt.planners.separation.program import hull_points
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle
 
@@ -259,6 +262,19 @@ def test_a_duration_that_would_do_is_offered() -> None:
 def test_tasks_that_are_wrong_in_themselves(change: dict[str, Any], key: str) -> None:
     task = task_of(np.zeros((1, 3)), np.ones((1, 3)))
     assert_refused(lambda: replace(task, **change), key, "")
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))
+@settings(max_examples=40)
+def test_no_point_of_a_hull_is_nearer_than_the_one_that_is_found(seed: int, away: float) -> None:
+    points = np.random.default_rng(seed).normal(size=(1, 3, 6)) + away * np.ones((3, 1))
+    (nearest,) = hull_points(points)
+    if np.any(nearest):  # a plane through it has all of the hull on its far side
+        assert np.min(nearest @ points[0]) == pytest.approx(nearest @ nearest, rel=1e-3)
+    else:  # the origin is a mean of the points, which no plane cuts off
+        normals = np.random.default_rng(1).normal(size=(4000, 3))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        assert np.max(np.min(normals @ points[0], axis=1)) < 0.05
 
 
 def route(start: list[float], goal: list[float], *walls: Prism) -> Array:

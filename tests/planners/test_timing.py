@@ -19,6 +19,7 @@ from hitchopt import Hitch, Limits, Separation, Team
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import read_problem
+from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.clock import (
     ClockedPath,
@@ -40,6 +41,27 @@ from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 
 FREE = {"vertex_speed": 100.0, "tilt": 1.5}
+
+
+def polynomial_jet(coefficients: np.ndarray, t: float) -> np.ndarray:
+    return np.array([np.polyval(np.polyder(coefficients, k), t) for k in range(4)])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
+@settings(max_examples=40)
+def test_jet_arithmetic_is_that_of_polynomials(seed: int, t: float) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.normal(size=(2, 4))
+    ja, jb = polynomial_jet(a, t), polynomial_jet(b, t)
+    np.testing.assert_allclose(jets.product(ja, jb), polynomial_jet(np.polymul(a, b), t), atol=1e-9)
+    composed = np.poly1d(a)(np.poly1d(b))
+    outer = polynomial_jet(a, jb[0])
+    np.testing.assert_allclose(
+        jets.chained(outer, jb), polynomial_jet(np.atleast_1d(composed.c), t), rtol=1e-7, atol=1e-7
+    )
+    square = polynomial_jet(np.polyadd(np.polymul(b, b), [1.0]), t)
+    root = jets.square_root(square)
+    np.testing.assert_allclose(jets.product(root, root), square, atol=1e-9)
 
 
 @given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))

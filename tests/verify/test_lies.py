@@ -166,7 +166,6 @@ def assigned(change: Callable[[list[int], list[bool]], object]) -> Change:
 
 
 exchanged = assigned(lambda robots, _: robots.insert(0, robots.pop(1)))
-
 flipped = assigned(lambda _, ends: ends.__setitem__(0, not ends[0]))
 
 
@@ -215,7 +214,6 @@ def lifted(settings: Settings, arrays: Arrays) -> None:
 
 
 ASKED = ("asked", "team")
-
 LIES = [
     # Polynomials.
     Lie("morph", "one drone flies 3 cm aside", plus("drones", 0.03, (slice(None), 0, 0)), "story"),
