@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from clasp_balance import random_outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,6 +19,8 @@ from hitchopt.hitch.leg_program import (
     CROSSING,
     SEPARATION,
     Parts,
+    QuadraticProgram,
+    solve_qp,
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import split_hitch
@@ -300,3 +303,14 @@ def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
     given: dict[str, Any] = {"limits": limits, "separation": separation, "roll": sense * least}
     following = Hitch.nearest(team, polygon, 1.0, np.full(29, 0.5), **given)
     assert np.all(sense * following.roll > least)
+
+
+def test_rows_of_programs_may_be_stored_in_any_order_and_hold_zeros() -> None:
+    """The point nearest to (3, 2, 1) with ``x0 + 2 x1 <= 4`` and ``x2 >= 2`` is (2.4, 0.8, 2)."""
+    data, rows = np.array([1.0, 0.0, 0.0, 2.0, 1.0]), np.array([0, 1, 1, 0, 1])
+    A = sp.csc_array((data, rows, np.array([0, 2, 4, 5])), shape=(2, 3))
+    assert not A.has_sorted_indices
+    q, bounds = np.array([-3.0, -2.0, -1.0]), (np.array([-np.inf, 2.0]), np.array([4.0, np.inf]))
+    x = solve_qp(QuadraticProgram(sp.csc_array(np.eye(3)), q, A, *bounds))
+    assert x is not None
+    assert x == pytest.approx([2.4, 0.8, 2.0], abs=1e-6)
