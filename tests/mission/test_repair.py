@@ -168,7 +168,7 @@ def test_experiment_1_tells_metres_and_the_cable_that_would_do() -> None:
 
 
 def test_repair_gives_the_plan_of_the_smallest_change() -> None:
-    plan = ho.repair(CASES["drones_too_close"])
+    plan = ho.repair(CASES["drones_too_close"], PATIENCE)
     best = suggested("drones_too_close")[0]
     assert plan.certificate.certified
     assert plan.title == f"Drones too close with {best.change}"
