@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.geometry import ConvexArc, Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.team import CLOSED, layout_of
+from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
-
-Array = NDArray[np.float64]
 
 KINDS = ("equal", "unequal", "loaded", "heavy")
 """Equal and other tensions of clasps that carry nothing; rolled legs with loads, with weight."""
@@ -51,18 +50,10 @@ def clasp_residuals(
     loads: ArrayLike = 0.0,
     topology: str = CLOSED,
 ) -> Array:
-    """Return the unbalanced force at every clasp of a hitch.
+    """Return the unbalanced force (…, clasps, 3) [N] at every clasp of a hitch.
 
-    Parameters
-    ----------
-    vertices: (…, points, 3) [m]
-    q, r: (…, n, 3) [m], positions of the drones.
-    tensions: (…, n) or scalar [N].
-    loads: (…, clasps, 3) or scalar [N], outside forces ``w_k`` on the clasps.
-
-    Returns
-    -------
-    (…, clasps, 3) [N]; zero in equilibrium.
+    Of vertices (…, points, 3) and drones q, r (…, n, 3) [m], tensions (…, n) or one [N], and
+    outside forces on the clasps, one or (…, clasps, 3) [N].
     """
     T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), q.shape[:-1])[..., None]
     layout = layout_of(q.shape[-2], topology)

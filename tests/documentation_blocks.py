@@ -21,7 +21,6 @@ from click.testing import CliRunner
 from hitchopt.cli import main
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
-
 NUMBER = re.compile(r"[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 TINY = 1e-6
@@ -55,12 +54,10 @@ def blocks(text: str) -> list[Block]:
 
 def executed(text: str) -> Iterator[Shown]:
     """Yield what the blocks of a page print, in the working directory."""
-    page = blocks(text)
+    page, status = blocks(text), 0
     names: dict[str, object] = {"__name__": "__main__"}
-    status = 0
-    for i, block in enumerate(page):
+    for block, following in zip(page, [*page[1:], Block("", "")], strict=True):
         if block.language == "python":
-            following = page[i + 1] if i + 1 < len(page) else Block("", "")
             stream = io.StringIO()
             with redirect_stdout(stream):
                 exec(compile(block.text, "<page>", "exec"), names)
@@ -69,7 +66,8 @@ def executed(text: str) -> Iterator[Shown]:
         elif block.language == "yaml" and (name := file_name(block)):
             Path(name).write_text(block.text, encoding="utf-8")
         elif block.language == "console":
-            for command, shown in commands(block):
+            for part in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
+                command, _, shown = part.partition("\n")
                 if command == "echo $?":
                     yield Shown(command, f"{status}\n", shown)
                     continue
@@ -81,12 +79,6 @@ def file_name(block: Block) -> str:
     """Return the name in the first comment of a block of YAML, or nothing."""
     found = re.match(r"# ([\w-]+\.yaml)\n", block.text)
     return found[1] if found else ""
-
-
-def commands(block: Block) -> list[tuple[str, str]]:
-    """Return the commands of a console block with what is shown of each."""
-    parts = re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]
-    return [(first, shown) for first, _, shown in (part.partition("\n") for part in parts)]
 
 
 def run(command: str) -> tuple[int, str]:

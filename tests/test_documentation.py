@@ -19,17 +19,20 @@ from generators.problem_collection import PICTURES, SECTIONS, caption
 from generators.readme_film import FILM, SIZE
 from generators.schema_page import problem_schema, write_schema_page
 from PIL import Image
+from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
 
 import hitchopt as ho
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli import main
+from hitchopt.cli.failures import UNMET, WRONG
 from hitchopt.cli.planning import PACKAGE, problem_text
 from hitchopt.storage.interrupts import INTERRUPTED, TERMINATED
 from hitchopt.sweeps.study import StudyKeys
 
-ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+CHECKS = [rule.name for rule in (*RULES, *REPORTS)]
+
 PAGES = [
     ROOT / "README.md",
     *(p for p in sorted(DOCS.rglob("*.md")) if not {"generated", "_build"} & set(p.parts)),
@@ -48,16 +51,16 @@ def name_of(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
 
-RUNNABLE = [page for page in PAGES if any(b.language in RUN for b in blocks(text_of(page)))]
-
-
 LONG = {"carry.md", "fit.md", "look_at_a_plan.md", "sweep.md"}
 """Pages whose blocks take longest."""
 
-
 CASES = [
     pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=name_of(page))
-    for page in RUNNABLE
+    for page in PAGES
+    if any(block.language in RUN for block in blocks(text_of(page)))
+]
+YAML_BLOCKS = [
+    block for page in PAGES for block in blocks(text_of(page)) if block.language == "yaml"
 ]
 
 
@@ -90,11 +93,6 @@ def test_every_block_is_executed_or_text_and_links_lead_to_files() -> None:
         assert not missing, f"{page}: {missing}"
 
 
-YAML_BLOCKS = [
-    block for page in PAGES for block in blocks(text_of(page)) if block.language == "yaml"
-]
-
-
 @pytest.mark.parametrize("block", YAML_BLOCKS)
 def test_yaml_has_keys_of_the_schema(block: Block) -> None:
     yaml = YAML(typ="safe", pure=True)
@@ -111,54 +109,35 @@ def test_the_readme_s_film_moves_and_is_small() -> None:
     assert FILM.relative_to(ROOT).as_posix() in text_of(ROOT / "README.md")
     assert FILM.stat().st_size < 2e6
     with Image.open(FILM) as film:
-        frames: int = film.n_frames
-        assert frames > 100
+        assert film.n_frames > 100
         assert film.size == SIZE
 
 
-def test_the_gallery_shows_view_and_report_of_three_problems() -> None:
-    page = write_gallery_page()
-    assert {Path(shown.file).stem for shown in SCREENSHOTS} == {
-        "carry_box", "circle_24", "form_thirty_gon",
-    }  # fmt: skip
-    for shown in SCREENSHOTS:
-        for kind in KINDS:
-            path = shown.picture(kind)
-            assert path.stat().st_size > 10_000, "make screenshots takes it"
-            assert f"{{figure}} {path.relative_to(PICTURES.parent).as_posix()}" in page
-
-
-def test_every_check_has_a_section_of_three_parts() -> None:
+def test_every_check_has_a_section_of_three_parts_and_its_facts() -> None:
     text = text_of(DOCS / "explanation" / "certificate.md")
     sections = dict(
         re.findall(r"^### `(\w+)`\n(.*?)(?=^\(check-|\Z)", text, re.DOTALL | re.MULTILINE)
     )
-    names = [rule.name for rule in (*RULES, *REPORTS)]
-    assert list(sections) == [*names, "survivable"]  # which is computed on request only
+    assert list(sections) == [*CHECKS, "survivable"]  # which is computed on request only
     for name, words in sections.items():
-        assert name not in names or f"generated/{name}.md" in words
+        assert name not in CHECKS or f"generated/{name}.md" in words
         for part in ("What it says.", "How it is computed.", "What it does not say."):
             assert f"**{part}**" in words, f"{name}: {part}"
-
-
-def test_facts_of_checks_are_those_of_the_registry() -> None:
     facts = write_check_facts()
-    assert set(facts) == {rule.name for rule in (*RULES, *REPORTS)}
+    assert set(facts) == set(CHECKS)
     assert "must not fall below" in facts["separation"]
     assert "must not rise above" in facts["speed"]
     assert "yes, against 0.001" in facts["cable_length"]
 
 
-def test_every_step_is_in_the_tables_of_steps() -> None:
-    steps = problem_schema()["$defs"]["StepKeys"]["properties"]
-    for page in (ROOT / "README.md", DOCS / "how_to" / "write_a_problem.md"):
-        cells = re.findall(r"^\| (`[^|]*)\|", text_of(page), re.MULTILINE)
-        assert set(steps) <= set(re.findall(r"`(\w+)`", " ".join(cells)))
-
-
-def test_the_problem_file_s_page_has_every_key() -> None:
+def test_every_step_and_key_is_in_the_tables() -> None:
+    definitions = problem_schema()["$defs"]
+    for written in (ROOT / "README.md", DOCS / "how_to" / "write_a_problem.md"):
+        cells = re.findall(r"^\| (`[^|]*)\|", text_of(written), re.MULTILINE)
+        names = set(re.findall(r"`(\w+)`", " ".join(cells)))
+        assert set(definitions["StepKeys"]["properties"]) <= names
     page = write_schema_page()
-    for definition in problem_schema()["$defs"].values():
+    for definition in definitions.values():
         for key, value in definition.get("properties", {}).items():
             assert f"| `{key}` |" in page
             assert value.get("description", "") in page.replace(r"\|", "|")
@@ -166,82 +145,55 @@ def test_the_problem_file_s_page_has_every_key() -> None:
         assert f"({target})=" in page
 
 
-CONTEXT = click.Context(main)
-
-
 def command_of(name: str) -> click.Command:
-    """Return the command of that name."""
-    command = main.get_command(CONTEXT, name)
+    command = main.get_command(click.Context(main), name)
     assert command is not None
     return command
 
 
-def test_the_command_line_s_page_has_every_option() -> None:
+def test_commands_and_their_options_are_known_and_on_their_page() -> None:
     page = write_command_page()
-    for name in main.list_commands(CONTEXT):
-        command = command_of(name)
+    for name in main.list_commands(click.Context(main)):
         section = page.partition(f"(command-{name})=")[2].partition("(command-")[0]
-        for parameter in command.params:
+        for parameter in command_of(name).params:
             written = parameter.opts[-1] if parameter.param_type_name == "option" else "`"
             assert written in section, f"{name} {parameter.name}"
+    cells = [b for page in PAGES for b in blocks(text_of(page))]
+    shown = [b.text for b in cells if b.language in {"sh", "text", "{code-cell} python"}]
+    calls = re.findall(r"(?:^|&& )hitchopt (\w+)([^#|&\n]*)", "\n".join(shown), re.MULTILINE)
+    assert len(calls) > 10
+    for name, options in calls:
+        params = command_of(name).params
+        known = {opt for each in params for opt in (*each.opts, *each.secondary_opts)}
+        assert set(re.findall(r"(?<= )--?[a-z][\w-]*", options)) <= known, (name, options)
 
 
-def test_commands_that_are_not_executed_have_known_options() -> None:
-    found = 0
-    for page in PAGES:
-        cells = (
-            b for b in blocks(text_of(page)) if b.language in {"sh", "text", "{code-cell} python"}
-        )
-        for line in "\n".join(block.text for block in cells).splitlines():
-            for call in re.findall(r"(?:^|&& )hitchopt (\w+)([^#|&]*)", line):
-                params = command_of(call[0]).params
-                known = {opt for each in params for opt in (*each.opts, *each.secondary_opts)}
-                assert set(re.findall(r"(?<= )--?[a-z][\w-]*", call[1])) <= known, line
-                found += 1
-    assert found > 10
-
-
-def test_exit_codes_are_those_of_the_commands() -> None:
-    from hitchopt.cli.failures import UNMET, WRONG
-
+def test_exit_codes_and_public_names_have_their_places() -> None:
     codes = re.findall(r"^\| (\d+) \|", text_of(DOCS / "reference" / "exit_codes.md"), re.MULTILINE)
     assert [int(code) for code in codes] == [0, WRONG, UNMET, INTERRUPTED, TERMINATED]
-
-
-def test_the_gallery_has_every_problem_with_a_picture() -> None:
-    page = write_gallery_page()
-    files = [file for section in SECTIONS for file in section.files]
-    assert len(files) > 50
-    for section in SECTIONS:
-        for file in section.files:
-            assert section.picture(file).exists(), f"make gallery draws {file.stem}"
-            assert f"`{name_of(file)}`" in page
-            assert caption(file), f"{file} has no comment at its head"
-    drawn = {section.picture(file) for section in SECTIONS for file in section.files}
-    assert set(PICTURES.rglob("*.png")) == drawn
-    refused = [
-        file
-        for folder in ("bad", "swarms/bad")
-        for file in (ROOT / "problems" / folder).glob("*.yaml")
-    ]
-    assert page.count("\n| `bad/") + page.count("\n| `swarms/bad/") == len(refused)
-
-
-@pytest.mark.parametrize(
-    ("printed", "shown", "agrees"),
-    [
-        ("a 1.001 b\n", "a 1.002 b\n", True),
-        ("a 1.001 b\n", "a 1.005 b\n", False),
-        ("3 rows\n", "4 rows\n", False),
-        ("3.4e-09\n", "9.1e-10\n", True),
-        ("one\n", "two\n", False),
-        ("a long line\n", "a long …\n", True),
-        ("one\ntwo\n", "one\n", False),
-    ],
-)
-def test_texts_are_compared_by_their_digits(printed: str, shown: str, *, agrees: bool) -> None:
-    assert same(printed, shown) is agrees
-
-
-def test_every_public_name_has_a_page() -> None:
     assert "others" not in {page_of(name) for name in ho.__all__}
+
+
+def test_the_gallery_has_every_problem_with_a_picture_and_views_and_reports_of_three() -> None:
+    page = write_gallery_page()
+    pictures = {file: each.picture(file) for each in SECTIONS for file in each.files}
+    assert len(pictures) > 50
+    for file, picture in pictures.items():
+        assert picture.exists(), f"make gallery draws {file.stem}"
+        assert f"`{name_of(file)}`" in page
+        assert caption(file), f"{file} has no comment at its head"
+    assert set(PICTURES.rglob("*.png")) == set(pictures.values())
+    refused = [file for bad in ("bad", "swarms/bad") for file in (PROBLEMS / bad).glob("*.yaml")]
+    assert page.count("\n| `bad/") + page.count("\n| `swarms/bad/") == len(refused)
+    stems = {Path(shown.file).stem for shown in SCREENSHOTS}
+    assert stems == {"carry_box", "circle_24", "form_thirty_gon"}
+    for path in [shown.picture(kind) for shown in SCREENSHOTS for kind in KINDS]:
+        assert path.stat().st_size > 10_000, "make screenshots takes it"
+        assert f"{{figure}} {path.relative_to(PICTURES.parent).as_posix()}" in page
+
+
+def test_texts_are_compared_by_their_digits() -> None:
+    for a, b in (("a 1.001 b", "a 1.002 b"), ("3.4e-09", "9.1e-10"), ("a long line", "a long …")):
+        assert same(a, b)
+    for a, b in (("a 1.001 b", "a 1.005 b"), ("3 rows", "4 rows"), ("one", "two"), ("1\n2", "1")):
+        assert not same(a, b)

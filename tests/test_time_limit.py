@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import errors as limits
 from hitchopt.errors import Progress, TimeIsUp, check_time, time_left, time_limit
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.mission.solving import solve_problem
-
-PROBLEMS = Path(__file__).parents[1] / "problems"
 
 
 class Clock:
@@ -44,7 +42,7 @@ def wait(seconds: float, *progress: Progress) -> None:
             check_time()
 
 
-def test_the_error_names_the_limit_and_what_was_being_done(clock: Clock) -> None:
+def test_the_earliest_end_counts_and_the_error_says_what_was_being_done(clock: Clock) -> None:
     with time_limit(None) as tell:
         tell("anything")
         check_time()
@@ -54,15 +52,11 @@ def test_the_error_names_the_limit_and_what_was_being_done(clock: Clock) -> None
         wait(5.0, told.append)
     assert told == ["work"]
     assert "--limit" in str(up.value)
-    assert clock.now < 10.0
     assert time_left() == math.inf
-
-
-def test_the_earlier_of_two_ends_counts(clock: Clock) -> None:
     for outer, inner in ((5.0, 50.0), (50.0, 5.0)):
         with pytest.raises(ho.TimeLimitError, match="limit of 5 s"), time_limit(outer):
             wait(inner)
-    assert clock.now < 30.0
+    assert clock.now < 40.0
 
 
 @pytest.mark.parametrize(
@@ -80,17 +74,14 @@ def test_every_kind_of_problem_is_given_up(clock: Clock, name: str, seconds: flo
 
 def test_a_plan_in_time_is_the_plan_without_a_limit() -> None:
     path = PROBLEMS / "straight_way_shut.yaml"
-    a, b = (ho.solve(path, limit=limit).motion.drones.coefficients for limit in (None, 1e6))
+    plans = planned("straight_way_shut"), ho.solve(path, limit=1e6)
+    a, b = (plan.motion.drones.coefficients for plan in plans)
     np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-9)
-
-
-def test_limits_are_positive() -> None:
     with pytest.raises(ho.InputError, match="limit = 0"):
-        ho.solve(PROBLEMS / "triangle.yaml", limit=0)
+        ho.solve(path, limit=0)
 
 
 def test_suggestions_found_before_the_limit_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-
     problem = ho.load_problem(PROBLEMS / "infeasible" / "drones_too_close.yaml")
     with pytest.raises(ho.InfeasibleError) as refused:
         ho.solve(problem)

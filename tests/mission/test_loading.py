@@ -1,14 +1,20 @@
+"""Mappings to problems: where every value arrives, the words of every fault, and any change."""
+
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import tracemalloc
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
 import pytest
-from problem_cases import hitch_start, triangle
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from problem_cases import VALIDATOR, hitch_start, triangle
 
 import hitchopt as ho
 from hitchopt.errors import MAX_LISTED, HitchoptError, InputError, JointInputError
@@ -99,6 +105,7 @@ PLACES: dict[str, Any] = {
     "q": [[0.0, 1, 2], [1, 1, 2], [2, 1, 2.5]],
     "r": [[0, 2, 2], [1, 2, 2], [2, 2, 2]],
 }
+
 STAY = {"hold": {"seconds": 1}}
 ARC = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
 
@@ -113,15 +120,9 @@ def drones(**places: Any) -> dict[str, Any]:
     [
         ({"mission": [STAY, FORM]}, r"mission\[1\]\.form = 'a hitch': .* free cables"),
         ({"mission": [STAY, {"land": {}}]}, r"mission\[1\]\.land = 'a hitch': .* free cables"),
-        (
-            {"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]},
-            r"mission\[1\]\.adjust = 'no hitch': .*form one before",
-        ),
+        ({"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]}, "form one before"),
         (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
-        (
-            drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]),
-            r"start\.drones\.r\[0\] = .* finite and within",
-        ),
+        (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* list of at least 3 entries"),
         (drones(r=PLACES["q"] + 2 * [[0, 0, 1]]), r"start\.drones\.r = '5 points'"),
     ],
@@ -133,19 +134,15 @@ def test_steps_and_starts_that_do_not_fit_are_refused(
         problem_from_dict({**triangle(), **changes})
 
 
-def test_a_hitch_is_released_before_another_one_is_formed() -> None:
-    data = {**triangle(), "mission": [{"release": {}}, STAY, FORM]}
-    assert [step.name for step in problem_from_dict(data).mission] == ["release", "hold", "form"]
-
-
 def test_every_key_of_form_arrives() -> None:
     keys: Any = {**FORM["form"], "altitude": 1.7, "legs": [0.4, 0.7, 0.45], "duration": 30}
     swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
-    steps = [{"form": {**keys, "swap": swap}}, {"release": {}}]
+    steps = [{"form": {**keys, "swap": swap}}, {"release": {}}, STAY, FORM]
     found = problem_from_dict({**triangle(), **drones(), "mission": steps})
     form = ho.Form(**keys, swap=ho.SwapSettings(0.2, math.radians(30), 2.5, -1))
     assert plain(found.start) == plain(ho.DronesStart(**PLACES))
     assert plain(found.mission[0]) == plain(form.fitting(found.team))
+    assert [step.name for step in found.mission] == ["form", "release", "hold", "form"]
 
 
 def test_open_chains_have_one_point_more_than_robots() -> None:
@@ -161,23 +158,23 @@ def test_open_chains_have_one_point_more_than_robots() -> None:
 
 LISTS: Any = [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
 
+# fmt: off
+UNFIT: list[tuple[Any, Any, str]] = [
+    (ho.DronesStart(**PLACES), ho.Form(LISTS[::-1]), "mission[0].form.polygon"),
+    (ho.DronesStart(**PLACES), ho.Form(LISTS[:2]), "mission[0].form.polygon"),
+    (ho.DronesStart(**PLACES), ho.Form(ARC), "mission[0].form.polygon"),  # type: ignore[arg-type]
+    (ho.DronesStart(**PLACES), ho.Form(LISTS, legs=LISTS), "mission[0].form.legs[0]"),
+    (ho.HitchStart(LISTS, 1.2), ho.Adjust("even"), "mission[0].adjust.legs"),  # type: ignore[arg-type]
+    (ho.HitchStart(LISTS, 1.2), ho.Morph([[1], [1, 2]]), "mission[0].morph.polygon"),  # type: ignore[arg-type]
+    (ho.HitchStart([[1], [1, 2]], 1.2), ho.Hold(1.0), "start.hitch.polygon"),  # type: ignore[arg-type]
+    (ho.HitchStart(LISTS, 1.2, "even"), ho.Hold(1.0), "start.hitch.legs"),  # type: ignore[arg-type]
+]
+# fmt: on
 
-@pytest.mark.parametrize(
-    ("start", "step", "key"),
-    [
-        (ho.DronesStart(**PLACES), ho.Form(LISTS[::-1]), "mission[0].form.polygon"),
-        (ho.DronesStart(**PLACES), ho.Form(LISTS[:2]), "mission[0].form.polygon"),
-        (ho.DronesStart(**PLACES), ho.Form(ARC), "mission[0].form.polygon"),  # type: ignore[arg-type]
-        (ho.DronesStart(**PLACES), ho.Form("even"), "mission[0].form.polygon"),  # type: ignore[arg-type]
-        (ho.DronesStart(**PLACES), ho.Form(LISTS, legs=LISTS), "mission[0].form.legs[0]"),
-        (ho.HitchStart(LISTS, 1.2), ho.Adjust("even"), "mission[0].adjust.legs"),  # type: ignore[arg-type]
-        (ho.HitchStart(LISTS, 1.2), ho.Morph([[1], [1, 2]]), "mission[0].morph.polygon"),  # type: ignore[arg-type]
-        (ho.HitchStart([[1], [1, 2]], 1.2), ho.Hold(1.0), "start.hitch.polygon"),  # type: ignore[arg-type]
-        (ho.HitchStart(LISTS, 1.2, "even"), ho.Hold(1.0), "start.hitch.legs"),  # type: ignore[arg-type]
-    ],
-)
+
+@pytest.mark.parametrize(("start", "step", "key"), UNFIT)
 def test_lists_that_are_no_outline_are_refused_with_their_key(
-    start: Any, step: ho.Morph, key: str
+    start: Any, step: Any, key: str
 ) -> None:
     with pytest.raises(InputError) as caught:
         ho.Problem(ho.Team(3, 2.4), start, (step,))
@@ -276,3 +273,72 @@ def test_what_is_no_mapping_of_plain_data_is_an_input_error(data: Any) -> None:
     held["limits"]["speed"] = held
     with pytest.raises(HitchoptError, match="nested at most 20 levels deep"):
         problem_from_dict(held)
+
+
+def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+        yield (*path, key)
+        if isinstance(value, dict | list):
+            yield from paths_of(value, (*path, key))
+
+
+ODD = [0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x", object()]
+KEYS = ["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]
+inner: st.SearchStrategy[Any] = st.none() | st.floats() | st.just({}) | st.just({"seconds": 1})
+values = st.one_of(
+    *(st.none(), st.booleans(), st.integers(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
+    *(st.integers(10**300, 10**310), st.sampled_from(ODD), st.text(max_size=8)),
+    st.lists(st.floats() | st.integers(-3, 3), max_size=4),
+    st.lists(st.lists(st.floats(-3, 3), min_size=2, max_size=2), min_size=3, max_size=5),
+    st.dictionaries(st.sampled_from(KEYS), inner, max_size=2),
+    st.just(np.ones((3, 2))),
+)
+
+ACTIONS = ["set", "drop", "add", "twice"]
+mutation = st.tuples(st.sampled_from(list(paths_of(triangle()))), st.sampled_from(ACTIONS), values)
+
+
+def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, Any]:
+    data: Any = triangle()
+    for path, action, value in changes:
+        place = data
+        with contextlib.suppress(LookupError, TypeError, ValueError):  # removed by now
+            for part in path[:-1]:
+                place = place[part]
+            if action == "set":
+                place[path[-1]] = value
+            elif action == "drop":
+                del place[path[-1]]
+            elif action == "add" and isinstance(place, dict):
+                place[f"{path[-1]}s"] = value
+            elif isinstance(place, list):
+                place.append(place[-1] if action == "twice" else value)
+    return dict(data)
+
+
+@pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
+@given(st.lists(mutation, min_size=1, max_size=3))
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+def test_a_changed_problem_is_valid_by_the_schema_or_a_told_error(changes: Any) -> None:
+    data = mutated(changes)
+    try:
+        answer: ho.Problem | HitchoptError = problem_from_dict(data)
+    except HitchoptError as error:
+        answer = error
+    if isinstance(answer, ho.Problem):
+        assert len(hitch_start(answer).polygon) == answer.team.robots
+        assert np.all(np.isfinite(hitch_start(answer).polygon.vertices))
+        VALIDATOR.validate(_listed(data))
+    elif isinstance(answer, InputError):
+        assert answer.key
+        assert answer.remedy
+    assert len(str(answer)) < 20_000
+    str(answer).encode("utf-8")  # a terminal can show it
+
+
+def _listed(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {key: _listed(value) for key, value in data.items()}
+    if isinstance(data, list):
+        return [_listed(value) for value in data]
+    return data.tolist() if isinstance(data, np.ndarray) else data

@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import pytest
-from problem_cases import BAD, GOOD, INFEASIBLE, ROOT, TEMPLATE, header, triangle
+from plans import PROBLEMS
+from problem_cases import BAD, GOOD, INFEASIBLE, TEMPLATE, VALIDATOR, header, triangle
 from ruamel.yaml import YAML
 
 from hitchopt.errors import FileError, HitchoptError, InputError
@@ -18,10 +18,9 @@ from hitchopt.mission.loading import read_problem
 from hitchopt.mission.problem import SwarmProblem
 from hitchopt.storage.yaml_file import read_yaml
 
-SWARMS = ROOT / "problems" / "swarms"
+SWARMS = PROBLEMS / "swarms"
 READ = [*GOOD, *INFEASIBLE, TEMPLATE, *sorted(SWARMS.glob("*.yaml"))]
 REFUSED = [*BAD, *sorted((SWARMS / "bad").glob("*.yaml"))]
-VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
 
 
 @pytest.mark.parametrize("path", READ, ids=lambda path: path.stem)
@@ -74,7 +73,7 @@ def test_files_are_read_without_solvers() -> None:
     """What is wrong with a file is told before anything that plans is imported."""
     script = (
         "import sys, hitchopt as ho\n"
-        f"ho.read_problem({str(ROOT / 'problems' / 'grip_drum.yaml')!r})\n"
+        f"ho.read_problem({str(PROBLEMS / 'grip_drum.yaml')!r})\n"
         "print(*{name.partition('.')[0] for name in sys.modules})"
     )
     told = subprocess.run(

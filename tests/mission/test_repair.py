@@ -1,24 +1,46 @@
-"""Suggestions: each plans when it is written into the file, and less does not."""
+"""Suggestions: each plans when it is written into the file, less does not, and no field is lost."""
 
 from __future__ import annotations
 
+import copy
 import math
+from collections.abc import Callable, Iterable
+from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from plans import PROBLEMS
 from problem_cases import INFEASIBLE, hitch_start, triangle
-from problem_edits import edited
 
 import hitchopt as ho
+from hitchopt.hitch.team import Assignment
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import find_suggestions, outlines_scaled, with_edits
-from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.mission.repair import Edit, outlines_scaled, team_edit, with_edits
+from hitchopt.storage.yaml_file import read_yaml, split_key
+
+
+def edited(data: dict[str, Any], edits: Iterable[Edit]) -> dict[str, Any]:
+    """Return a copy of a problem's mapping with the edits of a change, or of a diagnosis.json."""
+    result = copy.deepcopy(data)
+    for edit in edits:
+        put(result, edit.key, edit.value)
+    return result
+
+
+def put(data: Any, key: str, value: object) -> None:
+    """Set one value at a path such as ``mission[0].morph.duration``; sections may be missing."""
+    *parents, last = split_key(key)
+    for part in parents:
+        if isinstance(part, str) and data.get(part) is None:
+            data[part] = {}
+        data = data[part]
+    data[last] = value
+
 
 CASES = {path.stem: path for path in INFEASIBLE}
-
 SMALLEST = {
     "drones_too_close": "team.cable_length",
     "paper_experiment_1": "team.cable_length",
@@ -69,57 +91,49 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
         assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
 
 
-@pytest.mark.slow
-def test_a_detour_that_takes_too_long_is_given_the_time_that_it_takes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Vertices of a square that turns by half a circle meet in the middle if they go straight."""
-    monkeypatch.setattr("hitchopt.mission.repair.SIZES", (6.0,))  # what is needed comes first
-    square = ho.regular_polygon(4, 1.2, math.pi / 4.0)
-    morph = {"polygon": square.renumbered(2).vertices.tolist(), "duration": 1.0}
-    start = {"hitch": {"polygon": square.vertices.tolist(), "altitude": 1.0}}
-    team = {"robots": 4, "cable_length": 2.4}
-    data = {"team": team, "start": start, "mission": [{"morph": morph}]}
-    problem = problem_from_dict(data)
-    with pytest.raises(ho.InfeasibleError, match="the step's own route is infeasible") as told:
-        ho.solve(problem)
-    (violation,) = told.value.violations
-    assert (violation.constraint, violation.value) == ("duration", 1.0)
-    found = find_suggestions(problem, told.value, PATIENCE)
-    (longer,) = (s for s in found if s.change.key == "mission[0].morph.duration")
-    assert longer.duration == pytest.approx(violation.limit, rel=5e-3)
-    assert plans(edited(data, longer.change.edits))
+EDGE = ho.regular_polygon(3, 1.2)
+AT: list[float] = EDGE.vertices[0].tolist()
+LED = {"follow_vertex": {"vertex": 0, "path": [[4.0, AT[0], AT[1] + 0.1], [8.0, *AT]]}}
+SQUARE = ho.regular_polygon(4, 1.2, math.pi / 4.0)
+TURN = {"morph": {"polygon": SQUARE.renumbered(2).vertices.tolist(), "duration": 1.0}}
 
 
-def small(**keys: Any) -> dict[str, Any]:
-    """A hitch of three robots, 1.2 m an edge, that stays for a second."""
-    polygon = ho.regular_polygon(3, 1.2).vertices.tolist()
-    given = {
-        "team": {"robots": 3, "cable_length": 2.4},
-        "start": {"hitch": {"polygon": polygon, "altitude": 1.0}},
+def small(polygon: ho.ConvexPolygon = EDGE, **keys: Any) -> dict[str, Any]:
+    """A hitch that stays for a second."""
+    return {
+        "team": {"robots": len(polygon), "cable_length": 2.4},
+        "start": {"hitch": {"polygon": polygon.vertices.tolist(), "altitude": 1.0}},
         "mission": [{"hold": {"seconds": 1.0}}],
+        **keys,
     }
-    return {**given, **keys}
 
 
 @pytest.mark.slow
-def test_timed_points_are_given_less_time_where_the_plan_is_to_end_sooner() -> None:
-    x, y = ho.regular_polygon(3, 1.2).vertices[0].tolist()
-    led = {"follow_vertex": {"vertex": 0, "path": [[4.0, x, y + 0.1], [8.0, x, y]]}}
-    data = small(limits={"duration": 7.0}, mission=[led])
-    found = ho.suggestions(problem_from_dict(data), PATIENCE)
-    (sooner,) = (s for s in found if s.change.key == "mission[0].follow_vertex.path")
-    assert 6.8 <= sooner.duration <= 7.0
-    assert plans(edited(data, sooner.change.edits))
-
-
-@pytest.mark.slow
-def test_what_is_too_heavy_is_made_lighter_or_pulled_harder() -> None:
-    data = small(team={"robots": 3, "cable_length": 2.2, "load": 0.05, "tension": 0.4})
-    found = ho.suggestions(problem_from_dict(data), PATIENCE)
-    assert {s.change.key for s in found} == {"team.load", "team.tension"}
-    for suggestion in found:
-        assert plans(edited(data, suggestion.change.edits))
+@pytest.mark.parametrize(
+    ("data", "keys", "near"),
+    [
+        (small(limits={"duration": 7.0}, mission=[LED]), {"mission[0].follow_vertex.path"}, 0.03),
+        (small(SQUARE, mission=[TURN]), {"mission[0].morph.duration"}, 5e-3),  # on a detour
+        (
+            small(team={"robots": 3, "cable_length": 2.2, "load": 0.05}),
+            {"team.load", "team.tension"},
+            math.inf,
+        ),
+    ],
+)
+def test_what_is_late_or_heavy_is_given_time_or_made_lighter(
+    data: dict[str, Any], keys: set[str], near: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if near == 5e-3:
+        monkeypatch.setattr("hitchopt.mission.repair.SIZES", (6.0,))  # what is needed comes first
+    with pytest.raises(ho.InfeasibleError) as told:
+        ho.solve(problem_from_dict(data))
+    found = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
+    assert keys <= found.keys()
+    for key in keys:
+        plan = ho.solve(problem_from_dict(edited(data, found[key].change.edits)))
+        assert plan.duration == pytest.approx(found[key].duration, rel=1e-6)
+        assert plan.duration == pytest.approx(told.value.violations[0].limit, rel=near)
 
 
 @pytest.mark.slow
@@ -154,20 +168,17 @@ def test_experiment_1_tells_metres_and_the_cable_that_would_do() -> None:
 
 
 def test_repair_gives_the_plan_of_the_smallest_change() -> None:
-    plan = ho.repair(CASES["drones_too_close"])
+    plan = ho.repair(CASES["drones_too_close"], PATIENCE)
     best = suggested("drones_too_close")[0]
     assert plan.certificate.certified
     assert plan.title == f"Drones too close with {best.change}"
     assert np.unique(plan.motion.team.cable_length) == pytest.approx([best.change.new])
 
 
-def test_what_can_be_met_needs_no_repair() -> None:
+def test_what_can_be_met_needs_no_repair_and_what_nothing_mends_is_refused_as_before() -> None:
     good = problem_from_dict(small(title="Good"))
     assert ho.suggestions(good) == ()
     assert ho.repair(good).title == "Good"
-
-
-def test_what_nothing_mends_is_refused_as_before_and_says_so() -> None:
     path = CASES["points_begin_elsewhere"]
     with pytest.raises(ho.InfeasibleError) as before:
         ho.solve(path)
@@ -182,7 +193,7 @@ def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("hitchopt.mission.repair.SIZES", (1.5,))  # what is needed comes first
-    data = mapping(INFEASIBLE[0].parents[1] / "grip_drum.yaml")
+    data = mapping(PROBLEMS / "grip_drum.yaml")
     form, carry, *_ = data["mission"]
     data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
     (name, body), *_ = data["objects"].items()
@@ -216,3 +227,57 @@ def outlines(problem: ho.Problem) -> list[Any]:
     for step in problem.mission:
         found.append(step.polygon_left(problem.team, found[-1]))
     return found
+
+
+ORDER = (2, 0, 3, 1)
+KINDS = [
+    ho.Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k if k else None, k == 1, k != 2)
+    for k in range(4)
+]
+VALUES: dict[str, Any] = {
+    "robots": 4,
+    "cable_length": [2.4, 2.5, 2.6, 2.7],
+    "topology": "open",
+    "cable_density": 0.003,
+    "cable_friction": 0.05,
+    "tension": [0.41, 0.42, 0.43, 0.44],
+    "quadrotor": tuple(KINDS),
+    "load": [0.001, 0.002, 0.003],
+}
+"""One value for every field of a team, none its default; those per robot all differ."""
+
+PER_ROBOT = {"cable_length", "tension", "quadrotor"}
+ARC = [[-1.0, 0.0], [-0.5, 0.9], [0.5, 1.1], [1.4, 0.7], [1.7, -0.3]]
+TEAM = ho.Team(**VALUES)
+
+
+def test_a_renumbered_team_has_every_field_and_none_here_is_a_default() -> None:
+    assert set(VALUES) == {field.name for field in fields(ho.Team)}
+    found, plain = Assignment(ORDER, (False, True, False, True)).team(TEAM), ho.Team(3, 1.0)
+    for name, value in VALUES.items():
+        assert not np.array_equal(getattr(TEAM, name), getattr(plain, name)), name
+        expected = [value[i] for i in ORDER] if name in PER_ROBOT else value
+        np.testing.assert_array_equal(getattr(found, name), expected, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("edit", "changed"),
+    [
+        (lambda p: (team_edit(p, "cable_length", 1.1 * p.team.cable_length),), "cable_length"),
+        (lambda p: (team_edit(p, "tension", 1.1 * p.team.tension),), "tension"),
+        (lambda p: (team_edit(p, "max_thrust", 1.1 * p.team.max_thrust[::2]),), "quadrotor"),
+        (lambda _: (Edit("limits.tilt_deg", 50.0),), ""),
+        (lambda p: outlines_scaled(p, 0.9), ""),
+    ],
+)
+def test_a_repaired_problem_has_every_field(
+    edit: Callable[[ho.Problem], Any], changed: str
+) -> None:
+    start = ho.HitchStart(ho.Hitch.balanced(TEAM, ARC, 1.1).polygon, 1.1, "balanced")
+    problem = ho.Problem(TEAM, start, (ho.Hold(2.0),))
+    found = with_edits(problem, edit(problem))
+    assert found is not problem
+    for field in fields(ho.Team):
+        values = [getattr(each, field.name) for each in (found.team, TEAM)]
+        assert np.array_equal(*values) is (field.name != changed), field.name
+        assert type(values[0]) is type(values[1]), field.name

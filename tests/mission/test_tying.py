@@ -8,22 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from plans import planned
 
 import hitchopt as ho
-from hitchopt.checks import certify
 from hitchopt.hitch.team import Assignment
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
-
+TEAM = ho.Team(3, 2.4)
 TRIANGLE = np.array([[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]])
 LINES = np.array([[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]])
+MIRROR = np.array([-1, 1, 1])
+HIGH = LINES + [0.0, 0.0, 2.0]
 
 
-def forming(q: Array, r: Array, team: ho.Team | None = None, **keys: Any) -> ho.Plan:
-    team = team or ho.Team(3, 2.4)
-    return ho.form(team, q, r, keys.pop("polygon", TRIANGLE), 1.5, **keys)
+def forming(q: Array, r: Array, **keys: Any) -> ho.Plan:
+    given = {"team": TEAM, "polygon": TRIANGLE, "altitude": 1.5, **keys}
+    return ho.form(q=q, r=r, **given)
 
 
 def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
@@ -67,7 +67,7 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     """Auto: any order of the robots, with ends exchanged, gives the same plan by role."""
     # One robot aside, as mirror images tie; all of them aside would leave the tie.
     aside = [[0.0, 0.0, 0.0], [0.13, 0.0, 0.0], [0.0, 0.0, 0.0]]
-    left, right = LINES + aside, LINES * [-1, 1, 1] + aside
+    left, right = LINES + aside, LINES * MIRROR + aside
     plan = forming(left, right)
     order, flip = [2, 0, 1], np.array([[True], [False], [True]])
     q, r = np.where(flip, right, left)[order], np.where(flip, left, right)[order]
@@ -82,39 +82,35 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
 
 
 def test_a_hitch_that_is_there_at_first_is_released() -> None:
-    start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.6)
+    start = ho.Hitch.spread(TEAM, TRIANGLE, 1.6)
     plan = ho.release(start)
     assert [p.name for p in plan.phases] == ["relax", "loosen", "unswap 1", "unswap 2"]
     np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-12)
-    assert plan.at(0.0).tensions == pytest.approx(start.team.tension)
+    assert plan.at(0.0).tensions == pytest.approx(TEAM.tension)
     assert plan.certificate.certified
 
 
 def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
-    team = ho.Team(3, 2.4)
-    plan = ho.form(team, LINES, LINES * [-1, 1, 1], TRIANGLE, 0.5)
+    plan = forming(LINES, LINES * MIRROR, altitude=0.5)
     assert plan.phases[-1].name == "lower"
     assert "hang" in plan.phases[-1].remark
     np.testing.assert_allclose(plan.at(plan.duration).positions[:, 2], 0.5, atol=1e-9)
-    up = ho.release(ho.Hitch.spread(team, TRIANGLE, 0.5))
+    up = ho.release(ho.Hitch.spread(TEAM, TRIANGLE, 0.5))
     assert up.phases[0].name == "raise"
     assert up.certificate["cable_clearance"].bound > 0.1
 
 
 def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
-    high = LINES + [0.0, 0.0, 2.0]
-    plan = forming(high, high * [-1, 1, 1])
-    assert plan.phases[0].name == "approach"
-    landed = ho.land(ho.Team(3, 2.4), high, high * [-1, 1, 1])
-    assert [p.name for p in landed.phases] == ["land"]
-    end = landed.at(landed.duration).positions
-    np.testing.assert_allclose(end[:, :2], landed.at(0.0).positions[:, :2], atol=1e-12)
-    np.testing.assert_allclose(end[:, 2], 0.0, atol=1e-12)
-    floor = ho.Arena([-3, -3, 0.4], [3, 3, 3])
-    higher = ho.land(ho.Team(3, 2.4), high, high * [-1, 1, 1], arena=floor)
-    np.testing.assert_allclose(higher.at(higher.duration).positions[:, 2], 0.4, atol=1e-12)
-    assert higher.certificate["arena"].worst == pytest.approx(0.0, abs=1e-11)
-    assert higher.certificate["arena"].holds
+    assert forming(HIGH, HIGH * MIRROR).phases[0].name == "approach"
+    for low in (0.0, 0.4):
+        arena = ho.Arena([-3, -3, low], [3, 3, 3])
+        landed = ho.land(TEAM, HIGH, HIGH * MIRROR, arena=arena)
+        assert [p.name for p in landed.phases] == ["land"]
+        end = landed.at(landed.duration).positions
+        np.testing.assert_allclose(end[:, :2], landed.at(0.0).positions[:, :2], atol=1e-12)
+        np.testing.assert_allclose(end[:, 2], low, atol=1e-12)
+        assert landed.certificate["arena"].worst == pytest.approx(0.0, abs=1e-11)
+        assert landed.certificate["arena"].holds
 
 
 def test_open_chains_are_tied_as_well() -> None:
@@ -127,11 +123,10 @@ def test_open_chains_are_tied_as_well() -> None:
 
 
 def test_steps_last_as_long_as_they_are_given() -> None:
-    plan = forming(LINES, LINES * [-1, 1, 1], duration=20.0)
-    assert plan.duration == pytest.approx(20.0, rel=1e-12)
-    assert plan.phases[-1].end == pytest.approx(20.0, rel=1e-12)
+    plan = forming(LINES, LINES * MIRROR, duration=20.0)
+    assert [plan.duration, plan.phases[-1].end] == pytest.approx([20.0, 20.0], rel=1e-12)
     with pytest.raises(ho.InfeasibleError, match=r"^duration: 2 s is below the limit of \d.*form"):
-        forming(LINES, LINES * [-1, 1, 1], duration=2.0)
+        forming(LINES, LINES * MIRROR, duration=2.0)
 
 
 def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
@@ -148,9 +143,6 @@ def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
     assert names[:5] == ["take-off", "gather", "turn", "approach", "open"]
     assert plan.certificate["interlacing"].worst == 0.0
     assert plan.certificate["cable_clearance"].bound >= 0.1
-
-
-MIRROR = np.array([-1, 1, 1])
 
 
 @pytest.mark.parametrize(
@@ -183,34 +175,13 @@ def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused(
     assert told.value.violations[0].constraint in {"cable_clearance", "crossing"}
 
 
-def test_hanging_cables_pull_and_taut_ones_do_in_the_setpoints() -> None:
-    team = ho.Team(3, 2.4, cable_density=0.008)
-    plan = forming(LINES + [0, 0, 2], LINES * [-1, 1, 1] + [0, 0, 2], team)
-    free, taut = plan.at(0.0), plan.at(plan.duration)
-    weight = 9.81 * 0.008 * 2.4
-    pairs = free.cable_forces.reshape(3, 2, 3)
-    np.testing.assert_allclose(pairs.sum(axis=1), np.outer(np.ones(3), [0, 0, -weight]), atol=1e-12)
-    assert np.all(pairs[:, 0, 0] * np.sign(free.positions[1::2, 0] - free.positions[0::2, 0]) > 0)
-    # Of the whole weight drones carry all; a leg pulls with its tension and what that grows by.
-    down = np.sum(taut.cable_forces[:, 2])
-    assert down == pytest.approx(-3.0 * weight, rel=1e-3)
-    legs = taut.positions - taut.vertices[np.array([0, 1, 1, 2, 2, 0])]
-    lengths = np.linalg.norm(legs, axis=1)
-    half = 0.5 * 9.81 * 0.008
-    pull = taut.cable_forces + np.outer(half * lengths, [0.0, 0.0, 1.0])
-    # The tension is that at the middle of a span, the pull along its chord.
-    expected = np.sqrt(0.16 - half**2 * np.sum(legs[:, :2] ** 2, axis=1)) + half * legs[:, 2]
-    np.testing.assert_allclose(np.linalg.norm(pull, axis=1), expected, atol=1e-9)
-    assert np.min(legs[:, 2]) > 0.01
-    assert certify(plan.motion).certified
-
-
 @pytest.mark.parametrize(("low", "altitude"), [(0.0, -1.0), (-1.0, 1.2)])
 def test_nobody_flies_below_the_ground(low: float, altitude: float) -> None:
-    """An arena may have a lower floor."""
-    q = np.array([[-0.5, y, 0.0] for y in (1.0, 0.0, -1.0)])
-    below, polygon = np.array([0.0, 0.0, low]), [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+    below = [0.0, 0.0, low]
     with pytest.raises(ho.InfeasibleError, match="over the ground"):
-        ho.form(ho.Team(3, 2.4), q + below, q * MIRROR + below, polygon, altitude=altitude)
-    q, arena = q - [0.0, 0.0, 3.0], ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
-    ho.form(ho.Team(3, 2.4), q, q * MIRROR, polygon, altitude=-1.0, arena=arena)
+        forming(LINES + below, LINES * MIRROR + below, altitude=altitude)
+
+
+def test_an_arena_may_have_a_lower_floor() -> None:
+    below, arena = [0.0, 0.0, -3.0], ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
+    forming(LINES + below, LINES * MIRROR + below, altitude=-1.0, arena=arena)

@@ -1,88 +1,52 @@
-"""Legs that lean against friction: what they leave as it is, how far they go, and laws."""
+"""Cables with friction: legs lean where they slide, and clasps are worked until they forget."""
+
+from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 import hitchopt as ho
+from hitchopt import verify
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
 GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
 LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
 
 
-def rubbing(motion: Motion, friction: float) -> Motion:
-    return replace(motion, team=replace(motion.team, cable_friction=friction))
-
-
-def planned(polygon: Array = POLYGON, goal: Array = GOAL, seconds: float | None = 4.0) -> Motion:
+def morphed(goal: Array = GOAL, seconds: float | None = 4.0) -> Motion:
     """A morph of cables without friction, by fractions that stay, so that laws are exact."""
-    team = ho.Team(4, LENGTHS, tension=TENSIONS)
-    start = ho.Hitch.balanced(team, polygon, altitude=1.2)
+    start = ho.Hitch.balanced(ho.Team(4, LENGTHS, tension=TENSIONS), POLYGON, altitude=1.2)
     motion = ho.morph(start, goal, legs="balanced", duration=seconds).motion
     assert isinstance(motion, Motion)
     return motion
 
 
 def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Leaning:
-    found = leaning(rubbing(motion, friction), motion.requirements.limits, share, slower=True)
+    rubbing = replace(motion, team=replace(motion.team, cable_friction=friction))
+    found = leaning(rubbing, motion.requirements.limits, share, slower=True)
     assert found is not None
     return found
 
 
-def sampled(motion: Motion) -> Array:
-    return np.linspace(0.0, motion.duration, 201)
-
-
-def leans(motion: Motion, plain: Motion, share_of_time: Array) -> Array:
-    """(times, 2n) [rad] between the legs of two motions, at the same shares of their times."""
-    ways = []
-    for m in (motion, plain):
-        t = share_of_time * m.duration
-        way = m.drones.at(t) - m.vertices.at(t)[:, m.team.layout.anchors]
-        ways.append(way / np.linalg.norm(way, axis=-1, keepdims=True))
-    angles: Array = np.arccos(np.clip(np.sum(ways[0] * ways[1], axis=-1), -1.0, 1.0))
-    return angles
-
-
-def test_the_hitch_stays_as_it_is() -> None:
-    plain = planned()
-    motion = leaned(plain).motion
-    t = sampled(plain)
-    slow = motion.duration / plain.duration
-    for name in ("vertices", "legs", "tensions"):
-        np.testing.assert_allclose(
-            getattr(motion, name).at(slow * t), getattr(plain, name).at(t), atol=1e-9
-        )
-    legs = motion.drones.at(t * slow) - motion.vertices.at(t * slow)[:, motion.team.layout.anchors]
-    np.testing.assert_allclose(
-        np.linalg.norm(legs, axis=-1), plain.legs.at(t).reshape(len(t), -1), atol=1e-6
-    )
-
-
-def test_drones_begin_and_end_at_rest_where_they_did() -> None:
-    plain = planned(seconds=None)
-    motion = leaned(plain).motion
-    for derivative in range(3):
-        for end in (0, -1):
-            found, wanted = (m.drones.ends(derivative)[end][end] for m in (motion, plain))
-            np.testing.assert_allclose(found, wanted if derivative == 0 else 0.0, atol=1e-7)
-    pulls = motion.pulls.ends()
-    for end in (0, -1):
-        np.testing.assert_allclose(pulls[end][end], np.repeat(TENSIONS, 2), atol=1e-9)
+def legs_of(motion: Motion, s: Array) -> Array:
+    """Vectors (times, 2n, 3) of legs at shares of a motion's time."""
+    t = s * motion.duration
+    legs: Array = motion.drones.at(t) - motion.vertices.at(t)[:, motion.team.layout.anchors]
+    return legs
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.3])
 def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: float) -> None:
-    plain = planned()
+    plain = morphed()
     motion = leaned(plain, friction).motion
-    t = sampled(motion)
+    t = np.linspace(0.0, motion.duration, 201)
     inner = t[40:-40]
     rates = motion.legs.at(inner, 1).reshape(len(inner), -1)
     ratio = np.log(motion.pulls.at(inner) / np.repeat(motion.tensions.at(inner), 2, axis=1))
@@ -115,31 +79,204 @@ def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
 @pytest.mark.parametrize("friction", [0.05, 2.0])
 def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
     """At large friction both limits bind: a sharp vertex would lock."""
-    plain = planned()
-    found = leaned(plain, friction)
-    s = np.linspace(0.0, 1.0, 401)
-    angles = leans(found.motion, plain, s)
-    assert np.max(angles) <= FARTHEST * 1.05
-    assert found.turned == pytest.approx(np.max(angles), rel=0.02)
-    layout, limits = plain.team.layout, plain.requirements.separation
-    gaps = []
-    for m in (found.motion, plain):
-        x = m.drones.at(s * m.duration)
-        pairs = x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1]
-        gaps.append(np.linalg.norm(pairs, axis=-1) / (2.0 * limits.radius))
+    plain = morphed()
+    found, s = leaned(plain, friction), np.linspace(0.0, 1.0, 401)
+    ways = [legs_of(m, s) for m in (found.motion, plain)]
+    here, there = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in ways)
+    most = np.max(np.arccos(np.clip(np.sum(here * there, axis=-1), -1.0, 1.0)))
+    assert most <= FARTHEST * 1.05
+    assert found.turned == pytest.approx(most, rel=0.02)
+    layout, radius = plain.team.layout, plain.requirements.separation.radius
+    places = [m.drones.at(s * m.duration) for m in (found.motion, plain)]
+    pairs = [x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1] for x in places]
+    gaps = [np.linalg.norm(pair, axis=-1) / (2.0 * radius) for pair in pairs]
     assert np.all(gaps[0] >= np.minimum(gaps[1], ROOM) - 0.01)
 
 
 def test_it_leans_as_much_as_is_counted_on() -> None:
-    plain = planned()
-    turned = [leaned(plain, 0.04, share).turned for share in (0.25, 0.5, 1.0)]
+    turned = [leaned(morphed(), 0.04, share).turned for share in (0.25, 0.5, 1.0)]
     np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
-    np.testing.assert_allclose(leaned(plain, 0.02).turned, turned[1], rtol=1e-9)
 
 
-def test_where_nothing_slides_nothing_leans() -> None:
-    plain = planned(goal=POLYGON + 1e-9)
-    assert leaning(rubbing(plain, 0.3), plain.requirements.limits, 1.0, slower=True) is None
-    assert (
-        leaning(rubbing(planned(), 1e-3), plain.requirements.limits, 1.0, slower=True) is None
-    )  # too little
+SLIDING = [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
+WORKED = [[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]]
+Q = [[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]]
+R = [[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]]
+LEANING = "legs lean against friction, by up to"
+Steps = list[dict[str, Any]]
+
+
+def planned(steps: Steps, start: dict[str, Any], friction: float, **keys: Any) -> ho.Plan:
+    team = {"robots": 3, "cable_length": 2.4, "cable_friction": friction} | keys.pop("team")
+    given = {"team": team, "start": start, "mission": steps, **keys}
+    plan = ho.solve(ho.problem_from_dict(given))
+    assert plan.certificate.certified
+    return plan
+
+
+def slid(steps: Steps, friction: float = 0.1, **keys: Any) -> ho.Plan:
+    start = {"hitch": {"polygon": SLIDING, "altitude": 1.0}}
+    return planned(steps, start, friction, team={"tension": 0.5}, **keys)
+
+
+def settled(steps: Steps, tied: bool = True, friction: float = 0.1, **keys: Any) -> ho.Plan:
+    hitch = {"hitch": {"polygon": WORKED, "altitude": 1.2}}
+    start = hitch if tied else {"drones": {"q": Q, "r": R}}
+    return planned(steps, start, friction, team={"tension": 0.6} | keys.pop("team", {}), **keys)
+
+
+def moved(by: list[float], seconds: float) -> dict[str, Any]:
+    return {"move_vertex": {"vertex": 0, "by": by, "duration": seconds}}
+
+
+MOVE = moved([0.1, 0.3], 4.0)
+
+
+@pytest.mark.parametrize(
+    ("step", "friction", "keys", "leans"),
+    [
+        (MOVE, 1e-3, {}, False),  # too little to lean for
+        (MOVE, 0.1, {"separation": {"cable": 0.0}}, True),
+        (moved([0.0, 0.4], 8.0), 0.5, {}, True),
+    ],
+)
+def test_remarks_say_whether_legs_lean(
+    step: dict[str, Any], friction: float, keys: dict[str, Any], leans: bool
+) -> None:
+    plan = slid([step], friction, **keys)
+    remark = plan.phases[0].remark
+    assert LEANING in remark if leans else "lean" not in remark
+    assert "no more" not in remark
+    assert (plan.motion.leg_tensions is not None) == leans
+
+
+def test_only_the_steps_that_slide_lean() -> None:
+    turned = {"transport": {"to": [0.5, 0.0, 1.4], "yaw_deg": 20}}
+    adjusted = {"adjust": {"legs": "balanced", "duration": 4.0}}
+    plan = slid([{"hold": {"seconds": 0.5}}, MOVE, turned, adjusted])
+    assert [LEANING in phase.remark for phase in plan.phases] == [False, True, False, True]
+    for phase in plan.phases[::2]:
+        t = np.linspace(phase.start, phase.end, 50)
+        np.testing.assert_allclose(plan.motion.pulls.at(t), 0.5, atol=1e-9)
+    assert np.ptp(plan.motion.pulls.at(np.linspace(0.0, plan.duration, 2_000))) > 0.02
+
+
+def test_where_limits_leave_little_room_legs_lean_less() -> None:
+    """A limit of tilt just above what the hitch needs at rest lets no leg pull much harder."""
+    inward, t = moved([0.0, -0.25], 6.0), np.linspace(0.0, 6.0, 2_000)
+    free, plain = slid([inward]), slid([inward], 0.0)
+    thrusts = [plan.at(t).thrusts(plan.motion.team) for plan in (free, plain)]
+    most, least = (
+        float(np.max(np.degrees(np.arctan2(np.hypot(f[..., 0], f[..., 1]), f[..., 2]))))
+        for f in thrusts
+    )
+    assert most > least + 0.1
+    tight = slid([inward], limits={"tilt_deg": 0.5 * (most + least)})
+    assert tight.certificate["tilt"].bound <= 0.5 * (most + least)
+    assert "limits leave room for no more" in tight.phases[0].remark
+    ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
+    assert 0.0 < ratios[0] < ratios[1]
+
+
+def test_what_leaning_would_break_is_flown_without_it() -> None:
+    """Within walls that the drones just reach; vertices go as without friction anyway."""
+    step, t = moved([0.2, 0.0], 4.0), np.linspace(0.0, 4.0, 4_001)
+    plain, free = slid([step], 0.0).at(t), slid([step])
+    assert free.duration == 4.0
+    np.testing.assert_allclose(free.at(t).vertices, plain.vertices, atol=1e-9)
+    away = np.linalg.norm(free.at(t).positions - plain.positions, axis=-1)
+    np.testing.assert_allclose(away[[0, -1]], 0.0, atol=1e-7)
+    assert 0.01 < np.max(away) < 0.2
+    places = plain.positions.reshape(-1, 3)
+    ends = np.min(places, axis=0) - 1e-4, np.max(places, axis=0) + 1e-4
+    plan = slid([step], arena={"lower": ends[0].tolist(), "upper": ends[1].tolist()})
+    assert "legs do not lean against friction: limits leave no room" in plan.phases[0].remark
+    np.testing.assert_array_equal(plan.at(t).positions, plain.positions)
+
+
+def test_drones_swing_to_both_sides_by_less_and_less_and_vertices_stay() -> None:
+    """Their legs balance the edges as friction that is fully used would have them."""
+    plan = settled([{"settle": {}}])
+    assert (plan.phases[0].name, plan.duration) == ("settle", 17.0)
+    samples = plan.at(np.linspace(0.0, 17.0, 4_001))
+    p, x, pulls = samples.vertices, samples.positions, plan.motion.pulls.at(samples.t)
+    np.testing.assert_allclose(p, np.broadcast_to(p[0], p.shape), atol=1e-9)
+    np.testing.assert_allclose(x[-1], x[0], atol=1e-9)
+    away = np.max(np.linalg.norm(x - x[:1], axis=-1), axis=0)
+    assert np.all((away > 0.07) & (away < 0.12))
+    for pull in np.log(pulls / 0.6).T:
+        steps = np.diff(pull)
+        turned = pull[1:-1][steps[1:] * steps[:-1] < 0.0]
+        assert len(turned) == 16
+        assert np.all(turned[1:] * turned[:-1] < 0.0)
+        np.testing.assert_allclose(np.diff(np.abs(turned)), -np.abs(turned[0]) / 17.0, rtol=0.1)
+    u = np.roll(p, -1, axis=1) - p
+    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    force = 0.6 * (u - np.roll(u, 1, axis=1))
+    for of_q, at in ((0, p), (1, np.roll(p, -1, axis=1))):
+        leg = x[:, of_q::2] - at
+        pulled = pulls[:, of_q::2, None] * leg / np.linalg.norm(leg, axis=-1, keepdims=True)
+        force += np.roll(pulled, of_q, axis=1)
+    assert np.max(np.abs(force)) < 1e-3 * 0.6
+    # Cables bend by half of the angle between the edges at a clasp, each, and once more at a leg.
+    wrapped = np.arccos(np.sum(u * np.roll(u, 1, axis=1), axis=-1))[0]
+    assert np.max(pulls) <= 0.6 * np.exp(0.1 * np.max(wrapped)) * 1.001
+
+
+def form(**keys: Any) -> Steps:
+    return [{"form": {"polygon": WORKED, "altitude": 1.2, **keys}}]
+
+
+def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
+    worked, left = settled(form(), tied=False), settled(form(settle=False), tied=False)
+    assert worked.phases[-1].name == "settle"
+    assert worked.duration == pytest.approx(left.duration + 17.0)
+    given = settled(form(settle=20), tied=False)
+    assert given.duration == pytest.approx(left.duration + 20.0)
+    smooth = settled(form(), tied=False, friction=0.0)
+    assert "settle" not in {phase.name for phase in (*left.phases, *smooth.phases)}
+    ends = [plan.at([plan.duration]).positions for plan in (worked, left, given)]
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+    np.testing.assert_allclose(ends[2], ends[1], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
+    plan = settled([{"settle": {"seconds": 18}}], team={"cable_density": 0.01})
+    assert plan.duration == 18.0
+    plan.save(tmp_path)
+    assert verify.main([str(tmp_path)]) == 0
+
+
+@pytest.mark.slow
+def test_limits_make_swings_smaller_or_slower() -> None:
+    limits = {"speed": 0.2}
+    free, slow = settled([{"settle": {}}]), settled([{"settle": {}}], limits=limits)
+    quick = settled([{"settle": {"seconds": 12}}], limits=limits)
+    assert 17.0 < slow.duration < 25.6
+    assert ["no more" in p.phases[0].remark for p in (free, slow, quick)] == [False, False, True]
+    widest = [
+        np.max(np.ptp(plan.at(np.linspace(0.0, plan.duration, 999)).positions, axis=0))
+        for plan in (free, slow, quick)
+    ]
+    assert widest[1] == pytest.approx(widest[0], rel=1e-3)
+    assert widest[2] < 0.9 * widest[0]
+    with pytest.raises(ho.InfeasibleError, match="speed"):
+        settled([{"settle": {"seconds": 2}}], limits=limits)
+    tight = settled(form(), tied=False, limits={"tilt_deg": 25.2})
+    assert "limits leave no room" in tight.phases[-1].remark
+
+
+@pytest.mark.parametrize(
+    ("steps", "friction", "named"),
+    [
+        ([{"settle": {}}], 0.0, "settle"),
+        ([{"settle": {"seconds": -1}}], 0.1, "seconds"),
+        ([{"settle": {"seconds": "long"}}], 0.1, "seconds"),
+        ([{"release": {}}, {"settle": {}}], 0.1, "settle"),
+        (form(settle="no"), 0.1, "settle"),
+    ],
+)
+def test_settling_that_cannot_be_is_refused(steps: Steps, friction: float, named: str) -> None:
+    with pytest.raises(ho.InputError, match=named):
+        settled(steps, friction=friction)

@@ -1,22 +1,23 @@
-"""Morphs: legs that make way, shut ways and their diagnosis."""
+"""Morphs: legs that make way, lead and lag; shut ways and their diagnosis."""
 
 import numpy as np
 import pytest
 
-from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team
+import hitchopt as ho
+from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team, regular_polygon
 from hitchopt.hitch.legs import reference_margin
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
+from hitchopt.planners.morph.legs import leading, leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
-from hitchopt.planners.morph.path import ShapePath, shapes_along
+from hitchopt.planners.morph.path import ShapePath, drones_along, shapes_along
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
-KEPT = Requirements(Limits(), Separation(), None)
+ENDS = np.array([0.0, 1.0])
 
 
 def distances_on_the_way(path: ShapePath) -> float:
     s = np.linspace(0.0, 1.0, 301)
-    return reference_margin(leg_task_along(path, KEPT, s, 1.0))
+    return reference_margin(leg_task_along(path, Requirements(), s, 1.0))
 
 
 def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
@@ -26,18 +27,14 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     end = Hitch(team, TRIANGLE, 1.0, start.slack - start.q_legs)
     linear = ShapePath.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
-    clear = with_legs_clear(linear, KEPT)
+    clear = with_legs_clear(linear, Requirements())
     assert distances_on_the_way(clear) >= 1.0
-    legs = shapes_along(clear, np.array([0.0, 1.0])).legs
+    legs = shapes_along(clear, ENDS).legs
     np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
     flight = StraightMorph(start, end, Requirements()).solve()
     assert flight is not None
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
-
-
-def test_nothing_to_do_is_no_flight() -> None:
-    hitch = Hitch.spread(Team(3, 2.4), TRIANGLE)
-    assert StraightMorph(hitch, hitch, Requirements()).solve() is None
+    assert StraightMorph(start, start, Requirements()).solve() is None  # nothing to do
 
 
 def test_a_straight_way_that_loses_convexity_says_where() -> None:
@@ -55,16 +52,18 @@ def test_a_straight_way_that_loses_convexity_says_where() -> None:
 
 
 def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
-    weak = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.35))  # hovering needs 1.356 N
-    start, end = (Hitch.spread(weak, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
+    """Hovering needs 1.356 N."""
+
+    def flight(thrust: float) -> object:
+        team = Team(3, 2.4, quadrotor=Quadrotor(0.132, thrust))
+        start, end = (Hitch.spread(team, [[0.0, y], *TRIANGLE[1:]]) for y in (-1.0, -0.8))
+        return StraightMorph(start, end, Requirements()).solve()
+
     with pytest.raises(InfeasibleError, match="thrust") as caught:
-        StraightMorph(start, end, Requirements()).solve()
-    violation = caught.value.violations[0]
-    assert violation.value == pytest.approx(np.hypot(0.132 * 9.81, 0.4), rel=1e-9)
-    strong = Team(3, 2.4, quadrotor=Quadrotor(0.132, 1.37))
-    start, end = (Hitch.spread(strong, p) for p in (TRIANGLE, [[0.0, -0.8], *TRIANGLE[1:]]))
-    flight = StraightMorph(start, end, Requirements()).solve()
-    assert flight is not None
+        flight(1.35)
+    needed = np.hypot(0.132 * 9.81, 0.4)
+    assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
+    assert flight(1.37) is not None
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])
@@ -74,3 +73,28 @@ def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
     start, end = (Hitch.balanced(team, p) for p in (square, np.roll(square, 2, axis=0)))
     with pytest.raises(InfeasibleError, match=r"convexity: 0 deg .* at p"):
         StraightMorph(start, end, Requirements()).solve()
+
+
+def test_legs_that_lead_leave_ends_vertices_and_edges_as_they_are() -> None:
+    first, last = (regular_polygon(9, 1.3).rotated(a).translated([2.0, -1.0]) for a in (0.0, 0.3))
+    start = Hitch.balanced(Team(9, 2.0), first)
+    path = ShapePath.straight(start, Hitch.balanced(start.team, last))
+    s = np.linspace(0.0, 1.0, 11)
+    (led,) = leading(path, Limits())
+    there, here = (drones_along(each, ENDS).positions[..., 0] for each in (led, path))
+    np.testing.assert_allclose(there, here)
+    np.testing.assert_array_equal(led.flat(s).vertices, path.flat(s).vertices)
+    assert np.max(np.abs(led.flat(s).q_legs - path.flat(s).q_legs)) > 0.01
+
+
+def test_an_optimised_turn_is_faster_than_its_vertices_would_be_with_drones_in_step() -> None:
+    """At ``v`` on a chord D with drones in step: at least D/v + v/a, here with a ramp a/j more."""
+    polygon, close = regular_polygon(12, 1.3), Separation(cable=0.07, crossing=0.05)
+    start = Hitch.spread(Team(12, 2.0), polygon, separation=close)
+    goal = polygon.rotated(0.24)
+    limits = Limits()
+    plan = ho.morph(start, goal, limits=limits, separation=close, optimize=True)
+    plan.certificate.raise_if_violated()
+    chord = float(np.max(np.linalg.norm(goal.vertices - polygon.vertices, axis=1)))
+    v, a = limits.vertex_speed, limits.acceleration
+    assert chord / v < plan.duration < chord / v + v / a + a / limits.jerk - 0.05

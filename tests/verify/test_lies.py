@@ -1,23 +1,333 @@
-"""Lies that a plan's file can tell are refused, reported, or none."""
+"""A hundred kinds of lies that a plan file can tell are refused, reported, or none."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from plans import PROBLEMS, planned
-from verify_lies import LIES, REFUSED, Lie
 
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.mission.loading import parse_problem, problem_from_dict
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.values import Array
+
+Settings = dict[str, Any]
+Arrays = dict[str, Any]
+Change = Callable[[Settings, Arrays], object]
+REFUSED = "refused"
+"""The file cannot be read as a plan."""
+
+
+class Lie(NamedTuple):
+    """What is told of a plan, and the limits one of which it breaks; or why it is no lie."""
+
+    plan: str
+    words: str
+    change: Change
+    found: str
+    reason: str = ""
+
+
+def edited(name: str, edit: Callable[[Array], Array], where: Any = ...) -> Change:
+    """Edit an array, or a part of it."""
+
+    def change(_: Settings, arrays: Arrays) -> None:
+        arrays[name] = arrays[name].copy()
+        arrays[name][where] = edit(arrays[name][where])
+
+    return change
+
+
+def times(name: str, factor: float, where: Any = ...) -> Change:
+    """Multiply an array, or a part of it."""
+    return edited(name, lambda x: x * factor, where)
+
+
+def plus(name: str, value: Any, where: Any = ...) -> Change:
+    """Add to an array, or to a part of it."""
+    return edited(name, lambda x: x + value, where)
+
+
+def swapped(name: str, i: int, j: int, axis: int = 1) -> Change:
+    """Exchange two items of an array."""
+
+    def change(_: Settings, arrays: Arrays) -> None:
+        order = np.arange(arrays[name].shape[axis])
+        order[[i, j]] = order[[j, i]]
+        arrays[name] = np.take(arrays[name], order, axis)
+
+    return change
+
+
+def put(*keys: Any) -> Change:
+    """Set an entry of the settings: keys, then the value; called on the old value if that is one."""
+
+    def change(settings: Settings, _: Arrays) -> None:
+        entry: Any = settings
+        for key in keys[:-2]:
+            entry = entry[key]
+        value = keys[-1]
+        entry[keys[-2]] = value(entry[keys[-2]]) if callable(value) else value
+
+    return change
+
+
+def both(*changes: Change) -> Change:
+    """Make several changes."""
+    return lambda settings, arrays: [change(settings, arrays) for change in changes]
+
+
+def asked(*keys: Any) -> Change:
+    """Set an entry of the settings, and of what was asked."""
+    return both(put(*keys), put("asked", *keys))
+
+
+def everywhere(key: str, value: Any, name: str = "") -> Change:
+    """Set an entry of all phases, or of those with a name."""
+
+    def change(settings: Settings, _: Arrays) -> None:
+        for phase in settings["phases"]:
+            if name in ("", phase["name"]):
+                phase[key] = value(phase[key]) if callable(value) else value
+
+    return change
+
+
+def stated(old: str, new: str) -> Change:
+    """Say that phases in one state are in another one."""
+    return everywhere("state", lambda state: new if state == old else state)
+
+
+def mid(name: str, item: int, axis: int, value: float) -> Change:
+    """Move the inner coefficients of an item in its middle piece: nothing jumps but derivatives."""
+
+    def change(_: Settings, arrays: Arrays) -> None:
+        c = arrays[name] = arrays[name].copy()
+        part = c[len(c) // 2, item]
+        part = part[axis] if part.ndim > 1 else part
+        part[len(part) // 2] += value
+
+    return change
+
+
+def removed(key: str) -> Change:
+    """Take a key out of the settings, or an array."""
+    return lambda settings, arrays: (arrays if key in arrays else settings).pop(key)
+
+
+def backwards(settings: Settings, arrays: Arrays) -> None:
+    """Fly the plan from its end."""
+    del settings
+    for name in ("drones", "vertices", "legs", "tensions"):
+        arrays[name] = arrays[name][::-1, ..., ::-1]
+    breaks = arrays["breaks"]
+    arrays["breaks"] = (breaks[-1] - breaks)[::-1]
+
+
+def split(settings: Settings, arrays: Arrays) -> None:
+    """Cut the first piece in two, exactly: de Casteljau's halves."""
+    del settings
+    breaks = arrays["breaks"]
+    arrays["breaks"] = np.insert(breaks, 1, 0.5 * (breaks[0] + breaks[1]))
+    for name in ("drones", "vertices", "legs", "tensions"):
+        c = arrays[name][0]
+        left, right, rest = [c[..., 0]], [c[..., -1]], c
+        while rest.shape[-1] > 1:
+            rest = 0.5 * (rest[..., :-1] + rest[..., 1:])
+            left.append(rest[..., 0])
+            right.append(rest[..., -1])
+        halves = np.stack([np.stack(left, -1), np.stack(right[::-1], -1)])
+        arrays[name] = np.concatenate([halves, arrays[name][1:]])
+
+
+def hover(settings: Settings, arrays: Arrays) -> None:
+    """Say that nothing moves from the first piece on."""
+    del settings
+    for name in ("drones", "vertices", "legs", "tensions"):
+        arrays[name] = np.broadcast_to(arrays[name][:1, ..., :1], arrays[name].shape).copy()
+
+
+def assigned(change: Callable[[list[int], list[bool]], object]) -> Change:
+    """Change which of three robots fly which roles, and which ends."""
+
+    def told(settings: Settings, _: Arrays) -> None:
+        given = settings.setdefault("assignment", {"robots": [0, 1, 2], "flipped": [False] * 3})
+        change(given["robots"], given["flipped"])
+
+    return told
+
+
+exchanged = assigned(lambda robots, _: robots.insert(0, robots.pop(1)))
+flipped = assigned(lambda _, ends: ends.__setitem__(0, not ends[0]))
+
+
+def pieces_in(settings: Settings, arrays: Arrays, state: str) -> list[Any]:
+    """Return the pieces of every phase in a state."""
+    middles = 0.5 * (arrays["breaks"][1:] + arrays["breaks"][:-1])
+    spans = [(p["start"], p["end"]) for p in settings["phases"] if p["state"] == state]
+    return [np.flatnonzero((middles > start) & (middles < end)) for start, end in spans]
+
+
+def turned_back(settings: Settings, arrays: Arrays) -> None:
+    """Let drones turn back where they should turn on: the first swap, backwards, for the second."""
+    first, second = pieces_in(settings, arrays, "clasping")
+    arrays["drones"] = arrays["drones"].copy()
+    arrays["drones"][second] = arrays["drones"][first[::-1], ..., ::-1]
+
+
+def at_once(settings: Settings, arrays: Arrays) -> None:
+    """Let cables pull as soon as there is a hitch."""
+    arrays["tensions"] = arrays["tensions"].copy()
+    for pieces in pieces_in(settings, arrays, "hitched"):
+        arrays["tensions"][pieces] = arrays["tension"][:, None]
+
+
+def turning(_: Settings, arrays: Arrays) -> None:
+    """Turn what is carried by 0.3 rad against its clasps."""
+    c, s = np.cos(0.3), np.sin(0.3)
+    arrays["poses"] = arrays["poses"].copy()
+    arrays["poses"][:, 2, 3:5] = np.einsum(
+        "ij,tjk->tik", [[c, -s], [s, c]], arrays["poses"][:, 2, 3:5]
+    )
+
+
+def small_rim(settings: Settings, _: Arrays) -> None:
+    """Make the rim half as wide, as it is and as it was asked."""
+    for objects in (settings["objects"], settings["asked"]["objects"]):
+        rim = objects["box"]["rim"]["section"]
+        rim.update({key: (0.5 * np.array(x)).tolist() for key, x in rim.items() if x is not None})
+
+
+def lifted(settings: Settings, arrays: Arrays) -> None:
+    """Let the box be 5 cm higher all the time, as it is and as it was asked."""
+    asked("objects", "box", "at", lambda at: [*at[:2], at[2] + 0.05])(settings, arrays)
+    index = list(settings["objects"]).index("box")
+    plus("poses", 0.05, (slice(None), index, 2))(settings, arrays)
+
+
+ASKED = ("asked", "team")
+LIES = [
+    # Polynomials.
+    Lie("morph", "one drone flies 3 cm aside", plus("drones", 0.03, (slice(None), 0, 0)), "story"),
+    Lie("morph", "a drone makes a detour within a piece", mid("drones", 1, 2, 0.05), "speed|acceleration|jerk"),
+    Lie("morph", "a drone jumps by a hundredth of a millimetre", plus("drones", 1e-5, (slice(20, None), 3, 1)), "continuity"),
+    Lie("morph", "a vertex makes a detour", mid("vertices", 0, 0, 0.05), "cable_length"),
+    Lie("morph", "vertices are lifted", plus("vertices", 0.05, (slice(None), slice(None), 2)), "cable_length"),
+    Lie("morph", "all is mirrored", both(times("drones", -1.0, np.s_[:, :, 0]), times("vertices", -1.0, np.s_[:, :, 0])), "convexity"),
+    Lie("morph", "two vertices are exchanged", swapped("vertices", 0, 1), "cable_length"),
+    Lie("morph", "two drones are exchanged", swapped("drones", 0, 1), "story"),
+    Lie("morph", "it is flown backwards", backwards, "story"),
+    Lie("morph", "nothing moves", hover, "", "hovering where one starts breaks no limit; where a plan ends is no limit"),
+    Lie("morph", "a piece is written twice as long", lambda s, a: a.update(breaks=a["breaks"] + np.where(np.arange(len(a["breaks"])) > 9, 1e-3, 0)), "story"),
+    Lie("morph", "it takes half of the time", both(times("breaks", 0.5), everywhere("start", lambda t: t / 2), everywhere("end", lambda t: t / 2)), "acceleration"),
+    Lie("morph", "it takes twice the time", both(times("breaks", 2.0), everywhere("start", lambda t: 2 * t), everywhere("end", lambda t: 2 * t)), "", "a slower flight keeps all limits; no duration was asked"),
+    Lie("morph", "a piece is cut in two", split, "", "the same curves in other pieces"),
+    Lie("morph", "a number is not one", plus("drones", np.nan, (3, 0, 0, 0)), REFUSED),
+    Lie("morph", "a drone is missing", lambda s, a: a.update(drones=a["drones"][:, :-1]), REFUSED),
+    Lie("morph", "breaks run back", swapped("breaks", 3, 4, 0), REFUSED),
+    Lie("morph", "no vertices", removed("vertices"), REFUSED),
+    Lie("morph", "another format", lambda s, a: a.update(format=np.array("hitchopt-plan/9")), REFUSED),
+    # Legs, lengths, tensions.
+    Lie("morph", "legs are told 1 mm longer", plus("legs", 1e-3), "cable_length"),
+    Lie("morph", "a cable is told longer", times("cable_length", 1.01, 0), "story"),
+    Lie("morph", "a cable is told, and asked, longer", both(times("cable_length", 1.01, 0), put(*ASKED, "cable_length", lambda x: [x[0] * 1.01, *x[1:]])), "cable_length"),
+    Lie("morph", "tensions are told to be twice as large", times("tensions", 2.0), "tension"),
+    Lie("morph", "tensions and those asked are twice as large", both(times("tensions", 2.0), times("tension", 2.0), put(*ASKED, "tension", lambda x: [2 * t for t in x])), "", "tensions are asked then, and drones can pull so"),
+    Lie("morph", "a team's tension is another", times("tension", 1.1), "story"),
+    Lie("morph", "one cable pulls harder", both(times("tensions", 1.2, (slice(None), 0)), times("tension", 1.2, 0), put(*ASKED, "tension", lambda x: [1.2 * x[0], *x[1:]])), "equilibrium"),
+    Lie("morph", "tensions of no pull", times("tensions", 0.0), "tension"),
+    Lie("morph", "a phase allows any tension", both(times("tensions", 1.5), everywhere("tension", [0.1, 9.0])), "tension"),
+    # The team.
+    Lie("morph", "drones are told lighter", times("mass", 0.5), "story"),
+    Lie("morph", "drones are told, and asked, heavier", both(times("mass", 3.0), put(*ASKED, "quadrotor", lambda x: [{**k, "mass": 3 * k["mass"]} for k in x])), "thrust"),
+    Lie("morph", "motors are told, and asked, weaker", both(times("max_thrust", 0.5), put(*ASKED, "quadrotor", lambda x: [{**k, "max_thrust": 0.5 * k["max_thrust"]} for k in x])), "thrust"),
+    Lie("morph", "cables have weight", put("team", "cable_density", 0.01), "story"),
+    Lie("morph", "cables have weight, and were asked to", asked("team", "cable_density", 0.03), "equilibrium"),
+    Lie("morph", "clasps carry a load", put("team", "load", [0.02] * 3), "story"),
+    Lie("morph", "clasps carry a load, and were asked to", asked("team", "load", [0.02] * 3), "equilibrium"),
+    Lie("morph", "friction is told higher", put("team", "cable_friction", 0.3), "story"),
+    Lie("morph", "an open chain", put("team", "topology", "open"), REFUSED),
+    # Limits and what was asked.
+    Lie("morph", "a faster limit", put("limits", "speed", 9.0), "story"),
+    Lie("morph", "a slower limit, asked as well", asked("limits", "speed", 0.1), "speed"),
+    Lie("morph", "half of all jerk is left for stops, as asked", asked("limits", "reserve", 0.5), "jerk"),
+    Lie("morph", "less tilt, asked as well", both(put("limits", "tilt", np.radians(20.0)), put("asked", "limits", "tilt_deg", 20.0)), "tilt"),
+    Lie("morph", "a turning rate, asked as well", both(put("limits", "body_rate", np.radians(5.0)), put("asked", "limits", "body_rate_deg", 5.0)), "body_rate"),
+    Lie("morph", "longer legs, asked as well", asked("limits", "leg", 0.5), "legs"),
+    Lie("morph", "a duration, asked as well", asked("limits", "duration", 1.0), "duration"),
+    Lie("morph", "smaller drones", put("separation", "radius", 0.05), "story"),
+    Lie("morph", "larger drones, asked as well", asked("separation", "radius", 0.25), "separation"),
+    Lie("morph", "wider crossings, asked as well", asked("separation", "crossing", 1.5), "crossing"),
+    Lie("morph", "a lower ceiling, asked as well", asked("arena", "upper", [4, 4, 0.5]), "arena"),
+    Lie("morph", "a wall in the way that nobody asked", put("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1], [1, 0]], "lower": 0, "upper": 3}]), "story"),
+    Lie("morph", "a wall in the way, asked", asked("keep_out", [{"polygon": [[-1, -1], [-1, 1], [1, 1], [1, -1]], "lower": 0.0, "upper": 3.0}]), "keep_out"),
+    Lie("morph", "nothing was asked", removed("asked"), "story"),
+    Lie("morph", "another start was asked", put("asked", "start", "drones", "q", lambda q: [[q[0][0] + 0.1, *q[0][1:]], *q[1:]]), "story"),
+    Lie("morph", "a title", put("title", "another one"), "", "a title is a label"),
+    Lie("morph", "phases have other names", everywhere("name", "fly"), "", "names of phases are labels"),
+    # Phases.
+    Lie("morph", "a phase ends too early", everywhere("end", lambda t: t - 0.1), "story"),
+    Lie("morph", "a phase overlaps", everywhere("start", lambda t: t - 0.01), "story"),
+    Lie("morph", "cables hang free", everywhere("state", "hanging free"), "story"),
+    Lie("morph", "a state that there is not", everywhere("state", "asleep"), REFUSED),
+    Lie("morph", "it holds what is not there", everywhere("hold", {"object": "box", "by": "rest", "cables": [0]}), REFUSED),
+    # Forming.
+    Lie("form", "robots fly each other's roles", exchanged, "story"),
+    Lie("form", "a robot is turned around", flipped, "story"),
+    Lie("unlike", "masses of two roles are exchanged", swapped("mass", 0, 1, 0), "story"),
+    Lie("unlike", "robots fly each other's roles, masses and all", both(exchanged, swapped("mass", 0, 1, 0)), "story"),
+    Lie("unlike", "a robot is turned around", flipped, "story"),
+    Lie("unlike", "lengths of all roles are shifted", lambda s, a: a.update(cable_length=np.roll(a["cable_length"], 1)), "story"),
+    Lie("form", "clasping is said to hang free", stated("clasping", "hanging free"), "interlacing"),
+    Lie("form", "clasping is said to be tightening", stated("clasping", "being tightened"), "interlacing"),
+    Lie("form", "hanging free is said to be on the ground", stated("hanging free", "on the ground"), "story"),
+    Lie("form", "tightening is said to be hitched", stated("being tightened", "hitched"), "cable_length"),
+    Lie("form", "the hitch was there at first", everywhere("state", "hitched"), "cable_length"),
+    Lie("form", "the hitch is never there", stated("hitched", "being tightened"), "story"),
+    Lie("form", "the second swap turns back", turned_back, "interlacing"),
+    Lie("form", "drones fly 1.4 m lower", both(plus("drones", -1.4, (slice(None), slice(None), 2)), plus("vertices", -1.4, (slice(None), slice(None), 2)), put("asked", "start", "drones", lambda d: {k: [[x, y, z - 1.4] for x, y, z in v] for k, v in d.items()})), "cable_clearance"),
+    Lie("form", "tension is there at once", at_once, "tension"),
+    # Friction.
+    Lie("slid", "legs pull 10 % harder", times("leg_tensions", 1.1), "equilibrium"),
+    Lie("slid", "legs pull as their cables", removed("leg_tensions"), REFUSED),
+    Lie("slid", "no friction, asked as well", asked("team", "cable_friction", 0.0), "equilibrium"),
+    # Carrying.
+    Lie("carry", "the box floats 5 cm above its clasps", plus("poses", 0.05, (slice(None), 2, 2)), "story"),
+    Lie("carry", "the box is heavier, asked as well", asked("objects", "box", "mass", 0.3), "equilibrium"),
+    Lie("carry", "the box bears nothing", times("borne", 0.0), "story"),
+    Lie("carry", "nothing is held", everywhere("hold", None), "story"),
+    Lie("carry", "it is gripped", everywhere("hold", lambda h: h and {**h, "by": "grip"}), "grip|equilibrium|story"),
+    Lie("carry", "it is held while it is enclosed", everywhere("hold", {"object": "box", "by": "rest", "cables": [0, 1, 2, 3]}, "enclose"), "story"),
+    Lie("carry", "the box stays where it was", lambda s, a: a.update(poses=np.broadcast_to(a["poses"][:1, ..., :1], a["poses"].shape).copy()), "rim"),
+    Lie("carry", "the box turns", turning, "story|rim"),
+    Lie("carry", "the box is fixed", put("objects", "box", "fixed", True), "story"),
+    Lie("carry", "a smooth rim, asked as well", asked("objects", "box", "friction", 0.01), "rim"),
+    Lie("carry", "a smaller rim, asked as well", small_rim, "rim"),
+    Lie("carry", "a taller box, asked as well", asked("objects", "box", "upper", 0.9), "enters|support|object_clearance|keep_out"),
+    Lie("carry", "objects farther from cables, asked as well", asked("separation", "object", 0.2), "object_clearance"),
+    Lie("carry", "the box stands in the air at first", lifted, "story"),
+    Lie("carry", "no objects", removed("objects"), REFUSED),
+    Lie("grip", "contacts are 2 cm off", plus("contacts", 0.02, (slice(None), 0, 0, 0)), "grip"),
+    Lie("grip", "the drum is heavier, asked as well", asked("objects", "drum", "mass", 0.3), "grip"),
+    Lie("grip", "the drum is smoother, asked as well", asked("objects", "drum", "friction", 0.1), "grip"),
+    Lie("grip", "edges run straight", removed("contacts"), REFUSED),
+    Lie("grip", "edges are said to be straight", lambda s, a: s.pop("contacts"), "cable_length|enters|equilibrium"),
+    # Single drones.
+    Lie("swarm", "two drones are exchanged", swapped("drones", 0, 1), "story"),
+    Lie("swarm", "two drones fly the same way", lambda s, a: a.update(drones=a["drones"][:, [0, 0, 2, 3, 4, 5]]), "separation"),
+    Lie("swarm", "a drone is tied", everywhere("state", "hitched"), "story"),
+    Lie("chain", "the chain is closed", put("team", "topology", "closed"), REFUSED),
+    Lie("chain", "an end of the chain hangs on", plus("legs", 0.1, (slice(None), 0, 0)), "cable_length"),
+    Lie("chain", "an end of the chain leaves its point", plus("drones", 0.05, (slice(None), 0, 2)), "story|cable_length"),
+]  # fmt: skip
 
 PLANS = {
     "morph": "triangle",

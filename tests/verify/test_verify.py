@@ -17,7 +17,6 @@ from hitchopt import verify as second
 from hitchopt.cli import main
 
 SCRIPT = Path(second.__file__)
-
 QUICK = ("triangle", "open_chain", "friction", "weight_hexagon", "form_square", "swarms/circle_6")
 SLOW = ("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon")
 OWN = {"story", "strands", "contact", "enters", "rim"}

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from plans import planned
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import attitudes, states_at
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def random_jets(seed: int, count: int = 40) -> tuple[Array, Array]:
@@ -50,30 +48,6 @@ def test_body_rates_are_those_at_which_the_attitude_turns(yaw: float) -> None:
     np.testing.assert_allclose(turned, found, rtol=1e-6, atol=1e-6)
 
 
-def test_roll_and_pitch_rates_are_the_thrust_s_turning_rate() -> None:
-    thrusts, rates = random_jets(3)
-    turning = np.linalg.norm(np.cross(thrusts, rates), axis=-1) / np.sum(thrusts**2, axis=-1)
-    for yaw in (0.0, 1.0):
-        found = attitudes(thrusts, rates, yaw).body_rates
-        np.testing.assert_allclose(np.hypot(found[:, 0], found[:, 1]), turning, rtol=1e-12)
-
-
-def test_turning_everything_by_a_yaw_changes_no_body_rate() -> None:
-    thrusts, rates = random_jets(4)
-    turn = Rotation.from_euler("z", 0.9)
-    here, there = attitudes(thrusts, rates), attitudes(turn.apply(thrusts), turn.apply(rates), 0.9)
-    np.testing.assert_allclose(there.body_rates, here.body_rates, atol=1e-12)
-    both = (turn * rotation_of(here.quaternions)).as_matrix()
-    np.testing.assert_allclose(rotation_of(there.quaternions).as_matrix(), both, atol=1e-13)
-
-
-def test_the_size_of_the_thrust_does_not_matter() -> None:
-    thrusts, rates = random_jets(5)
-    here, there = attitudes(thrusts, rates), attitudes(3.0 * thrusts, 3.0 * rates - 2.0 * thrusts)
-    np.testing.assert_allclose(there.body_rates, here.body_rates, atol=1e-11)
-    np.testing.assert_allclose(there.quaternions, here.quaternions, atol=1e-14)
-
-
 def hitched() -> Motion:
     team = ho.Team(3, cable_length=[2.3, 2.5, 2.4], tension=[0.4, 0.5, 0.45], cable_density=0.004)
     start = ho.Hitch.spread(team, [[0.1, -1.0], [-0.4, 0.5], [0.5, 0.5]], altitude=1.2)
@@ -102,14 +76,7 @@ def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
     np.testing.assert_allclose(third, (thrusts / size).reshape(-1, 3), atol=1e-13)
 
 
-def test_a_plan_that_has_ended_does_not_turn() -> None:
-    motion = hitched()
-    over = states_at(motion, motion.duration + 1.0)
-    assert not np.any(over.body_rates)
-    assert not np.any(over.thrust_rates(motion.team))
-
-
-def test_a_part_of_a_motion_has_the_states_of_the_whole() -> None:
+def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_not_turn() -> None:
     """Counted from the part's own start."""
     motion = hitched()
     start = float(motion.drones.breaks[2])
@@ -118,3 +85,6 @@ def test_a_part_of_a_motion_has_the_states_of_the_whole() -> None:
     here, there = states_at(part, t), states_at(motion, start + t)
     for name in ("positions", "velocities", "vertices", "cable_forces"):
         np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-9)
+    over = states_at(motion, motion.duration + 1.0)
+    assert not np.any(over.body_rates)
+    assert not np.any(over.thrust_rates(motion.team))

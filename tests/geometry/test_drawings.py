@@ -32,6 +32,7 @@ def size_and_area(outline: Array) -> tuple[float, float, float]:
 
 POLYGON = {"type": "Polygon", "coordinates": [RING]}
 FEATURE = {"type": "Feature", "properties": {}, "geometry": POLYGON}
+
 BOXES: list[tuple[str, str, float]] = [
     ("a.svg", SVG.format(size='width="400mm" height="300mm" ', shape=RECTANGLE), 1.0),
     ("a.svg", SVG.format(size="", shape=SMALL), 10.0),
@@ -73,46 +74,44 @@ def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     assert ho.Section(outline).area == pytest.approx(math.pi * 0.04, rel=2e-3)
 
 
-def dxf(path: Path, units: int, draw: Callable[[Any], object], **made: bool) -> Array:
-    """The outline of what is drawn into a drawing's model space."""
-    drawing = import_module("ezdxf").new(units=units, **made)
+def lines(space: Any) -> None:
+    corners = [(0, 0), (16, 0), (16, 12), (0, 12)]
+    for first, last in zip(corners, corners[1:] + corners[:1], strict=True):
+        space.add_line(first, last)
+    space.add_text("not a part of it")
+
+
+def arcs(space: Any) -> None:
+    space.add_arc((0, 0), 0.2, 90, 270)
+    space.add_line((0, -0.2), (0.3, -0.2))
+    space.add_arc((0.3, 0), 0.2, 270, 90)
+    space.add_line((0.3, 0.2), (0, 0.2))
+
+
+def block(space: Any) -> None:
+    part = space.doc.blocks.new("part")
+    part.add_lwpolyline([(0, 0), (400, 0), (400, 150), (0, 150)], close=True)
+    space.add_blockref("part", (50, 20), dxfattribs={"yscale": 2.0})
+    space.add_linear_dim(base=(0, -30), p1=(0, 0), p2=(200, 0)).render()  # no part of it
+
+
+@pytest.mark.parametrize(
+    ("units", "draw", "expected"),
+    [
+        (4, lines, (16e-3, 12e-3, 192e-6)),
+        (0, lines, (16.0, 12.0, 192.0)),
+        (6, arcs, (0.7, 0.4, math.pi * 0.04 + 0.12)),
+        (4, block, (0.4, 0.3, 0.12)),
+    ],
+)
+def test_dxf_lines_are_joined_and_converted_and_blocks_taken_apart(
+    tmp_path: Path, units: int, draw: Callable[[Any], object], expected: tuple[float, float, float]
+) -> None:
+    drawing = import_module("ezdxf").new(units=units, setup=draw is block)
     draw(drawing.modelspace())
-    drawing.saveas(path / "a.dxf")
-    return read_outline(path / "a.dxf")
-
-
-@pytest.mark.parametrize(("units", "scale"), [(4, 1e-3), (0, 1.0)])
-def test_dxf_lines_are_joined_and_converted(tmp_path: Path, units: int, scale: float) -> None:
-    def draw(space: Any) -> None:
-        corners = [(0, 0), (16, 0), (16, 12), (0, 12)]
-        for first, last in zip(corners, corners[1:] + corners[:1], strict=True):
-            space.add_line(first, last)
-        space.add_text("not a part of it")
-
-    found = size_and_area(dxf(tmp_path, units, draw))
-    assert found == pytest.approx((16 * scale, 12 * scale, 192 * scale**2), rel=1e-4)
-
-
-def test_dxf_arcs_close_an_outline(tmp_path: Path) -> None:
-    def draw(space: Any) -> None:
-        space.add_arc((0, 0), 0.2, 90, 270)
-        space.add_line((0, -0.2), (0.3, -0.2))
-        space.add_arc((0.3, 0), 0.2, 270, 90)
-        space.add_line((0.3, 0.2), (0, 0.2))
-
-    area = size_and_area(dxf(tmp_path, 6, draw))[2]
-    assert area == pytest.approx(math.pi * 0.04 + 0.12, rel=2e-3)
-
-
-def test_dxf_blocks_are_taken_apart_and_dimensions_are_no_part(tmp_path: Path) -> None:
-    def draw(space: Any) -> None:
-        block = space.doc.blocks.new("part")
-        block.add_lwpolyline([(0, 0), (400, 0), (400, 150), (0, 150)], close=True)
-        space.add_blockref("part", (50, 20), dxfattribs={"yscale": 2.0})
-        space.add_linear_dim(base=(0, -30), p1=(0, 0), p2=(200, 0)).render()
-
-    found = size_and_area(dxf(tmp_path, 4, draw, setup=True))
-    assert found == pytest.approx((0.4, 0.3, 0.12))
+    drawing.saveas(tmp_path / "a.dxf")
+    found = size_and_area(read_outline(tmp_path / "a.dxf"))
+    assert found == pytest.approx(expected, rel=2e-3 if draw is arcs else 1e-4)
 
 
 def test_holes_of_geometries_are_left_out() -> None:

@@ -1,0 +1,230 @@
+"""Hitches at rest: balance at the clasps, lengths, loads and roll, open ends, closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from clasp_balance import KINDS, random_hitch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.geometry import regular_polygon
+from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.forces import (
+    ClaspLoads,
+    cable_of,
+    contact_forces,
+    leg_directions,
+    sag_factors,
+    shortening,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+topologies = st.sampled_from(["closed", "open"])
+RHO = 9.81 * 0.01
+"""[N/m] Weight of the cables here."""
+
+
+@given(seeds, st.integers(3, 9), topologies, st.sampled_from(KINDS))
+@settings(max_examples=120)
+def test_clasps_balance_and_cables_have_their_length(
+    seed: int, n: int, topology: str, kind: str
+) -> None:
+    """Written out: at every clasp half of the cables about it, and the arc of every span."""
+    h = random_hitch(seed, n, topology, kind)
+    T, layout, rho = h.team.tension, h.team.layout, 9.81 * h.team.cable_density
+    p, x = h.vertices, h.drones.reshape(-1, 2, 3)
+    here, following = p[layout.starts], p[layout.ends]
+    spans = np.stack([x[:, 0] - here, following - here, x[:, 1] - following], axis=1)
+    length = np.linalg.norm(spans, axis=-1)
+    level = np.hypot(spans[..., 0], spans[..., 1])
+    arcs = length + (rho / T[:, None]) ** 2 * length * level**2 / 24.0
+    tolerance = 2e-7 if rho else 1e-12
+    np.testing.assert_allclose(np.sum(arcs, axis=1), h.team.cable_length, rtol=tolerance)
+    np.testing.assert_allclose(h.legs, length[:, ::2], atol=1e-15)
+    if kind in KINDS[:2]:
+        np.testing.assert_allclose(x[..., 2], 0.8)
+    if topology == "open":
+        np.testing.assert_array_equal(x[0, 0], p[0])
+        np.testing.assert_allclose(x[-1, 1], p[-1], atol=1e-15)
+    # The pull of legs with weight is found by iteration; lengths of parts count as their cables'.
+    tolerance = {"loaded": 1e-12, "heavy": 3e-4}.get(kind, 1e-9)
+    for k, clasp in enumerate(layout.clasps):
+        a, b = layout.ahead[k], layout.behind[k]
+        weight = 0.5 * rho * (arcs[a, 0] + arcs[a, 1] + arcs[b, 1] + arcs[b, 2])
+        force = np.array([0.0, 0.0, -weight - 9.81 * h.team.load[k]])
+        for cable, part, sign in ((a, 0, 1.0), (a, 1, 1.0), (b, 2, 1.0), (b, 1, -1.0)):
+            half, sine = (
+                0.5 * rho * length[cable, part],
+                spans[cable, part, 2] / length[cable, part],
+            )
+            pull = half * sine + math.sqrt(T[cable] ** 2 - half**2 * (1.0 - sine**2))
+            force += sign * pull * spans[cable, part] / length[cable, part]
+        assert np.linalg.norm(force) < tolerance * T[a], clasp
+
+
+@given(seeds, st.integers(3, 30))
+@settings(max_examples=30)
+def test_equal_tensions_give_the_papers_positions(seed: int, n: int) -> None:
+    """Its eq. (4), written out robot by robot."""
+    h = random_hitch(seed, n, kind="equal")
+    p, u = h.polygon.vertices, h.polygon.edge_directions
+    for k in range(n):
+        d, e = h.legs[k]
+        ahead = (k + 1) % n
+        np.testing.assert_allclose(h.drones[2 * k, :2], p[k] + d * u[k - 1], atol=1e-12)
+        np.testing.assert_allclose(h.drones[2 * k + 1, :2], p[ahead] - e * u[ahead], atol=1e-12)
+
+
+@given(seeds, st.integers(3, 12), topologies)
+@settings(max_examples=60)
+def test_contact_forces_follow_the_closed_form_and_press(seed: int, n: int, topology: str) -> None:
+    h = random_hitch(seed, n, topology)
+    layout, u, T = h.team.layout, h.polygon.edge_directions, h.team.tension
+    a, b = layout.ahead, layout.behind
+    V = T[b, None] * u[b] - T[a, None] * u[a]
+    sine = u[b, 1] * u[a, 0] - u[b, 0] * u[a, 1]
+    forces = contact_forces(u, T, topology)
+    expected = 2.0 * T[a] * T[b] * sine / np.linalg.norm(V, axis=1)
+    np.testing.assert_allclose(forces, expected, rtol=1e-9)
+    assert np.all(forces > 0.0)
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_the_cable_pulls_drones_toward_their_vertices(topology: str) -> None:
+    """Toward its edge's other end where a chain's end has no leg."""
+    team = Team(3, 2.4, topology=topology, tension=[0.4, 0.5, 0.45])
+    points = [[1.0, 0.0], [0.6, 1.5], [1.4, 1.5], [1.7, 0.5]]
+    h = Hitch.balanced(team, points[: len(points) - (topology == "closed")])
+    p = h.vertices
+    ends = [(p[k], p[(k + 1) % len(p)]) for k in range(3)]
+    if topology == "open":
+        ends[0], ends[-1] = (p[1], p[1]), (p[2], p[2])
+    toward = np.reshape(ends, (6, 3)) - h.drones
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    expected = np.repeat([0.4, 0.5, 0.45], 2)[:, None] * toward
+    np.testing.assert_allclose(h.cable_forces, expected, atol=1e-12)
+
+
+def test_a_positive_roll_raises_q_and_lowers_the_other_drone_of_its_clasp() -> None:
+    team = Team(5, 2.0)
+    h = Hitch.balanced(team, regular_polygon(5, 1.0), roll=[0.0, 0.3, 0.0, -0.2, 0.0])
+    raised = h.drones[0::2, 2] - 1.0
+    lowered = np.roll(h.drones[1::2, 2], 1) - 1.0
+    np.testing.assert_array_equal(np.sign(raised).round(9), [0.0, 1.0, 0.0, -1.0, 0.0])
+    np.testing.assert_allclose(lowered, -raised, atol=1e-12)
+    # Half of the interior angle is between legs and V, about which they turn.
+    h_over_T = math.sin(0.5 * math.radians(108.0))
+    assert raised[1] == pytest.approx(0.5 * h_over_T * math.sin(0.3), rel=1e-12)
+
+
+@pytest.mark.parametrize("n", [3, 4, 6, 12])
+def test_the_largest_weight_of_regular_hitches(n: int) -> None:
+    """``W < 2 n T cos(π/n)`` of all clasps together; legs rise by ``sin α = W / 2nT``."""
+    most = 2.0 * 0.6 * math.cos(math.pi / n)
+    for share in (0.5, 0.999):
+        team = Team(n, 2.0, tension=0.6, load=share * most / 9.81)
+        h = Hitch.balanced(team, regular_polygon(n, 1.0))
+        rise = (h.drones[:, 2] - 1.0) / 0.5
+        np.testing.assert_allclose(rise, share * most / 1.2, rtol=1e-9)
+    with pytest.raises(InfeasibleError, match=r"load: .* above the limit of .* at p\d") as told:
+        Hitch.balanced(replace(team, load=np.full(n, 1.25 * most / 9.81)), regular_polygon(n, 1.0))
+    (violation,) = told.value.violations
+    assert violation.value == pytest.approx(1.25 * most, rel=1e-9)
+    assert violation.limit == pytest.approx(most, rel=1e-9)
+    assert "team.tension 1.25 times" in violation.remedy
+    Hitch.balanced(
+        replace(team, load=np.full(n, 1.25 * most / 9.81), tension=np.full(n, 0.6 * 1.26)),
+        regular_polygon(n, 1.0),
+    )
+
+
+@given(seeds, st.integers(3, 9))
+@settings(max_examples=30)
+def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    edges = rng.normal(size=(n, 3))
+    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
+    T = rng.uniform(0.8, 1.0, n)
+    forces, roll = 0.05 * rng.normal(size=(n, 3)), rng.uniform(-1.0, 1.0, n)
+    V = np.roll(T, 1)[:, None] * np.roll(edges, 1, axis=0) - T[:, None] * edges - forces
+    size = np.linalg.norm(V, axis=1)
+    if np.any(size > 0.98 * (T + np.roll(T, 1))) or np.any(size < 0.3):
+        return
+    none = np.zeros((n, 2))
+    q, r = leg_directions(edges, T, loads=ClaspLoads(forces, none, roll, none))
+    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
+    held = T[:, None] * q + np.roll(T[:, None] * r, 1, axis=0)
+    np.testing.assert_allclose(held, V, atol=1e-12)
+
+
+def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
+    """Nearly straight cables of unlike tensions, whose legs pull harder the higher they rise."""
+    rng = np.random.default_rng(5)
+    told: list[Violation] = []
+    for _ in range(300):
+        angles = np.cumsum(rng.uniform(0.0, 0.2, 2))
+        u = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(2)])
+        T, halves = rng.uniform(0.3, 0.5, 2), rng.uniform(0.0, 0.2, (1, 2))
+        forces = np.zeros((1, 3))
+        forces[0, 2] = -np.sum(halves) - rng.uniform(0.0, 0.4)
+        forces[0, :2] = rng.choice([0.0, 0.3]) * rng.normal(size=2)
+        loads = ClaspLoads(forces, halves, np.zeros(1), np.zeros((1, 2)))
+        try:
+            leg_directions(u, T, "open", loads)
+        except InfeasibleError as error:
+            told += error.violations
+    assert {violation.constraint for violation in told} == {"load", "tension"}
+    assert all(violation.value > violation.limit for violation in told)
+
+
+def test_thrust_of_a_weight_shared_alike() -> None:
+    """``(m g + ½ ρ g d + P sin α)² + (P cos α)²``, P the pull along the leg."""
+    h = Hitch.balanced(
+        Team(6, 2.2, tension=0.5, cable_density=0.01, load=0.01), regular_polygon(6, 1.0)
+    )
+    weight = 9.81 * 0.01 + RHO * (h.q_legs[0] + 2.2 - h.r_legs[0] - h.q_legs[0])
+    d = h.legs[0, 0]
+    sine = (h.drones[0, 2] - 1.0) / d
+    half = 0.5 * RHO * d
+    pull = half * sine + math.sqrt(0.25 - half**2 * (1.0 - sine**2))
+    assert pull * sine == pytest.approx(0.5 * weight, rel=1e-5)
+    force = h.cable_forces
+    np.testing.assert_allclose(-force[:, 2], 0.5 * RHO * d + 0.5 * weight, rtol=1e-5)
+    level = np.hypot(force[:, 0], force[:, 1])
+    np.testing.assert_allclose(level, pull * math.sqrt(1.0 - sine**2), rtol=1e-9)
+
+
+def test_the_arc_of_a_span_and_its_chord() -> None:
+    """A parabola's length by quadrature, and the inverse of the series."""
+    team = Team(3, 2.4, tension=[0.4, 0.5, 0.6], cable_density=0.01)
+    factors = sag_factors(team, team.tension)
+    chord = np.array([[0.9, -0.5, 0.0], [0.3, 0.4, 0.35], [0.0, 0.0, 0.7]])
+    x = np.linspace(-0.5, 0.5, 20_001)
+    for k in range(3):
+        level = math.hypot(chord[k, 0], chord[k, 1])
+        size = float(np.linalg.norm(chord[k]))
+        length = size
+        if level > 0.0:  # the slope changes by weight over level pull from end to end
+            slope = chord[k, 2] / level + RHO * size / (team.tension[k] * level / size) * x
+            length = level * float(np.trapezoid(np.sqrt(1.0 + slope**2), x))
+        cable = cable_of(chord, factors)[k]
+        assert cable - size == pytest.approx(length - size, rel=0.02, abs=1e-9)
+        share = factors[k] * cable**2 * (level / size) ** 2
+        assert cable * shortening(np.asarray(share)) == pytest.approx(size, rel=1e-9)
+
+
+def test_a_leg_at_a_chains_end_is_no_choice() -> None:
+    team = Team(2, [2.0, 2.2], topology="open", tension=[0.4, 0.45])
+    points = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
+    slack = 2.2 - math.hypot(1.2, 0.8)
+    h = Hitch(team, points, 1.2, [0.0, round(slack, 5)])  # to within 1e-4 of the cable: as meant
+    assert h.q_legs[1] == pytest.approx(slack, abs=1e-15)
+    with pytest.raises(InfeasibleError, match=r"above the limit of 0 m at q0; q0 stands at the ch"):
+        Hitch(team, points, 1.2, [0.1, slack])
+    with pytest.raises(InfeasibleError, match=r"at q1; r1 stands at the chain's end, .* 0\.75777"):
+        Hitch(team, points, 1.2, [0.0, slack - 0.01])

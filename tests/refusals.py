@@ -1,0 +1,22 @@
+"""What every refusal has: the key of what is wrong, words that say how, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+import hitchopt as ho
+
+Refusal = tuple[Callable[[], object], str, str]
+"""A call, the key that its error names, and a part of its message."""
+
+
+def assert_refused(call: Callable[[], object], key: str, words: str) -> None:
+    """Check that a call ends with an InputError of this key and with these words in it."""
+    with pytest.raises(ho.InputError) as caught:
+        call()
+    assert caught.value.key == key
+    assert words in str(caught.value)
+    assert caught.value.bound
+    assert caught.value.remedy
