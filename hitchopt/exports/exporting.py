@@ -31,12 +31,10 @@ from hitchopt.exports.held_tension import PositionLoop, held_tension
 from hitchopt.exports.options import HOMES, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, read_manifest
-from hitchopt.hitch import Swarm
 from hitchopt.hitch.forces import undetermined_tension
-from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
-from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
@@ -117,10 +115,6 @@ def export_motion(
     )
     _refuse_taken(place)
     certificate = certify(plan, say)
-    if options.stretch > 1.0 and motion.borne is not None and certificate.violated:
-        words = f"with --stretch {options.stretch:g}: legs lean by the inertia of what is carried"
-        remedy = "stretch it less, or plan the steps with a longer duration"
-        raise InfeasibleError(each.violation(words, remedy) for each in certificate.violated)
     certificate.raise_if_violated()
     if options.hold_tension:
         loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
@@ -145,57 +139,52 @@ def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple
 def _written(
     kind: Format, task: Task, certificate: Certificate, scratch: Path, say: Progress
 ) -> list[Export]:
-    """Write the first arrangement that loses nothing, or raise what the first of all loses."""
+    """Write the first arrangement that loses nothing, or raise what the first of all loses.
+
+    They are the whole task, the same slower where that may help, then parts of it.
+    """
     refusals: list[InfeasibleError] = []
-    try:
-        for number, (tasks, kept) in enumerate(_arrangements(kind, task, certificate, refusals)):
+
+    def arrangements() -> Iterator[tuple[Sequence[Task], Certificate]]:
+        yield (task,), certificate
+        full = any(broken.constraint == "memory" for broken in refusals[0].violations)
+        rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
+        for factor in SLOWER if rounds else ():
+            slower = stretched(task.motion, factor)
+            said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+            if (kept := certify(slower)).certified:
+                yield (replace(task, motion=slower, notes=(*task.notes, said)),), kept
+        for tasks in kind.parts(task):
+            yield tasks, certificate
+
+    with contextlib.suppress(InfeasibleError):  # there are no such parts
+        for number, (tasks, kept) in enumerate(arrangements()):
             try:
                 return [_part(kind, each, kept, scratch / str(number), say) for each in tasks]
-            except InfeasibleError as error:
-                refusals.append(error)
-    except InfeasibleError as error:  # there is no other arrangement
-        refusals.append(error)
+            except InfeasibleError as refusal:
+                refusals.append(refusal)
     raise refusals[0]
-
-
-def _arrangements(
-    kind: Format, task: Task, certificate: Certificate, refusals: Sequence[InfeasibleError]
-) -> Iterator[tuple[Sequence[Task], Certificate]]:
-    """Yield the whole task, the same slower where that may help, then parts of it."""
-    yield (task,), certificate
-    full = any(broken.constraint == "memory" for broken in refusals[0].violations)
-    rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
-    for factor in SLOWER if rounds else ():
-        slower = stretched(task.motion, factor)
-        said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
-        if (kept := certify(slower)).certified:
-            yield (replace(task, motion=slower, notes=(*task.notes, said)),), kept
-    for tasks in kind.parts(task):
-        yield tasks, certificate
 
 
 def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: Progress) -> Export:
     """Write the first refit that loses nothing, or raise what the first of all loses."""
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
-    refusal: InfeasibleError | None = None
+    refusals: list[InfeasibleError] = []
     rules = PLACES if task.options.hold_tension else FLOWN
-    for number, bound in enumerate(kind.bounds, 1):
-        attempt = f", attempt {number}" if number > 1 else ""
-        say(f"writing {kind.name}{attempt}")
+    for bound in kind.bounds:
+        say(f"writing {kind.name}" + (f", attempt {len(refusals) + 1}" if refusals else ""))
         try:
-            written = kind.write(folder, task, bound)
+            written = kind.write(folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
             verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
             if lost := verdict.violations(certificate, kind.accuracy):
                 words = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
-            kind.certify(folder, task)
-        except InfeasibleError as error:
-            refusal = refusal or error
+        except InfeasibleError as refusal:
+            refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
-        done = Export(folder, written.files, verdict, notes, task.begins)
         manifest = _head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
@@ -212,9 +201,8 @@ def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: 
             **({"receiver": dict(written.receiver)} if written.receiver else {}),
         }
         write_strict_json(folder / MANIFEST, manifest)
-        return done
-    assert refusal is not None
-    raise refusal
+        return Export(folder, written.files, verdict, notes, task.begins)
+    raise refusals[0]
 
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
@@ -259,22 +247,19 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
     first, several = done[0], len(done) > 1
     if _is_file(place):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
-            some = ", ".join(first.files[:3]) + (", …" if len(first.files) > 3 else "")
             bound = f"a folder for {kind.name}, or a name that ends as its only file does"
-            raise InputError("-o", str(place), bound, f"it writes {some}")
+            raise InputError("-o", str(place), bound, f"it writes {', '.join(first.files[:3])}")
         seal = f"{place.name}.{MANIFEST}"
         sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}
         _move(place.parent, sources, set(sources), seal)
         return (replace(first, folder=place.parent, files=(place.name,)),)
     before = part_folders(place)  # the manifest that names them is about to be replaced
-    parts = [part.folder.name for part in done] if several else []
-    placed = []
-    for part in done:
-        home = place / part.folder.name if several else place
-        names = (*part.files, MANIFEST)
-        _move(home, {n: part.folder / n for n in names}, _owned(home, part.files), MANIFEST)
-        placed.append(replace(part, folder=home))
-    if parts:
+    placed = [replace(part, folder=place / part.folder.name if several else place) for part in done]
+    for part, here in zip(done, placed, strict=True):
+        sources = {name: part.folder / name for name in (*part.files, MANIFEST)}
+        _move(here.folder, sources, _owned(here.folder, part.files), MANIFEST)
+    parts = [part.folder.name for part in placed] if several else []
+    if several:
         ends = [*(part.begins for part in done[1:]), task.motion.duration]
         spans = [[part.begins, end] for part, end in zip(done, ends, strict=True)]
         content = {**_head(kind, task), "duration": task.motion.duration, "parts": parts}
@@ -282,21 +267,17 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         write = partial(write_strict_json, content=content)
         replace_files(place, {MANIFEST: write}, _owned(place, ()), seal=MANIFEST)
     for name in set(before) - set(parts):  # an earlier export was cut into more parts
-        for file in owned_files(place / name):
-            (place / name / file).unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # not empty, or gone
+        replace_files(place / name, {}, owned_files(place / name), seal=MANIFEST)
+        with contextlib.suppress(OSError):  # not empty
             (place / name).rmdir()
     return tuple(placed)
 
 
 def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str) -> None:
-    def moving(source: Path) -> Writer:
-        def move(path: Path) -> None:
-            source.rename(path)
+    def move(path: Path) -> None:
+        sources[path.name].rename(path)
 
-        return move
-
-    replace_files(folder, {n: moving(source) for n, source in sources.items()}, owned, seal)
+    replace_files(folder, dict.fromkeys(sources, move), owned, seal)
 
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
@@ -360,11 +341,6 @@ NOT_CARRIED = {
 }
 
 
-def _eased(constraint: str) -> bool:
-    """Return whether a slower flight eases a check."""
-    return constraint in RULE_OF and RULE_OF[constraint].derivative > 0
-
-
 @dataclass(frozen=True)
 class Deviation:
     """The largest distance of exported curves from the plan's over all of the time."""
@@ -406,7 +382,8 @@ class Verdict:
                 f"at t = {check.time:.4g} s (the plan keeps {kept:.6g}{unit}, "
                 f"the export loses {abs(check.bound - kept):.3g}{unit})"
             )
-            found.append(check.violation(when, EASIER if _eased(check.name) else CLEARER))
+            eased = check.name in RULE_OF and RULE_OF[check.name].derivative > 0
+            found.append(check.violation(when, EASIER if eased else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"
@@ -495,8 +472,3 @@ def _deviations(flown: PiecewisePolynomial, motion: Motion) -> tuple[Deviation, 
 def written_checks(motion: Motion, rules: Sequence[CheckRule] = FLOWN) -> list[Check | None]:
     """Return what the rules say of a motion whose drones were read from files, rule by rule."""
     return [rule.check(motion, exported=True) for rule in rules]
-
-
-def drone_check(name: str, curves: PiecewisePolynomial, asked: Requirements) -> Check | None:
-    """Return a check of drones alone on their curves (D, 3) [m]; they are named d0, d1, …."""
-    return RULE_OF[name].check(Motion.single(Swarm(curves.shape[0]), asked, curves, ()))

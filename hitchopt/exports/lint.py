@@ -7,39 +7,40 @@ the drones' joint flight are here: limits, jumps, ends in mid-flight, ranges and
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.checks.drones import largest_rate
-from hitchopt.errors import FileError, InputError, UnitWarning
-from hitchopt.exports.exporting import drone_check, part_folders
-from hitchopt.exports.format import (
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import FileError, InputError
+from hitchopt.exports.exporting import part_folders
+from hitchopt.exports.format import Format, format_of
+from hitchopt.exports.formats.skybrush import DISTANCE, OWN_LIMITS, downward
+from hitchopt.exports.options import HOMES
+from hitchopt.exports.recording import (
     ERROR,
     LEVELS,
+    MANIFEST,
     DroneFacts,
     Finding,
-    Format,
-    Loaded,
+    Recording,
     error,
-    format_of,
     note,
+    read_manifest,
     warning,
 )
-from hitchopt.exports.formats.skybrush import ACROSS, DISTANCE, DOWN, OWN_LIMITS, UP
-from hitchopt.exports.options import HOMES
-from hitchopt.exports.recording import MANIFEST, read_manifest
+from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
+from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.values import path as checked_path
-from hitchopt.values import units
 
 BAG = "metadata.yaml"  # File that makes a folder a bag
 FARTHEST = 1e6  # [m] Drones are no farther from their origin: squares of such numbers stay finite
@@ -48,7 +49,6 @@ MAX_FILES = 25_000  # Largest number of files in a folder that are read
 SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
 SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
 SPEED, ACCELERATION = 3.0, 10.0  # [m/s], [m/s²] Default limits
-RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
 WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
 SLOWEST = 30.0  # [Hz] Lowest rate at which full states are usefully streamed
 
@@ -58,13 +58,6 @@ REMEDIES = {
     "maxAltitude": "fly lower",
 }
 """Remedies by check; all others bound rates, which fall where a flight is slower."""
-
-SIZES: dict[int, Callable[[Enclosed], Bound]] = {
-    ACROSS: lambda rate: rate.level.norm_above,
-    UP: lambda rate: rate[2].above,
-    DOWN: lambda rate: (rate[2] * -1.0).above,
-}
-"""Sizes of a vector in the directions of own limits."""
 
 UNTOLD = {
     "velocities": "none: joined by straight lines; accelerations are not checked",
@@ -183,28 +176,28 @@ def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
 def _report(path: Path, rules: Rules) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are refused by name
-            loaded = load(path)
-            flight, found = _flown_together(loaded, rules)
+            kind, recording = load(path)
+            flight, found = _flown_together(kind, recording, rules)
     except (FileError, InputError) as fault:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
-    findings = [*loaded.findings, *found, *_missing(path)]
-    if untold := loaded.recording.untold:
+    findings = [*recording.findings, *found, *_missing(path)]
+    if untold := recording.untold:
         findings.append(note(untold, "", UNTOLD[untold]))
-    if not (frame := loaded.recording.frame):
+    if not recording.frame:
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
     findings.sort(key=lambda f: LEVELS.index(f.level))
-    return Report(path, loaded.kind, frame, loaded.facts, flight, tuple(findings))
+    return Report(path, kind.name, recording.frame, recording.facts, flight, tuple(findings))
 
 
-def load(path: Path) -> Loaded:
-    """Return what a file or folder holds; raise FileError if that is not known, or damaged."""
+def load(path: Path) -> tuple[Format, Recording]:
+    """Return the format of a file or folder and what it holds; raise FileError of others."""
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
     if path.name == PLAN or (path / PLAN).is_file():
         raise FileError(f"{path}: is a plan; use `hitchopt check` for plans, lint for exports")
     if (path / BAG).is_file():
-        return format_of("ros2bag").load([path / BAG])
+        return format_of("ros2bag"), format_of("ros2bag").load([path / BAG])
     known = [format_of(name) for name in HOMES]
     endings = tuple(dict.fromkeys(ending for kind in known for ending in kind.endings))
     there = sorted(path.iterdir()) if path.is_dir() else [path]
@@ -216,12 +209,11 @@ def load(path: Path) -> Loaded:
         raise FileError(f"{path}: {bound}; it holds {held or 'nothing'}")
     kinds = Counter(_kind(file, known) for file in files)
     first = next(iter(kinds))
-    if len(kinds) > 1 or (
-        len(files) > 1 and not all(f.suffix.lower() in first.several for f in files)
-    ):
+    alone = len(files) == 1 or all(f.suffix.lower() in first.several for f in files)
+    if len(kinds) > 1 or not alone:
         counts = ", ".join(f"{number} of {kind.name}" for kind, number in kinds.items())
         raise FileError(f"{path}: holds files that are not of one flight ({counts}); name one")
-    return first.load(files)
+    return first, first.load(files)
 
 
 def _kind(path: Path, known: Sequence[Format]) -> Format:
@@ -245,98 +237,99 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
     )
 
 
-def _flown_together(loaded: Loaded, rules: Rules) -> tuple[Flight, list[Finding]]:
+def _flown_together(
+    kind: Format, recording: Recording, rules: Rules
+) -> tuple[Flight, list[Finding]]:
     """Return the figures of the joint flight, and the findings on it."""
-    names, smooth = loaded.recording.names, loaded.recording.smooth
-    limits, checks = rules.limits(loaded.own), dict[str, list[Check]]()
-    jumps: list[Jump] = [(0.0, "", 0.0)] * (smooth + 1)
-    windows = loaded.recording.windows()
+    names, own = recording.names, recording.own
+    limits, checks = rules.limits(own), dict[str, Check]()
+    jumps: list[Jump] = [(0.0, "", 0.0)] * (recording.smooth + 1)
+    windows = recording.windows()
     last = next(windows)
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
     # Several drones that begin at one point have an origin each.
-    scattered = len(first) == 1 or float(np.max(np.ptp(first, axis=0))) >= SAME_START
-    reach, longest = (0.0, ""), 0.0
+    relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < SAME_START
+    reach = longest = 0.0
     for window in (last, *windows):
         reach = max(reach, _reach(window, names))
-        for check in _checks(loaded, window, limits, rules.separation, scattered):
-            checks.setdefault(check.name, []).append(check)
+        for check in _checks(recording, window, limits, None if relative else rules.separation):
+            checks[check.name] = most_pressing([checks.get(check.name), check]) or check
         whole = window if window is last else joined([last, window])
         jumps = [max(jump, _jump(whole, order, names)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
-    worst = {name: each for name, found in checks.items() if (each := most_pressing(found))}
-    values = {name: check.bound for name, check in worst.items()}
+    values = {name: check.bound for name, check in checks.items()}
     flight = Flight(
         float(last.breaks[-1]) - start,
         values.get("speed", math.nan),
         values.get("acceleration", math.nan),
         values.get("separation", math.nan) if len(names) > 1 else math.inf,
         tuple(jump[0] for jump in jumps),
-        reach[0],
+        reach,
         *limits,
-        tuple(worst[key] for key in loaded.own if key in worst),
+        tuple(checks[key] for key in own if key in checks),
     )
-    found = [*_broken(worst.values()), *_joining(last, names, jumps, rules)]
+    found = [*map(_broken, (check for check in checks.values() if not check.holds))]
+    found += [*_joining(last, names, jumps, rules), *_timing(kind, recording, longest)]
     if start != 0.0:
         found.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
-    if not scattered:
+    if relative:
         words = "all drones begin at one point, so these are relative trajectories: how close "
         words += "they come depends on where they start, and is not checked"
         found.append(warning("separation", "", words))
-    return flight, [*found, *_sampled(loaded, reach, longest)]
+    return flight, found
 
 
-def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, str]:
-    """Return the largest coordinate [m] and whose it is; raise FileError of absurd numbers."""
+def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> float:
+    """Return the largest coordinate [m]; raise FileError of absurd numbers."""
     each = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
-    farthest = (float(np.max(each)), names[int(np.argmax(each))])
-    if farthest[0] > FARTHEST:
-        raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
+    if (reach := float(np.max(each))) > FARTHEST:
+        name = names[int(np.argmax(each))]
+        raise FileError(f"{name} goes {reach:.3g} m from the origin; units are metres")
     if (shortest := np.min(window.durations)) < SHORTEST:
         at = float(window.breaks[np.argmin(window.durations)])
         raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
-    return farthest
+    return reach
 
 
 def _checks(
-    loaded: Loaded,
+    recording: Recording,
     window: PiecewisePolynomial,
     limits: tuple[float, float],
-    separation: Separation,
-    scattered: bool,
+    separation: Separation | None,
 ) -> Iterator[Check]:
     """Yield the checks of a window, the show's own limits among them, in axes with z up.
 
     From the second derivative after the highest that does not jump on they mean nothing.
     """
-    names, smooth = loaded.recording.names, loaded.recording.smooth
-    most = (units.SPEED.possible[1], units.ACCELERATION.possible[1])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UnitWarning)  # a show may have no limit
-        fastest, steepest = map(min, limits, most)
-        asked = Requirements(Limits(speed=fastest, acceleration=steepest), separation)
-    found = [drone_check("speed", window, asked)]
-    if len(names) > 1 and scattered:
-        found.append(drone_check("separation", window, asked))
-        if (least := loaded.own.get(DISTANCE)) is not None:
-            apart = replace(asked, separation=Separation(0.5 * least, 0.5 * least))
-            if (check := drone_check("separation", window, apart)) is not None:
-                metres = check.bound * least
-                own = Check.of(DISTANCE, metres, least, "min", "m", check.time, check.where)
-                found.append(own)
-    if smooth > 0:
-        found.append(drone_check("acceleration", window, asked))
-    for check in filter(None, found):
-        yield replace(check, where=tuple(names[int(drone[1:])] for drone in check.where))
-    for key, limit in loaded.own.items():
-        order, unit, directions = OWN_LIMITS[key]
-        if key == DISTANCE or order > smooth + 1:
-            continue
-        if f"{key}Up" in loaded.own:
-            directions = (DOWN,)  # upwards, the other key takes precedence
-        each = [largest_rate(window, order, size=SIZES[d]) for d in directions]
-        worst = max(each, key=lambda found: (found.worst, found.item, found.time))
-        yield Check.of(key, worst.worst, limit, "max", unit, worst.time, (names[worst.item],))
+    names, own = recording.names, recording.own
+
+    def largest(
+        name: str, limit: float, order: int, unit: str, sizes: Sequence[Callable[[Enclosed], Bound]]
+    ) -> Iterator[Check]:
+        if order <= recording.smooth + 1:
+            each = [largest_rate(window, order, size=size) for size in sizes]
+            worst = max(each, key=lambda found: (found.worst, found.item, found.time))
+            where = (names[worst.item],)
+            yield Check.of(name, worst.worst, limit, "max", unit, worst.time, where)
+
+    def apart(name: str, asked: Separation, ratio: float, unit: str) -> Iterator[Check]:
+        requirements = Requirements(Limits(), asked)
+        motion = Motion.single(Swarm(len(names)), requirements, window, ())
+        if (check := RULE_OF["separation"].check(motion)) is not None:
+            where = tuple(names[int(drone[1:])] for drone in check.where)
+            yield Check.of(name, check.bound * ratio, ratio, "min", unit, check.time, where)
+
+    yield from largest("speed", limits[0], 1, "m/s", [lambda rate: rate.norm_above])
+    yield from largest("acceleration", limits[1], 2, "m/s²", [lambda rate: rate.norm_above])
+    if separation is not None:
+        yield from apart("separation", separation, 1.0, "ratio")
+        if (least := own.get(DISTANCE)) is not None:
+            yield from apart(DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m")
+    for key, (order, unit, sizes) in OWN_LIMITS.items():
+        if key in own:  # upwards, a key of its own takes precedence
+            counted = (downward,) if f"{key}Up" in own else sizes
+            yield from largest(key, own[key], order, unit, counted)
 
 
 def _jump(window: PiecewisePolynomial, order: int, names: Sequence[str]) -> Jump:
@@ -349,17 +342,12 @@ def _jump(window: PiecewisePolynomial, order: int, names: Sequence[str]) -> Jump
     return (float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)]))
 
 
-def _broken(checks: Iterable[Check]) -> Iterator[Finding]:
-    for check in checks:
-        if not check.holds:
-            unit = "" if check.unit == "ratio" else f" {check.unit}"
-            relation = "below" if check.sense == "min" else "above"
-            yield error(
-                check.name,
-                ", ".join(check.where),
-                f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
-                f"{check.limit:.4g}{unit}; {REMEDIES.get(check.name, 'fly it more slowly')}",
-            )
+def _broken(check: Check) -> Finding:
+    unit = "" if check.unit == "ratio" else f" {check.unit}"
+    relation = "below" if check.sense == "min" else "above"
+    words = f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
+    words += f"{check.limit:.4g}{unit}; {REMEDIES.get(check.name, 'fly it more slowly')}"
+    return error(check.name, ", ".join(check.where), words)
 
 
 def _joining(
@@ -369,36 +357,26 @@ def _joining(
     rates = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
     for (what, unit), (size, drone, t), bound in zip(rates, jumps, rules.jumps, strict=False):
         if size > bound:
-            yield (error if what == "position" else warning)(
-                "jump",
-                drone,
-                f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s "
-                f"(more than {bound:g} {unit}); make the pieces meet",
-            )
+            words = f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s (more "
+            words += f"than {bound:g} {unit}); make the pieces meet"
+            yield (error if what == "position" else warning)("jump", drone, words)
     speeds, bound = np.linalg.norm(last.ends(1)[1][-1], axis=-1), rules.jumps[1]
     if speeds[fastest := int(np.argmax(speeds))] > bound:
-        yield warning(
-            "end",
-            names[fastest],
-            f"still moves at {speeds[fastest]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
-            f"(more than {bound:g} m/s); let it come to rest: is something cut off?",
-        )
+        words = f"still moves at {speeds[fastest]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
+        words += f"(more than {bound:g} m/s); let it come to rest: is something cut off?"
+        yield warning("end", names[fastest], words)
 
 
-def _sampled(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterator[Finding]:
-    """Yield how far drones go [m], too long a time between two samples [s], and early ends."""
-    if reach[0] > RADIOED:
-        words = f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
-        yield note("range", reach[1], f"{words}±{RADIOED} m; move the origin")
-    if loaded.streamed and longest > WATCHDOG:
+def _timing(kind: Format, recording: Recording, longest: float) -> Iterator[Finding]:
+    """Yield too long a time between two samples [s], and early ends."""
+    if kind.streamed and longest > WATCHDOG:
         words = f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s"
         yield error("rate", "", f"{words}; sample at {SLOWEST:g} Hz or more")
-    elif loaded.kind == "ros2bag" and longest * SLOWEST > 1.01:
+    elif kind.name == "ros2bag" and longest * SLOWEST > 1.01:
         words = f"{1.0 / longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to 100 Hz"
         yield warning("rate", "", f"{words}; sample more often")
-    durations = [fact.duration for fact in loaded.facts]
-    shortest, most = min(loaded.facts, key=lambda fact: fact.duration), max(durations)
-    if shortest.duration < most - LATE:
+    shortest = min(recording.facts, key=lambda fact: fact.duration)
+    if shortest.duration < (most := max(fact.duration for fact in recording.facts)) - LATE:
         words = f"lasts {shortest.duration:.6g} s, the longest {most:.6g} s; let all end together"
         yield warning("duration", shortest.name, words)
 
@@ -406,13 +384,10 @@ def _sampled(loaded: Loaded, reach: tuple[float, str], longest: float) -> Iterat
 def _missing(path: Path) -> Iterator[Finding]:
     """Yield which files of an export are gone, and why the tension is undetermined."""
     manifest = (read_manifest(path) or {}) if path.is_dir() else {}
-    listed, reasons = (
-        [str(each) for each in given] if isinstance(given, list) else []
-        for given in (manifest.get("files"), manifest.get("undetermined_tension"))
-    )
-    there = {entry.name for entry in path.iterdir()} if listed else set()
-    for file in listed:
-        if file not in there:
-            yield error("missing", file, "was exported and is not there")
-    for reason in reasons:
-        yield warning("tension", "", reason)
+    for key in ("files", "undetermined_tension"):
+        given = manifest.get(key)
+        for each in map(str, given if isinstance(given, list) else []):
+            if key == "undetermined_tension":
+                yield warning("tension", "", each)
+            elif not (path / Path(each).name).exists():
+                yield error("missing", each, "was exported and is not there")

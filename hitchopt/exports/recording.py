@@ -7,10 +7,10 @@ long flights are not held in memory.
 
 from __future__ import annotations
 
-import json
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.placing import AXES
+from hitchopt.storage.archive import reading
+from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
 from hitchopt.values import Array
@@ -33,62 +35,115 @@ MAX_SPANS = 20_000_000
 
 SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
 
+ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
+"""Levels of a finding: the flight fails; it may fail; information for the pilot."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One problem, or one piece of information, found in fleet files.
+
+    Attributes
+    ----------
+    level: ERROR, WARNING or NOTE.
+    rule: name of the rule in one word or two, such as ``memory`` or ``end marker``.
+    where: drone or file; empty for all of them.
+    message: value, bound, and the remedy.
+    """
+
+    level: str
+    rule: str
+    where: str
+    message: str
+
+    def __str__(self) -> str:
+        place = f" {self.where}:" if self.where else ""
+        return f"{self.level}: {self.rule}:{place} {self.message}"
+
+
+error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NOTE))
+"""Constructors of findings of each level from rule, place and message."""
+
+
+@dataclass(frozen=True)
+class DroneFacts:
+    """Size and duration of one drone's file.
+
+    Attributes
+    ----------
+    name: of the drone.
+    pieces: of its curve; 0 where it is sampled.
+    size: [bytes] in the drone's memory; 0 where it is not uploaded.
+    duration: [s] of its own file; 0 where all drones share their times.
+    """
+
+    name: str
+    pieces: int = 0
+    size: int = 0
+    duration: float = 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The curves that exported numbers stand for.
-
-    ``smooth`` is the highest derivative by time that does not jump: 0 positions, 1 velocities, 2
-    accelerations. ``windows`` gives the curves (D, 3) [m] over one span of time after the other.
-    ``untold`` says which derivatives the format has and the files do not hold.
-    """
+    """The curves that exported numbers stand for, and what was found while reading them."""
 
     names: tuple[str, ...]  # (D,) of the drones, in the file's order
     frame: str  # enu, nwu or ned; empty where the file does not say
-    smooth: int
-    windows: Callable[[], Iterator[PiecewisePolynomial]]
-    untold: str = ""
+    smooth: int  # highest derivative by time that does not jump: 0 positions, 1 velocities, …
+    windows: Callable[[], Iterator[PiecewisePolynomial]]  # (D, 3) [m], one span after the other
+    facts: tuple[DroneFacts, ...]  # one per drone
+    untold: str = ""  # the first derivative that the format has and the files do not hold
+    findings: tuple[Finding, ...] = ()
+    own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
 
 
 def recording_of_curves(
-    names: Sequence[str], curves: Sequence[PiecewisePolynomial], frame: str, smooth: int
+    names: Sequence[str],
+    curves: Sequence[PiecewisePolynomial],
+    frame: str,
+    smooth: int,
+    sizes: Sequence[int] = (),
+    **found: Any,
 ) -> Recording:
     """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
 
     Drones that end before the others stay where they ended. Curves are put on common breaks window
     by window, so that drones with breaks of their own take no more memory than their files.
 
+    Parameters
+    ----------
+    names, curves: (D,)
+    frame, smooth: as in ``Recording``.
+    sizes: (D,) [bytes] that trajectories take in the drones' memories.
+    found: ``findings`` and ``own`` limits.
+
     Raises
     ------
     FileError: common breaks times drones beyond MAX_SPANS.
     """
-    end = max(float(curve.breaks[-1]) for curve in curves)
-    degree = max(curve.degree for curve in curves)
-    each = [lasted(curve.elevated(degree), end) for curve in curves]
-    times, pieces = [curve.breaks for curve in each], each[0].pieces
-    if same := all(np.array_equal(t, times[0]) for t in times):
-        breaks = times[0]
-    else:
-        pieces = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
-    if pieces * len(each) > MAX_SPANS:
+    ends, times = [float(c.breaks[-1]) for c in curves], [c.breaks for c in curves]
+    counts = [curve.pieces for curve in curves]
+    facts = tuple(map(DroneFacts, names, counts, sizes or [0] * len(names), ends))
+    if max(ends) - min(ends) > 0.0:
+        times = [np.append(t, max(ends)) if t[-1] < max(ends) else t for t in times]
+    same = all(np.array_equal(t, times[0]) for t in times)
+    spans = len(times[0] if same else np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
+    if spans * len(curves) > MAX_SPANS:
         raise FileError(
-            f"{len(each)} drones with {pieces} spans of time between their points are more than "
+            f"{len(curves)} drones with {spans} spans of time between their points are more than "
             f"{MAX_SPANS} together; give all drones the same times, or fewer points"
         )
-    if not same:
-        breaks = merged_breaks(times)
-    size = max(1, WINDOW // len(each))
+    degree = max(curve.degree for curve in curves)
+    each = [lasted(curve.elevated(degree), max(ends)) for curve in curves]
+    breaks, size = merged_breaks(times[:1] if same else times), max(1, WINDOW // len(curves))
 
     def windows() -> Iterator[PiecewisePolynomial]:
         for start in range(0, len(breaks) - 1, size):
             here = breaks[start : start + size + 1]
-            if same:
-                parts = [curve.coefficients[start : start + size] for curve in each]
-            else:
-                parts = [on_breaks(curve, here).coefficients for curve in each]
+            parts = [on_breaks(curve, here).coefficients for curve in each]
             yield PiecewisePolynomial(here, np.stack(parts, axis=1))
 
-    return Recording(tuple(names), frame, smooth, windows)
+    return Recording(tuple(names), frame, smooth, windows, facts, **found)
 
 
 def recording_of_samples(
@@ -124,8 +179,35 @@ def recording_of_samples(
             here = t[start : start + size + 1]
             yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
 
-    known = frame if frame in AXES else ""
-    return Recording(tuple(names), known, len(given) - 1, windows, untold)
+    known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
+    return Recording(tuple(names), known, len(given) - 1, windows, facts, untold)
+
+
+def check_times(t: Array, source: str = "") -> None:
+    """Raise FileError unless the times (S,) [s] increase, naming what they do instead."""
+    place = f"{source}: " if source else ""
+    if not np.all(np.isfinite(t)):
+        raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
+    for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
+        if t[i + 1] >= t[i] - SAME_TIME:
+            raise FileError(f"{place}repeats the time t = {t[i]:g} s; keep one row of every time")
+        words = f"its times go back from t = {t[i]:g} s to {t[i + 1]:g} s; sort its rows"
+        raise FileError(f"{place}{words}")
+
+
+def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
+    """Return the curve, staying where it ended until ``end`` [s], if that is later."""
+    if end <= curve.breaks[-1]:
+        return curve
+    c = curve.coefficients
+    rest = np.broadcast_to(c[-1:, ..., -1:], c[-1:].shape)
+    return PiecewisePolynomial(np.append(curve.breaks, end), np.concatenate([c, rest]))
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text in UTF-8, with or without a byte order mark; raise FileError."""
+    with reading(path, "text"):
+        return path.read_text(encoding="utf-8-sig")
 
 
 def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> list[str]:
@@ -134,55 +216,10 @@ def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> l
     return [name for vector in (vectors[0], *told) for name in vector]
 
 
-def check_times(t: Array, source: str = "") -> None:
-    """Raise FileError unless the times (S,) [s] increase, naming what they do instead."""
-    place = f"{source}: " if source else ""
-    if not np.all(np.isfinite(t)):
-        raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
-    wrong = np.flatnonzero(np.diff(t) <= SAME_TIME)
-    if wrong.size:
-        before, after = t[wrong[0]], t[wrong[0] + 1]
-        if after - before >= -SAME_TIME:
-            raise FileError(f"{place}repeats the time t = {after:g} s; keep one row of every time")
-        raise FileError(
-            f"{place}its times go back from t = {before:g} s to {after:g} s; sort its rows"
-        )
-
-
-def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
-    """Return the curve, staying where it ended until ``end`` [s], if that is later."""
-    if end <= curve.breaks[-1]:
-        return curve
-    rest = np.broadcast_to(curve.coefficients[-1:, ..., -1:], curve.coefficients[-1:].shape)
-    return PiecewisePolynomial(
-        np.append(curve.breaks, end), np.concatenate([curve.coefficients, rest])
-    )
-
-
-MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
-"""Name of the file with what an export holds, in which frame, and what was checked; its format."""
-
-MAX_MANIFEST = 50_000_000  # Size limit of a manifest that is read [B]
-
-
-def read_text(path: Path) -> str:
-    """Return a file's text in UTF-8, with or without a byte order mark.
-
-    Raises
-    ------
-    FileError: it cannot be read, or is no such text.
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read: {error}") from error
-
-
 def read_columns(
     lines: Iterable[str],
     header: str,
     wanted: Sequence[str],
-    usual: str,
     source: str,
     least: int = 0,
     kind: type[np.float64 | np.str_] = np.float64,
@@ -194,7 +231,6 @@ def read_columns(
     lines: of the table, without the first one.
     header: the first line.
     wanted: names of columns.
-    usual: the first line that hitchopt writes.
     source: name of the file.
     least: fewest rows.
     kind: of the cells.
@@ -205,15 +241,14 @@ def read_columns(
     """
     labels = header.split(",")
     if missing := [name for name in wanted if name not in labels]:
-        words = f"its first line has no column {missing[0]!r}; it must be {usual}"
-        raise FileError(f"{source}: {words}")
+        raise FileError(f"{source}: its first line has no column {missing[0]!r}")
     columns = [labels.index(name) for name in wanted]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of no rows
             table = np.loadtxt(lines, kind, delimiter=",", usecols=columns, ndmin=2, comments=None)
-    except (ValueError, IndexError) as error:
-        raise FileError(f"{source}: {error}; it is truncated or damaged") from error
+    except (ValueError, IndexError) as fault:
+        raise FileError(f"{source}: {fault}; it is truncated or damaged") from fault
     if len(table) < least:
         raise FileError(f"{source}: has {len(table)} rows; {least} are the least")
     return table
@@ -228,11 +263,14 @@ def needed(module: str) -> Any:
     """
     try:
         return import_module(module)
-    except ImportError as error:
+    except ImportError as fault:
         package = module.partition(".")[0]
-        raise UnsupportedError(
-            f"this format needs the package {package} ({error}); pip install 'hitchopt[export]'"
-        ) from error
+        words = f"this format needs the package {package} ({fault}); pip install 'hitchopt[export]'"
+        raise UnsupportedError(words) from fault
+
+
+MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
+"""Name of the file with what an export holds, in which frame, and what was checked; its format."""
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
@@ -243,13 +281,9 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     FileError: there is one that cannot be read.
     """
     path = folder / MANIFEST
-    try:
-        if not path.is_file():
-            return None
-        if path.stat().st_size > MAX_MANIFEST:
-            raise FileError(f"{path}: is too large for a manifest")
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileError(f"{path}: cannot be read: {error}; remove it, or export anew") from error
+    if not path.is_file():
+        return None
+    with reading(path, "manifest of an export"):
+        content = parsed_json(path.read_bytes())
     ours = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
     return content if ours else None

@@ -189,14 +189,14 @@ def test_attitudes_turn_as_their_rates_say(frame: str) -> None:
     """Differentiated numerically: the body's rates are those of the quaternions."""
     task = task_of(hitch_plan(), "csv", frame=frame, yaw=0.4)
     t, h = np.array([0.21, 0.4, 1.9]), 1e-5
-    before, now, after = (task.attitudes(states_at(hitch_plan(), t + d)) for d in (-h, 0.0, h))
+    before, now, after = (task.samples(t + d) for d in (-h, 0.0, h))
     turned = [
-        Rotation.from_quat(each.quaternions.reshape(-1, 4), scalar_first=True)
+        Rotation.from_quat(each["quaternions"].reshape(-1, 4), scalar_first=True)
         for each in (before, after)
     ]
     rates = (turned[0].inv() * turned[1]).as_rotvec() / (2 * h)
-    np.testing.assert_allclose(rates, now.body_rates.reshape(-1, 3), atol=2e-4)
-    assert np.max(np.abs(now.body_rates)) > 0.05
+    np.testing.assert_allclose(rates, now["body_rates"].reshape(-1, 3), atol=2e-4)
+    assert np.max(np.abs(now["body_rates"])) > 0.05
 
 
 def test_every_column_of_a_table_is_the_plan_s(tmp_path: Path) -> None:

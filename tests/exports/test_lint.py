@@ -341,7 +341,7 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
         ({"one.bag": "", "two.bag": "", "c.dae": ""}, r"it holds 2 of \.bag, 1 of \.dae"),
         ({"plan.npz": ""}, "hitchopt check"),
         ({"metadata.yaml": "no bag"}, "is no bag"),
-        ({"export.json": "{"}, "cannot be read"),
+        ({"export.json": "{"}, "is no manifest"),
     ],
 )
 def test_unknown_files_are_refused_in_words(
@@ -418,7 +418,7 @@ FLAWS: dict[str, tuple[list[Any], Rules, str]] = {
     "too fast": ([MOVING], Rules(1.2, 0.3), "error acceleration, error speed, warning end"),
     "apart, but not as long": ([REST, LATE], Rules(), "warning duration"),
     "near": ([REST, REST], NEAR, "error separation"),
-    "far away": ([FAR], Rules(), "note range, warning end"),
+    "far away": ([FAR], Rules(), "warning end"),
     "31 pieces": ([FULL], Rules(), "warning end"),
     "32 pieces and a jump": ([LONG], Rules(), "error jump, error memory, warning end"),
 }

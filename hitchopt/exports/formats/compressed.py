@@ -24,18 +24,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.format import (
-    DroneFacts,
-    Finding,
-    Format,
-    Loaded,
-    Task,
-    Written,
-    error,
-    warning,
-)
+from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import recording_of_curves
+from hitchopt.exports.recording import Finding, Recording, error, recording_of_curves, warning
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
@@ -73,17 +64,6 @@ STEADY = 2e-3
 """[rad] Yaw that changes less is constant: a tenth of a degree is the format's last digit."""
 
 
-def beyond_memory(fact: DroneFacts) -> Iterator[Finding]:
-    """Yield an error if a drone's trajectory takes more than its memory."""
-    if fact.size > BYTES:
-        yield error(
-            "memory",
-            fact.name,
-            f"{fact.pieces} pieces take {fact.size} bytes, and a drone has {BYTES} for all its "
-            "trajectories; refit it with fewer pieces, or cut it into parts",
-        )
-
-
 class CrazyflieFormat(Format):
     """A format of trajectories that are uploaded into a Crazyflie's memory."""
 
@@ -103,47 +83,43 @@ class CrazyflieFormat(Format):
 
     def parts(self, task: Task) -> Iterator[Sequence[Task]]:
         """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
-        motion, at = task.motion, rests(task.motion).tolist()
-        before = 1
-        for share in (1.0, CLOSER) if len(at) > 2 else ():
-            parts = self._parts(motion, at, share)
-            if len(parts) <= before:
+        breaks, counts = task.motion.drones.breaks, [1]
+        for share in (1.0, CLOSER):
+            parts = self._parts(task.motion, share)
+            if len(parts) in counts:
                 continue
-            before = len(parts)
+            counts.append(len(parts))
             why = (
-                f"the plan is cut into {before} parts at rests, since as a whole it does not fit "
-                f"(a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
+                f"the plan is cut into {len(parts)} parts at rests, since as a whole it does not "
+                f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
                 f"drones hover, {UPLOAD_LAST}, go on"
             )
-            whole = replace(task, count=before)
-            begins = [float(motion.drones.breaks[start]) for start, _ in parts]
+            begins = [float(breaks[first]) for first, _ in parts]
             tasks = [
-                replace(whole, motion=each, begins=begins[i], number=i + 1)
-                for i, (_, each) in enumerate(parts)
+                replace(task, motion=part, begins=begins[i], number=i + 1, count=len(parts))
+                for i, (_, part) in enumerate(parts)
             ]
             yield [replace(t, notes=(*t.notes, f"{t.part}: {why}")) for t in tasks]
 
-    def _parts(self, motion: Motion, at: Sequence[int], share: float) -> list[tuple[int, Motion]]:
-        """Return as few parts between rests as memory holds, and the rest each begins at."""
-        parts: list[tuple[int, Motion]] = []
-        first = 0
-        while first < len(at) - 1:
-            tried = (cut(motion, at[first], at[end]) for end in range(first + 1, len(at)))
-            held = list(takewhile(lambda part: self._held(part, share) is not None, tried))
-            if not held:
-                raise self.refusal(cut(motion, at[first], at[first + 1]))
-            parts.append((at[first], held[-1]))
-            first += len(held)
-        return parts
+    def _parts(self, motion: Motion, share: float) -> list[tuple[int, Motion]]:
+        """Return the fewest parts between rests that memory holds, and the break of each start."""
+        parts, at, most = [], rests(motion).tolist(), self.most_pieces(motion.drones)
 
-    def _held(self, motion: Motion, share: float) -> Array | None:
-        """Return the breaks of pieces within a share of the error, if memory holds them."""
-        return breaks_within(motion.drones, self.kind, share, self.most_pieces(motion.drones))
+        def held(part: Motion) -> bool:
+            return len(breaks_within(part.drones, self.kind, share, most)) - 1 <= most
+
+        while len(at) > 1:
+            tried = (cut(motion, at[0], end) for end in at[1:])
+            fitting = list(takewhile(held, tried))
+            if not fitting:
+                raise self.refusal(cut(motion, at[0], at[1]))
+            parts.append((at[0], fitting[-1]))
+            at = at[len(fitting) :]
+        return parts
 
     def refusal(self, motion: Motion) -> InfeasibleError:
         """Return the error that memory does not hold a motion."""
-        breaks = breaks_within(motion.drones, self.kind, 1.0)
-        pieces = math.inf if breaks is None else len(breaks) - 1.0
+        pieces = len(breaks_within(motion.drones, self.kind, 1.0)) - 1.0
         when = f"for {motion.duration:.4g} s without a rest"
         most, remedy = float(self.most_pieces(motion.drones)), "let the plan rest now and then"
         return InfeasibleError(
@@ -152,6 +128,29 @@ class CrazyflieFormat(Format):
             "crazyswarm2; or stream it: --format ros2bag (full-state setpoints), csv or "
             "mavsdk_drone_show",
         )
+
+    def recording(
+        self,
+        names: Sequence[str],
+        curves: Sequence[PiecewisePolynomial],
+        frame: str,
+        smooth: int,
+        sizes: Sequence[int],
+        findings: Sequence[Finding],
+    ) -> Recording:
+        """Return a recording of trajectories of some sizes [bytes], with what is too large."""
+        beyond = tuple(
+            error(
+                "memory",
+                name,
+                f"{curve.pieces} pieces take {size} bytes, and a drone has {BYTES} for all its "
+                "trajectories; refit it with fewer pieces, or cut it into parts",
+            )
+            for name, curve, size in zip(names, curves, sizes, strict=True)
+            if size > BYTES
+        )
+        found = (*beyond, *findings)
+        return recording_of_curves(names, curves, frame, smooth, sizes, findings=found)
 
 
 class CompressedBytes(CrazyflieFormat):
@@ -170,10 +169,9 @@ class CompressedBytes(CrazyflieFormat):
         axes = max(1, int(np.max(np.sum(moving, axis=-1))))
         return (BYTES - START_BYTES - len(END)) // (HEADER_BYTES + 2 * DEGREE * axes)
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:
-        """Write the bytes of every drone, refitted within a bound and rounded."""
-        breaks = breaks_within(task.motion.drones, KIND, bound)
-        assert breaks is not None  # any number of pieces will do
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write the bytes of every drone, refitted within the task's bound and rounded."""
+        breaks = breaks_within(task.motion.drones, KIND, task.bound)
         whole = rounded(task.frame.placed(fitted(task.motion.drones, breaks, KIND)), MILLI, SCALE)
         durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
         points = np.rint(whole.coefficients / MILLI).astype(np.int64)
@@ -190,20 +188,17 @@ class CompressedBytes(CrazyflieFormat):
         )
         return Written(files, (note,))
 
-    def load(self, files: Sequence[Path]) -> Loaded:
+    def load(self, files: Sequence[Path]) -> Recording:
         """Return what files of bytes hold, one drone each."""
         found = [decoded(read_bytes(path), str(path)) for path in files]
         stems = [path.stem.rpartition("_") for path in files]
         framed = all(stem[2] in AXES and stem[0] for stem in stems)
         names = [stem[0] if framed else path.stem for stem, path in zip(stems, files, strict=True)]
         frames = {stem[2] for stem in stems} if framed else set()
-        facts, findings = [], []
-        for name, drone in zip(names, found, strict=True):
-            facts.append(DroneFacts(name, drone.curve.pieces, drone.size, drone.curve.duration))
-            findings += [*beyond_memory(facts[-1]), *_faults(name, drone)]
         frame = frames.pop() if len(frames) == 1 else ""
-        recording = recording_of_curves(names, [drone.curve for drone in found], frame, SMOOTH)
-        return Loaded(self.name, recording, tuple(facts), tuple(findings))
+        faults = [f for name, drone in zip(names, found, strict=True) for f in _faults(name, drone)]
+        curves, sizes = [drone.curve for drone in found], [drone.size for drone in found]
+        return self.recording(names, curves, frame, SMOOTH, sizes, faults)
 
 
 def encoded(durations: Integers, points: Integers, heading: float) -> bytes:

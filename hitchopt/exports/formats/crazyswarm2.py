@@ -27,23 +27,10 @@ from scipy.spatial import cKDTree
 from scipy.special import comb
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import (
-    DroneFacts,
-    Finding,
-    Loaded,
-    Task,
-    Written,
-    error,
-    warning,
-)
-from hitchopt.exports.formats.compressed import (
-    BYTES,
-    STEADY,
-    CrazyflieFormat,
-    beyond_memory,
-)
+from hitchopt.exports.format import Task, Written
+from hitchopt.exports.formats.compressed import BYTES, STEADY, CrazyflieFormat
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import read_columns, read_text, recording_of_curves
+from hitchopt.exports.recording import Finding, Recording, error, read_columns, read_text, warning
 from hitchopt.exports.refit import Kind, best_breaks, fitted
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -133,7 +120,7 @@ def read_poly_csv(path: Path) -> PolyTable:
     if len(lines) > MAX_ROWS:
         raise FileError(f"{path}: has more than {MAX_ROWS} rows")
     rows = [line.partition("#")[0].strip().rstrip(",") for line in lines]
-    table = read_columns(rows, HEADER, HEADER.split(","), HEADER, str(path), least=1)
+    table = read_columns(rows, HEADER, HEADER.split(","), str(path), least=1)
     with np.errstate(over="ignore"):  # reported below
         table = table.astype(np.float32).astype(np.float64)
     if not np.all(np.isfinite(table)):
@@ -163,10 +150,10 @@ class Crazyswarm2(CrazyflieFormat):
         """Return 31."""
         return MOST
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+    def write(self, folder: Path, task: Task) -> Written:
         """Write the best fit of at most 31 pieces, within a millimetre."""
         breaks = best_breaks(task.motion.drones, KIND, MOST)
-        if breaks is None:
+        if len(breaks) - 1 > MOST:
             raise self.refusal(task.motion)
         if len(breaks) <= LEAST:
             breaks = np.array([0.0, KIND.quantum * (breaks[-1] // (2 * KIND.quantum)), breaks[-1]])
@@ -189,21 +176,17 @@ class Crazyswarm2(CrazyflieFormat):
         """Return whether it begins with ``duration``, or has 33 columns of whatever."""
         return labels[0] == "duration" or len(labels) == COLUMNS
 
-    def load(self, files: Sequence[Path]) -> Loaded:
+    def load(self, files: Sequence[Path]) -> Recording:
         """Return what CSV files of polynomial pieces hold, one drone each."""
-        names = [path.stem for path in files]
-        tables = [read_poly_csv(path) for path in files]
-        facts, findings = [], []
-        for name, table in zip(names, tables, strict=True):
-            rows = len(table.durations)
-            facts.append(DroneFacts(name, rows, rows * PIECE_BYTES, float(np.sum(table.durations))))
-            findings += [*beyond_memory(facts[-1]), *_faults(name, table)]
+        names, tables = [path.stem for path in files], [read_poly_csv(path) for path in files]
+        faults = [f for name, each in zip(names, tables, strict=True) for f in _faults(name, each)]
         frames = {table.frame for table in tables} - {""}
         if len(frames) > 1:
-            findings.append(error("frame", "", f"files are in {' and '.join(sorted(frames))}"))
+            faults.append(error("frame", "", f"files are in {' and '.join(sorted(frames))}"))
         frame = next(iter(frames)) if len(frames) == 1 and frames <= set(AXES) else ""
-        recording = recording_of_curves(names, [table.curve for table in tables], frame, SMOOTH)
-        return Loaded(self.name, recording, tuple(facts), tuple(findings))
+        curves = [table.curve for table in tables]
+        sizes = [curve.pieces * PIECE_BYTES for curve in curves]
+        return self.recording(names, curves, frame, SMOOTH, sizes, faults)
 
 
 def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:

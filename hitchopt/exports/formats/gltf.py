@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
-from hitchopt.exports.recording import recording_of_samples
+from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.recording import Recording, recording_of_samples
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.archive import reading
@@ -54,16 +54,14 @@ class Gltf(Format):
     feed_forward = "not in this file: it is a picture that moves, which nobody flies"
     carries_pull = True  # drones are tilted by it
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+    def write(self, folder: Path, task: Task) -> Written:
         """Write the plan's drones, cables and objects at the task's rate."""
         write_scene(folder / self.file, task)
         return Written((self.file,))
 
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return the places of the drones that a scene names, between lines."""
-        names, t, places = read_drones(files[0])
-        recording = recording_of_samples(names, t, places, "enu", 0)
-        return Loaded(self.name, recording, tuple(map(DroneFacts, names)))
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return the lines through the places of the drones that a scene names."""
+        return recording_of_samples(*read_drones(files[0]), "enu", 0)
 
 
 class _Document:

@@ -27,7 +27,7 @@ import json
 import math
 import posixpath
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -42,29 +42,24 @@ from scipy.optimize import linear_sum_assignment
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import LINES, written_checks
-from hitchopt.exports.format import (
-    DroneFacts,
-    Finding,
-    Format,
-    Loaded,
-    Task,
-    Written,
-    error,
-    warning,
-)
+from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.recording import (
+    Finding,
     Recording,
     check_times,
+    error,
     read_columns,
     read_text,
     recording_of_curves,
+    warning,
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import opened_zip, read_members
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
 
@@ -95,30 +90,43 @@ NUDGE = 1e-6
 and in binary most of them lie just below."""
 
 
-ACROSS, UP, DOWN = 0, 1, -1  # Directions in which vectors count; z is up
-
 DISTANCE = "minDistance"  # Key of the smallest distance between two drones [m]
 
-OWN_LIMITS: dict[str, tuple[int, str, tuple[int, ...]]] = {
-    "maxAltitude": (0, "m", (UP,)),
-    "maxVelocityXY": (1, "m/s", (ACROSS,)),
-    "maxVelocityZ": (1, "m/s", (UP, DOWN)),
-    "maxVelocityZUp": (1, "m/s", (UP,)),
-    "maxAccelerationXY": (2, "m/s²", (ACROSS,)),
-    "maxAccelerationZ": (2, "m/s²", (UP, DOWN)),
-    "maxAccelerationZUp": (2, "m/s²", (UP,)),
-    DISTANCE: (0, "m", ()),
+
+def across(rate: Enclosed) -> Bound:
+    """Bound the level part of a vector."""
+    return rate.level.norm_above
+
+
+def upward(rate: Enclosed) -> Bound:
+    """Bound the upward part of a vector."""
+    return rate[2].above
+
+
+def downward(rate: Enclosed) -> Bound:
+    """Bound the downward part of a vector."""
+    return (rate[2] * -1.0).above
+
+
+OWN_LIMITS: dict[str, tuple[int, str, tuple[Callable[[Enclosed], Bound], ...]]] = {
+    "maxAltitude": (0, "m", (upward,)),
+    "maxVelocityXY": (1, "m/s", (across,)),
+    "maxVelocityZ": (1, "m/s", (upward, downward)),
+    "maxVelocityZUp": (1, "m/s", (upward,)),
+    "maxAccelerationXY": (2, "m/s²", (across,)),
+    "maxAccelerationZ": (2, "m/s²", (upward, downward)),
+    "maxAccelerationZUp": (2, "m/s²", (upward,)),
 }
-"""Limits that shows set themselves, as Skybrush's validation panel checks them: derivative by time,
-unit, and directions in which the quantity counts; none for the distance of pairs."""
+"""Limits that shows set themselves besides DISTANCE, as Skybrush's validation panel checks them:
+derivative by time, unit, and the parts that count."""
 
 LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or after a level flight
 SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
 LANDING = 0.5  # [m/s] Usual speed of a descent
 SPARE = 1.01  # Separation of a return that is planned: rounding to millimetres takes some of it
-Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
-
 MOST = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
+
+Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
 
 
 class SkybrushShow(Format):
@@ -134,11 +142,10 @@ class SkybrushShow(Format):
         "format has no accelerations"
     )
 
-    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)
-    """Long segments fit worse and suffer less from rounding."""
+    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long segments fit worse and suffer less from rounding
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:
-        """Write the show, refitted within a bound and rounded; see ``_rounded``."""
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write the show, refitted within the task's bound and rounded."""
         motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
         if not motion.team.has_cables:
             returns = planned_returns(motion, task.frame)
@@ -148,11 +155,13 @@ class SkybrushShow(Format):
             none = "no coordinated return was found; drones would land where they are"
             some = f"rthPlan: coordinated returns from t = {times} s"
             notes = [f"{some}; drones are taken to stop at once there" if returns else none]
-        breaks = breaks_within(motion.drones, KIND, bound)
-        assert breaks is not None  # any number of pieces will do
+        breaks = breaks_within(motion.drones, KIND, task.bound)
         fit = task.frame.placed(fitted(motion.drones, breaks, KIND))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
-        whole = _rounded(fit, quantum, ROUNDING if bound >= 1.0 else CLOSER)
+        # Rounded one point at a time less velocity is lost where drones rest.
+        each = PiecewisePolynomial(fit.breaks, np.rint(fit.coefficients / quantum) * quantum)
+        together = rounded(fit, quantum, ROUNDING if task.bound >= 1.0 else CLOSER)
+        whole = min(together, each, key=_jump)
         write_show(folder / self.file, task, whole, plans)
         notes = [
             f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to Skybrush",
@@ -162,7 +171,7 @@ class SkybrushShow(Format):
         ]
         return Written((self.file,), tuple(notes))
 
-    def load(self, files: Sequence[Path]) -> Loaded:
+    def load(self, files: Sequence[Path]) -> Recording:
         """Return what a ``.skyc`` holds."""
         show = read_show(files[0])
         own, findings = _limits(show.validation)
@@ -170,25 +179,25 @@ class SkybrushShow(Format):
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
                 words = f"a piece lasts {shortest:.2g} s, which Skybrush rounds to none"
                 findings.append(error("duration", name, f"{words}; leave its point out"))
-        curves = show.curves
-        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
-        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
-        return Loaded(self.name, recording, tuple(facts), tuple(findings), own=own)
+        names, curves = tuple(show.curves), tuple(show.curves.values())
+        found = tuple(findings)
+        return recording_of_curves(names, curves, "nwu", SMOOTH, findings=found, own=own)
 
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return the curves of the show as Skybrush's server stores them."""
-        drones = read_show(folder / self.file).curves
-        return recording_of_curves(tuple(drones), [*map(stored, drones.values())], "nwu", SMOOTH)
-
-    def certify(self, folder: Path, task: Task) -> None:
-        """Certify the coordinated returns of drones without cables."""
+    def read(self, folder: Path, task: Task) -> Recording:
+        """Return the curves of the show as Skybrush's server stores them; certify its returns."""
+        path = folder / self.file
+        show = read_show(path)
+        curves = {name: stored(curve) for name, curve in show.curves.items()}
         if not task.motion.team.has_cables:
-            certify_returns(folder / self.file, read_show(folder / self.file), task)
+            certify_returns(path, show.returns, curves, task)
+        return recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
 
 
 def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
     """Return the limits in a show's ``settings.validation``, and the findings on the others."""
-    given = {key: validation[key] for key in OWN_LIMITS if validation.get(key) is not None}
+    given = {
+        key: validation[key] for key in (*OWN_LIMITS, DISTANCE) if validation.get(key) is not None
+    }
     own = {
         key: value
         for key, value in given.items()
@@ -196,15 +205,6 @@ def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Findi
     }
     fault = "settings.validation.{} is no positive number, so it is not checked; correct it"
     return own, [warning("settings", "", fault.format(key)) for key in given if key not in own]
-
-
-def _rounded(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> PiecewisePolynomial:
-    """Return the curves rounded together, or one point at a time where that is smoother.
-
-    The former costs less velocity in short pieces, the latter less place where drones rest.
-    """
-    each = PiecewisePolynomial(curves.breaks, np.rint(curves.coefficients / quantum) * quantum)
-    return min(rounded(curves, quantum, scale), each, key=_jump)
 
 
 def _jump(curves: PiecewisePolynomial) -> float:
@@ -388,16 +388,18 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
 
     level, zero = start[:, :2], np.zeros(len(start))
     yield entries(level, 0, zero, zero)
-    places = [motion.drones.at(t)[:, :2] for t in (motion.duration, 0.0)]
-    # The least squares of distances: lines of one clock then do not cross at one time.
-    apart = (np.sum((level[:, None] - place) ** 2, axis=-1) for place in places)
-    orders = (linear_sum_assignment(squares)[1] for squares in apart)
-    nearest = [place[order] for place, order in zip(places, orders, strict=True)]
-    highest = float(np.max(start[:, 2])) - motion.requirements.floor
-    fall = ceil(highest / landing_speed(motion)) + 1
+    fall = (
+        ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / landing_speed(motion)) + 1
+    )
     # Drones of one height go down together, the lowest first.
     turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
-    for goal in (*nearest, *places, level):
+    goals = [level]
+    for t in (0.0, motion.duration):
+        place = motion.drones.at(t)[:, :2]
+        # The least squares of distances: lines of one clock then do not cross at one time.
+        squares = np.sum((level[:, None] - place) ** 2, axis=-1)
+        goals = [place[linear_sum_assignment(squares)[1]], *goals]
+    for goal in goals:
         far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
         duration = max(1, ceil(far / (SHARE * motion.requirements.limits.speed)))
         yield entries(goal, duration, zero, zero)
@@ -442,32 +444,38 @@ def return_checks(
     return [check for check in written_checks(whole, LINES) if check is not None]
 
 
-def certify_returns(path: Path, show: Show, task: Task) -> None:
-    """Certify a show's returns, each flown from its time on, as the server stores the show.
+def certify_returns(
+    path: Path,
+    returns: Mapping[str, Any],
+    curves: Mapping[str, PiecewisePolynomial],
+    task: Task,
+) -> None:
+    """Certify the returns of a show's drones, each flown from its time on, on stored curves.
 
     Raises
     ------
     FileError: drones without returns, entries that differ in times, or that are no returns.
     InfeasibleError: a return breaks a limit.
     """
-    curves, before = [stored(show.curves[name]) for name in task.names], -1.0
+    before = -1.0
     try:
-        plans = [show.returns[name] for name in task.names]
+        plans = [returns[name] for name in task.names]
         (landing,) = {float(plan["landingSpeed"]) for plan in plans}
         for entries in zip(*(plan["entries"] for plan in plans), strict=True):
             time = float(entries[0]["time"])
             if time <= before:
                 raise ValueError("its times do not increase")
             before = time
-            start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in curves])
+            each = [curves[name] for name in task.names]
+            start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in each])
             places = task.frame.planned(start)
             checks = return_checks(task.motion, entries, places, landing, task.frame)
             if broken := [check for check in checks if not check.holds]:
                 words = "a coordinated return of the show breaks a limit when it is read back"
                 when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
                 raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise FileError(f"{path}: rthPlan is damaged: {error}; export anew") from error
+    except (KeyError, TypeError, ValueError, IndexError) as fault:
+        raise FileError(f"{path}: rthPlan is damaged: {fault}; export anew") from fault
 
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
@@ -487,7 +495,7 @@ class SkybrushCsv(Format):
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+    def write(self, folder: Path, task: Task) -> Written:
         """Write the zip, drone by drone; raise InputError for more than 1000 samples a second."""
         if task.rate > 1000.0:
             raise InputError("--rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
@@ -507,52 +515,36 @@ class SkybrushCsv(Format):
         """Return whether the first column is the time in milliseconds."""
         return labels[0].startswith("time [msec]")
 
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return what a zip holds, or CSV files of one drone each."""
-        if files[0].suffix.lower() == ".zip":
-            curves = read_zip(files[0])
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return the lines through the positions in a zip, or in CSV files of one drone each."""
+        path = files[0]
+        if path.suffix.lower() == ".zip":
+            with opened_zip(path, "zip of CSV files") as archive:
+                members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
+                names = [Path(member.filename).stem for member in members]
+                each = zip(members, read_members(path, archive, members), strict=True)
+                curves = [
+                    _lines(data.decode("utf-8-sig"), f"{path}: {member.filename}")
+                    for member, data in each
+                ]
         else:
-            curves = {path.stem: lines_of(read_text(path), str(path)) for path in files}
-        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
-        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
-        return Loaded(self.name, recording, tuple(facts))
+            names = [file.stem for file in files]
+            curves = [_lines(read_text(file), str(file)) for file in files]
+        if not 0 < len(names) == len(set(names)):
+            raise FileError(f"{path}: holds no CSV file, or two of one name")
+        return recording_of_curves(names, curves, "nwu", 0)
 
 
-def read_zip(path: Path) -> dict[str, PiecewisePolynomial]:
-    """Return the lines through the positions (3,) [m] of every drone, by its file's name.
-
-    Raises
-    ------
-    FileError: no zip, no such files, damaged ones, or more than anyone flies.
-    """
-    found: dict[str, PiecewisePolynomial] = {}
-    with opened_zip(path, "zip of CSV files") as archive:
-        members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
-        for member, data in zip(members, read_members(path, archive, members), strict=True):
-            name = Path(member.filename).stem
-            if name in found:
-                raise FileError(f"{path}: two files are called {name}.csv")
-            found[name] = lines_of(data.decode("utf-8-sig"), f"{path}: {member.filename}")
-    if not found:
-        raise FileError(f"{path}: holds no CSV file")
-    return found
-
-
-def lines_of(text: str, source: str) -> PiecewisePolynomial:
-    """Return the lines through the positions (3,) [m] in a file of this format.
-
-    Raises
-    ------
-    FileError: another header, rows of other lengths, times that repeat or go back.
-    """
+def _lines(text: str, source: str) -> PiecewisePolynomial:
+    """Return the lines through the positions (3,) [m] in a file of this format."""
     header, *lines = text.splitlines() or [""]
     wanted = HEADER.split(",")[:4]
     if header.strip().split(",")[:4] != wanted:
         raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
-    table = read_columns(lines, HEADER, wanted, HEADER, source, least=2)
+    table = read_columns(lines, HEADER, wanted, source, least=2)
     t, points = table[:, 0] * 1e-3, table[None, :, 1:]
     check_times(t, source)
     try:
         return PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
-    except InputError as error:
-        raise FileError(f"{source}: {error}") from error
+    except InputError as fault:
+        raise FileError(f"{source}: {fault}") from fault
