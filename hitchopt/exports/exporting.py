@@ -51,22 +51,13 @@ HELD = "none: the offsets of the set points hold the tension; nothing is to be f
 
 @dataclass(frozen=True)
 class Export(OneLine):
-    """Files that were written and verified.
+    """Files that were written and verified."""
 
-    Attributes
-    ----------
-    folder: where they are.
-    files: names of the files in it, without the manifest.
-    verdict: errors and checks of what the files say.
-    notes: what else is to be known of them.
-    begins: when in the plan it begins [s]; 0 unless the plan was cut.
-    """
-
-    folder: Path
-    files: tuple[str, ...]
-    verdict: Verdict
-    notes: tuple[str, ...]
-    begins: float = 0.0
+    folder: Path  # where they are
+    files: tuple[str, ...]  # names in it, without the manifest
+    verdict: Verdict  # errors and checks of what the files say
+    notes: tuple[str, ...]  # what else is to be known of them
+    begins: float = 0.0  # when in the plan it begins [s]; 0 unless the plan was cut
 
 
 def export_motion(
@@ -78,14 +69,9 @@ def export_motion(
 ) -> tuple[Export, ...]:
     """Write the plan with these options; return what was written, one entry per part.
 
-    Parameters
-    ----------
-    motion: the plan; it is certified first, stretched as the options say.
-    title: what it is called.
-    options: the format, and how the plan is placed and sampled in it.
-    folder: where to, made if it is missing, of which only files of an earlier export are replaced;
-        a name that ends as the format's only file does is that file, its manifest next to it.
-    progress: called with what is being done now.
+    The plan is certified first, stretched as the options say. The folder is made if it is missing,
+    and only files of an earlier export there are replaced; a name that ends as the format's only
+    file does is that file, its manifest next to it. ``progress`` is called with what is being done.
 
     Raises
     ------
@@ -212,12 +198,7 @@ def _head(kind: Format, task: Task) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _scratch(place: Path) -> Iterator[Path]:
-    """Yield a hidden folder on the disk of a place, which is gone after the block.
-
-    Raises
-    ------
-    FileError: files cannot be written there.
-    """
+    """Yield a hidden folder on the disk of a place, which is gone after the block."""
     try:
         home = next(p for p in (place, *place.absolute().parents) if p.is_dir())
         with tempfile.TemporaryDirectory(prefix=".hitchopt-", dir=home) as folder:
@@ -281,19 +262,11 @@ def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str)
 
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
-    """Return the files of an earlier export and of the next one, which replaces no others.
-
-    Raises
-    ------
-    FileError: a file of such a name is there and not from an export.
-    """
+    """Return the files of an earlier export and of the next one, which replaces no others."""
     owned = {MANIFEST, *owned_files(folder)}
-    for name in files:
-        if name not in owned and (folder / name).exists():
-            raise FileError(
-                f"{folder / name}: is there already and not from an export; "
-                "choose another folder with -o"
-            )
+    if foreign := [name for name in files if name not in owned and (folder / name).exists()]:
+        words = "is there already and not from an export; choose another folder with -o"
+        raise FileError(f"{folder / foreign[0]}: {words}")
     return {*owned, *files}
 
 
@@ -365,14 +338,8 @@ class Verdict:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
-    def violations(self, certificate: Certificate, accuracy: float) -> tuple[Violation, ...]:
-        """Return what is lost, each limit with the value that the plan keeps of it.
-
-        Parameters
-        ----------
-        certificate: the plan's certificate.
-        accuracy: largest position error [m].
-        """
+    def violations(self, certificate: Certificate, accuracy: float) -> list[Violation]:
+        """Return what is lost, beside what the plan keeps; accuracy is the most position error."""
         planned = {check.name: check for check in certificate.checks}
         found = []
         for check in self.lost:
@@ -390,7 +357,7 @@ class Verdict:
             where = (self.position.drone,)
             error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
             found.append(error)
-        return tuple(found)
+        return found
 
 
 def verify(
@@ -400,19 +367,10 @@ def verify(
     names: Sequence[str],
     rules: Sequence[CheckRule] = FLOWN,
 ) -> Verdict:
-    """Return errors and checks of a recording that stands for the plan ``motion``.
+    """Return errors and checks of a recording that stands for the plan ``motion``, from t = 0 on.
 
-    Parameters
-    ----------
-    motion: the plan, from t = 0 on.
-    recording: what files say.
-    frame: where the plan lies in their axes.
-    names: (D,) what the files call the plan's drones, in its order.
-    rules: of the checks.
-
-    Raises
-    ------
-    FileError: drones that are not the plan's, or less than all of its time.
+    The plan lies in ``frame``; ``names`` (D,) are what the files call its drones, in its order.
+    FileError tells of drones that are not the plan's, or of less than all of its time.
     """
     where = {name: i for i, name in enumerate(recording.names)}
     missing = [name for name in names if name not in where]

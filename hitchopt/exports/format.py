@@ -65,25 +65,18 @@ class Task:
         return f"part {self.number} of {self.count}, t = {begins:.3f} s to {ends:.3f} s of the plan"
 
     def samples(self, t: Array) -> dict[str, Array]:
-        """Return the setpoints at times (S,) [s], in the file's axes.
+        """Return the setpoints at times (S,) [s], in the file's axes, (S, D, 3) each.
 
-        They are ``positions``, ``velocities``, ``accelerations``, ``jerks``, ``yaw`` [rad],
-        ``cable_forces`` [N], all (S, D, 3) but for the yaw (S, D, 1); ``feed_forward``, the
-        acceleration to feed forward to controllers that add gravity, ``a_ff = a - F / m``;
-        ``quaternions`` (S, D, 4), w, x, y, z, from the body's axes, whose z axis is along the
-        thrust ``m (a_ff + g ẑ)``; and ``body_rates`` about these [rad/s]. In a frame whose z axis
-        points down the body's axes are forward, right, down; in others forward, left, up. Where
-        set points hold the tension by their offsets there are no cable forces.
+        Besides the states there are ``yaw`` (S, D, 1) [rad]; ``feed_forward``, the acceleration for
+        controllers that add gravity, ``a_ff = a - F / m``; ``quaternions`` (S, D, 4), w, x, y, z,
+        from the body's axes, whose z axis is along the thrust ``m (a_ff + g ẑ)``; and the
+        ``body_rates`` [rad/s] about these. Where z points down the body's axes are forward, right,
+        down, else forward, left, up. Where offsets hold the tension there are no cable forces.
         """
         return self._samples(states_at(self.motion, t))
 
     def blocks(self, rows: int) -> Iterator[tuple[Array, dict[str, Array]]]:
-        """Yield times (S,) and samples at the task's rate, so many rows (time, drone) at once.
-
-        Raises
-        ------
-        InputError: a rate that is not positive, or more samples than anyone can use.
-        """
+        """Yield times (S,) and samples at the task's rate, so many rows (time, drone) at once."""
         times = sample_times(self.motion.duration, self.rate)
         for states in iterate_states(self.motion, times, max(1, rows // len(self.names))):
             yield states.t, self._samples(states)
@@ -123,63 +116,33 @@ class Written:
 
 
 class Format:
-    """One file format: what is written, and how files are read, ours or anybody else's.
+    """One file format: what is written, and how files are read, ours or anybody else's."""
 
-    Attributes
-    ----------
-    name: as given to ``--format``.
-    file: name of the file; with ``{name}`` or ``{number}`` of the drone each has its own, with
-        ``{frame}`` it tells the frame.
-    endings: of the files that hold trajectories.
-    several: those of them of which every drone has a file.
-    frames: those that its files may be in, the usual one first.
-    rate: samples a second if nothing else is asked [Hz]; 0 where nothing is sampled.
-    accuracy: the largest position error that it is meant to have [m].
-    feed_forward: whether the consumer needs the cable's pull in its acceleration, and what is done.
-    carries_pull: whether the files hold the cable's pull, as a force or in an acceleration.
-    streamed: whether samples are sent in flight: gaps between them count then.
-    receiver_integral: whether the controllers that fly the files have an integral of their own.
-    bounds: errors of refits over the usual one, tried one after the other.
-    """
-
-    name: str
-    file: str
-    endings: tuple[str, ...]
-    several: tuple[str, ...] = ()
-    frames: tuple[str, ...]
-    rate: float = 0.0
-    accuracy: float
-    feed_forward: str
-    carries_pull: bool = False
-    streamed: bool = False
-    receiver_integral: bool = False
-    bounds: tuple[float, ...] = (1.0,)
+    name: str  # as given to ``--format``
+    file: str  # its name, with ``{frame}``, or ``{name}`` or ``{number}`` of the drone
+    endings: tuple[str, ...]  # of the files that hold trajectories
+    several: tuple[str, ...] = ()  # those of them of which every drone has a file
+    frames: tuple[str, ...]  # those that its files may be in, the usual one first
+    rate: float = 0.0  # samples a second if nothing else is asked [Hz]; 0 where nothing is sampled
+    accuracy: float  # the largest position error that it is meant to have [m]
+    feed_forward: str  # whether the consumer needs the cable's pull, and what is done about it
+    carries_pull: bool = False  # whether the files hold it, as a force or in an acceleration
+    streamed: bool = False  # whether samples are sent in flight: gaps between them count then
+    receiver_integral: bool = False  # whether the controllers that fly the files have an integral
+    bounds: tuple[float, ...] = (1.0,)  # errors of refits over the usual one, tried in a row
 
     def write(self, folder: Path, task: Task) -> Written:
-        """Write the files of a task; raise OSError if that fails.
-
-        Raises
-        ------
-        InfeasibleError: the plan is beyond what the format can hold.
-        """
+        """Write the files of a task, or raise InfeasibleError: the format cannot hold the plan."""
         raise NotImplementedError
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what files hold, ours or anybody else's, and what is wrong with them.
-
-        Raises
-        ------
-        FileError: they are damaged.
-        """
+        """Return what files hold, ours or anybody else's, or raise FileError of damaged ones."""
         raise NotImplementedError
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return what the receiver flies of a task's files in a folder.
+        """Return what the receiver flies of a task's files.
 
-        Raises
-        ------
-        FileError: they are damaged.
-        InfeasibleError: what they hold besides the flight breaks a limit.
+        InfeasibleError tells that what they hold besides the flight breaks a limit.
         """
         return self.load([folder / name for name in self.files(task)])
 
@@ -196,9 +159,7 @@ class Format:
     def parts(self, task: Task) -> Iterable[Sequence[Task]]:  # noqa: ARG002
         """Give cuts of a task into parts to be flown one after the other; here none.
 
-        Raises
-        ------
-        InfeasibleError: no such parts hold the plan.
+        InfeasibleError tells that no such parts hold the plan.
         """
         return ()
 

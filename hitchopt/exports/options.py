@@ -38,40 +38,21 @@ MAX_RATE = 10_000.0
 class ExportOptions:
     """The format of an export, and how the plan is placed and sampled in it.
 
-    Parameters
-    ----------
-    format: name of the format.
-    frame: enu, nwu or ned; None for the format's usual one.
-    origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
-    yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
-    fleet: path of a fleet file; None calls the drones as the plan does.
-    rate: samples a second [Hz], where the format samples; None for its usual rate.
-    stretch: factor of all durations, from 1 on.
-    storage: storage format of a bag, mcap or sqlite3.
-    ros_distro: the ROS 2 release that a bag is for: humble, iron or jazzy. Every later one reads
-        bags for the earlier ones.
-    hold_tension: whether set points are moved outward such that drones whose controllers do not
-        feed the cable force forward are where the plan says.
-    stiffness: of these controllers [N/m]; None for the team's.
-    damping: of these controllers [N s/m]; None for a damping ratio of 5/6.
-
-    Raises
-    ------
-    InputError: an unknown storage format or release, or gains without ``hold_tension``.
+    InputError tells of an unknown storage or release, or of gains without ``hold_tension``.
     """
 
     format: str
-    frame: str | None = None
-    origin: Sequence[float] = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    fleet: Path | str | None = None
-    rate: float | None = None
-    stretch: float = 1.0
-    storage: str = "mcap"
-    ros_distro: str = "humble"
-    hold_tension: bool = False
-    stiffness: float | None = None
-    damping: float | None = None
+    frame: str | None = None  # enu, nwu or ned; None for the format's usual one
+    origin: Sequence[float] = (0.0, 0.0, 0.0)  # of the plan in the frame: east, north, up [m]
+    yaw: float = 0.0  # by which the plan is turned there, counter-clockwise from above [rad]
+    fleet: Path | str | None = None  # fleet file; None calls the drones as the plan does
+    rate: float | None = None  # samples a second [Hz], where the format samples; None: the usual
+    stretch: float = 1.0  # factor of all durations, from 1 on
+    storage: str = "mcap"  # storage format of a bag, mcap or sqlite3
+    ros_distro: str = "humble"  # ROS 2 release that a bag is for: humble, iron or jazzy
+    hold_tension: bool = False  # whether set points are moved outward to hold the cables' tension
+    stiffness: float | None = None  # of controllers then [N/m]; None for the team's
+    damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
 
     def __post_init__(self) -> None:
         if self.storage not in STORAGES:

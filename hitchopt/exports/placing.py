@@ -29,15 +29,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.mission.keys import translated
 from hitchopt.steps.step import Keys
-from hitchopt.storage.yaml_file import key_path, plain, read_yaml
+from hitchopt.storage.yaml_file import plain, read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
 
@@ -47,31 +48,19 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")
 RESERVED = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
 """Names that YAML 1.1, as ROS reads it, takes for something else."""
 
+URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' radios
+
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 
-Uri = Annotated[str, Field(pattern=r"^(radio|usb|udp|tcp|serial)://\S+$")]
-"""Address of a drone's radio."""
-
-
-class Member(Keys):
+@dataclass(frozen=True)
+class Member:
     """One drone: what files and topics call it, its radio's address, and its entry in types."""
 
+    role: str  # its name in the plan, such as q0
     name: str
-    uri: Uri
+    uri: str
     type: str = "default"
-    role: str = ""  # its name in the plan, such as q0
-    enabled: bool = True
-    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
-
-
-class FleetKeys(Keys):
-    """Drones by the plan's names, or robots by their own; types and settings are copied."""
-
-    drones: dict[str, Member]
-    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    settings: dict[str, Any] = Field(default_factory=dict)
-    fileversion: int = 3
 
 
 @dataclass(frozen=True)
@@ -84,20 +73,39 @@ class Fleet:
     given: bool = False  # whether the user named them; else their addresses are placeholders
 
 
-FAULTS = {
-    "missing": ("given", "add it"),
-    "extra_forbidden": (
-        "a known key",
-        "drones have name, uri and type; robots of a crazyflies.yaml enabled, uri, "
-        "initial_position, type and role, and other settings go into their type",
-    ),
-    "string_pattern_mismatch": ("an address", "such as radio://0/80/2M/E7E7E7E7E7"),
-    "string_type": ("text", "put it in quotes"),
-}
-"""Bound and remedy for the kinds of faults that fleet files have."""
+class DroneKeys(Keys):
+    """A drone in a fleet file."""
 
-ROBOTS = {"robots": "drones", "robot_types": "types", "all": "settings"}
-"""Keys of a crazyflies.yaml, and those of a fleet file that say the same."""
+    name: str
+    uri: str
+    type: str = "default"
+
+
+class RobotKeys(Keys):
+    """A robot in a crazyflies.yaml."""
+
+    uri: str
+    type: str = "default"
+    role: str = ""
+    enabled: bool = True
+    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
+
+
+class FleetKeys(Keys):
+    """A fleet file."""
+
+    drones: dict[str, DroneKeys]
+    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
+
+
+class CrazyfliesKeys(Keys):
+    """A crazyflies.yaml."""
+
+    robots: dict[str, RobotKeys]
+    robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    all: dict[str, Any] = Field(default_factory=dict)
+    fileversion: int = 3
 
 
 def placeholder_fleet(roles: Sequence[str]) -> Fleet:
@@ -106,8 +114,7 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
     def uri(i: int) -> str:
         return f"radio://{i // PER_RADIO}/80/2M/{0xE7E7E7E701 + i:010X}"
 
-    members = (Member(role=role, name=role, uri=uri(i)) for i, role in enumerate(roles))
-    return Fleet(tuple(members))
+    return Fleet(tuple(Member(role, role, uri(i)) for i, role in enumerate(roles)))
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
@@ -126,50 +133,47 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
 
 def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
     """Return the fleet that ``data`` describes; errors as those of ``read_fleet``."""
-    root = "robots" if "robots" in data else "drones"
-    given: dict[str, Any] = {ROBOTS.get(key, key): plain(value) for key, value in data.items()}
-    if root == "robots" and isinstance(given["drones"], dict):
-        robots = given["drones"].items()
-        given["drones"] = {k: {**v, "name": k} if isinstance(v, dict) else v for k, v in robots}
+    model = CrazyfliesKeys if "robots" in data else FleetKeys
     try:
-        keys = FleetKeys.model_validate(given)
+        keys = model.model_validate(plain(data))
     except ValidationError as error:
-        entry = error.errors(include_url=False)[0]
-        value = "(missing)" if entry["type"] == "missing" else entry["input"]
-        bound, remedy = FAULTS.get(entry["type"], (entry["msg"], "see the fleet file's example"))
-        where = key_path([root, *entry["loc"][1:]]) if entry["loc"][:1] == ("drones",) else ""
-        raise InputError(where or key_path(entry["loc"]), value, bound, remedy) from None
+        raise translated(error, model) from None
+    if isinstance(keys, CrazyfliesKeys):
+        root, types, settings = "robots", keys.robot_types, keys.all
+        robots = {name: robot for name, robot in keys.robots.items() if robot.enabled}
+        given = [Member(r.role or name, name, r.uri, r.type) for name, r in robots.items()]
+    else:
+        root, types, settings = "drones", keys.types, keys.settings
+        given = [Member(role, d.name, d.uri, d.type) for role, d in keys.drones.items()]
     drones: dict[str, Member] = {}
     seen: set[str] = set()
-    for name, drone in keys.drones.items():
-        role, where = (drone.role or name) if root == "robots" else name, f"{root}.{name}"
-        if not drone.enabled:
-            continue
-        if role in drones:
-            bound = f"of one enabled robot only, and {drones[role].name} has it"
-            raise InputError(f"{where}.role", role, bound, "disable one of them")
-        if role not in roles:
-            raise _misnamed(root, role, "a drone of the plan", roles)
-        if not NAME.match(drone.name) or drone.name.lower() in RESERVED:
+    for member in given:
+        where = f"{root}.{member.name if root == 'robots' else member.role}"
+        if member.role in drones:
+            bound = f"of one enabled robot only, and {drones[member.role].name} has it"
+            raise InputError(f"{where}.role", member.role, bound, "disable one of them")
+        if not NAME.match(member.name) or member.name.lower() in RESERVED:
             bound = "letters, digits and underscores, a letter first, and no word of YAML"
-            raise InputError(f"{where}.name", drone.name, bound, "files and topics are called so")
-        for key in ("name", "uri"):  # no name is an address
-            value = getattr(drone, key)
+            raise InputError(f"{where}.name", member.name, bound, "files and topics are called so")
+        if not URI.match(member.uri):
+            bound = "an address"
+            raise InputError(
+                f"{where}.uri", member.uri, bound, "such as radio://0/80/2M/E7E7E7E707"
+            )
+        for key, value in (("name", member.name), ("uri", member.uri)):
             if value.lower() in seen:
                 raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
             seen.add(value.lower())
-        drones[role] = Member(role=role, name=drone.name, uri=drone.uri, type=drone.type)
-    if missing := [role for role in roles if role not in drones]:
-        raise _misnamed(root, missing[0], "named once, and be a drone of the plan", roles)
+        drones[member.role] = member
+    for role in (*drones, *roles):
+        if role not in drones or role not in roles:
+            known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+            bound = "a drone of the plan" if role in drones else "named once, in the fleet"
+            remedy = f"{known}; a robot's role tells which it flies"
+            raise InputError(root, role, bound, remedy)
     members = tuple(drones[role] for role in roles)
     placeholders = [member.uri for member in placeholder_fleet(roles).members]
-    return Fleet(members, keys.types, keys.settings, placeholders != [m.uri for m in members])
-
-
-def _misnamed(root: str, role: str, bound: str, roles: Sequence[str]) -> InputError:
-    known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
-    more = "; a robot's role tells which it flies" if root == "robots" else ""
-    return InputError(root, role, bound, known + more)
+    return Fleet(members, types, settings, placeholders != [m.uri for m in members])
 
 
 AXES = {
@@ -182,17 +186,10 @@ AXES = {
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFrame:
-    """A file's axes, and where the plan lies in them.
+    """A file's axes, enu, nwu or ned, and where the plan lies in them.
 
-    Parameters
-    ----------
-    name: enu, nwu or ned.
-    origin: (3,) [m] where the plan's origin lies, east, north and up of the frame's.
-    yaw: angle by which the plan is turned, counter-clockwise seen from above [rad].
-
-    Raises
-    ------
-    InputError: an unknown frame, or numbers that are not finite.
+    The plan's origin lies at ``origin`` (3,) [m], east, north and up, and the plan is turned there
+    by ``yaw`` [rad], counter-clockwise seen from above.
     """
 
     name: str = "enu"
@@ -246,12 +243,12 @@ class ReferenceFrame:
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""
-        c = np.einsum("ij,pdjn->pdin", self.rotation, part.coefficients) + self.shift[:, None]
+        c = np.moveaxis(self.points(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
         return PiecewisePolynomial(part.breaks, c)
 
     def in_plan(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the file in the plan's axes [m]."""
-        c = np.einsum("ji,pdjn->pdin", self.rotation, part.coefficients - self.shift[:, None])
+        c = np.moveaxis(self.planned(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
         return PiecewisePolynomial(part.breaks, c)
 
     def to_dict(self) -> dict[str, object]:

@@ -41,20 +41,12 @@ ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 
 @dataclass(frozen=True)
 class Finding:
-    """One problem, or one piece of information, found in fleet files.
+    """One problem, or one piece of information, found in fleet files."""
 
-    Attributes
-    ----------
-    level: ERROR, WARNING or NOTE.
-    rule: name of the rule in one word or two, such as ``memory`` or ``end marker``.
-    where: drone or file; empty for all of them.
-    message: value, bound, and the remedy.
-    """
-
-    level: str
-    rule: str
-    where: str
-    message: str
+    level: str  # ERROR, WARNING or NOTE
+    rule: str  # its name in one word or two, such as ``memory`` or ``end marker``
+    where: str  # drone or file; empty for all of them
+    message: str  # value, bound, and the remedy
 
     def __str__(self) -> str:
         place = f" {self.where}:" if self.where else ""
@@ -67,20 +59,12 @@ error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NO
 
 @dataclass(frozen=True)
 class DroneFacts:
-    """Size and duration of one drone's file.
-
-    Attributes
-    ----------
-    name: of the drone.
-    pieces: of its curve; 0 where it is sampled.
-    size: [bytes] in the drone's memory; 0 where it is not uploaded.
-    duration: [s] of its own file; 0 where all drones share their times.
-    """
+    """Size and duration of one drone's file."""
 
     name: str
-    pieces: int = 0
-    size: int = 0
-    duration: float = 0.0
+    pieces: int = 0  # of its curve; 0 where it is sampled
+    size: int = 0  # [bytes] in the drone's memory; 0 where it is not uploaded
+    duration: float = 0.0  # [s] of its own file; 0 where all drones share their times
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,23 +93,13 @@ def recording_of_curves(
 
     Drones that end before the others stay where they ended. Curves are put on common breaks window
     by window, so that drones with breaks of their own take no more memory than their files.
-
-    Parameters
-    ----------
-    names, curves: (D,)
-    frame, smooth: as in ``Recording``.
-    sizes: (D,) [bytes] that trajectories take in the drones' memories.
-    found: ``findings`` and ``own`` limits.
-
-    Raises
-    ------
-    FileError: common breaks times drones beyond MAX_SPANS.
+    ``sizes`` are in bytes; ``found`` are ``findings`` and a show's ``own`` limits. FileError tells
+    of common breaks times drones beyond MAX_SPANS.
     """
     ends, times = [float(c.breaks[-1]) for c in curves], [c.breaks for c in curves]
     counts = [curve.pieces for curve in curves]
     facts = tuple(map(DroneFacts, names, counts, sizes or [0] * len(names), ends))
-    if max(ends) - min(ends) > 0.0:
-        times = [np.append(t, max(ends)) if t[-1] < max(ends) else t for t in times]
+    times = [np.append(t, max(ends)) if t[-1] < max(ends) else t for t in times]
     same = all(np.array_equal(t, times[0]) for t in times)
     spans = len(times[0] if same else np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
     if spans * len(curves) > MAX_SPANS:
@@ -151,20 +125,10 @@ def recording_of_samples(
 ) -> Recording:
     """Return the recording of samples: between two of them the curve that meets both.
 
-    The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too.
-
-    Parameters
-    ----------
-    names: (D,)
-    t: (S,) [s]
-    values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
-    frame: an unknown one becomes none.
-    smooth: the highest derivative that the format has.
-
-    Raises
-    ------
-    FileError: times that do not increase, or fewer than two samples.
+    ``values`` (S, D, 3 m) at ``t`` (S,) [s] are positions, then velocities and accelerations as far
+    as there are any: lines, cubics or quintics run through them. ``smooth`` is the highest
+    derivative that the format has; an unknown ``frame`` becomes none. FileError tells of times that
+    do not increase, or fewer than two samples.
     """
     check_times(t)
     if len(t) < 2:
@@ -224,20 +188,11 @@ def read_columns(
     least: int = 0,
     kind: type[np.float64 | np.str_] = np.float64,
 ) -> NDArray[Any]:
-    """Return the wanted columns of a table's lines as numbers or text; blank ones are left out.
+    """Return the wanted columns of a table's lines, as numbers or text; blank ones are left out.
 
-    Parameters
-    ----------
-    lines: of the table, without the first one.
-    header: the first line.
-    wanted: names of columns.
-    source: name of the file.
-    least: fewest rows.
-    kind: of the cells.
-
-    Raises
-    ------
-    FileError: a column is missing, fewer rows, rows that are too short, or text that is no number.
+    ``header`` is the first line, ``lines`` are the others, ``source`` is the file's name. FileError
+    tells of a column that is missing, fewer rows than ``least``, rows that are too short, or text
+    that is no number.
     """
     labels = header.split(",")
     if missing := [name for name in wanted if name not in labels]:
@@ -255,12 +210,7 @@ def read_columns(
 
 
 def needed(module: str) -> Any:
-    """Return a module of a library that only some formats need.
-
-    Raises
-    ------
-    UnsupportedError: it is not installed; the message says what to install.
-    """
+    """Return a module that only some formats need; UnsupportedError says what to install."""
     try:
         return import_module(module)
     except ImportError as fault:
@@ -274,12 +224,7 @@ MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return what the manifest in a folder says; None where there is none, or not one of ours.
-
-    Raises
-    ------
-    FileError: there is one that cannot be read.
-    """
+    """Return what a folder's manifest says; None where there is none of ours; raise FileError."""
     path = folder / MANIFEST
     if not path.is_file():
         return None
