@@ -23,9 +23,9 @@ import numpy as np
 
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
-from hitchopt.exports.recording import lasted
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
@@ -36,13 +36,8 @@ DAMPING_RATIO = 5.0 / 6.0
 
 DEGREE = 8  # Degree of the offset's pieces
 LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings by one radian
-
-HALVINGS = 3
-"""Number of times that the pieces are halved while the drones miss the plan by too much."""
-
-LARGEST_MISS = 1e-4
-"""[m] Largest distance of drones from the plan that a solution of the equation may leave."""
-
+HALVINGS = 3  # Number of times that the pieces are halved while the miss is too large
+LARGEST_MISS = 1e-4  # [m] Largest distance of drones from the plan that a solution may leave
 PROBES = 3  # Points between two of Lobatto's at which the equation is checked
 
 REST = 2.0
@@ -64,12 +59,7 @@ class PositionLoop:
 
     @classmethod
     def of(cls, team: Team, stiffness: float | None, damping: float | None) -> PositionLoop:
-        """Return the team's loops, or those of other gains.
-
-        Raises
-        ------
-        InputError: a gain that is not positive, or a team whose drones are rigid.
-        """
+        """Return the team's loops, or those of other gains; InputError tells of rigid drones."""
         k = team.stiffness
         if stiffness is not None:
             k = np.full(team.drones, positive("--stiffness", stiffness))
@@ -85,8 +75,7 @@ class PositionLoop:
     def gain(self) -> float:
         """Largest offset of a drone over the largest miss of the equation, at any time.
 
-        It is the integral of the absolute impulse response, ``coth(πζ/(2√(1-ζ²)))``; 1 where the
-        response does not swing.
+        It is the integral of the absolute impulse response, 1 where that does not swing.
         """
         ratio = float(np.min(self.damping / (2.0 * np.sqrt(self.stiffness * self.mass))))
         if ratio >= 1.0:
@@ -118,27 +107,22 @@ class HeldTension:
 def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
     """Return the set points with which controllers fly a plan without feed-forward of the pull.
 
-    Raises
-    ------
-    UnsupportedError: single drones.
-    InfeasibleError: forces that change so fast that the equation is not solved well enough.
+    UnsupportedError tells of single drones, InfeasibleError of forces that change so fast that the
+    equation is not solved well enough.
     """
     if not motion.team.has_cables:
         raise UnsupportedError("--hold-tension: single drones carry no cables that could pull")
-    end = float(motion.drones.breaks[-1]) + REST
-    *phases, last = motion.phases
-    longer = (*phases, replace(last, end=end))
-    whole = motion.untimed.changed(lambda part: lasted(part, end), longer)
+    whole = followed(motion.untimed, resting(motion.untimed, REST))
     step = LONGEST * float(np.min(np.sqrt(loop.mass / loop.stiffness)))
-    for _ in range(HALVINGS + 1):
-        pieces = pairwise(whole.drones.breaks.tolist())
-        inner = [np.linspace(a, b, ceil((b - a) / step), endpoint=False) for a, b in pieces]
-        breaks = np.concatenate([*inner, [end]])
+    for halving in range(HALVINGS + 1):
+        pieces = [
+            (a, b, ceil((b - a) / (step / 2**halving))) for a, b in pairwise(whole.drones.breaks)
+        ]
+        inner = [np.linspace(a, b, count, endpoint=False) for a, b, count in pieces]
+        breaks = np.concatenate([*inner, whole.drones.breaks[-1:]])
         offsets, error = _solved(whole, loop, breaks)
-        miss = loop.gain * error
-        if miss <= LARGEST_MISS:
+        if (miss := loop.gain * error) <= LARGEST_MISS:
             break
-        step *= 0.5
     else:
         remedy = "fly it slower with --stretch"
         broken = Violation("held_tension", miss, LARGEST_MISS, "max", "m", (), "", remedy)
@@ -153,9 +137,9 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
         speed=max(limits.speed, share * largest_rate(drones, 1).worst),
         acceleration=max(limits.acceleration, share * largest_rate(drones, 2).worst),
     )
-    parts = {"drones": drones, "requirements": replace(split.requirements, limits=eased)}
+    held = replace(split, drones=drones, requirements=replace(split.requirements, limits=eased))
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
-    return HeldTension(Motion(**(dict(vars(split)) | parts)), loop, largest, miss)
+    return HeldTension(held, loop, largest, miss)
 
 
 def _lobatto(count: int) -> Array:

@@ -37,7 +37,7 @@ from hitchopt.exports.recording import (
 from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
-from hitchopt.storage.archive import PLAN
+from hitchopt.storage.archive import PLAN, reading
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.values import path as checked_path
@@ -49,6 +49,7 @@ MAX_FILES = 25_000  # Largest number of files in a folder that are read
 SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
 SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
 SPEED, ACCELERATION = 3.0, 10.0  # [m/s], [m/s²] Default limits
+RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
 WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
 SLOWEST = 30.0  # [Hz] Lowest rate at which full states are usefully streamed
 
@@ -70,53 +71,31 @@ Jump = tuple[float, str, float]  # Size, drone and time of a jump where pieces j
 
 @dataclass(frozen=True)
 class Flight:
-    """Figures of the drones' joint flight over all of the time.
+    """Figures of the drones' joint flight over all of the time."""
 
-    Attributes
-    ----------
-    duration: [s]
-    speed, acceleration: the largest of any drone [m/s], [m/s²]; nan where the files have none.
-    separation: smallest ratio over pairs, 1 where ellipsoids touch; inf for one drone, nan where
-        all trajectories begin at one point, relative to places that are not known.
-    jumps: the largest between pieces, of position [m], velocity [m/s] and acceleration [m/s²], as
-        far as the format means them to be smooth.
-    reach: the largest coordinate, control points included [m].
-    speed_limit, acceleration_limit: limits of these two [m/s], [m/s²]; inf where only the show's
-        own limits apply.
-    own: checks of the show's own limits.
-    """
-
-    duration: float
-    speed: float
-    acceleration: float
-    separation: float
-    jumps: tuple[float, ...]
-    reach: float
-    speed_limit: float
-    acceleration_limit: float
-    own: tuple[Check, ...] = ()
+    duration: float  # [s]
+    speed: float  # the largest of any drone [m/s]
+    acceleration: float  # [m/s²]; nan where the files have none
+    separation: (
+        float  # smallest ratio over pairs; inf for one drone, nan where places are not known
+    )
+    jumps: tuple[float, ...]  # the largest between pieces, of position, velocity, acceleration
+    reach: float  # the largest coordinate, control points included [m]
+    speed_limit: float  # [m/s]; inf where only the show's own limits apply
+    acceleration_limit: float  # [m/s²]; likewise
+    own: tuple[Check, ...] = ()  # checks of the show's own limits
 
 
 @dataclass(frozen=True)
 class Report:
-    """Findings and figures of a path.
+    """Findings and figures of a path."""
 
-    Attributes
-    ----------
-    path: file or folder that was read.
-    kind: of format.
-    frame: enu, nwu or ned; empty where the files do not state it.
-    facts: one per drone.
-    flight: of all drones together.
-    findings: the errors first.
-    """
-
-    path: Path
-    kind: str
-    frame: str
-    facts: tuple[DroneFacts, ...]
-    flight: Flight
-    findings: tuple[Finding, ...]
+    path: Path  # file or folder that was read
+    kind: str  # of format
+    frame: str  # enu, nwu or ned; empty where the files do not state it
+    facts: tuple[DroneFacts, ...]  # one per drone
+    flight: Flight  # of all drones together
+    findings: tuple[Finding, ...]  # the errors first
 
     @property
     def sound(self) -> bool:
@@ -126,19 +105,14 @@ class Report:
 
 @dataclass(frozen=True)
 class Rules:
-    """Limits of the drones' flight.
+    """Limits of the drones' flight; None is a show's own, or the default where it has none.
 
-    Attributes
-    ----------
-    speed: [m/s], of every drone; None: the show's own limits alone, or SPEED where it has none.
-    acceleration: [m/s²], of every drone; None: the show's own, or ACCELERATION.
-    separation: of any two drones.
-    jumps: between pieces, of position [m], velocity [m/s], acceleration [m/s²]: beyond the first a
-        flight is expected to fail, beyond the others to shake.
+    Jumps between pieces are limited in position [m], beyond which a flight is expected to fail,
+    velocity [m/s] and acceleration [m/s²], beyond which it shakes.
     """
 
-    speed: float | None = None
-    acceleration: float | None = None
+    speed: float | None = None  # [m/s]
+    acceleration: float | None = None  # [m/s²]
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
 
@@ -146,9 +120,8 @@ class Rules:
         """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
 
         def limit(given: float | None, default: float, name: str) -> float:
-            if given is not None:
-                return given
-            return math.inf if {f"max{name}XY", f"max{name}Z"} <= set(own) else default
+            usual = math.inf if {f"max{name}XY", f"max{name}Z"} <= set(own) else default
+            return usual if given is None else given
 
         speed = limit(self.speed, SPEED, "Velocity")
         return speed, limit(self.acceleration, ACCELERATION, "Acceleration")
@@ -222,11 +195,8 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
     here = [kind for kind in known if suffix in kind.endings]
     if suffix != ".csv":
         return here[0]
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            header = file.readline(100_000).partition("#")[0].strip()
-    except (OSError, ValueError) as fault:
-        raise FileError(f"{path}: cannot be read as text: {fault}") from fault
+    with reading(path, "text"), path.open(encoding="utf-8-sig") as file:
+        header = file.readline(100_000).partition("#")[0].strip()
     labels = [label.strip().lower() for label in header.split(",")]
     for kind in reversed(here):  # polynomials, which may begin with numbers, come last
         if kind.recognises(labels):
@@ -249,7 +219,7 @@ def _flown_together(
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
     # Several drones that begin at one point have an origin each.
     relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < SAME_START
-    reach = longest = 0.0
+    reach, longest = (0.0, ""), 0.0
     for window in (last, *windows):
         reach = max(reach, _reach(window, names))
         for check in _checks(recording, window, limits, None if relative else rules.separation):
@@ -265,12 +235,15 @@ def _flown_together(
         values.get("acceleration", math.nan),
         values.get("separation", math.nan) if len(names) > 1 else math.inf,
         tuple(jump[0] for jump in jumps),
-        reach,
+        reach[0],
         *limits,
         tuple(checks[key] for key in own if key in checks),
     )
     found = [*map(_broken, (check for check in checks.values() if not check.holds))]
     found += [*_joining(last, names, jumps, rules), *_timing(kind, recording, longest)]
+    if reach[0] > RADIOED:
+        words = f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
+        found.append(note("range", reach[1], f"{words}±{RADIOED} m; move the origin"))
     if start != 0.0:
         found.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
     if relative:
@@ -280,16 +253,16 @@ def _flown_together(
     return flight, found
 
 
-def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> float:
-    """Return the largest coordinate [m]; raise FileError of absurd numbers."""
+def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, str]:
+    """Return the largest coordinate [m] and whose it is; raise FileError of absurd numbers."""
     each = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
-    if (reach := float(np.max(each))) > FARTHEST:
-        name = names[int(np.argmax(each))]
-        raise FileError(f"{name} goes {reach:.3g} m from the origin; units are metres")
+    farthest = float(np.max(each)), names[int(np.argmax(each))]
+    if farthest[0] > FARTHEST:
+        raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
     if (shortest := np.min(window.durations)) < SHORTEST:
         at = float(window.breaks[np.argmin(window.durations)])
         raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
-    return reach
+    return farthest
 
 
 def _checks(
@@ -339,7 +312,7 @@ def _jump(window: PiecewisePolynomial, order: int, names: Sequence[str]) -> Jump
     if sizes.size == 0:
         return (0.0, "", 0.0)
     joint, drone = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-    return (float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)]))
+    return float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)])
 
 
 def _broken(check: Check) -> Finding:

@@ -10,8 +10,8 @@ from pathlib import Path
 from hitchopt.errors import InputError
 
 HOMES = {
-    "crazyswarm2": "crazyswarm2:Crazyswarm2",
-    "compressed": "compressed:CompressedBytes",
+    "crazyswarm2": "crazyflie:Crazyswarm2",
+    "compressed": "crazyflie:CompressedBytes",
     "skybrush": "skybrush:SkybrushShow",
     "skybrush_csv": "skybrush:SkybrushCsv",
     "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",

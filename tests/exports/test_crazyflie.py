@@ -37,7 +37,7 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import Export
-from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
+from hitchopt.exports.formats.crazyflie import POLY
 from hitchopt.exports.lint import lint
 from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import read_manifest
@@ -51,15 +51,15 @@ from problems.swarm import reversed_stack
 def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     for path in sorted(tmp_path.glob("*.csv")):
-        table, data = read_poly_csv(path), b""
-        for duration, powers in zip(table.durations, table.powers, strict=True):
-            axes = [Poly4D.Poly(axis.tolist()) for axis in powers]
-            data += bytes(Poly4D(float(duration), *axes).pack())
-        assert len(data) == 132 * len(table.durations) <= 4096
+        table, data = np.loadtxt(path, delimiter=",", skiprows=1, comments="#"), b""
+        for duration, *powers in table.tolist():
+            axes = [Poly4D.Poly(powers[i : i + 8]) for i in range(0, 32, 8)]
+            data += bytes(Poly4D(duration, *axes).pack())
+        assert len(data) == 132 * len(table) <= 4096
         # In single precision nothing is lost: the numbers have been rounded to it.
-        single = np.frombuffer(data, dtype="<f4").reshape(-1, 33).astype(np.float64)
-        assert np.array_equal(single[:, 32], table.durations)
-        assert np.array_equal(single[:, :32].reshape(-1, 4, 8), table.powers)
+        single = np.frombuffer(data, dtype="<f4").reshape(-1, 33)
+        assert np.array_equal(single, np.float32(np.roll(table, -1, axis=1)))
+        np.testing.assert_allclose(single, np.roll(table, -1, axis=1), rtol=1e-8)
 
 
 def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
@@ -90,9 +90,8 @@ def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
     assert all(axes[1] == axes[2] == axes[3] == [] for _, axes in found)
     assert len(data) == 8 + len(found) * (3 + 14) + 3
     (part,) = exported(still, "crazyswarm2", tmp_path, frame="nwu")
-    table = read_poly_csv(tmp_path / "d0.csv")
-    assert (len(table.durations), table.frame) == (2, "nwu")
-    assert (tmp_path / "d0.csv").read_text().splitlines()[0].count(",") == 32
+    header, *rows = (tmp_path / "d0.csv").read_text().splitlines()
+    assert (header.count(","), len(rows), lint(tmp_path)[0].frame) == (32, 2, "nwu")
     assert part.verdict.duration == pytest.approx(3.0, abs=1e-3)
 
 
@@ -245,7 +244,7 @@ def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: P
         assert own is not None
         assert own["plan_span"] == [begins, ends]
         # What is flown lasts as long, rounded up to the format's clock.
-        assert 0.0 <= part.verdict.duration - (ends - begins) < KIND.quantum
+        assert 0.0 <= part.verdict.duration - (ends - begins) < POLY.quantum
         if end is not None:
             np.testing.assert_allclose(polynomials(path, np.zeros(1))[0], end, atol=1e-6)
         t = np.array([0.0, 0.7])
@@ -377,7 +376,8 @@ def standing(folder: Path) -> dict[str, Array]:
 
 def end_of(folder: Path, name: str) -> Array:
     path = folder / f"{name}.csv"
-    place: Array = polynomials(path, np.sum(read_poly_csv(path).durations, keepdims=True))[0]
+    last = np.sum(np.loadtxt(path, delimiter=",", skiprows=1)[:, 0], keepdims=True)
+    place: Array = polynomials(path, last)[0]
     return place
 
 

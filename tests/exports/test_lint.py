@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
-from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
+from hitchopt.exports.formats.crazyflie import write_poly_csv
 from hitchopt.exports.formats.ros2bag import message_types
 from hitchopt.exports.formats.skybrush import HEADER, read_show
 from hitchopt.exports.lint import Report, Rules, lint
@@ -418,7 +418,7 @@ FLAWS: dict[str, tuple[list[Any], Rules, str]] = {
     "too fast": ([MOVING], Rules(1.2, 0.3), "error acceleration, error speed, warning end"),
     "apart, but not as long": ([REST, LATE], Rules(), "warning duration"),
     "near": ([REST, REST], NEAR, "error separation"),
-    "far away": ([FAR], Rules(), "warning end"),
+    "far away": ([FAR], Rules(), "note range, warning end"),
     "31 pieces": ([FULL], Rules(), "warning end"),
     "32 pieces and a jump": ([LONG], Rules(), "error jump, error memory, warning end"),
 }

@@ -189,7 +189,7 @@ def test_returns_that_are_read_back_are_what_is_certified(tmp_path: Path) -> Non
         lambda drones: drones[0].pop("rthPlan"),
     ):
         changed(tmp_path, damage)
-        with pytest.raises(FileError, match="rthPlan is damaged"):
+        with pytest.raises(FileError, match="is no show with an rthPlan"):
             kind.read(tmp_path, task)
 
 

@@ -56,7 +56,7 @@ from hitchopt.exports.recording import (
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.storage.archive import opened_zip, read_members
+from hitchopt.storage.archive import opened_zip, read_members, reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -189,7 +189,7 @@ class SkybrushShow(Format):
         show = read_show(path)
         curves = {name: stored(curve) for name, curve in show.curves.items()}
         if not task.motion.team.has_cables:
-            certify_returns(path, show.returns, curves, task)
+            certify_returns(path, show, curves, task)
         return recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
 
 
@@ -262,12 +262,7 @@ class Show:
 
 
 def read_show(path: Path) -> Show:
-    """Return the show; each file in the zip is read once, however many drones refer to it.
-
-    Raises
-    ------
-    FileError: no zip, no show, a trajectory that is damaged, or more than anyone flies.
-    """
+    """Return the show; each file in the zip is read once, however many drones refer to it."""
     with opened_zip(path, "Skybrush show") as archive:
         (content,) = read_members(path, archive, [archive.getinfo("show.json")])
         show = parsed_json(content)
@@ -275,44 +270,41 @@ def read_show(path: Path) -> Show:
         if not isinstance(drones, list) or not 0 < len(drones) <= MAX_DRONES:
             raise FileError(f"{path}: show.json names no drones, or more than {MAX_DRONES}")
         settings: dict[str, Any] = {}
-        for number, drone in enumerate(drones):
-            name = str(drone["settings"].get("name", number + 1))
+        for number, drone in enumerate(drones, 1):
+            name = str(drone["settings"].get("name", number))
             if name in settings:
                 raise FileError(f"{path}: two drones are called {name!r}")
             settings[name] = drone["settings"]
-        files = {name: _file(each["trajectory"]) for name, each in settings.items()}
-        members = {file: archive.getinfo(file) for file in files.values() if file}
-        first = {file: name for name, file in reversed(files.items())}
+        files = {
+            name: posixpath.normpath(each["trajectory"]["$ref"].partition("#")[0])
+            for name, each in settings.items()
+            if "$ref" in each["trajectory"]
+        }
+        members = {file: archive.getinfo(file) for file in files.values()}
         contents = read_members(path, archive, list(members.values()))
         shared = {
-            file: _curve(f"{path}: {first[file]}", parsed_json(content))
+            file: _curve(f"{path}: {file}", parsed_json(content))
             for file, content in zip(members, contents, strict=True)
         }
         curves = {
-            name: shared[file] if file else _curve(f"{path}: {name}", settings[name]["trajectory"])
-            for name, file in files.items()
+            name: shared[files[name]]
+            if name in files
+            else _curve(f"{path}: {name}", each["trajectory"])
+            for name, each in settings.items()
         }
         own = show.get("settings")
-    returns = {name: each.get("rthPlan") for name, each in settings.items()}
     validation = own.get("validation") if isinstance(own, dict) else None
+    returns = {name: each.get("rthPlan") for name, each in settings.items()}
     return Show(curves, validation if isinstance(validation, dict) else {}, returns)
-
-
-def _file(trajectory: Any) -> str | None:
-    """Return the zip's file that a trajectory is in; None where it stands in the show itself."""
-    reference = trajectory.get("$ref") if isinstance(trajectory, dict) else None
-    if not isinstance(reference, str):
-        return None
-    return posixpath.normpath(reference.partition("#")[0])
 
 
 def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
     """Return the cubics (3,) [m] of a trajectory, at its first place until it takes off."""
     points = trajectory["points"]
-    start = float(trajectory.get("takeoffTime", 0.0))
-    if not isinstance(points, list) or len(points) < 2:
-        count = len(points) if isinstance(points, list) else 0
+    count = len(points) if isinstance(points, list) else 0
+    if count < 2:
         raise FileError(f"{source}: its trajectory has {count} points; two are the least")
+    start = float(trajectory.get("takeoffTime", 0.0))
     times = start + np.array([point[0] for point in points], dtype=np.float64)
     check_times(times, source)
     pieces = []
@@ -361,12 +353,11 @@ def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
 
     Times from which none was found are left out: a command then waits for the next one.
     """
-    landing, found = landing_speed(motion), []
-    every = max(1, ceil(motion.duration / MOST))
+    found, every = [], max(1, ceil(motion.duration / MOST))
     for time in range(0, ceil(motion.duration) + every, every):
         start = motion.drones.at(min(float(time), motion.duration))
         for entries in _tries(motion, time, start, frame):
-            checks = return_checks(motion, entries, start, landing, frame)
+            checks = return_checks(motion, entries, start, landing_speed(motion), frame)
             spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
             if spare and all(check.holds for check in checks):
                 found.append(entries)
@@ -393,13 +384,10 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
     )
     # Drones of one height go down together, the lowest first.
     turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
-    goals = [level]
-    for t in (0.0, motion.duration):
-        place = motion.drones.at(t)[:, :2]
+    for place in (motion.drones.at(motion.duration)[:, :2], motion.drones.at(0.0)[:, :2], level):
         # The least squares of distances: lines of one clock then do not cross at one time.
         squares = np.sum((level[:, None] - place) ** 2, axis=-1)
-        goals = [place[linear_sum_assignment(squares)[1]], *goals]
-    for goal in goals:
+        goal = place[linear_sum_assignment(squares)[1]]
         far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
         duration = max(1, ceil(far / (SHARE * motion.requirements.limits.speed)))
         yield entries(goal, duration, zero, zero)
@@ -412,31 +400,34 @@ def return_checks(
 ) -> list[Check]:
     """Return the checks of the return that every drone's entry of one time describes.
 
-    Drones begin at ``start`` (D, 3) [m] and descend at ``landing`` [m/s]. Raises ValueError if the
+    Drones begin at ``start`` (D, 3) [m] and descend at ``landing`` [m/s]. ValueError says that the
     entries are none.
     """
-    if len({(entry["time"], entry["action"], entry["duration"]) for entry in entries}) != 1:
-        raise ValueError("entries of one time differ")
-    if entries[0]["action"] not in (LAND, LEVEL) or float(entries[0]["time"]) % 1.0:
+    ((time, action, lasts),) = {(e["time"], e["action"], e["duration"]) for e in entries}
+    if action not in (LAND, LEVEL) or float(time) % 1.0:
         raise ValueError("an action is not known, or its time is no whole second")
-    flat, floor = entries[0]["action"] == LEVEL, motion.requirements.floor
-    targets = frame.planned(np.array([entry["target"] for entry in entries], dtype=np.float64))
-    begins = np.array([entry["preDelay"] for entry in entries], dtype=np.float64)
-    ends = begins + (float(entries[0]["duration"]) if flat else 0.0)
-    lowers = ends + np.array([entry["postDelay"] for entry in entries], dtype=np.float64)
+    floor, level = motion.requirements.floor, start[:, :2]
+    begins, after = (
+        np.array([entry[key] for entry in entries], dtype=np.float64)
+        for key in ("preDelay", "postDelay")
+    )
+    ends = begins
+    if action == LEVEL:
+        targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
+        ends, level = begins + float(lasts), frame.planned(targets)[:, :2]
+    lowers = ends + after
     lands = lowers + np.maximum(start[:, 2] - floor, 0.0) / landing
     times = np.round(np.concatenate([begins, ends, lowers, lands]), 9)
     last = float(np.max(lands)) + 1e-2
     breaks = merged_breaks([np.unique(np.append(times[times < last], [0.0, 1e-2, last]))])
 
     def share(first: Array, last: Array) -> Array:
-        spans = np.maximum(last - first, 1e-12)
-        found: Array = np.clip((breaks[:, None] - first) / spans, 0.0, 1.0)
+        found: Array = np.clip(
+            (breaks[:, None] - first) / np.maximum(last - first, 1e-12), 0.0, 1.0
+        )
         return found[..., None]
 
-    level = targets[:, :2] if flat else start[:, :2]
-    there = np.column_stack([level, start[:, 2]])
-    places = start + share(begins, ends) * (there - start)
+    places = start + share(begins, ends) * (np.column_stack([level, start[:, 2]]) - start)
     places[..., 2:] += share(lowers, lands) * (floor - start[:, 2:])
     curves = PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
     phase = Phase("return", 0, 0.0, curves.duration)
@@ -445,37 +436,31 @@ def return_checks(
 
 
 def certify_returns(
-    path: Path,
-    returns: Mapping[str, Any],
-    curves: Mapping[str, PiecewisePolynomial],
-    task: Task,
+    path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: Task
 ) -> None:
-    """Certify the returns of a show's drones, each flown from its time on, on stored curves.
+    """Certify a show's returns, each flown from its time on, from stored curves.
 
-    Raises
-    ------
-    FileError: drones without returns, entries that differ in times, or that are no returns.
-    InfeasibleError: a return breaks a limit.
+    FileError tells of drones without returns, or of entries that are no returns, InfeasibleError of
+    a return that breaks a limit.
     """
-    before = -1.0
-    try:
-        plans = [returns[name] for name in task.names]
+    flown: list[tuple[float, list[Check]]] = []
+    with reading(path, "show with an rthPlan for every drone"):
+        plans = [show.returns[name] for name in task.names]
         (landing,) = {float(plan["landingSpeed"]) for plan in plans}
         for entries in zip(*(plan["entries"] for plan in plans), strict=True):
             time = float(entries[0]["time"])
-            if time <= before:
+            if flown and time <= flown[-1][0]:
                 raise ValueError("its times do not increase")
-            before = time
             each = [curves[name] for name in task.names]
             start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in each])
             places = task.frame.planned(start)
             checks = return_checks(task.motion, entries, places, landing, task.frame)
-            if broken := [check for check in checks if not check.holds]:
-                words = "a coordinated return of the show breaks a limit when it is read back"
-                when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
-                raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
-    except (KeyError, TypeError, ValueError, IndexError) as fault:
-        raise FileError(f"{path}: rthPlan is damaged: {fault}; export anew") from fault
+            flown.append((time, [check for check in checks if not check.holds]))
+    for time, broken in flown:
+        if broken:
+            words = "a coordinated return of the show breaks a limit when it is read back"
+            when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
+            raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
 
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
