@@ -175,7 +175,7 @@ def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: 
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
             "duration": verdict.duration,
-            "plan_span": list(task.span),
+            "plan_span": [task.begins, task.begins + task.motion.duration],
             "position_error_m": asdict(verdict.position),
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],

@@ -40,8 +40,8 @@ class Task:
     rate: float  # samples a second of the formats that sample [Hz]
     options: ExportOptions  # what the user asked for
     begins: float = 0.0  # when in the plan the motion begins [s]; 0 unless the plan was cut
-    number: int = 1  # which part of the plan the motion is, from 1 on,
-    count: int = 1  # of how many
+    number: int = 1  # which part of the plan the motion is, from 1 on
+    part: str = ""  # description of that part; empty for the whole
     bound: float = 1.0  # error of refits over the usual one
     undetermined: tuple[str, ...] = ()  # why the files leave the cables' tension undetermined
     notes: tuple[str, ...] = ()  # what else the user should know of it
@@ -50,19 +50,6 @@ class Task:
     def names(self) -> tuple[str, ...]:
         """Names (D,) that the files give the drones, in the plan's order."""
         return tuple(member.name for member in self.fleet.members)
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Times in the plan at which the motion begins and ends [s]; parts leave no gap."""
-        return self.begins, self.begins + self.motion.duration
-
-    @property
-    def part(self) -> str:
-        """Description of the part of the plan that this is; empty for the whole."""
-        if self.count == 1:
-            return ""
-        begins, ends = self.span
-        return f"part {self.number} of {self.count}, t = {begins:.3f} s to {ends:.3f} s of the plan"
 
     def samples(self, t: Array) -> dict[str, Array]:
         """Return the setpoints at times (S,) [s], in the file's axes, (S, D, 3) each.

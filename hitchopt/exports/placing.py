@@ -73,37 +73,25 @@ class Fleet:
     given: bool = False  # whether the user named them; else their addresses are placeholders
 
 
-class DroneKeys(Keys):
-    """A drone in a fleet file."""
-
-    name: str
-    uri: str
-    type: str = "default"
-
-
-class RobotKeys(Keys):
-    """A robot in a crazyflies.yaml."""
+class MemberKeys(Keys):
+    """A drone in a fleet file, or a robot in a crazyflies.yaml."""
 
     uri: str
+    name: str = ""  # in a fleet file; else its key
     type: str = "default"
-    role: str = ""
+    role: str = ""  # in a crazyflies.yaml; else its key
     enabled: bool = True
     initial_position: list[float] = Field(default_factory=list)  # the plan's is used
 
 
 class FleetKeys(Keys):
-    """A fleet file."""
+    """A fleet file, or a crazyflies.yaml, whose keys are those that stand second."""
 
-    drones: dict[str, DroneKeys]
+    drones: dict[str, MemberKeys] = Field(default_factory=dict)
+    robots: dict[str, MemberKeys] = Field(default_factory=dict)
     types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    settings: dict[str, Any] = Field(default_factory=dict)
-
-
-class CrazyfliesKeys(Keys):
-    """A crazyflies.yaml."""
-
-    robots: dict[str, RobotKeys]
     robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
     all: dict[str, Any] = Field(default_factory=dict)
     fileversion: int = 3
 
@@ -120,10 +108,7 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
     """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan.
 
-    Raises
-    ------
-    FileError: the file cannot be read as YAML.
-    InputError: keys, names or addresses that are wrong.
+    FileError tells of what is no YAML, InputError of keys, names or addresses that are wrong.
     """
     data = read_yaml(path)
     if not isinstance(data, dict):
@@ -133,18 +118,13 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
 
 def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
     """Return the fleet that ``data`` describes; errors as those of ``read_fleet``."""
-    model = CrazyfliesKeys if "robots" in data else FleetKeys
     try:
-        keys = model.model_validate(plain(data))
+        keys = FleetKeys.model_validate(plain(data))
     except ValidationError as error:
-        raise translated(error, model) from None
-    if isinstance(keys, CrazyfliesKeys):
-        root, types, settings = "robots", keys.robot_types, keys.all
-        robots = {name: robot for name, robot in keys.robots.items() if robot.enabled}
-        given = [Member(r.role or name, name, r.uri, r.type) for name, r in robots.items()]
-    else:
-        root, types, settings = "drones", keys.types, keys.settings
-        given = [Member(role, d.name, d.uri, d.type) for role, d in keys.drones.items()]
+        raise translated(error, FleetKeys) from None
+    root = "robots" if keys.robots else "drones"
+    each = keys.robots or keys.drones
+    given = [Member(m.role or k, m.name or k, m.uri, m.type) for k, m in each.items() if m.enabled]
     drones: dict[str, Member] = {}
     seen: set[str] = set()
     for member in given:
@@ -173,7 +153,8 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
             raise InputError(root, role, bound, remedy)
     members = tuple(drones[role] for role in roles)
     placeholders = [member.uri for member in placeholder_fleet(roles).members]
-    return Fleet(members, types, settings, placeholders != [m.uri for m in members])
+    named = placeholders != [member.uri for member in members]
+    return Fleet(members, keys.types or keys.robot_types, keys.settings or keys.all, named)
 
 
 AXES = {

@@ -41,9 +41,6 @@ class Scale(NamedTuple):
     acceleration: float = 1e-1  # [m/s²]
 
 
-USUAL = Scale()
-
-
 @dataclass(frozen=True)
 class Kind:
     """A format's kind of pieces."""
@@ -53,12 +50,7 @@ class Kind:
     quantum: float  # durations are whole multiples of it [s]
     longest: float  # duration of a piece [s]
     shortest: float = 0.0  # duration of a piece, whatever its error [s]; whole curves may be so
-    scale: Scale = USUAL  # of its errors
-
-    @property
-    def free(self) -> slice:
-        """Coefficients that the ends leave free."""
-        return slice(self.match, self.degree + 1 - self.match)
+    scale: Scale = Scale()  # noqa: RUF009 - a tuple
 
 
 def fitted(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
@@ -79,7 +71,7 @@ def _piece(
     jet = np.moveaxis(curves.jet(start + bernstein.nodes(NODES - 1) * h, 3), -1, 0)
     wanted = jet.reshape(3, NODES, -1) * h ** np.arange(3.0)[:, None, None]
     c = hermite @ np.concatenate([wanted[:match, 0], wanted[:match, -1]])
-    c[kind.free] += solver @ (wanted[0] - basis[0] @ c)
+    c[match : kind.degree + 1 - match] += solver @ (wanted[0] - basis[0] @ c)
     squares = np.sum(((basis @ c - wanted) ** 2).reshape(3, NODES, -1, 3), axis=-1)
     errors = np.sqrt(np.max(squares, axis=(1, 2))) / (kind.scale * h ** np.arange(3.0))
     return c, float(np.max(errors))

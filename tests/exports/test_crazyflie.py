@@ -183,7 +183,7 @@ def test_robots_fly_their_roles_else_their_names(tmp_path: Path) -> None:
 
 MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("drones", "q1", {"name": "cf1", "uri": "radio://0/1/2M/E7"}, "'q1': must be a drone of"),
-    ("drones", "q0", {"name": None}, r"drones.q0.name = \(missing\)"),
+    ("drones", "q0", {"uri": None}, r"drones.q0.uri = \(missing\)"),
     ("drones", "q0", {"name": "../up"}, "drones.q0.name = '../up': must be letters"),
     ("drones", "q0", {"name": "On"}, "no word of YAML"),
     ("drones", "q0", {"name": "CF9"}, "must be of one drone only"),
@@ -196,7 +196,7 @@ MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("robots", "cf7", {"firmware_params": {}}, "robots.cf7.firmware_params = .*a known key"),
     ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),
     ("drones", "r0", None, "drones = 'r0': must be named once"),
-    ("others", "", {}, r"drones = \(missing\): must be given"),
+    ("others", "", {}, "drones = 'q0': must be named once"),
 ]
 
 

@@ -133,12 +133,14 @@ class CrazyflieFormat(Format):
                 f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
                 f"drones hover, {UPLOAD_LAST}, go on"
             )
-            begins = [float(breaks[first]) for first, _ in parts]
-            tasks = [
-                replace(task, motion=part, begins=begins[i], number=i + 1, count=len(parts))
-                for i, (_, part) in enumerate(parts)
-            ]
-            yield [replace(t, notes=(*t.notes, f"{t.part}: {why}")) for t in tasks]
+            tasks = []
+            for i, (first, part) in enumerate(parts):
+                begins = float(breaks[first])
+                told = f"part {i + 1} of {len(parts)}, t = {begins:.3f} s to "
+                told += f"{begins + part.duration:.3f} s of the plan"
+                here = replace(task, motion=part, begins=begins, number=i + 1, part=told)
+                tasks.append(replace(here, notes=(*task.notes, f"{told}: {why}")))
+            yield tasks
 
     def _parts(self, motion: Motion, share: float) -> list[tuple[int, Motion]]:
         """Return the fewest parts between rests that memory holds, and the break of each start."""

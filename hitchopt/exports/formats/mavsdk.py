@@ -142,9 +142,8 @@ class MavsdkDroneShow(Format):
 
 def rise_of(task: Task) -> PiecewisePolynomial:
     """Return the share of the rise to a plan's first places, 0 to 1, over whole rows before it."""
-    motion, limits = task.motion, task.motion.requirements.limits
-    heights = motion.drones.coefficients[0, :, 2, 0] - motion.requirements.floor
-    highest = float(np.max(np.abs(heights)))
+    limits = task.motion.requirements.limits
+    highest = float(np.max(np.abs(_climb(task))))
     # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
     lasts = max(
         LEAST,
@@ -161,18 +160,15 @@ def rise_of(task: Task) -> PiecewisePolynomial:
 def separation_before(task: Task, rise: PiecewisePolynomial) -> float | None:
     """Return the least separation of drones while they rise; None of one drone.
 
-    Raises
-    ------
-    InfeasibleError: drones that begin above one another cannot rise straight up to there.
+    InfeasibleError tells of drones that begin above one another: they cannot rise straight up.
     """
-    motion = task.motion
-    places = np.array(motion.drones.coefficients[0, ..., :1])
-    up = (places - [[0.0], [0.0], [motion.requirements.floor]]) * [[0.0], [0.0], [1.0]]
-    curves = PiecewisePolynomial(
-        rise.breaks, places - up + up * rise.coefficients[:, None, None, :]
+    motion, asked = task.motion, task.motion.requirements
+    places, up = motion.drones.coefficients[0, ..., :1], _climb(task)[..., None]
+    rising = PiecewisePolynomial(
+        rise.breaks, places + up * (rise.coefficients[:, None, None] - 1.0)
     )
     phase = Phase("rise", 0, 0.0, rise.duration)
-    flown = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
+    flown = Motion.single(motion.team, asked.untimed, rising, [phase])
     if (check := RULE_OF["separation"].check(flown)) is None:
         return None
     if not check.holds:
@@ -183,8 +179,15 @@ def separation_before(task: Task, rise: PiecewisePolynomial) -> float | None:
         )
         raise InfeasibleError([check.violation(when, remedy)], words)
     digits = 5e-9 * float(np.max(np.abs(task.frame.points(places[..., 0]))))  # files have nine
-    separation = motion.requirements.separation
-    return check.bound - 3.0 * digits / (2.0 * min(separation.radius, separation.height))
+    return check.bound - 3.0 * digits / (
+        2.0 * min(asked.separation.radius, asked.separation.height)
+    )
+
+
+def _climb(task: Task) -> Array:
+    """Return the way up from the ground to the plan's first places (D, 3) [m]."""
+    heights = task.motion.drones.coefficients[0, :, 2, :1] - task.motion.requirements.floor
+    return heights * [0.0, 0.0, 1.0]
 
 
 def receiver_settings(task: Task) -> dict[str, float | bool]:
@@ -204,22 +207,17 @@ def receiver_settings(task: Task) -> dict[str, float | bool]:
 
 def rows_of(task: Task, rise: PiecewisePolynomial) -> Array:
     """Return all drones' rows (S, D, 12): index, time, nine setpoints and yaw in degrees."""
-    before, plan = (
-        round(rise.duration * task.rate),
-        ceil(task.motion.duration * task.rate - 1e-6) + 1,
-    )
-    index = np.arange(before + plan)
-    t, flown = index / task.rate, task.samples(np.arange(plan) / task.rate)
+    before = round(rise.duration * task.rate)
+    index = np.arange(before + ceil(task.motion.duration * task.rate - 1e-6) + 1)
+    t, up = index / task.rate, task.frame.vectors(_climb(task))
+    plan = task.samples(t[before:] - rise.duration)
     share, rate, bend = (rise.at(t[:before], k)[:, None, None] for k in range(3))
-    first, floor = task.motion.drones.coefficients[0, ..., 0], task.motion.requirements.floor
-    up = task.frame.vectors((first - [0.0, 0.0, floor]) * [0.0, 0.0, 1.0])
-    pull = flown["cable_forces"][0] / task.motion.team.mass[:, None]
-    rising = flown["positions"][0] - up + share * up, rate * up, bend * up - share * pull
-    flying = flown["positions"], flown["velocities"], flown["feed_forward"]
+    pull = plan["cable_forces"][0] / task.motion.team.mass[:, None]
+    rising = plan["positions"][0] + (share - 1.0) * up, rate * up, bend * up - share * pull
+    flying = plan["positions"], plan["velocities"], plan["feed_forward"]
     rows = np.empty((len(index), len(task.names), 12))
     rows[..., 0], rows[..., 1] = index[:, None], t[:, None]
-    rows[:before, :, 2:11] = np.concatenate(rising, axis=-1)
-    rows[before:, :, 2:11] = np.concatenate(flying, axis=-1)
+    rows[..., 2:11] = np.concatenate([np.concatenate(each, axis=-1) for each in (rising, flying)])
     rows[..., 11] = math.degrees(task.frame.heading)
     return rows + 0.0  # no negative zeros
 
@@ -227,10 +225,7 @@ def rows_of(task: Task, rise: PiecewisePolynomial) -> Array:
 def read_tables(paths: Sequence[Path]) -> Array:
     """Return the rows of drones' files (S, D, 4, 7 or 10): t, places and rates as they stand.
 
-    Raises
-    ------
-    FileError: another header, rows of other lengths, fewer than two rows, or times or columns that
-        differ between the drones.
+    FileError tells of other headers, rows or columns, and of times that differ between drones.
     """
     tables: list[Array] = []
     for path in paths:

@@ -74,11 +74,12 @@ class Ros2Bag(Format):
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the bag; raise UnsupportedError without rosbags."""
-        (data,), options = self.files(task), task.options
-        bags = needed("rosbags.rosbag2")
-        storage, version = options.storage.upper(), ROS_DISTROS[options.ros_distro]
+        (data,), options, bags = self.files(task), task.options, needed("rosbags.rosbag2")
         stage = folder / STEM  # the library makes a directory, and calls the data by its name
-        plugin = bags.StoragePlugin[storage]
+        version, plugin = (
+            ROS_DISTROS[options.ros_distro],
+            bags.StoragePlugin[options.storage.upper()],
+        )
         with bags.Writer(stage, version=version, storage_plugin=plugin) as bag:
             _write_messages(bag, task)
         for name in (data, METADATA):
@@ -178,10 +179,7 @@ def message_types() -> Any:
 def bag_recording(path: Path) -> Recording:
     """Return the curves of all MultiDOFJointTrajectory messages of a bag, a folder or a file.
 
-    Raises
-    ------
-    UnsupportedError: rosbags is not installed.
-    FileError: no bag, a damaged one, or one without such messages.
+    UnsupportedError says that rosbags is not installed.
     """
     highlevel, store = needed("rosbags.highlevel"), message_types()
     found: dict[str, Array] = {}

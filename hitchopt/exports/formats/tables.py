@@ -79,24 +79,23 @@ class Table(Format):
     )
     carries_pull = True
 
+    def _write(self, path: Path, task: Task) -> None:
+        raise NotImplementedError
+
+    def _read(self, path: Path) -> Recording:
+        """Return what the file says; raise FileError or others of BROKEN if it is damaged."""
+        raise NotImplementedError
+
     def write(self, folder: Path, task: Task) -> Written:
         """Write the one file there is."""
         (name,) = self.files(task)
-        self.write_file(folder / name, task)
+        self._write(folder / name, task)
         return Written((name,))
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return what the file says."""
         with reading(files[0], f"{self.name} table of hitchopt's columns"):
-            return self.read_file(files[0])
-
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write a row per sample and drone."""
-        raise NotImplementedError
-
-    def read_file(self, path: Path) -> Recording:
-        """Return what the file says; raise FileError or others of BROKEN if it is damaged."""
-        raise NotImplementedError
+            return self._read(files[0])
 
 
 def _recording_of_rows(who: NDArray[np.str_], table: Array, frame: str) -> Recording:
@@ -126,23 +125,20 @@ class CsvTable(Table):
     endings = (".csv",)
     file = "setpoints_{frame}.csv"
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write one row per sample and drone."""
+    def _write(self, path: Path, task: Task) -> None:
         write_rows(path, HEADER, task.names, rows_of(task, ROWS))
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what columns of these names say; the last word of the name is the frame."""
-
-        def column(kind: type[np.float64 | np.str_], *names: str) -> NDArray[Any]:
+    def _read(self, path: Path) -> Recording:
+        found = []
+        for kind in (np.str_, np.float64):
             with path.open(encoding="utf-8") as file:
-                return read_columns(file, file.readline().rstrip("\r\n"), names, str(path), 0, kind)
-
-        with path.open(encoding="utf-8") as file:
-            labels = file.readline().rstrip("\r\n").split(",")
-        # The last column as well, so that rows are whole.
-        table = column(np.float64, "t", *told_columns(labels, FLOWN), labels[-1])
-        who = column(np.str_, "drone")[:, 0]
-        return _recording_of_rows(who, table[:, :-1], path.stem.rpartition("_")[2])
+                labels = file.readline().rstrip("\r\n").split(",")
+                # The last column as well, so that rows are whole.
+                numbers = ("t", *told_columns(labels, FLOWN), labels[-1])
+                wanted = ("drone",) if kind is np.str_ else numbers
+                found.append(read_columns(file, ",".join(labels), wanted, str(path), 0, kind))
+        who, table = found
+        return _recording_of_rows(who[:, 0], table[:, :-1], path.stem.rpartition("_")[2])
 
     def recognises(self, labels: Sequence[str]) -> bool:
         """Return whether the first columns are t and drone."""
@@ -156,8 +152,7 @@ class ParquetTable(Table):
     endings = (".parquet",)
     file = "setpoints.parquet"
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write the table in double precision; raise UnsupportedError without pyarrow."""
+    def _write(self, path: Path, task: Task) -> None:
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         names, number = arrow.array(task.names), arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
@@ -171,8 +166,7 @@ class ParquetTable(Table):
                 columns = [np.repeat(t, len(names)), drones, *values.reshape(-1, len(COLUMNS)).T]
                 writer.write_table(arrow.table(columns, schema=writer.schema), len(who))
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what columns of these names say; raise UnsupportedError without pyarrow."""
+    def _read(self, path: Path) -> Recording:
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
             refuse_expansion(72 * file.metadata.num_rows, path.stat().st_size)
@@ -196,15 +190,13 @@ class NpzTable(Table):
         "cable_*", "cable_forces"
     )
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write an array for every group of columns."""
+    def _write(self, path: Path, task: Task) -> None:
         times, blocks = zip(*task.blocks(GROUP), strict=True)
         arrays: dict[str, Any] = {"frame": task.frame.name, "drones": task.names}
         arrays |= {name: np.concatenate([block[name] for block in blocks]) for name in GROUPS}
         np.savez(path, **arrays | {"t": np.concatenate(times)})
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what such an archive says."""
+    def _read(self, path: Path) -> Recording:
         flown = tuple(GROUPS)[:3]
         arrays = read_arrays(path, ("frame", "drones", "t", *flown))
         names, t = tuple(map(str, arrays["drones"].ravel())), np.atleast_1d(arrays["t"])
@@ -226,8 +218,7 @@ class JsonTable(Table):
     endings = (".json",)
     file = "setpoints.json"
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write the document, a sample a line."""
+    def _write(self, path: Path, task: Task) -> None:
         head = {"format": JSON_FORMAT, **task.frame.to_dict()}
         head |= {"drones": list(task.names), "columns": list(COLUMNS)}
         with path.open("w", encoding="utf-8", newline="\n") as file:
@@ -239,8 +230,7 @@ class JsonTable(Table):
                     joint = ",\n"
             file.write("\n]}\n")
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what such a document says."""
+    def _read(self, path: Path) -> Recording:
         if path.stat().st_size > MAX_TEXT:
             raise FileError(f"is larger than {MAX_TEXT} bytes")
         content = parsed_json(path.read_bytes())
