@@ -232,13 +232,10 @@ def data_frame(motion: Motion, rate: float) -> DataFrame:
     values = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
     ends = np.array([phase.end for phase in motion.phases[:-1]])
-    here = np.repeat(np.searchsorted(ends, times, side="right"), len(names))
+    here = np.repeat(np.array(phases)[np.searchsorted(ends, times, side="right")], len(names))
     first, drone, *columns = HEADER.split(",")
-    each = np.tile(np.arange(len(names)), len(times))
-    who, when = (
-        pandas.Categorical.from_codes(codes, categories=pandas.Index(list(words)))
-        for codes, words in ((each, names), (here, phases))
-    )
-    numbers = dict(zip(columns, values.T, strict=True))
+    who = pandas.Categorical(np.tile(names, len(times)), pandas.Index(list(names)))
     rows = {first: np.repeat(times, len(names)), drone: who}
+    numbers = dict(zip(columns, values.T, strict=True))
+    when = pandas.Categorical(here, pandas.Index(phases))
     return pandas.DataFrame(rows | numbers | {"phase": when})

@@ -28,9 +28,9 @@ from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
 from hitchopt.exports.format import Format, Task, format_of
 from hitchopt.exports.held_tension import PositionLoop, held_tension
-from hitchopt.exports.options import HOMES, ExportOptions, checked_rate
+from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, read_manifest
+from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, listed
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
@@ -99,7 +99,10 @@ def export_motion(
         options,
         undetermined=_undetermined(kind, motion, options),
     )
-    _refuse_taken(place)
+    sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
+    if place.exists() and not (place.is_dir() or sealed):
+        words = "is there already, and no export's: an export is a folder"
+        raise FileError(f"{place}: {words}; choose another name")
     certificate = certify(plan, say)
     certificate.raise_if_violated()
     if options.hold_tension:
@@ -208,19 +211,8 @@ def _scratch(place: Path) -> Iterator[Path]:
 
 
 def _is_file(place: Path) -> bool:
-    """Return whether a place is that of a single file: it ends as files of formats do."""
-    if place.is_dir() or not place.suffix:
-        return False
-    return any(place.suffix.lower() in (*format_of(name).endings, ".yaml") for name in HOMES)
-
-
-def _refuse_taken(place: Path) -> None:
-    """Raise FileError if a file that no export wrote has the place."""
-    if place.exists() and not place.is_dir():
-        if not _is_file(place):
-            raise FileError(f"{place}: is a file; an export is a folder, choose another one")
-        if not place.with_name(f"{place.name}.{MANIFEST}").exists():
-            raise FileError(f"{place}: is there already, and no export's; choose another name")
+    """Return whether a place is that of a single file."""
+    return place.suffix.lower() in ENDINGS and not place.is_dir()
 
 
 def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple[Export, ...]:
@@ -234,7 +226,7 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}
         _move(place.parent, sources, set(sources), seal)
         return (replace(first, folder=place.parent, files=(place.name,)),)
-    before = part_folders(place)  # the manifest that names them is about to be replaced
+    before = listed(place, "parts")  # the manifest that names them is about to be replaced
     placed = [replace(part, folder=place / part.folder.name if several else place) for part in done]
     for part, here in zip(done, placed, strict=True):
         sources = {name: part.folder / name for name in (*part.files, MANIFEST)}
@@ -247,10 +239,10 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         content |= {"plan_spans": spans, "files": []}
         write = partial(write_strict_json, content=content)
         replace_files(place, {MANIFEST: write}, _owned(place, ()), seal=MANIFEST)
-    for name in set(before) - set(parts):  # an earlier export was cut into more parts
-        replace_files(place / name, {}, owned_files(place / name), seal=MANIFEST)
+    for old in (place / name for name in before if name not in parts):  # it was cut into more
+        replace_files(old, {}, _owned(old, ()), seal=MANIFEST)
         with contextlib.suppress(OSError):  # not empty
-            (place / name).rmdir()
+            old.rmdir()
     return tuple(placed)
 
 
@@ -263,30 +255,11 @@ def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str)
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
     """Return the files of an earlier export and of the next one, which replaces no others."""
-    owned = {MANIFEST, *owned_files(folder)}
+    owned = {MANIFEST, *listed(folder, "files")}
     if foreign := [name for name in files if name not in owned and (folder / name).exists()]:
         words = "is there already and not from an export; choose another folder with -o"
         raise FileError(f"{folder / foreign[0]}: {words}")
     return {*owned, *files}
-
-
-def owned_files(folder: Path) -> tuple[str, ...]:
-    """Return the names of an earlier export's files in a folder, its manifest among them."""
-    content = read_manifest(folder)
-    return () if content is None else (*_plain_names(content, "files"), MANIFEST)
-
-
-def part_folders(folder: Path) -> tuple[str, ...]:
-    """Return the names of the folders that an earlier export cut its plan into."""
-    names = _plain_names(read_manifest(folder) or {}, "parts")
-    return tuple(name for name in names if name.startswith("part"))
-
-
-def _plain_names(content: dict[str, Any], key: str) -> tuple[str, ...]:
-    """Return the plain names in a list of the manifest, whatever else it says."""
-    given = content.get(key)
-    names = [n for n in given if isinstance(n, str)] if isinstance(given, list) else []
-    return tuple(n for n in names if Path(n).name == n and "\0" not in n and not n.startswith("."))
 
 
 FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
@@ -380,7 +353,7 @@ def verify(
     index = [where[name] for name in names]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
     checks: list[list[Check | None]] = []
-    apart: list[tuple[Deviation, Deviation]] = []
+    apart: list[list[Deviation]] = []
     end = 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
@@ -413,18 +386,15 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     return motion.changed(span, here)
 
 
-def _deviations(flown: PiecewisePolynomial, motion: Motion) -> tuple[Deviation, Deviation]:
+def _deviations(flown: PiecewisePolynomial, motion: Motion) -> list[Deviation]:
     """Return how far curves on the breaks of a plan are off, in position and in velocity."""
-    degree = max(flown.degree, motion.drones.degree)
+    degree, found = max(flown.degree, motion.drones.degree), []
     wanted = bernstein.elevate(motion.drones.coefficients, degree)
-    apart = bernstein.elevate(flown.coefficients, degree) - wanted
-    margins = (ROUNDING * float(np.max(np.abs(wanted))), 0.0)
-    position, velocity = (
-        Deviation(found.worst + margin, found.time, motion.team.drone_names[found.item])
-        for order, margin in enumerate(margins)
-        for found in (largest_rate(PiecewisePolynomial(flown.breaks, apart), order),)
-    )
-    return position, velocity
+    apart = flown.alike(bernstein.elevate(flown.coefficients, degree) - wanted)
+    for order, margin in enumerate((ROUNDING * float(np.max(np.abs(wanted))), 0.0)):
+        most = largest_rate(apart, order)
+        found.append(Deviation(most.worst + margin, most.time, motion.team.drone_names[most.item]))
+    return found
 
 
 def written_checks(motion: Motion, rules: Sequence[CheckRule] = FLOWN) -> list[Check | None]:

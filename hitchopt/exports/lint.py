@@ -18,10 +18,9 @@ from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.exporting import part_folders
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.skybrush import DISTANCE, OWN_LIMITS, downward
-from hitchopt.exports.options import HOMES
+from hitchopt.exports.options import ENDINGS, HOMES
 from hitchopt.exports.recording import (
     ERROR,
     LEVELS,
@@ -30,6 +29,7 @@ from hitchopt.exports.recording import (
     Finding,
     Recording,
     error,
+    listed,
     note,
     read_manifest,
     warning,
@@ -141,8 +141,8 @@ def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     UnsupportedError: a library that its format needs is not installed.
     """
     place = checked_path("path", path)
-    parts = part_folders(place) if place.is_dir() else ()
-    each = map(place.joinpath, parts or ("",))
+    parts = listed(place, "parts") if place.is_dir() else []
+    each = map(place.joinpath, parts or [""])
     return tuple(_report(part, Rules() if rules is None else rules) for part in each)
 
 
@@ -171,15 +171,14 @@ def load(path: Path) -> tuple[Format, Recording]:
         raise FileError(f"{path}: is a plan; use `hitchopt check` for plans, lint for exports")
     if (path / BAG).is_file():
         return format_of("ros2bag"), format_of("ros2bag").load([path / BAG])
-    known = [format_of(name) for name in HOMES]
-    endings = tuple(dict.fromkeys(ending for kind in known for ending in kind.endings))
     there = sorted(path.iterdir()) if path.is_dir() else [path]
-    files = [p for p in there if p.suffix.lower() in endings and p.name != MANIFEST]
+    files = [p for p in there if p.suffix.lower() in ENDINGS and p.name != MANIFEST]
     if not 0 < len(files) <= MAX_FILES:
         others = Counter(file.suffix.lower() or "no ending" for file in there)
         held = ", ".join(f"{count} of {ending}" for ending, count in sorted(others.items()))
-        bound = f"from 1 to {MAX_FILES} files that end in {', '.join(endings)} are read"
+        bound = f"from 1 to {MAX_FILES} files that end in {', '.join(ENDINGS)} are read"
         raise FileError(f"{path}: {bound}; it holds {held or 'nothing'}")
+    known = [format_of(name) for name in HOMES]
     kinds = Counter(_kind(file, known) for file in files)
     first = next(iter(kinds))
     alone = len(files) == 1 or all(f.suffix.lower() in first.several for f in files)
@@ -356,11 +355,10 @@ def _timing(kind: Format, recording: Recording, longest: float) -> Iterator[Find
 
 def _missing(path: Path) -> Iterator[Finding]:
     """Yield which files of an export are gone, and why the tension is undetermined."""
-    manifest = (read_manifest(path) or {}) if path.is_dir() else {}
-    for key in ("files", "undetermined_tension"):
-        given = manifest.get(key)
-        for each in map(str, given if isinstance(given, list) else []):
-            if key == "undetermined_tension":
-                yield warning("tension", "", each)
-            elif not (path / Path(each).name).exists():
-                yield error("missing", each, "was exported and is not there")
+    if path.is_dir() and (manifest := read_manifest(path)):
+        for file in listed(path, "files"):
+            if not (path / file).exists():
+                yield error("missing", file, "was exported and is not there")
+        reasons = manifest.get("undetermined_tension")
+        for reason in reasons if isinstance(reasons, list) else ():
+            yield warning("tension", "", str(reason))

@@ -7,6 +7,7 @@ long flights are not held in memory.
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -232,3 +233,10 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         content = parsed_json(path.read_bytes())
     ours = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
     return content if ours else None
+
+
+def listed(folder: Path, key: str) -> list[str]:
+    """Return the plain names in a list of a folder's manifest, ``files`` or ``parts``."""
+    given = (read_manifest(folder) or {}).get(key)
+    each = given if isinstance(given, list) else []
+    return [n for n in each if isinstance(n, str) and re.fullmatch(r"[^/\\\0.][^/\\\0]*", n)]
