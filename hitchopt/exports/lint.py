@@ -19,7 +19,7 @@ from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.format import Format, format_of
-from hitchopt.exports.formats.skybrush import DISTANCE, OWN_LIMITS, downward
+from hitchopt.exports.formats.skybrush import DISTANCE, OWN_LIMITS
 from hitchopt.exports.options import ENDINGS, HOMES
 from hitchopt.exports.recording import (
     ERROR,
@@ -65,6 +65,14 @@ UNTOLD = {
     "accelerations": "none: joined by cubics through positions and velocities",
 }
 """What is said of files that do not hold a derivative."""
+
+SIZES: dict[str, Callable[[Enclosed], Bound]] = {
+    "all": lambda rate: rate.norm_above,
+    "across": lambda rate: rate.level.norm_above,
+    "up": lambda rate: rate[2].above,
+    "down": lambda rate: (rate[2] * -1.0).above,
+}
+"""Sizes of the parts of a vector that limits count."""
 
 Jump = tuple[float, str, float]  # Size, drone and time of a jump where pieces join
 
@@ -277,10 +285,10 @@ def _checks(
     names, own = recording.names, recording.own
 
     def largest(
-        name: str, limit: float, order: int, unit: str, sizes: Sequence[Callable[[Enclosed], Bound]]
+        name: str, limit: float, order: int, unit: str, parts: Sequence[str] = ("all",)
     ) -> Iterator[Check]:
         if order <= recording.smooth + 1:
-            each = [largest_rate(window, order, size=size) for size in sizes]
+            each = [largest_rate(window, order, size=SIZES[part]) for part in parts]
             worst = max(each, key=lambda found: (found.worst, found.item, found.time))
             where = (names[worst.item],)
             yield Check.of(name, worst.worst, limit, "max", unit, worst.time, where)
@@ -292,15 +300,15 @@ def _checks(
             where = tuple(names[int(drone[1:])] for drone in check.where)
             yield Check.of(name, check.bound * ratio, ratio, "min", unit, check.time, where)
 
-    yield from largest("speed", limits[0], 1, "m/s", [lambda rate: rate.norm_above])
-    yield from largest("acceleration", limits[1], 2, "m/s²", [lambda rate: rate.norm_above])
+    yield from largest("speed", limits[0], 1, "m/s")
+    yield from largest("acceleration", limits[1], 2, "m/s²")
     if separation is not None:
         yield from apart("separation", separation, 1.0, "ratio")
         if (least := own.get(DISTANCE)) is not None:
             yield from apart(DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m")
-    for key, (order, unit, sizes) in OWN_LIMITS.items():
+    for key, (order, unit, parts) in OWN_LIMITS.items():
         if key in own:  # upwards, a key of its own takes precedence
-            counted = (downward,) if f"{key}Up" in own else sizes
+            counted = ("down",) if f"{key}Up" in own else parts
             yield from largest(key, own[key], order, unit, counted)
 
 

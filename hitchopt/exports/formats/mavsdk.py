@@ -10,12 +10,11 @@ accelerations: every drone's rows are then counted from its own first one, in al
 
 **The rise.** Drones are armed on the ground, so their first row is there, below the plan's first
 place. They wait until all of them follow their rows, rise together, straight up, and rest before
-the plan begins. Seen from above nothing moves; a hitch whose drones begin at one altitude rises as
-it is. The cables' pull grows with the altitude.
+the plan begins. Seen from above nothing moves. The cables' pull grows with the altitude.
 
 **Feed-forward.** PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
 cable. So ``ax, ay, az`` are ``a_ff = a - F / m``, with the cable's force F on the drone: thrust is
-then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration feed-forward on.
+then ``m (a_ff + g)``. Use the show with velocity and acceleration feed-forward on.
 """
 
 from __future__ import annotations

@@ -8,11 +8,10 @@ and what is read back and certified are the curves that the server stores.
 
 **Coordinated returns** of drones without cables are every drone's ``settings.rthPlan``:
 ``{"version": 1, "landingSpeed", "entries": [{"time", "action", "target", "duration", "preDelay",
-"postDelay"}]}``: all times are whole seconds, those of the entries are the same for all drones. A
-command at t takes the first entry from t on: the show goes on until its time, then the drone waits,
-flies level to its target on a line (``goToKeepAlt``) or nowhere (``land``), waits and goes down.
-After the last entry drones land where they are. Velocity jumps where lines meet, so what is
-certified are distances, places and speeds. The server without its extension drops all of it.
+"postDelay"}]}``, in whole seconds, at the same times for all drones. A command at t takes the first
+entry from t on: the show goes on until its time, then the drone waits, flies level to its target on
+a line (``goToKeepAlt``) or nowhere (``land``), waits and goes down. After the last entry drones
+land where they are. Velocity jumps where lines meet: certified are distances, places and speeds.
 
 ``show.zip`` has one CSV per drone for Skybrush's importers, ``Time [msec],x [m],y [m],z [m],Red,
 Green,Blue``: positions at whole milliseconds, straight lines between them.
@@ -27,7 +26,7 @@ import json
 import math
 import posixpath
 import zipfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -59,7 +58,6 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import opened_zip, read_members, reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
 
@@ -67,55 +65,25 @@ MILLI = 1e-3  # Unit of what Skybrush's server stores, [m] and [s]
 REACH = 32768  # Numbers on either side of zero that 16 bits with a sign hold
 MAX_DRONES = 20_000  # Size limit of a show that is read
 DEGREE = 3  # Degree of the pieces
-
-KIND = Kind(
-    degree=DEGREE,
-    match=2,
-    quantum=MILLI,
-    longest=1.0,
-    shortest=0.1,
-    scale=Scale(position=1e-3, velocity=3e-2, acceleration=0.5),
-)
-"""Cubic pieces: from 1.001 s on the server's arithmetic loses a millisecond of some durations; a
-millimetre of a control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
-
 SMOOTH = 1  # Acceleration jumps after rounding; so does velocity, by as much as the note says
 
-ROUNDING = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
-CLOSER = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)
+CUBIC = Kind(DEGREE, 2, MILLI, longest=1.0, shortest=0.1, scale=Scale(1e-3, 3e-2, 0.5))
+"""From 1.001 s on the server's arithmetic loses a millisecond of some durations; a millimetre of a
+control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
+
+ROUNDING, CLOSER = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
 """Errors of rounding that weigh alike: the latter cost less place, as lengths of cables need it."""
 
 NUDGE = 1e-6
 """Distance of points in the file beyond their whole millimetres [m]: the server cuts digits off,
 and in binary most of them lie just below."""
 
-
 DISTANCE = "minDistance"  # Key of the smallest distance between two drones [m]
 
-
-def across(rate: Enclosed) -> Bound:
-    """Bound the level part of a vector."""
-    return rate.level.norm_above
-
-
-def upward(rate: Enclosed) -> Bound:
-    """Bound the upward part of a vector."""
-    return rate[2].above
-
-
-def downward(rate: Enclosed) -> Bound:
-    """Bound the downward part of a vector."""
-    return (rate[2] * -1.0).above
-
-
-OWN_LIMITS: dict[str, tuple[int, str, tuple[Callable[[Enclosed], Bound], ...]]] = {
-    "maxAltitude": (0, "m", (upward,)),
-    "maxVelocityXY": (1, "m/s", (across,)),
-    "maxVelocityZ": (1, "m/s", (upward, downward)),
-    "maxVelocityZUp": (1, "m/s", (upward,)),
-    "maxAccelerationXY": (2, "m/s²", (across,)),
-    "maxAccelerationZ": (2, "m/s²", (upward, downward)),
-    "maxAccelerationZUp": (2, "m/s²", (upward,)),
+OWN_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
+    f"max{rate}{key}": (order, unit, parts)
+    for rate, order, unit in (("Velocity", 1, "m/s"), ("Acceleration", 2, "m/s²"))
+    for key, parts in (("XY", ("across",)), ("Z", ("up", "down")), ("ZUp", ("up",)))
 }
 """Limits that shows set themselves besides DISTANCE, as Skybrush's validation panel checks them:
 derivative by time, unit, and the parts that count."""
@@ -155,8 +123,8 @@ class SkybrushShow(Format):
             none = "no coordinated return was found; drones would land where they are"
             some = f"rthPlan: coordinated returns from t = {times} s"
             notes = [f"{some}; drones are taken to stop at once there" if returns else none]
-        breaks = breaks_within(motion.drones, KIND, task.bound)
-        fit = task.frame.placed(fitted(motion.drones, breaks, KIND))
+        breaks = breaks_within(motion.drones, CUBIC, task.bound)
+        fit = task.frame.placed(fitted(motion.drones, breaks, CUBIC))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
         # Rounded one point at a time less velocity is lost where drones rest.
         each = PiecewisePolynomial(fit.breaks, np.rint(fit.coefficients / quantum) * quantum)
@@ -195,16 +163,15 @@ class SkybrushShow(Format):
 
 def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
     """Return the limits in a show's ``settings.validation``, and the findings on the others."""
-    given = {
-        key: validation[key] for key in (*OWN_LIMITS, DISTANCE) if validation.get(key) is not None
-    }
-    own = {
-        key: value
-        for key, value in given.items()
-        if isinstance(value, float) and math.isfinite(value) and value > 0.0
-    }
-    fault = "settings.validation.{} is no positive number, so it is not checked; correct it"
-    return own, [warning("settings", "", fault.format(key)) for key in given if key not in own]
+    own, findings = dict[str, float](), list[Finding]()
+    for key in (*OWN_LIMITS, DISTANCE):
+        value = validation.get(key)
+        if isinstance(value, float) and 0.0 < value < math.inf:
+            own[key] = value
+        elif value is not None:
+            words = f"settings.validation.{key} is no positive number, so it is not checked"
+            findings.append(warning("settings", "", f"{words}; correct it"))
+    return own, findings
 
 
 def _jump(curves: PiecewisePolynomial) -> float:
@@ -217,7 +184,6 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
     """Write the show of cubic curves (D, 3), north-west-up, of whole millimetres.
 
     ``plans`` has ``rthPlan`` of every drone, or None; the plan's limits are for Skybrush's checks.
-    Raises OSError if it cannot be written.
     """
     requirements = task.motion.requirements
     speed = requirements.limits.speed
@@ -240,8 +206,8 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
             archive.writestr(file, json.dumps({**head, "points": rows}, allow_nan=False))
             settings = {"name": name, "home": first, "landAt": last}
             settings |= {} if plan is None else {"rthPlan": plan}
-            trajectory = {"trajectory": {"$ref": f"./{file}#"}}
-            drones.append({"type": "generic", "settings": {**settings, **trajectory}})
+            settings["trajectory"] = {"$ref": f"./{file}#"}
+            drones.append({"type": "generic", "settings": settings})
         show = {
             "version": 1,
             "environment": {"type": "indoor"},
@@ -325,8 +291,7 @@ def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
 def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
     """Return the least multiple of millimetres that all drones (…, 3) can be stored in.
 
-    Every drone's curve is stored in multiples of its own, by how far its points reach; rounding may
-    move them farther by ``beyond`` [m].
+    It depends on how far a drone's points reach; rounding may move them ``beyond`` [m] that.
     """
     reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1)) + beyond
     scales = (np.ceil(reach / MILLI).astype(np.int64) + REACH) // REACH
