@@ -27,7 +27,7 @@ from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
 from hitchopt.exports.format import Format, Task, format_of
-from hitchopt.exports.held_tension import PositionLoop, held_tension
+from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, listed
@@ -106,8 +106,7 @@ def export_motion(
     certificate = certify(plan, say)
     certificate.raise_if_violated()
     if options.hold_tension:
-        loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
-        held = held_tension(plan, loop)
+        held = held_tension(plan, options.stiffness, options.damping)
         task = replace(task, motion=held.motion, notes=(held.note,))
     with _scratch(place) as scratch:
         return _put(_written(kind, task, certificate, scratch, say), place, kind, task)

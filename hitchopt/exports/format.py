@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import InputError
-from hitchopt.exports.options import HOMES, ExportOptions
+from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.exports.recording import Recording
 from hitchopt.motion.motion import Motion
@@ -106,9 +106,10 @@ class Format:
     """One file format: what is written, and how files are read, ours or anybody else's."""
 
     name: str  # as given to ``--format``
-    file: str  # its name, with ``{frame}``, or ``{name}`` or ``{number}`` of the drone
+    file: str  # its name, with ``{frame}``, ``{name}`` or ``{number}`` of the drone, ``{ending}``
     endings: tuple[str, ...]  # of the files that hold trajectories
     several: tuple[str, ...] = ()  # those of them of which every drone has a file
+    header: str = "(?!)"  # pattern that the first line of its CSV files begins with, in lower case
     frames: tuple[str, ...]  # those that its files may be in, the usual one first
     rate: float = 0.0  # samples a second if nothing else is asked [Hz]; 0 where nothing is sampled
     accuracy: float  # the largest position error that it is meant to have [m]
@@ -135,13 +136,10 @@ class Format:
 
     def files(self, task: Task) -> tuple[str, ...]:
         """Return the names of the files with the trajectories of a task."""
-        frame, each = task.frame.name, enumerate(task.names, 1)
-        names = (self.file.format(name=name, number=i, frame=frame) for i, name in each)
+        told = {"frame": task.frame.name, "ending": STORAGES[task.options.storage]}
+        each = enumerate(task.names, 1)
+        names = (self.file.format(name=name, number=i, **told) for i, name in each)
         return tuple(dict.fromkeys(names))
-
-    def recognises(self, labels: Sequence[str]) -> bool:  # noqa: ARG002
-        """Return whether the first line of a CSV file, in lower case, is one of this format."""
-        return False
 
     def parts(self, task: Task) -> Iterable[Sequence[Task]]:  # noqa: ARG002
         """Give cuts of a task into parts to be flown one after the other; here none.

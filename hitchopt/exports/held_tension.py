@@ -50,78 +50,62 @@ some cm/s where pieces are short."""
 
 
 @dataclass(frozen=True, eq=False)
-class PositionLoop:
-    """Controllers of the drones."""
-
-    stiffness: Array  # (2n,) [N/m]
-    damping: Array  # (2n,) [N s/m]
-    mass: Array  # (2n,) [kg]
-
-    @classmethod
-    def of(cls, team: Team, stiffness: float | None, damping: float | None) -> PositionLoop:
-        """Return the team's loops, or those of other gains; InputError tells of rigid drones."""
-        k = team.stiffness
-        if stiffness is not None:
-            k = np.full(team.drones, positive("--stiffness", stiffness))
-        if not np.all(np.isfinite(k)):
-            bound = "the position loop's [N/m], for --hold-tension"
-            remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
-            raise InputError("stiffness", None, bound, remedy)
-        usual = 2.0 * DAMPING_RATIO * np.sqrt(k * team.mass)
-        given = usual if damping is None else np.full_like(usual, positive("--damping", damping))
-        return cls(k, given, team.mass)
-
-    @property
-    def gain(self) -> float:
-        """Largest offset of a drone over the largest miss of the equation, at any time.
-
-        It is the integral of the absolute impulse response, 1 where that does not swing.
-        """
-        ratio = float(np.min(self.damping / (2.0 * np.sqrt(self.stiffness * self.mass))))
-        if ratio >= 1.0:
-            return 1.0
-        return float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
-
-
-@dataclass(frozen=True, eq=False)
 class HeldTension:
-    """A plan's set points that hold its tension."""
+    """A plan's set points that hold its tension, for controllers of some gains."""
 
     motion: Motion  # the plan, prolonged, with the set points in place of the drones
-    loop: PositionLoop  # the controllers that they are for
+    stiffness: Array  # (2n,) [N/m]
+    damping: Array  # (2n,) [N s/m]
     offset: float  # largest distance of a set point from its drone [m]
     miss: float  # largest distance of a drone from the plan, with these controllers [m]
 
     @property
     def note(self) -> str:
         """What users have to know."""
-        k, c = self.loop.stiffness, self.loop.damping
         return (
             f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
-            f"position loops of {_span(k)} N/m and {_span(c)} N s/m that feed forward velocity, "
-            "acceleration and gravity and no cable force; with these the drones are within "
-            f"{max(1e3 * self.miss, 1e-3):.2g} mm of the plan"
+            f"position loops of {_span(self.stiffness)} N/m and {_span(self.damping)} N s/m that "
+            "feed forward velocity, acceleration and gravity and no cable force; with these the "
+            f"drones are within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan"
         )
 
 
-def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
+def held_tension(
+    motion: Motion, stiffness: float | None = None, damping: float | None = None
+) -> HeldTension:
     """Return the set points with which controllers fly a plan without feed-forward of the pull.
 
-    UnsupportedError tells of single drones, InfeasibleError of forces that change so fast that the
-    equation is not solved well enough.
+    Without gains [N/m], [N s/m] they are the team's. UnsupportedError tells of single drones,
+    InputError of rigid ones, InfeasibleError of forces that change so fast that the equation is not
+    solved well enough.
     """
-    if not motion.team.has_cables:
+    team = motion.team
+    if not isinstance(team, Team):
         raise UnsupportedError("--hold-tension: single drones carry no cables that could pull")
+    k = team.stiffness
+    if stiffness is not None:
+        k = np.full(team.drones, positive("--stiffness", stiffness))
+    if not np.all(np.isfinite(k)):
+        bound = "the position loop's [N/m], for --hold-tension"
+        remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
+        raise InputError("stiffness", None, bound, remedy)
+    critical = 2.0 * np.sqrt(k * team.mass)
+    c = DAMPING_RATIO * critical
+    if damping is not None:
+        c = np.full(team.drones, positive("--damping", damping))
+    # The largest offset over the largest miss: the integral of the absolute impulse response.
+    ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
+    gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
     whole = followed(motion.untimed, resting(motion.untimed, REST))
-    step = LONGEST * float(np.min(np.sqrt(loop.mass / loop.stiffness)))
+    step = LONGEST * float(np.min(np.sqrt(team.mass / k)))
     for halving in range(HALVINGS + 1):
-        pieces = [
-            (a, b, ceil((b - a) / (step / 2**halving))) for a, b in pairwise(whole.drones.breaks)
+        spans = [
+            (a, b, ceil((b - a) / step * 2**halving)) for a, b in pairwise(whole.drones.breaks)
         ]
-        inner = [np.linspace(a, b, count, endpoint=False) for a, b, count in pieces]
+        inner = [np.linspace(a, b, count, endpoint=False) for a, b, count in spans]
         breaks = np.concatenate([*inner, whole.drones.breaks[-1:]])
-        offsets, error = _solved(whole, loop, breaks)
-        if (miss := loop.gain * error) <= LARGEST_MISS:
+        offsets, error = _solved(whole, k, c, breaks)
+        if (miss := gain * error) <= LARGEST_MISS:
             break
     else:
         remedy = "fly it slower with --stretch"
@@ -139,21 +123,19 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
     )
     held = replace(split, drones=drones, requirements=replace(split.requirements, limits=eased))
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
-    return HeldTension(held, loop, largest, miss)
+    return HeldTension(held, k, c, largest, miss)
 
 
-def _lobatto(count: int) -> Array:
-    """Return Lobatto's points (count,) on [0, 1]: the ends, and zeros of a Legendre slope."""
-    slope = np.polynomial.legendre.Legendre.basis(count - 1).deriv()
-    return np.concatenate([[0.0], 0.5 + 0.5 * np.sort(slope.roots().real), [1.0]])
-
-
-def _solved(motion: Motion, loop: PositionLoop, breaks: Array) -> tuple[PiecewisePolynomial, float]:
+def _solved(
+    motion: Motion, stiffness: Array, damping: Array, breaks: Array
+) -> tuple[PiecewisePolynomial, float]:
     """Return the offsets (2n, 3) [m] that solve the equation at Lobatto's points, and its error.
 
-    The error [m] is the largest one at points between them.
+    The points are a span's ends and zeros of a Legendre slope; the error [m] is the largest one at
+    points between them.
     """
-    x = _lobatto(DEGREE - 1)
+    zeros = np.polynomial.legendre.Legendre.basis(DEGREE - 2).deriv().roots().real
+    x = np.concatenate([[0.0], 0.5 + 0.5 * np.sort(zeros), [1.0]])
     inner = np.arange(1, PROBES + 1) / (PROBES + 1)
     probes = (x[:-1, None] + np.diff(x)[:, None] * inner).ravel()
     order = [bernstein.derivative_basis(np.append(x, probes), DEGREE, i) for i in range(3)]
@@ -161,8 +143,8 @@ def _solved(motion: Motion, loop: PositionLoop, breaks: Array) -> tuple[Piecewis
     times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
     times[:, len(x) - 1] = breaks[1:]  # the very time at which the next piece begins
     forces = states_at(motion, times - breaks[0]).cable_forces
-    wanted = np.moveaxis(-forces / loop.stiffness[:, None], 1, 2)  # (pieces, 2n, points, 3)
-    rate, bend = (v / loop.stiffness for v in (loop.damping, loop.mass))
+    wanted = np.moveaxis(-forces / stiffness[:, None], 1, 2)  # (pieces, 2n, points, 3)
+    rate, bend = (v / stiffness for v in (damping, motion.team.mass))
     found = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
     value, slope, miss = wanted[0, :, 0], np.zeros_like(wanted[0, :, 0]), 0.0
     for c, h, right in zip(found, durations.tolist(), wanted, strict=True):

@@ -7,6 +7,7 @@ the drones' joint flight are here: limits, jumps, ends in mid-flight, ranges and
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -204,9 +205,9 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
         return here[0]
     with reading(path, "text"), path.open(encoding="utf-8-sig") as file:
         header = file.readline(100_000).partition("#")[0].strip()
-    labels = [label.strip().lower() for label in header.split(",")]
+    line = re.sub(r"\s*,\s*", ",", header.lower())
     for kind in reversed(here):  # polynomials, which may begin with numbers, come last
-        if kind.recognises(labels):
+        if re.match(kind.header, line):
             return kind
     raise FileError(
         f"{path}: its first line, {header[:60]!r}, is of no known format (polynomials begin with "

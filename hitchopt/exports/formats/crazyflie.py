@@ -195,6 +195,7 @@ class Crazyswarm2(CrazyflieFormat):
 
     name = "crazyswarm2"
     file = "{name}.csv"
+    header = r"duration|([^,]*,){32}[^,]*$"  # or 33 columns of whatever
     endings = several = (".csv",)
     kind = POLY
     smooth = 2
@@ -225,10 +226,6 @@ class Crazyswarm2(CrazyflieFormat):
         words = f"{curves.pieces} pieces, {used} of {BYTES} bytes of each drone's memory"
         warnings = (*_stacked(task, first, "take off from"), *_stacked(task, last, "land on"))
         return Written((*files, *texts), (words, *warnings))
-
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether it begins with ``duration``, or has 33 columns of whatever."""
-        return labels[0] == "duration" or len(labels) == 1 + len(POWERS)
 
     def upload(self, path: Path) -> Upload:
         """Return the pieces of one drone, in single precision as it holds them."""

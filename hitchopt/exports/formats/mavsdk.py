@@ -67,6 +67,7 @@ class MavsdkDroneShow(Format):
 
     name = "mavsdk_drone_show"
     file = "Drone {number}.csv"
+    header = "idx,t,px"
     endings = (".csv",)
     several = endings
     frames = ("ned",)
@@ -107,10 +108,6 @@ class MavsdkDroneShow(Format):
         receiver: dict[str, Any] = {"settings": settings, "plan_begins_s": rise.duration}
         receiver |= {} if separation is None else {"separation_before": separation}
         return Written(files, notes, receiver)
-
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether the first columns are index, time and north."""
-        return labels[:3] == ["idx", "t", "px"]
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return what CSV files hold, one drone each.

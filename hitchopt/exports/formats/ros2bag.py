@@ -56,7 +56,7 @@ class Ros2Bag(Format):
     """A bag to play."""
 
     name = "ros2bag"
-    file = STEM
+    file = f"{STEM}{{ending}}"
     endings = tuple(STORAGES.values())
     frames = ("enu", "nwu")
     rate = 100.0
@@ -67,10 +67,6 @@ class Ros2Bag(Format):
     )
     carries_pull = True
     streamed = True
-
-    def files(self, task: Task) -> tuple[str, ...]:
-        """Return the name of the bag's data."""
-        return (f"{STEM}{STORAGES[task.options.storage]}",)
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the bag; raise UnsupportedError without rosbags."""

@@ -440,6 +440,7 @@ class SkybrushCsv(Format):
     file = "show.zip"
     endings = (".zip", ".csv")
     several = (".csv",)  # outside of a zip
+    header = r"time \[msec\]"
     frames = ("nwu",)
     rate = 20.0
     accuracy = 2e-3
@@ -460,10 +461,6 @@ class SkybrushCsv(Format):
                 with archive.open(f"{name}.csv", "w") as file:
                     np.savetxt(file, rows, ROW, header=HEADER, comments="")
         return Written((self.file,))
-
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether the first column is the time in milliseconds."""
-        return labels[0].startswith("time [msec]")
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return the lines through the positions in a zip, or in CSV files of one drone each."""

@@ -124,6 +124,7 @@ class CsvTable(Table):
     name = "csv"
     endings = (".csv",)
     file = "setpoints_{frame}.csv"
+    header = "t,drone"
 
     def _write(self, path: Path, task: Task) -> None:
         write_rows(path, HEADER, task.names, rows_of(task, ROWS))
@@ -139,10 +140,6 @@ class CsvTable(Table):
                 found.append(read_columns(file, ",".join(labels), wanted, str(path), 0, kind))
         who, table = found
         return _recording_of_rows(who[:, 0], table[:, :-1], path.stem.rpartition("_")[2])
-
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether the first columns are t and drone."""
-        return labels[:2] == ["t", "drone"]
 
 
 class ParquetTable(Table):
