@@ -23,16 +23,11 @@ from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import Writer, parsed_json, replace_files, write_strict_json
 from hitchopt.values import Array
 
-SETPOINTS = "setpoints.csv"
-VERTICES = "vertices.csv"
-CERTIFICATE = "certificate.json"
-SUMMARY = "summary.png"
-DIAGNOSIS = "diagnosis.json"
-REPORT = "report.html"
-STATICS = "statics.json"
-STATICS_PICTURE = "statics.png"
-ABORTS = "aborts.json"
-ABORT_PLANS = "aborts.zip"
+SETPOINTS, VERTICES = "setpoints.csv", "vertices.csv"
+CERTIFICATE, DIAGNOSIS = "certificate.json", "diagnosis.json"
+SUMMARY, REPORT = "summary.png", "report.html"
+STATICS, STATICS_PICTURE = "statics.json", "statics.png"
+ABORTS, ABORT_PLANS = "aborts.json", "aborts.zip"
 
 OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),

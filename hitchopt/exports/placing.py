@@ -136,10 +136,8 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
             bound = "letters, digits and underscores, a letter first, and no word of YAML"
             raise InputError(f"{where}.name", member.name, bound, "files and topics are called so")
         if not URI.match(member.uri):
-            bound = "an address"
-            raise InputError(
-                f"{where}.uri", member.uri, bound, "such as radio://0/80/2M/E7E7E7E707"
-            )
+            remedy = "such as radio://0/80/2M/E7E7E7E707"
+            raise InputError(f"{where}.uri", member.uri, "an address", remedy)
         for key, value in (("name", member.name), ("uri", member.uri)):
             if value.lower() in seen:
                 raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
@@ -192,10 +190,8 @@ class ReferenceFrame:
     def rotation(self) -> Array:
         """Rotation (3, 3) from vectors of the plan to vectors of the file."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        if self.yaw == 0.0:  # exact: a file in the plan's own frame repeats its numbers
-            return AXES[self.name]
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        rotation: Array = AXES[self.name] @ turn
+        rotation: Array = AXES[self.name] @ turn + 0.0  # no negative zeros
         return rotation
 
     @property
@@ -206,7 +202,7 @@ class ReferenceFrame:
     @property
     def heading(self) -> float:
         """Yaw of the drones in the file's axes [rad], in (-π, π]; in the plan it is 0."""
-        x, y, _ = AXES[self.name] @ np.array([math.cos(self.yaw), math.sin(self.yaw), 0.0])
+        x, y, _ = self.rotation[:, 0]
         heading = math.atan2(y, x)
         return math.pi if heading == -math.pi else heading
 

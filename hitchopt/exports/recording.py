@@ -15,7 +15,7 @@ from functools import partial
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,71 +81,70 @@ class Recording:
     findings: tuple[Finding, ...] = ()
     own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
 
+    @classmethod
+    def of_curves(
+        cls,
+        names: Sequence[str],
+        curves: Sequence[PiecewisePolynomial],
+        frame: str,
+        smooth: int,
+        sizes: Sequence[int] = (),
+        **found: Any,
+    ) -> Self:
+        """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
 
-def recording_of_curves(
-    names: Sequence[str],
-    curves: Sequence[PiecewisePolynomial],
-    frame: str,
-    smooth: int,
-    sizes: Sequence[int] = (),
-    **found: Any,
-) -> Recording:
-    """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
+        Drones that end before the others stay where they ended. Curves are put on common breaks
+        window by window: they take no more memory than their files. ``sizes`` are in bytes;
+        ``found`` are ``findings`` and a show's ``own`` limits.
+        """
+        ends = [float(curve.breaks[-1]) for curve in curves]
+        counts = [curve.pieces for curve in curves]
+        facts = tuple(map(DroneFacts, names, counts, sizes or [0] * len(names), ends))
+        degree = max(curve.degree for curve in curves)
+        each = [lasted(curve.elevated(degree), max(ends)) for curve in curves]
+        times = [curve.breaks for curve in each]
+        if all(np.array_equal(t, times[0]) for t in times):
+            times = times[:1]
+        spans = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
+        if spans * len(each) > MAX_SPANS:
+            words = f"{len(each)} drones with {spans} spans of time between their points are more "
+            words += f"than {MAX_SPANS} together; give all drones the same times, or fewer points"
+            raise FileError(words)
+        breaks, size = merged_breaks(times), max(1, WINDOW // len(each))
 
-    Drones that end before the others stay where they ended. Curves are put on common breaks window
-    by window, so that drones with breaks of their own take no more memory than their files.
-    ``sizes`` are in bytes; ``found`` are ``findings`` and a show's ``own`` limits. FileError tells
-    of common breaks times drones beyond MAX_SPANS.
-    """
-    ends, times = [float(c.breaks[-1]) for c in curves], [c.breaks for c in curves]
-    counts = [curve.pieces for curve in curves]
-    facts = tuple(map(DroneFacts, names, counts, sizes or [0] * len(names), ends))
-    times = [np.append(t, max(ends)) if t[-1] < max(ends) else t for t in times]
-    same = all(np.array_equal(t, times[0]) for t in times)
-    spans = len(times[0] if same else np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
-    if spans * len(curves) > MAX_SPANS:
-        raise FileError(
-            f"{len(curves)} drones with {spans} spans of time between their points are more than "
-            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
-        )
-    degree = max(curve.degree for curve in curves)
-    each = [lasted(curve.elevated(degree), max(ends)) for curve in curves]
-    breaks, size = merged_breaks(times[:1] if same else times), max(1, WINDOW // len(curves))
+        def windows() -> Iterator[PiecewisePolynomial]:
+            for start in range(0, len(breaks) - 1, size):
+                here = breaks[start : start + size + 1]
+                parts = [on_breaks(curve, here).coefficients for curve in each]
+                yield PiecewisePolynomial(here, np.stack(parts, axis=1))
 
-    def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, len(breaks) - 1, size):
-            here = breaks[start : start + size + 1]
-            parts = [on_breaks(curve, here).coefficients for curve in each]
-            yield PiecewisePolynomial(here, np.stack(parts, axis=1))
+        return cls(tuple(names), frame, smooth, windows, facts, **found)
 
-    return Recording(tuple(names), frame, smooth, windows, facts, **found)
+    @classmethod
+    def of_samples(
+        cls, names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
+    ) -> Self:
+        """Return the recording of samples: between two of them the curve that meets both.
 
+        ``values`` (S, D, 3 m) at ``t`` (S,) [s] are positions, then velocities and accelerations as
+        far as there are any: lines, cubics or quintics run through them. ``smooth`` is the highest
+        derivative that the format has; an unknown ``frame`` becomes none.
+        """
+        check_times(t)
+        if len(t) < 2:
+            raise FileError("has fewer than two samples; nothing moves between them")
+        given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
+        untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
+        size = max(1, WINDOW // len(names))
 
-def recording_of_samples(
-    names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
-) -> Recording:
-    """Return the recording of samples: between two of them the curve that meets both.
+        def windows() -> Iterator[PiecewisePolynomial]:
+            for start in range(0, len(t) - 1, size):
+                ends = given[:, start : start + size + 1]
+                here = t[start : start + size + 1]
+                yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
 
-    ``values`` (S, D, 3 m) at ``t`` (S,) [s] are positions, then velocities and accelerations as far
-    as there are any: lines, cubics or quintics run through them. ``smooth`` is the highest
-    derivative that the format has; an unknown ``frame`` becomes none. FileError tells of times that
-    do not increase, or fewer than two samples.
-    """
-    check_times(t)
-    if len(t) < 2:
-        raise FileError("has fewer than two samples; nothing moves between them")
-    given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
-    untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
-    size = max(1, WINDOW // len(names))
-
-    def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, len(t) - 1, size):
-            ends = given[:, start : start + size + 1]
-            here = t[start : start + size + 1]
-            yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
-
-    known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
-    return Recording(tuple(names), known, len(given) - 1, windows, facts, untold)
+        known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
+        return cls(tuple(names), known, len(given) - 1, windows, facts, untold)
 
 
 def check_times(t: Array, source: str = "") -> None:

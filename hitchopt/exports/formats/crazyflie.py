@@ -40,15 +40,7 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import (
-    Finding,
-    Recording,
-    error,
-    read_columns,
-    read_text,
-    recording_of_curves,
-    warning,
-)
+from hitchopt.exports.recording import Finding, Recording, error, read_columns, read_text, warning
 from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
@@ -118,7 +110,7 @@ class CrazyflieFormat(Format):
         frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
         names, curves = [each.name for each in uploads], [each.curve for each in uploads]
         sizes, found = [each.size for each in uploads], tuple(findings)
-        return recording_of_curves(names, curves, frame, self.smooth, sizes, findings=found)
+        return Recording.of_curves(names, curves, frame, self.smooth, sizes, findings=found)
 
     def parts(self, task: Task) -> Iterator[Sequence[Task]]:
         """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
@@ -246,9 +238,8 @@ class Crazyswarm2(CrazyflieFormat):
         durations, powers = table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1)
         faults = []
         if len(table) < LEAST:
-            faults.append(
-                error("one row", path.stem, "the usual reader fails on it; split the piece")
-            )
+            words = "the usual reader fails on it; split the piece"
+            faults.append(error("one row", path.stem, words))
         if re.match(r"\s*[-+.]?\d", header):
             words = "has none: readers skip the first line, and with it the first piece; put a line"
             faults.append(error("header", path.stem, f"{words} of names before it"))
@@ -344,14 +335,11 @@ def _template(name: str) -> str:
 def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
     """Give a warning where drones start, or land, below one another: fly.py goes straight up."""
     width = 2.0 * task.motion.requirements.separation.radius
-    pairs = cKDTree(places[:, :2]).query_pairs(CLOSE * width)
-    if pairs:
-        i, j = min(pairs)
-        more = f" and {len(pairs) - 1} pairs more" if len(pairs) > 1 else ""
-        yield (
-            f"{task.names[i]} and {task.names[j]}{more} would {what} one place, as one is above "
-            "the other: fly.py and crazyflies.yaml will not do, bring them there one by one"
+    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(CLOSE * width))[:1]:
+        words = (
+            f"{task.names[i]} and {task.names[j]}, perhaps others too, would {what} one place, as"
         )
+        yield f"{words} one is above the other: bring them there one by one, not with fly.py"
 
 
 MILLI = 1e-3  # Unit of durations [s] and control points [m]

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
 from hitchopt.exports.format import Format, Task, Written
-from hitchopt.exports.recording import Recording, recording_of_samples
+from hitchopt.exports.recording import Recording
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
 from hitchopt.objects import Section, Slab
@@ -62,7 +62,7 @@ class Gltf(Format):
     def load(self, files: Sequence[Path]) -> Recording:
         """Return the lines through the places of the drones that a scene names."""
         with reading(files[0], "glTF scene of drones"):
-            return recording_of_samples(*read_drones(files[0]), "enu", 0)
+            return Recording.of_samples(*read_drones(files[0]), "enu", 0)
 
 
 class _Document:

@@ -30,13 +30,7 @@ import numpy as np
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.format import Format, Task, Written
-from hitchopt.exports.recording import (
-    Recording,
-    read_columns,
-    read_text,
-    recording_of_samples,
-    told_columns,
-)
+from hitchopt.exports.recording import Recording, read_columns, read_text, told_columns
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -116,7 +110,7 @@ class MavsdkDroneShow(Format):
         velocities.
         """
         names, tables = tuple(path.stem for path in files), read_tables(files)
-        return recording_of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
+        return Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the curves through the plan's setpoints as the receiver flies them.
@@ -133,7 +127,7 @@ class MavsdkDroneShow(Format):
         t, values = tables[rows:, 0, 0] - rise.duration, tables[rows:, :, 1:]
         values[..., 6:] += task.samples(t)["cable_forces"] / task.motion.team.mass[:, None]
         values[t > task.motion.duration, :, 6:] = 0.0
-        return recording_of_samples(task.names, t, values, "ned", SMOOTH)
+        return Recording.of_samples(task.names, t, values, "ned", SMOOTH)
 
 
 def rise_of(task: Task) -> PiecewisePolynomial:

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import FileError
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.options import ROS_DISTROS, STORAGES
-from hitchopt.exports.recording import Recording, needed, recording_of_samples
+from hitchopt.exports.recording import Recording, needed
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
@@ -204,7 +204,7 @@ def bag_recording(path: Path) -> Recording:
         values = np.stack(tables, axis=1)
         told = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
         smooth = 0 if told.shape[-1] == 3 else 2
-        return recording_of_samples(tuple(found), values[:, 0, 0], told, frame, smooth)
+        return Recording.of_samples(tuple(found), values[:, 0, 0], told, frame, smooth)
 
 
 def _row(point: Any, joint: int) -> list[float]:

@@ -50,7 +50,6 @@ from hitchopt.exports.recording import (
     error,
     read_columns,
     read_text,
-    recording_of_curves,
     warning,
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
@@ -149,7 +148,7 @@ class SkybrushShow(Format):
                 findings.append(error("duration", name, f"{words}; leave its point out"))
         names, curves = tuple(show.curves), tuple(show.curves.values())
         found = tuple(findings)
-        return recording_of_curves(names, curves, "nwu", SMOOTH, findings=found, own=own)
+        return Recording.of_curves(names, curves, "nwu", SMOOTH, findings=found, own=own)
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the curves of the show as Skybrush's server stores them; certify its returns."""
@@ -158,7 +157,7 @@ class SkybrushShow(Format):
         curves = {name: stored(curve) for name, curve in show.curves.items()}
         if not task.motion.team.has_cables:
             certify_returns(path, show, curves, task)
-        return recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
+        return Recording.of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
 
 
 def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
@@ -479,7 +478,7 @@ class SkybrushCsv(Format):
             curves = [_lines(read_text(file), str(file)) for file in files]
         if not 0 < len(names) == len(set(names)):
             raise FileError(f"{path}: holds no CSV file, or two of one name")
-        return recording_of_curves(names, curves, "nwu", 0)
+        return Recording.of_curves(names, curves, "nwu", 0)
 
 
 def _lines(text: str, source: str) -> PiecewisePolynomial:

@@ -26,14 +26,7 @@ from hitchopt.errors import FileError
 from hitchopt.exports.directory import ROWS, SAVED, write_rows
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import (
-    Recording,
-    check_times,
-    needed,
-    read_columns,
-    recording_of_samples,
-    told_columns,
-)
+from hitchopt.exports.recording import Recording, check_times, needed, read_columns, told_columns
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
@@ -73,9 +66,9 @@ class Table(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "ff_* = a - F/m, the cable's force F and the drone's mass m: for controllers that add "
-        "gravity themselves; cable_* = F for those that take forces; a alone for those that know "
-        "the cable"
+        "ff_* (feed_forward) = a - F/m, the cable's force F and the drone's mass m: for controllers "
+        "that add gravity themselves; cable_* (cable_forces) = F for those that take forces; a "
+        "alone for those that know the cable"
     )
     carries_pull = True
 
@@ -115,7 +108,7 @@ def _recording_of_rows(who: NDArray[np.str_], table: Array, frame: str) -> Recor
             "order; sort them by time, then drone"
         )
     values = table[:, 1:].reshape(*times.shape, -1)
-    return recording_of_samples(names, times[:, 0], values, frame, SMOOTH)
+    return Recording.of_samples(names, times[:, 0], values, frame, SMOOTH)
 
 
 class CsvTable(Table):
@@ -183,9 +176,6 @@ class NpzTable(Table):
     name = "npz"
     endings = (".npz",)
     file = "setpoints.npz"
-    feed_forward = Table.feed_forward.replace("ff_*", "feed_forward").replace(
-        "cable_*", "cable_forces"
-    )
 
     def _write(self, path: Path, task: Task) -> None:
         times, blocks = zip(*task.blocks(GROUP), strict=True)
@@ -205,7 +195,7 @@ class NpzTable(Table):
                 )
         values = np.concatenate([arrays[name] for name in flown], axis=-1)
         frame = str(arrays["frame"])
-        return recording_of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
+        return Recording.of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
 
 
 class JsonTable(Table):
@@ -240,4 +230,4 @@ class JsonTable(Table):
             raise FileError("a sample's rows are not one per drone")
         t = np.array([sample["t"] for sample in samples], dtype=np.float64)
         frame = str(content.get("frame"))
-        return recording_of_samples(names, t, values[..., :9], frame, SMOOTH)
+        return Recording.of_samples(names, t, values[..., :9], frame, SMOOTH)
