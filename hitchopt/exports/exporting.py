@@ -362,7 +362,8 @@ def verify(
         planned = _planned(motion, window.breaks)
         flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
         apart.append(_deviations(flown, planned))
-        checks.append(written_checks(replace(planned, drones=flown), carried))
+        written = replace(planned, drones=flown)
+        checks.append([rule.check(written, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
     position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
@@ -394,8 +395,3 @@ def _deviations(flown: PiecewisePolynomial, motion: Motion) -> list[Deviation]:
         most = largest_rate(apart, order)
         found.append(Deviation(most.worst + margin, most.time, motion.team.drone_names[most.item]))
     return found
-
-
-def written_checks(motion: Motion, rules: Sequence[CheckRule] = FLOWN) -> list[Check | None]:
-    """Return what the rules say of a motion whose drones were read from files, rule by rule."""
-    return [rule.check(motion, exported=True) for rule in rules]

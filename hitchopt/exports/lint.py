@@ -30,6 +30,7 @@ from hitchopt.exports.recording import (
     Finding,
     Recording,
     error,
+    largest_jump,
     listed,
     note,
     read_manifest,
@@ -61,12 +62,6 @@ REMEDIES = {
 }
 """Remedies by check; all others bound rates, which fall where a flight is slower."""
 
-UNTOLD = {
-    "velocities": "none: joined by straight lines; accelerations are not checked",
-    "accelerations": "none: joined by cubics through positions and velocities",
-}
-"""What is said of files that do not hold a derivative."""
-
 SIZES: dict[str, Callable[[Enclosed], Bound]] = {
     "all": lambda rate: rate.norm_above,
     "across": lambda rate: rate.level.norm_above,
@@ -74,8 +69,6 @@ SIZES: dict[str, Callable[[Enclosed], Bound]] = {
     "down": lambda rate: (rate[2] * -1.0).above,
 }
 """Sizes of the parts of a vector that limits count."""
-
-Jump = tuple[float, str, float]  # Size, drone and time of a jump where pieces join
 
 
 @dataclass(frozen=True)
@@ -165,7 +158,8 @@ def _report(path: Path, rules: Rules) -> Report:
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
     findings = [*recording.findings, *found, *_missing(path)]
     if untold := recording.untold:
-        findings.append(note(untold, "", UNTOLD[untold]))
+        words = "lines" if untold == "velocities" else "cubics through positions and velocities"
+        findings.append(note(untold, "", f"none: joined by {words}"))
     if not recording.frame:
         findings.append(note("frame", "", "the files do not state their axes; read as given"))
     findings.sort(key=lambda f: LEVELS.index(f.level))
@@ -221,7 +215,7 @@ def _flown_together(
     """Return the figures of the joint flight, and the findings on it."""
     names, own = recording.names, recording.own
     limits, checks = rules.limits(own), dict[str, Check]()
-    jumps: list[Jump] = [(0.0, "", 0.0)] * (recording.smooth + 1)
+    jumps = [(0.0, 0, 0.0)] * (recording.smooth + 1)
     windows = recording.windows()
     last = next(windows)
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
@@ -233,7 +227,7 @@ def _flown_together(
         for check in _checks(recording, window, limits, None if relative else rules.separation):
             checks[check.name] = most_pressing([checks.get(check.name), check]) or check
         whole = window if window is last else joined([last, window])
-        jumps = [max(jump, _jump(whole, order, names)) for order, jump in enumerate(jumps)]
+        jumps = [max(jump, largest_jump(whole, order)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
     values = {name: check.bound for name, check in checks.items()}
@@ -313,16 +307,6 @@ def _checks(
             yield from largest(key, own[key], order, unit, counted)
 
 
-def _jump(window: PiecewisePolynomial, order: int, names: Sequence[str]) -> Jump:
-    """Return the largest jump of a derivative where pieces join."""
-    left, right = window.ends(order)
-    sizes = np.linalg.norm(left[1:] - right[:-1], axis=-1)
-    if sizes.size == 0:
-        return (0.0, "", 0.0)
-    joint, drone = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
-    return float(sizes[joint, drone]), names[int(drone)], float(window.breaks[1 + int(joint)])
-
-
 def _broken(check: Check) -> Finding:
     unit = "" if check.unit == "ratio" else f" {check.unit}"
     relation = "below" if check.sense == "min" else "above"
@@ -332,7 +316,10 @@ def _broken(check: Check) -> Finding:
 
 
 def _joining(
-    last: PiecewisePolynomial, names: Sequence[str], jumps: Sequence[Jump], rules: Rules
+    last: PiecewisePolynomial,
+    names: Sequence[str],
+    jumps: Sequence[tuple[float, int, float]],
+    rules: Rules,
 ) -> Iterator[Finding]:
     """Yield jumps where pieces join, and who still moves at the end."""
     rates = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
@@ -340,7 +327,7 @@ def _joining(
         if size > bound:
             words = f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s (more "
             words += f"than {bound:g} {unit}); make the pieces meet"
-            yield (error if what == "position" else warning)("jump", drone, words)
+            yield (error if what == "position" else warning)("jump", names[drone], words)
     speeds, bound = np.linalg.norm(last.ends(1)[1][-1], axis=-1), rules.jumps[1]
     if speeds[fastest := int(np.argmax(speeds))] > bound:
         words = f"still moves at {speeds[fastest]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "

@@ -57,11 +57,10 @@ class ExportOptions:
     damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
 
     def __post_init__(self) -> None:
-        if self.storage not in STORAGES:
-            raise InputError("--storage", self.storage, " or ".join(STORAGES), "mcap is usual")
-        if self.ros_distro not in ROS_DISTROS:
-            choices = ", ".join(ROS_DISTROS)
-            raise InputError("--ros-distro", self.ros_distro, choices, "humble is usual")
+        for name, known in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):
+            if (value := getattr(self, name)) not in known:
+                option, usual = f"--{name.replace('_', '-')}", f"{next(iter(known))} is usual"
+                raise InputError(option, value, " or ".join(known), usual)
         for name in ("stiffness", "damping"):
             if (value := getattr(self, name)) is not None and not self.hold_tension:
                 bound = "left out without --hold-tension"

@@ -230,8 +230,5 @@ class ReferenceFrame:
 
     def to_dict(self) -> dict[str, object]:
         """Return what a file says of its frame."""
-        return {
-            "frame": self.name,
-            "origin_enu": np.asarray(self.origin).tolist(),
-            "yaw_deg": math.degrees(self.yaw),
-        }
+        origin = np.asarray(self.origin).tolist()
+        return {"frame": self.name, "origin_enu": origin, "yaw_deg": math.degrees(self.yaw)}

@@ -159,6 +159,16 @@ def check_times(t: Array, source: str = "") -> None:
         raise FileError(f"{place}{words}")
 
 
+def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, float]:
+    """Return size, drone and time of the largest jump of a derivative where pieces join."""
+    left, right = curves.ends(order)
+    sizes = np.linalg.norm(left[1:] - right[:-1], axis=-1)
+    if sizes.size == 0:
+        return 0.0, 0, 0.0
+    joint, drone = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    return float(sizes[joint, drone]), int(drone), float(curves.breaks[1 + int(joint)])
+
+
 def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
     """Return the curve, staying where it ended until ``end`` [s], if that is later."""
     if end <= curve.breaks[-1]:

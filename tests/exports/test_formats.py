@@ -321,7 +321,7 @@ def test_bags_are_what_a_release_reads(distro: str | None, storage: str, tmp_pat
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"ros_distro": "foxy"}, "--ros-distro = 'foxy': must be humble, iron, jazzy"),
+        ({"ros_distro": "foxy"}, "--ros-distro = 'foxy': must be humble or iron or jazzy"),
         ({"storage": "tape"}, "--storage = 'tape': must be mcap or sqlite3"),
         ({"stiffness": 5.0}, "--stiffness = 5.0: must be left out without --hold-tension"),
         ({"damping": 5.0}, "--damping = 5.0: must be left out without --hold-tension"),

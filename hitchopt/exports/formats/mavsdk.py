@@ -104,19 +104,12 @@ class MavsdkDroneShow(Format):
         return Written(files, notes, receiver)
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what CSV files hold, one drone each.
-
-        Nobody knows the pull in their accelerations, so cubics run through positions and
-        velocities.
-        """
+        """Return cubics through positions and velocities: accelerations have an unknown pull."""
         names, tables = tuple(path.stem for path in files), read_tables(files)
         return Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return the curves through the plan's setpoints as the receiver flies them.
-
-        The cables' pull is taken out of accelerations.
-        """
+        """Return what the receiver flies of the plan, the pull taken out of accelerations."""
         tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)
         rows = round(rise.duration * task.rate)
         if len(tables) <= rows + 1:
@@ -154,9 +147,8 @@ def separation_before(task: Task, rise: PiecewisePolynomial) -> float | None:
     """
     motion, asked = task.motion, task.motion.requirements
     places, up = motion.drones.coefficients[0, ..., :1], _climb(task)[..., None]
-    rising = PiecewisePolynomial(
-        rise.breaks, places + up * (rise.coefficients[:, None, None] - 1.0)
-    )
+    missing = up * (rise.coefficients[:, None, None] - 1.0)
+    rising = PiecewisePolynomial(rise.breaks, places + missing)
     phase = Phase("rise", 0, 0.0, rise.duration)
     flown = Motion.single(motion.team, asked.untimed, rising, [phase])
     if (check := RULE_OF["separation"].check(flown)) is None:
@@ -164,14 +156,10 @@ def separation_before(task: Task, rise: PiecewisePolynomial) -> float | None:
     if not check.holds:
         when = "while the drones rise straight up from the ground to their first places"
         remedy = "begin with the drones side by side, or choose another format"
-        words = (
-            "mavsdk_drone_show is not written: its drones take off from below their first places"
-        )
+        words = "mavsdk_drone_show takes off from below the first places"
         raise InfeasibleError([check.violation(when, remedy)], words)
     digits = 5e-9 * float(np.max(np.abs(task.frame.points(places[..., 0]))))  # files have nine
-    return check.bound - 3.0 * digits / (
-        2.0 * min(asked.separation.radius, asked.separation.height)
-    )
+    return check.bound - 1.5 * digits / min(asked.separation.radius, asked.separation.height)
 
 
 def _climb(task: Task) -> Array:

@@ -40,7 +40,7 @@ from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.exporting import LINES, written_checks
+from hitchopt.exports.exporting import LINES
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.recording import (
@@ -48,6 +48,7 @@ from hitchopt.exports.recording import (
     Recording,
     check_times,
     error,
+    largest_jump,
     read_columns,
     read_text,
     warning,
@@ -116,7 +117,7 @@ class SkybrushShow(Format):
         motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
         if not motion.team.has_cables:
             returns = planned_returns(motion, task.frame)
-            head = {"version": 1, "landingSpeed": landing_speed(motion)}
+            head = {"version": 1, "landingSpeed": _landing(motion)}
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
             times = ", ".join(f"{entries[0]['time']}" for entries in returns)
             none = "no coordinated return was found; drones would land where they are"
@@ -128,15 +129,15 @@ class SkybrushShow(Format):
         # Rounded one point at a time less velocity is lost where drones rest.
         each = PiecewisePolynomial(fit.breaks, np.rint(fit.coefficients / quantum) * quantum)
         together = rounded(fit, quantum, ROUNDING if task.bound >= 1.0 else CLOSER)
-        whole = min(together, each, key=_jump)
+        whole = min(together, each, key=lambda curves: largest_jump(curves, 1))
         write_show(folder / self.file, task, whole, plans)
-        notes = [
+        jump = 1e3 * largest_jump(whole, 1)[0]
+        about = (
             f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to Skybrush",
             f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
-            f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments join",
-            *notes,
-        ]
-        return Written((self.file,), tuple(notes))
+            f"them; velocity jumps by up to {jump:.3g} mm/s where segments join",
+        )
+        return Written((self.file,), (*about, *notes))
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return what a ``.skyc`` holds."""
@@ -171,12 +172,6 @@ def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Findi
             words = f"settings.validation.{key} is no positive number, so it is not checked"
             findings.append(warning("settings", "", f"{words}; correct it"))
     return own, findings
-
-
-def _jump(curves: PiecewisePolynomial) -> float:
-    """Return the largest jump of velocity where pieces join [m/s]."""
-    left, right = curves.ends(1)
-    return float(np.max(np.linalg.norm(left[1:] - right[:-1], axis=-1), initial=0.0))
 
 
 def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Sequence[Any]) -> None:
@@ -306,9 +301,8 @@ def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
 
 
-def landing_speed(motion: Motion) -> float:
-    """Return the speed of descents [m/s]."""
-    return min(LANDING, SHARE * motion.requirements.limits.speed)
+def _landing(motion: Motion) -> float:
+    return min(LANDING, SHARE * motion.requirements.limits.speed)  # [m/s]
 
 
 @lru_cache(maxsize=1)
@@ -321,7 +315,7 @@ def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
     for time in range(0, ceil(motion.duration) + every, every):
         start = motion.drones.at(min(float(time), motion.duration))
         for entries in _tries(motion, time, start, frame):
-            checks = return_checks(motion, entries, start, landing_speed(motion), frame)
+            checks = return_checks(motion, entries, start, _landing(motion), frame)
             spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
             if spare and all(check.holds for check in checks):
                 found.append(entries)
@@ -343,9 +337,7 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
 
     level, zero = start[:, :2], np.zeros(len(start))
     yield entries(level, 0, zero, zero)
-    fall = (
-        ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / landing_speed(motion)) + 1
-    )
+    fall = ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / _landing(motion)) + 1
     # Drones of one height go down together, the lowest first.
     turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
     for place in (motion.drones.at(motion.duration)[:, :2], motion.drones.at(0.0)[:, :2], level):
@@ -396,7 +388,7 @@ def return_checks(
     curves = PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
     phase = Phase("return", 0, 0.0, curves.duration)
     whole = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
-    return [check for check in written_checks(whole, LINES) if check is not None]
+    return list(filter(None, (rule.check(whole, exported=True) for rule in LINES)))
 
 
 def certify_returns(
@@ -467,30 +459,22 @@ class SkybrushCsv(Format):
         if path.suffix.lower() == ".zip":
             with opened_zip(path, "zip of CSV files") as archive:
                 members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
-                names = [Path(member.filename).stem for member in members]
-                each = zip(members, read_members(path, archive, members), strict=True)
-                curves = [
-                    _lines(data.decode("utf-8-sig"), f"{path}: {member.filename}")
-                    for member, data in each
+                contents = [
+                    data.decode("utf-8-sig") for data in read_members(path, archive, members)
                 ]
+            sources = [f"{path}/{member.filename}" for member in members]
         else:
-            names = [file.stem for file in files]
-            curves = [_lines(read_text(file), str(file)) for file in files]
+            sources, contents = [str(file) for file in files], [read_text(file) for file in files]
+        names, curves = [Path(source).stem for source in sources], []
         if not 0 < len(names) == len(set(names)):
             raise FileError(f"{path}: holds no CSV file, or two of one name")
+        for source, text in zip(sources, contents, strict=True):
+            header, *lines = text.splitlines() or [""]
+            if header.strip().split(",")[:4] != (wanted := HEADER.split(",")[:4]):
+                raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
+            table = read_columns(lines, HEADER, wanted, source, least=2)
+            t, points = table[:, 0] * 1e-3, table[None, :, 1:]
+            check_times(t, source)
+            with reading(path, "table of positions"):
+                curves.append(PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:]))
         return Recording.of_curves(names, curves, "nwu", 0)
-
-
-def _lines(text: str, source: str) -> PiecewisePolynomial:
-    """Return the lines through the positions (3,) [m] in a file of this format."""
-    header, *lines = text.splitlines() or [""]
-    wanted = HEADER.split(",")[:4]
-    if header.strip().split(",")[:4] != wanted:
-        raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
-    table = read_columns(lines, HEADER, wanted, source, least=2)
-    t, points = table[:, 0] * 1e-3, table[None, :, 1:]
-    check_times(t, source)
-    try:
-        return PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
-    except InputError as fault:
-        raise FileError(f"{source}: {fault}") from fault

@@ -66,9 +66,8 @@ class Table(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "ff_* (feed_forward) = a - F/m, the cable's force F and the drone's mass m: for controllers "
-        "that add gravity themselves; cable_* (cable_forces) = F for those that take forces; a "
-        "alone for those that know the cable"
+        "ff_* or feed_forward = a - F/m, the cable's force F and the drone's mass m: for "
+        "controllers that add gravity; cable_* = F for those that take forces; a for others"
     )
     carries_pull = True
 
