@@ -54,14 +54,8 @@ def save_plan(
     """Write the files of a certified plan, whole or not at all; return the directory.
 
     Tables are sampled at ``rate`` [Hz]; ``pictures`` has, for names among OWNED, what draws them at
-    a path; ``progress`` is called with the fraction of the setpoints written; ``problem`` is the
-    text of the problem file.
-
-    Raises
-    ------
-    CertificateError: the certificate does not hold; nothing is written.
-    InputError: a rate that is not positive.
-    FileError: the directory cannot be written to.
+    a path; ``progress`` is called with the fraction of the setpoints written. CertificateError,
+    InputError or FileError tell what is wrong; nothing is written then.
     """
     certificate.raise_if_violated()
     writers: dict[str, Writer] = {
@@ -107,7 +101,6 @@ def save_diagnosis(
     """Write why there is no plan, and verified changes that remove the reason, the smallest first.
 
     The files of the last certified plan move to the subdirectory ``previous``, or stay there.
-    FileError says that the directory cannot be written to.
     """
     content = diagnosis_content(reason, suggestions)
     writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
@@ -162,10 +155,7 @@ def _values(states: States) -> Array:
 def write_setpoints(
     path: Path, motion: Motion, rate: float, progress: Progress | None = None
 ) -> None:
-    """Write one row per sample at ``rate`` [Hz] and drone, by time, then drone; yaw is 0.
-
-    InputError tells of a rate that is not positive, or of more samples than anyone can use.
-    """
+    """Write one row per sample at ``rate`` [Hz] and drone, by time, then drone; yaw is 0."""
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
 
     def blocks() -> Iterator[tuple[Array, Array]]:
@@ -214,10 +204,7 @@ def write_rows(
 
 
 def data_frame(motion: Motion, rate: float) -> DataFrame:
-    """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone.
-
-    InputError tells of a rate that is not positive, UnsupportedError of pandas that is missing.
-    """
+    """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone."""
     try:
         import pandas
     except ImportError as error:

@@ -127,10 +127,7 @@ def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple
 def _written(
     kind: Format, task: Task, certificate: Certificate, scratch: Path, say: Progress
 ) -> list[Export]:
-    """Write the first arrangement that loses nothing, or raise what the first of all loses.
-
-    They are the whole task, the same slower where that may help, then parts of it.
-    """
+    """Write the first that loses nothing of the whole, it slower, its parts; or raise."""
     refusals: list[InfeasibleError] = []
 
     def arrangements() -> Iterator[tuple[Sequence[Task], Certificate]]:

@@ -131,8 +131,7 @@ def _solved(
 ) -> tuple[PiecewisePolynomial, float]:
     """Return the offsets (2n, 3) [m] that solve the equation at Lobatto's points, and its error.
 
-    The points are a span's ends and zeros of a Legendre slope; the error [m] is the largest one at
-    points between them.
+    The error [m] is the largest one at points between them.
     """
     zeros = np.polynomial.legendre.Legendre.basis(DEGREE - 2).deriv().roots().real
     x = np.concatenate([[0.0], 0.5 + 0.5 * np.sort(zeros), [1.0]])

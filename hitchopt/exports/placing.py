@@ -106,10 +106,7 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
-    """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan.
-
-    FileError tells of what is no YAML, InputError of keys, names or addresses that are wrong.
-    """
+    """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan."""
     data = read_yaml(path)
     if not isinstance(data, dict):
         raise FileError(f"{path}: is no mapping; a fleet file has the key drones or robots")

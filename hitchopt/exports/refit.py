@@ -131,10 +131,7 @@ def _farthest(fits: Callable[[int], bool], most: int, guess: int) -> int:
 
 
 def best_breaks(curves: PiecewisePolynomial, kind: Kind, most: int) -> Array:
-    """Return the breaks of at most so many pieces with the smallest error, from FINEST on.
-
-    There are more of them where the error is beyond COARSEST.
-    """
+    """Return the breaks of at most so many pieces with the smallest error; else more of them."""
     if len(best := breaks_within(curves, kind, FINEST, most)) - 1 <= most:
         return best
     best, low, high = breaks_within(curves, kind, COARSEST, most), log(FINEST), log(COARSEST)

@@ -203,10 +203,7 @@ def _along(vectors: Array) -> Array:
 
 
 def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, times (S,) [s] and places (S, D, 3) [m], z up, of the drones in a scene.
-
-    FileError, or others of BROKEN, tell of no scene of hitchopt's, or a damaged one.
-    """
+    """Return names, times (S,) [s] and places (S, D, 3) [m], z up, of the drones in a scene."""
     if path.stat().st_size > MAX_BYTES:
         raise FileError(f"is larger than {MAX_BYTES} bytes")
     data = path.read_bytes()

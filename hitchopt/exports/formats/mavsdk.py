@@ -75,12 +75,7 @@ class MavsdkDroneShow(Format):
     streamed = True
 
     def write(self, folder: Path, task: Task) -> Written:
-        """Write every drone's rows.
-
-        Raises
-        ------
-        InfeasibleError: drones that begin above one another cannot take off.
-        """
+        """Write every drone's rows, or raise InfeasibleError where they cannot take off."""
         rise = rise_of(task)
         separation, settings = separation_before(task, rise), receiver_settings(task)
         files = self.files(task)
@@ -201,10 +196,7 @@ def rows_of(task: Task, rise: PiecewisePolynomial) -> Array:
 
 
 def read_tables(paths: Sequence[Path]) -> Array:
-    """Return the rows of drones' files (S, D, 4, 7 or 10): t, places and rates as they stand.
-
-    FileError tells of other headers, rows or columns, and of times that differ between drones.
-    """
+    """Return drones' rows (S, D, 4, 7 or 10), times first, at one set of times for all."""
     tables: list[Array] = []
     for path in paths:
         header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]

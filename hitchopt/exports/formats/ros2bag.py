@@ -173,10 +173,7 @@ def message_types() -> Any:
 
 
 def bag_recording(path: Path) -> Recording:
-    """Return the curves of all MultiDOFJointTrajectory messages of a bag, a folder or a file.
-
-    UnsupportedError says that rosbags is not installed.
-    """
+    """Return the curves of all MultiDOFJointTrajectory messages of a bag, a folder or a file."""
     highlevel, store = needed("rosbags.highlevel"), message_types()
     found: dict[str, Array] = {}
     frame = ""

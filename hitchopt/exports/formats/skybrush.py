@@ -354,10 +354,9 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
 def return_checks(
     motion: Motion, entries: Entries, start: Array, landing: float, frame: ReferenceFrame
 ) -> list[Check]:
-    """Return the checks of the return that every drone's entry of one time describes.
+    """Return the checks of a return from ``start`` (D, 3) [m] that descends at ``landing`` [m/s].
 
-    Drones begin at ``start`` (D, 3) [m] and descend at ``landing`` [m/s]. ValueError says that the
-    entries are none.
+    It is that which every drone's entry of one time describes; ValueError says that they are none.
     """
     ((time, action, lasts),) = {(e["time"], e["action"], e["duration"]) for e in entries}
     if action not in (LAND, LEVEL) or float(time) % 1.0:
@@ -394,11 +393,7 @@ def return_checks(
 def certify_returns(
     path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: Task
 ) -> None:
-    """Certify a show's returns, each flown from its time on, from stored curves.
-
-    FileError tells of drones without returns, or of entries that are no returns, InfeasibleError of
-    a return that breaks a limit.
-    """
+    """Certify a show's returns, each flown from its time on, from stored curves."""
     flown: list[tuple[float, list[Check]]] = []
     with reading(path, "show with an rthPlan for every drone"):
         plans = [show.returns[name] for name in task.names]
