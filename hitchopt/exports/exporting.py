@@ -341,12 +341,11 @@ def verify(
     The plan lies in ``frame``; ``names`` (D,) are what the files call its drones, in its order.
     FileError tells of drones that are not the plan's, or of less than all of its time.
     """
-    where = {name: i for i, name in enumerate(recording.names)}
-    missing = [name for name in names if name not in where]
-    if missing or len(where) != len(names):
+    missing = [name for name in names if name not in recording.names]
+    if missing or len(recording.names) != len(names):
         reason = f"{missing[0]} is missing" if missing else "there are more of them"
         raise FileError(f"its drones are not those of the plan: {reason}")
-    index = [where[name] for name in names]
+    index = [recording.names.index(name) for name in names]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
     checks: list[list[Check | None]] = []
     apart: list[list[Deviation]] = []
