@@ -270,8 +270,8 @@ def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None
 class Craft:
     """One Crazyflie: where it hovers, how long it is busy, and what its memory holds."""
 
-    def __init__(self, fleet: Fleet, name: str, place: Array, needs_arming: bool) -> None:
-        self.fleet, self.name, self.place, self.armed = fleet, name, place, not needs_arming
+    def __init__(self, fleet: Fleet, name: str, place: Array) -> None:
+        self.fleet, self.name, self.place, self.armed = fleet, name, place, False
         self.state, self.busy, self.rows = "idle", 0.0, np.zeros((0, 33))
 
     def _go(self, state: str, goal: Sequence[float], duration: float) -> None:
@@ -312,14 +312,6 @@ class Craft:
         self._go("flying", end.tolist(), float(lasts))
 
 
-class OldCraft(Craft):
-    """As clients before arming know it."""
-
-    @property
-    def arm(self) -> None:  # type: ignore[override]
-        raise AttributeError("arm")
-
-
 class Rows:
     """Stands for uav_trajectory.Trajectory."""
 
@@ -330,13 +322,10 @@ class Rows:
 class Fleet:
     """Stands for Crazyswarm, its allcfs and its timeHelper at once; drones stand at ``starts``."""
 
-    def __init__(
-        self, starts: dict[str, Array], kind: type[Craft] = Craft, needs_arming: bool = True
-    ) -> None:
+    def __init__(self, starts: dict[str, Array]) -> None:
         self.now = 0.0
         self.calls: list[tuple[str, str]] = []
-        made = {name: kind(self, name, place, needs_arming) for name, place in starts.items()}
-        self.crazyfliesByName = made
+        self.crazyfliesByName = {name: Craft(self, name, at) for name, at in starts.items()}
         self.allcfs = self.timeHelper = self
 
     def sleep(self, duration: float) -> None:
@@ -407,20 +396,17 @@ def test_no_setpoint_jumps_through_all_parts(
     assert all(c.place[2] == pytest.approx(0.04) for c in fleet.crazyfliesByName.values())
 
 
-@pytest.mark.parametrize(
-    ("kind", "needs_arming"), [(Craft, True), (OldCraft, False)], ids=["brushless", "brushed"]
-)
 def test_a_whole_plan_from_take_off_to_landing(
-    kind: type[Craft], needs_arming: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     beside = {name: place + [0.05, -0.03, 0.01] for name, place in standing(tmp_path).items()}
-    fleet = Fleet(beside, kind, needs_arming)
+    fleet = Fleet(beside)
     fleet.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in fleet.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
         np.testing.assert_allclose(craft.place, landed, atol=1e-5)
-    calls = (["arm"] if needs_arming else []) + ["goTo", "uploadTrajectory"]
+    calls = ["arm", "goTo", "uploadTrajectory"]
     alone = [(name, call) for call in calls for name in hitch_plan().team.drone_names]
     together = [call for who, call in fleet.calls if who == "all"]
     assert [call for call in fleet.calls if call[0] != "all"] == alone

@@ -109,26 +109,12 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
 
 @pytest.mark.parametrize("name", ["crazyswarm2", "compressed", "skybrush"])
 @pytest.mark.parametrize(
-    "stem",
-    [
-        *("open_chain", "hexagon"),
-        *(
-            pytest.param(stem, marks=pytest.mark.slow)
-            for stem in ("paper_experiment_3", "unequal_cables", "narrow_arena")
-        ),
-    ],
+    "stem", ["open_chain", "hexagon", pytest.param("narrow_arena", marks=pytest.mark.slow)]
 )
 def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) -> None:
     (part,) = exported(planned(stem).motion, name, tmp_path)
     assert part.verdict.lost == ()
     assert part.verdict.position.worst <= format_of(name).accuracy
-
-
-@pytest.mark.slow
-def test_a_mission_is_not_cut_where_it_loses_nothing_as_one(tmp_path: Path) -> None:
-    (part,) = exported(planned("form_triangle").motion, "compressed", tmp_path)
-    assert part.verdict.lost == ()
-    assert {"separation", "cable_clearance"} <= {check.name for check in part.verdict.checks}
 
 
 def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
@@ -168,7 +154,6 @@ def test_the_manifest_says_frame_drones_errors_and_checks(tmp_path: Path) -> Non
     assert manifest["drones"] == {name: name for name in hitch_plan().team.drone_names}
     assert manifest["position_error_m"]["worst"] == part.verdict.position.worst
     assert [c["name"] for c in manifest["checks"]] == [c.name for c in part.verdict.checks]
-    assert all(c["holds"] for c in manifest["checks"])
 
 
 def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:
