@@ -271,7 +271,8 @@ class Craft:
     """One Crazyflie: where it hovers, how long it is busy, and what its memory holds."""
 
     def __init__(self, fleet: Fleet, name: str, place: Array) -> None:
-        self.fleet, self.name, self.place, self.armed = fleet, name, place, False
+        self.fleet, self.name, self.place = fleet, name, place
+        self.armed = isinstance(self, OldCraft)
         self.state, self.busy, self.rows = "idle", 0.0, np.zeros((0, 33))
 
     def _go(self, state: str, goal: Sequence[float], duration: float) -> None:
@@ -312,6 +313,12 @@ class Craft:
         self._go("flying", end.tolist(), float(lasts))
 
 
+class OldCraft(Craft):
+    """As clients before arming know it."""
+
+    arm = property()  # type: ignore[assignment]
+
+
 class Rows:
     """Stands for uav_trajectory.Trajectory."""
 
@@ -322,10 +329,10 @@ class Rows:
 class Fleet:
     """Stands for Crazyswarm, its allcfs and its timeHelper at once; drones stand at ``starts``."""
 
-    def __init__(self, starts: dict[str, Array]) -> None:
+    def __init__(self, starts: dict[str, Array], kind: type[Craft] = Craft) -> None:
         self.now = 0.0
         self.calls: list[tuple[str, str]] = []
-        self.crazyfliesByName = {name: Craft(self, name, at) for name, at in starts.items()}
+        self.crazyfliesByName = {name: kind(self, name, at) for name, at in starts.items()}
         self.allcfs = self.timeHelper = self
 
     def sleep(self, duration: float) -> None:
@@ -396,17 +403,18 @@ def test_no_setpoint_jumps_through_all_parts(
     assert all(c.place[2] == pytest.approx(0.04) for c in fleet.crazyfliesByName.values())
 
 
+@pytest.mark.parametrize("kind", [Craft, OldCraft])
 def test_a_whole_plan_from_take_off_to_landing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: type[Craft], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     beside = {name: place + [0.05, -0.03, 0.01] for name, place in standing(tmp_path).items()}
-    fleet = Fleet(beside)
+    fleet = Fleet(beside, kind)
     fleet.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in fleet.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
         np.testing.assert_allclose(craft.place, landed, atol=1e-5)
-    calls = ["arm", "goTo", "uploadTrajectory"]
+    calls = ["arm"] * (kind is Craft) + ["goTo", "uploadTrajectory"]
     alone = [(name, call) for call in calls for name in hitch_plan().team.drone_names]
     together = [call for who, call in fleet.calls if who == "all"]
     assert [call for call in fleet.calls if call[0] != "all"] == alone
