@@ -115,7 +115,7 @@ class Format:
     accuracy: float  # the largest position error that it is meant to have [m]
     feed_forward: str  # whether the consumer needs the cable's pull, and what is done about it
     carries_pull: bool = False  # whether the files hold it, as a force or in an acceleration
-    streamed: bool = False  # whether samples are sent in flight: gaps between them count then
+    streamed: float = 0.0  # least useful rate of samples that are sent in flight [Hz]; 0: none are
     receiver_integral: bool = False  # whether the controllers that fly the files have an integral
     bounds: tuple[float, ...] = (1.0,)  # errors of refits over the usual one, tried in a row
 

@@ -52,7 +52,6 @@ SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
 SPEED, ACCELERATION = 3.0, 10.0  # [m/s], [m/s²] Default limits
 RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
 WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
-SLOWEST = 30.0  # [Hz] Lowest rate at which full states are usefully streamed
 
 REMEDIES = dict.fromkeys(("separation", DISTANCE), "move them apart") | {"maxAltitude": "fly lower"}
 """Remedies by check; all others bound rates, which fall where a flight is slower."""
@@ -332,12 +331,12 @@ def _joining(
 
 def _timing(kind: Format, recording: Recording, longest: float) -> Iterator[Finding]:
     """Yield too long a time between two samples [s], and early ends."""
-    if kind.streamed and longest > WATCHDOG:
-        words = f"{longest:.3g} s between two setpoints; the drones' watchdog waits {WATCHDOG} s"
-        yield error("rate", "", f"{words}; sample at {SLOWEST:g} Hz or more")
-    elif kind.name == "ros2bag" and longest * SLOWEST > 1.01:
-        words = f"{1.0 / longest:.3g} Hz; full states are to be streamed at {SLOWEST:g} to 100 Hz"
-        yield warning("rate", "", f"{words}; sample more often")
+    if longest * kind.streamed > 1.01:
+        words = (
+            f"{longest:.3g} s between two setpoints; send them at {kind.streamed:g} Hz or more: "
+        )
+        words += f"the drones' watchdog waits {WATCHDOG} s"
+        yield (error if longest > WATCHDOG else warning)("rate", "", words)
     shortest = min(recording.facts, key=lambda fact: fact.duration)
     if shortest.duration < (most := max(fact.duration for fact in recording.facts)) - LATE:
         words = f"lasts {shortest.duration:.6g} s, the longest {most:.6g} s; let all end together"

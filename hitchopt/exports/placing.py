@@ -147,9 +147,7 @@ def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
             remedy = f"{known}; a robot's role tells which it flies"
             raise InputError(root, role, bound, remedy)
     members = tuple(drones[role] for role in roles)
-    placeholders = [member.uri for member in placeholder_fleet(roles).members]
-    named = placeholders != [member.uri for member in members]
-    return Fleet(members, keys.types or keys.robot_types, keys.settings or keys.all, named)
+    return Fleet(members, keys.types or keys.robot_types, keys.settings or keys.all, given=True)
 
 
 AXES = {

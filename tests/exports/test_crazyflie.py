@@ -152,7 +152,6 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     exported(motion, "crazyswarm2", tmp_path / "placeholders")
     again = read_fleet(tmp_path / "placeholders" / "crazyflies.yaml", roles)
     assert again.members == placeholder_fleet(roles).members
-    assert not again.given
     many = placeholder_fleet([f"d{i}" for i in range(300)])
     assert len({member.uri for member in many.members}) == 300
     assert many.members[PER_RADIO].uri.startswith("radio://1/")

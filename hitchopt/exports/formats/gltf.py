@@ -56,7 +56,52 @@ class Gltf(Format):
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the plan's drones, cables and objects at the task's rate."""
-        write_scene(folder / self.file, task)
+        motion, frame, document = task.motion, task.frame, _Document()
+        t = sample_times(motion.duration, task.rate)
+        drawn = scene_at(motion, t)
+        single = t.astype(np.float32)
+        if single[-1] < t[-1]:  # rounded up: the scene holds all of the plan
+            single[-1] = np.nextafter(single[-1], np.float32(np.inf))
+        times = document.numbers(single)
+        bodies = [
+            (name, drawn.drones[:, i], drawn.quaternions[:, i]) for i, name in enumerate(task.names)
+        ]
+        shape = np.concatenate(drone_faces(motion.requirements.separation.radius))
+        meshes = [document.mesh(shape, "drones")] * len(bodies)
+        for i, (name, body) in enumerate(motion.requirements.objects.items()):
+            meshes.append(document.mesh(object_faces(body), "objects"))
+            bodies.append((name, drawn.objects[:, i, :3], drawn.objects[:, i, 3:]))
+        roots, turn = [], Rotation.from_euler("z", frame.yaw)
+        for mesh_, (name, places, quaternions) in zip(meshes, bodies, strict=True):
+            turned = (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat()
+            turned = np.column_stack([y_up(turned[:, :3]), turned[:, 3]])
+            translation = y_up(frame.points(places))
+            roots.append(
+                document.moved(name, mesh_, times, translation=translation, rotation=turned)
+            )
+        span = (
+            document.mesh(slab_faces(Slab(Section(radius=1.0), -0.5, 0.5)), "cables")
+            if drawn.cables.size
+            else -1
+        )
+        for k in range(drawn.cables.shape[1]):
+            points = y_up(frame.points(drawn.cables[:, k, SPANS]))
+            apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
+            scales = np.full_like(apart, drawn.radius)
+            scales[..., 1] = np.linalg.norm(apart, axis=-1)
+            paths = {"translation": middles, "rotation": _along(apart), "scale": scales}
+            spans = [
+                document.moved(
+                    f"cable {k} span {i}",
+                    span,
+                    times,
+                    **{key: all_[:, i] for key, all_ in paths.items()},
+                )
+                for i in range(len(SPANS) - 1)
+            ]
+            roots.append(document.added("nodes", name=f"cable {k}", children=spans))
+        extras = {"drones": list(task.names), **frame.to_dict()}
+        (folder / self.file).write_bytes(document.packed(roots, task.title or "plan", extras))
         return Written((self.file,))
 
     def load(self, files: Sequence[Path]) -> Recording:
@@ -136,54 +181,6 @@ def y_up(vectors: Array) -> Array:
     """Return vectors (…, 3) of a frame with z up in glTF's axes."""
     turned: Array = vectors[..., [0, 2, 1]] * [1.0, 1.0, -1.0]
     return turned
-
-
-def write_scene(path: Path, task: Task) -> None:
-    """Write the plan's drones, cables and objects at the task's rate."""
-    motion, frame, document = task.motion, task.frame, _Document()
-    t = sample_times(motion.duration, task.rate)
-    drawn = scene_at(motion, t)
-    single = t.astype(np.float32)
-    if single[-1] < t[-1]:  # rounded up: the scene holds all of the plan
-        single[-1] = np.nextafter(single[-1], np.float32(np.inf))
-    times = document.numbers(single)
-    bodies = [
-        (name, drawn.drones[:, i], drawn.quaternions[:, i]) for i, name in enumerate(task.names)
-    ]
-    shape = np.concatenate(drone_faces(motion.requirements.separation.radius))
-    meshes = [document.mesh(shape, "drones")] * len(bodies)
-    for i, (name, body) in enumerate(motion.requirements.objects.items()):
-        meshes.append(document.mesh(object_faces(body), "objects"))
-        bodies.append((name, drawn.objects[:, i, :3], drawn.objects[:, i, 3:]))
-    roots, turn = [], Rotation.from_euler("z", frame.yaw)
-    for mesh_, (name, places, quaternions) in zip(meshes, bodies, strict=True):
-        turned = (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat()
-        turned = np.column_stack([y_up(turned[:, :3]), turned[:, 3]])
-        translation = y_up(frame.points(places))
-        roots.append(document.moved(name, mesh_, times, translation=translation, rotation=turned))
-    span = (
-        document.mesh(slab_faces(Slab(Section(radius=1.0), -0.5, 0.5)), "cables")
-        if drawn.cables.size
-        else -1
-    )
-    for k in range(drawn.cables.shape[1]):
-        points = y_up(frame.points(drawn.cables[:, k, SPANS]))
-        apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
-        scales = np.full_like(apart, drawn.radius)
-        scales[..., 1] = np.linalg.norm(apart, axis=-1)
-        paths = {"translation": middles, "rotation": _along(apart), "scale": scales}
-        spans = [
-            document.moved(
-                f"cable {k} span {i}",
-                span,
-                times,
-                **{key: all_[:, i] for key, all_ in paths.items()},
-            )
-            for i in range(len(SPANS) - 1)
-        ]
-        roots.append(document.added("nodes", name=f"cable {k}", children=spans))
-    extras = {"drones": list(task.names), **frame.to_dict()}
-    path.write_bytes(document.packed(roots, task.title or "plan", extras))
 
 
 def _along(vectors: Array) -> Array:

@@ -72,7 +72,7 @@ class MavsdkDroneShow(Format):
         "and knows no cable; fly it with acceleration feed-forward on"
     )
     carries_pull = True
-    streamed = True
+    streamed = 2.0
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write every drone's rows, or raise InfeasibleError where they cannot take off."""

@@ -66,7 +66,7 @@ class Ros2Bag(Format):
         "and body rates to match; trajectory: the drone's own acceleration"
     )
     carries_pull = True
-    streamed = True
+    streamed = 30.0
 
     def write(self, folder: Path, task: Task) -> Written:
         """Write the bag; raise UnsupportedError without rosbags."""
@@ -88,13 +88,43 @@ class Ros2Bag(Format):
         return Written((data, METADATA), notes)
 
     def load(self, files: Sequence[Path]) -> Recording:
-        """Return what the trajectories of a bag hold, given by its data or its metadata."""
-        path = files[0]
-        return bag_recording(path.parent if path.name == METADATA else path)
+        """Return the curves of all MultiDOFJointTrajectory messages of a bag.
+
+        It is given by its data or its metadata; UnsupportedError says that rosbags is missing.
+        """
+        path = files[0].parent if files[0].name == METADATA else files[0]
+        highlevel, store = needed("rosbags.highlevel"), message_types()
+        found: dict[str, Array] = {}
+        frame = ""
+        # The library raises many exceptions of its own, without a common root.
+        with (
+            reading(path, "bag", Exception),
+            highlevel.AnyReader([path], default_typestore=store) as bag,
+        ):
+            kinds = sorted({connection.msgtype for connection in bag.connections})
+            wanted = [c for c in bag.connections if c.msgtype == TRAJECTORY]
+            if not wanted:  # of no connection the library gives all messages
+                raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
+            for connection, _, data in bag.messages(wanted):
+                message = bag.deserialize(data, connection.msgtype)
+                frame = FRAMES.get(message.header.frame_id, "")
+                for i, name in enumerate(message.joint_names):
+                    if name in found:
+                        raise FileError(f"holds two trajectories of {name!r}")
+                    found[name] = np.array([_row(point, i) for point in message.points])
+            if not found:
+                raise FileError("its trajectories name no joint")
+            tables = list(found.values())
+            if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
+                raise FileError("its trajectories have different times")
+            values = np.stack(tables, axis=1)
+            told = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
+            smooth = 0 if told.shape[-1] == 3 else 2
+            return Recording.of_samples(tuple(found), values[:, 0, 0], told, frame, smooth)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the trajectories, found by the metadata."""
-        return bag_recording(folder)
+        return self.load([folder / METADATA])
 
 
 def _write_messages(bag: Any, task: Task) -> None:
@@ -170,38 +200,6 @@ def message_types() -> Any:
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     store.register(typesys.get_types_from_msg(FULL_STATE_TEXT, FULL_STATE))
     return store
-
-
-def bag_recording(path: Path) -> Recording:
-    """Return the curves of all MultiDOFJointTrajectory messages of a bag, a folder or a file."""
-    highlevel, store = needed("rosbags.highlevel"), message_types()
-    found: dict[str, Array] = {}
-    frame = ""
-    # The library raises many exceptions of its own, without a common root.
-    with (
-        reading(path, "bag", Exception),
-        highlevel.AnyReader([path], default_typestore=store) as bag,
-    ):
-        kinds = sorted({connection.msgtype for connection in bag.connections})
-        wanted = [c for c in bag.connections if c.msgtype == TRAJECTORY]
-        if not wanted:  # of no connection the library gives all messages
-            raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
-        for connection, _, data in bag.messages(wanted):
-            message = bag.deserialize(data, connection.msgtype)
-            frame = FRAMES.get(message.header.frame_id, "")
-            for i, name in enumerate(message.joint_names):
-                if name in found:
-                    raise FileError(f"holds two trajectories of {name!r}")
-                found[name] = np.array([_row(point, i) for point in message.points])
-        if not found:
-            raise FileError("its trajectories name no joint")
-        tables = list(found.values())
-        if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
-            raise FileError("its trajectories have different times")
-        values = np.stack(tables, axis=1)
-        told = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
-        smooth = 0 if told.shape[-1] == 3 else 2
-        return Recording.of_samples(tuple(found), values[:, 0, 0], told, frame, smooth)
 
 
 def _row(point: Any, joint: int) -> list[float]:
