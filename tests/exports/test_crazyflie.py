@@ -315,7 +315,7 @@ class Craft:
 class OldCraft(Craft):
     """As clients before arming know it."""
 
-    arm = property()  # type: ignore[assignment]
+    arm = property()
 
 
 class Rows:
@@ -371,8 +371,8 @@ def standing(folder: Path) -> dict[str, Array]:
 
 def end_of(folder: Path, name: str) -> Array:
     path = folder / f"{name}.csv"
-    last = np.sum(np.loadtxt(path, delimiter=",", skiprows=1)[:, 0], keepdims=True)
-    place: Array = polynomials(path, last)[0]
+    last = float(np.sum(np.loadtxt(path, delimiter=",", skiprows=1)[:, 0]))
+    place: Array = polynomials(path, np.array([last]))[0]
     return place
 
 

@@ -179,7 +179,7 @@ DAMAGE: dict[str, list[tuple[Edit, str]]] = {
         (cell("Drone 2.csv", 4, 1, "0.123"), "its times are not those of Drone 1"),
     ],
     "ros2bag": [
-        (lambda folder: (folder / "setpoints.mcap").unlink(), "is no bag, or a damaged one"),
+        (lambda folder: (folder / "setpoints.mcap").unlink(), "is no bag, or a damaged one")
     ],
     "csv": [
         (text(CSV, "t,drone,x", "t,drone,q"), "no column 'x'"),
@@ -215,11 +215,9 @@ FLAWED: dict[str, list[tuple[Edit, str]]] = {
         (content("d1_enu.bin", TURNED + END), "error range, warning duration, warning yaw"),
     ],
     "skybrush": [
-        (show(lambda f: points_of(f).insert(1, [1e-4, points_of(f)[0][1], []])), "error duration"),
+        (show(lambda f: points_of(f).insert(1, [1e-4, points_of(f)[0][1], []])), "error duration")
     ],
-    "mavsdk_drone_show": [
-        (rows("*.csv", lambda s: s[:10] + s[25:]), "error rate"),
-    ],
+    "mavsdk_drone_show": [(rows("*.csv", lambda s: s[:10] + s[25:]), "error rate")],
     "csv": [(rows(CSV, lambda s: [s[0], *(f"2{r[1:]}" for r in s[1:31])]), "warning start")],
 }
 """What is done to an export, and the rules that it breaks then, of errors and warnings of some."""

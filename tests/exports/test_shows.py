@@ -20,12 +20,7 @@ from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports import exporting
 from hitchopt.exports.format import format_of
 from hitchopt.exports.formats.mavsdk import LATE, read_tables
-from hitchopt.exports.formats.skybrush import (
-    read_show,
-    storage_scale,
-    stored,
-    write_show,
-)
+from hitchopt.exports.formats.skybrush import read_show, storage_scale, stored, write_show
 from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Separation
 from hitchopt.motion.motion import Motion, Phase

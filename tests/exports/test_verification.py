@@ -100,6 +100,7 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
     verdict = verified(motion, longer)
     assert verdict.duration == pytest.approx(motion.duration + 0.3)
     assert verdict.lost == ()
+    assert verdict.position.worst < 1e-9
     with pytest.raises(FileError, match="before the plan does"):
         verified(motion, motion.drones.taken(slice(0, -1)))
 
