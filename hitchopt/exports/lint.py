@@ -114,13 +114,12 @@ class Rules:
 
     def limits(self, own: Mapping[str, float]) -> tuple[float, float]:
         """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
-
-        def limit(given: float | None, default: float, name: str) -> float:
-            usual = math.inf if {f"max{name}XY", f"max{name}Z"} <= set(own) else default
-            return usual if given is None else given
-
-        speed = limit(self.speed, SPEED, "Velocity")
-        return speed, limit(self.acceleration, ACCELERATION, "Acceleration")
+        kept = []
+        given = (("Velocity", self.speed, SPEED), ("Acceleration", self.acceleration, ACCELERATION))
+        for name, limit, usual in given:
+            alone = {f"max{name}XY", f"max{name}Z"} <= set(own)
+            kept.append(limit if limit is not None else math.inf if alone else usual)
+        return kept[0], kept[1]
 
 
 def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:

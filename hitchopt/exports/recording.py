@@ -69,6 +69,17 @@ class DroneFacts:
 
 
 @dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One drone's curve as it stands in a file."""
+
+    name: str
+    curve: PiecewisePolynomial  # positions (3,) [m], from t = 0 on
+    size: int = 0  # in the drone's memory [bytes]; 0 where it is not uploaded
+    frame: str = ""  # that the file names; empty where it names none
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """The curves that exported numbers stand for, and what was found while reading them."""
 
@@ -84,24 +95,20 @@ class Recording:
     @classmethod
     def of_curves(
         cls,
-        names: Sequence[str],
-        curves: Sequence[PiecewisePolynomial],
+        drones: Sequence[Trajectory],
         frame: str,
         smooth: int,
-        sizes: Sequence[int] = (),
-        **found: Any,
+        findings: Iterable[Finding] = (),
+        own: Mapping[str, float] | None = None,
     ) -> Self:
-        """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
+        """Return the recording of one curve per drone, each with breaks of its own.
 
         Drones that end before the others stay where they ended. Curves are put on common breaks
-        window by window: they take no more memory than their files. ``sizes`` are in bytes;
-        ``found`` are ``findings`` and a show's ``own`` limits.
+        window by window: they take no more memory than their files.
         """
-        ends = [float(curve.breaks[-1]) for curve in curves]
-        counts = [curve.pieces for curve in curves]
-        facts = tuple(map(DroneFacts, names, counts, sizes or [0] * len(names), ends))
-        degree = max(curve.degree for curve in curves)
-        each = [lasted(curve.elevated(degree), max(ends)) for curve in curves]
+        ends = [float(drone.curve.breaks[-1]) for drone in drones]
+        degree = max(drone.curve.degree for drone in drones)
+        each = [lasted(drone.curve.elevated(degree), max(ends)) for drone in drones]
         times = [curve.breaks for curve in each]
         if all(np.array_equal(t, times[0]) for t in times):
             times = times[:1]
@@ -118,7 +125,11 @@ class Recording:
                 parts = [on_breaks(curve, here).coefficients for curve in each]
                 yield PiecewisePolynomial(here, np.stack(parts, axis=1))
 
-        return cls(tuple(names), frame, smooth, windows, facts, **found)
+        names = tuple(drone.name for drone in drones)
+        pieces, sizes = zip(*((drone.curve.pieces, drone.size) for drone in drones), strict=True)
+        facts = tuple(map(DroneFacts, names, pieces, sizes, ends))
+        found = (*(finding for drone in drones for finding in drone.findings), *findings)
+        return cls(names, frame, smooth, windows, facts, findings=found, own=own or {})
 
     @classmethod
     def of_samples(

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.exporting import FLOWN, Verdict, verify
 from hitchopt.exports.placing import AXES, ReferenceFrame
-from hitchopt.exports.recording import Recording
+from hitchopt.exports.recording import Recording, Trajectory
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
@@ -25,10 +25,9 @@ PLAIN = ReferenceFrame()
 
 
 def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> Recording:
-    each = [
-        PiecewisePolynomial(curves.breaks, curves.coefficients[:, i]) for i in range(len(names))
-    ]
-    return Recording.of_curves(names, each, "enu", 2)
+    c = curves.coefficients
+    each = [PiecewisePolynomial(curves.breaks, c[:, i]) for i in range(len(names))]
+    return Recording.of_curves(list(map(Trajectory, names, each)), "enu", 2)
 
 
 def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:

@@ -27,7 +27,7 @@ import math
 import re
 import struct
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from itertools import takewhile
 from pathlib import Path
@@ -40,7 +40,14 @@ from scipy.spatial import cKDTree
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import Finding, Recording, error, read_columns, read_text, warning
+from hitchopt.exports.recording import (
+    Recording,
+    Trajectory,
+    error,
+    read_columns,
+    read_text,
+    warning,
+)
 from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
@@ -62,17 +69,6 @@ STEADY = 2e-3
 """[rad] Yaw that changes less is constant: a tenth of a degree is the last digit of bytes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Upload:
-    """One drone's trajectory as it stands in a file."""
-
-    name: str
-    curve: PiecewisePolynomial  # positions (3,) [m]
-    size: int  # in memory [bytes]
-    frame: str  # that the file names; empty where it names none
-    findings: tuple[Finding, ...]
-
-
 class CrazyflieFormat(Format):
     """A format of trajectories that are uploaded into a Crazyflie's memory."""
 
@@ -91,26 +87,23 @@ class CrazyflieFormat(Format):
         """Return how many pieces of some curves memory holds."""
         raise NotImplementedError
 
-    def upload(self, path: Path) -> Upload:
+    def upload(self, path: Path) -> Trajectory:
         """Return what one drone's file holds; raise FileError of a damaged one."""
         raise NotImplementedError
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return what files hold, one drone each."""
-        uploads = [self.upload(path) for path in files]
-        findings = [finding for each in uploads for finding in each.findings]
-        for each in uploads:
-            if each.size > BYTES:
-                words = f"{each.curve.pieces} pieces take {each.size} bytes, and a drone has "
+        drones, findings = [self.upload(path) for path in files], []
+        for drone in drones:
+            if drone.size > BYTES:
+                words = f"{drone.curve.pieces} pieces take {drone.size} bytes, and a drone has "
                 words += f"{BYTES} for all its trajectories; refit it with fewer pieces, or cut it "
-                findings.append(error("memory", each.name, f"{words}into parts"))
-        frames = sorted({each.frame for each in uploads} - {""})
+                findings.append(error("memory", drone.name, f"{words}into parts"))
+        frames = sorted({drone.frame for drone in drones} - {""})
         if len(frames) > 1:
             findings.append(error("frame", "", f"files are in {' and '.join(frames)}"))
         frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
-        names, curves = [each.name for each in uploads], [each.curve for each in uploads]
-        sizes, found = [each.size for each in uploads], tuple(findings)
-        return Recording.of_curves(names, curves, frame, self.smooth, sizes, findings=found)
+        return Recording.of_curves(drones, frame, self.smooth, findings)
 
     def parts(self, task: Task) -> Iterator[Sequence[Task]]:
         """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
@@ -219,7 +212,7 @@ class Crazyswarm2(CrazyflieFormat):
         warnings = (*_stacked(task, first, "take off from"), *_stacked(task, last, "land on"))
         return Written((*files, *texts), (words, *warnings))
 
-    def upload(self, path: Path) -> Upload:
+    def upload(self, path: Path) -> Trajectory:
         """Return the pieces of one drone, in single precision as it holds them."""
         first, *lines = [*read_text(path).splitlines(), ""]
         header, _, comment = first.partition("#")
@@ -254,7 +247,7 @@ class Crazyswarm2(CrazyflieFormat):
             faults.append(warning("jump", path.stem, f"{words}which the one before ends"))
         frame, places = comment.partition("frame:")[2].strip(), curves.coefficients[:, :3]
         curve = PiecewisePolynomial(curves.breaks, places)
-        return Upload(path.stem, curve, len(table) * PIECE_BYTES, frame, tuple(faults))
+        return Trajectory(path.stem, curve, len(table) * PIECE_BYTES, frame, tuple(faults))
 
 
 def to_powers(curves: PiecewisePolynomial) -> Array:
@@ -390,7 +383,7 @@ class CompressedBytes(CrazyflieFormat):
         )
         return Written(files, (note,))
 
-    def upload(self, path: Path) -> Upload:
+    def upload(self, path: Path) -> Trajectory:
         """Return one drone's trajectory up to its end, or that of the bytes."""
         with reading(path, "trajectory of bytes"):
             if path.stat().st_size > 16 * BYTES:
@@ -412,7 +405,7 @@ class CompressedBytes(CrazyflieFormat):
         if np.max(np.abs(curve.coefficients)) > LARGEST - 0.5 * MILLI:
             words = f"a control point is at the end of ±{LARGEST} m: it may have been cut off there"
             faults.append(error("range", name, f"{words}; move the origin"))
-        return Upload(name, curve, size, frame, tuple(faults))
+        return Trajectory(name, curve, size, frame, tuple(faults))
 
 
 def encoded(durations: Integers, points: Integers, heading: float) -> bytes:

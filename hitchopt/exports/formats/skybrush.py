@@ -46,6 +46,7 @@ from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.recording import (
     Finding,
     Recording,
+    Trajectory,
     check_times,
     error,
     largest_jump,
@@ -68,7 +69,7 @@ DEGREE = 3  # Degree of the pieces
 SMOOTH = 1  # Acceleration jumps after rounding; so does velocity, by as much as the note says
 
 CUBIC = Kind(DEGREE, 2, MILLI, longest=1.0, shortest=0.1, scale=Scale(1e-3, 3e-2, 0.5))
-"""From 1.001 s on the server's arithmetic loses a millisecond of some durations; a millimetre of a
+"""Some durations above 1 s lose a millisecond in the server's arithmetic; a millimetre of a
 control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 
 ROUNDING, CLOSER = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
@@ -147,18 +148,17 @@ class SkybrushShow(Format):
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
                 words = f"a piece lasts {shortest:.2g} s, which Skybrush rounds to none"
                 findings.append(error("duration", name, f"{words}; leave its point out"))
-        names, curves = tuple(show.curves), tuple(show.curves.values())
-        found = tuple(findings)
-        return Recording.of_curves(names, curves, "nwu", SMOOTH, findings=found, own=own)
+        drones = [Trajectory(name, curve) for name, curve in show.curves.items()]
+        return Recording.of_curves(drones, "nwu", SMOOTH, findings, own)
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return the curves of the show as Skybrush's server stores them; certify its returns."""
-        path = folder / self.file
-        show = read_show(path)
-        curves = {name: stored(curve) for name, curve in show.curves.items()}
+        show = read_show(folder / self.file)
+        drones = [Trajectory(name, stored(curve)) for name, curve in show.curves.items()]
         if not task.motion.team.has_cables:
-            certify_returns(path, show, curves, task)
-        return Recording.of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
+            curves = {drone.name: drone.curve for drone in drones}
+            certify_returns(folder / self.file, show, curves, task)
+        return Recording.of_curves(drones, "nwu", SMOOTH)
 
 
 def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
@@ -460,10 +460,10 @@ class SkybrushCsv(Format):
             sources = [f"{path}/{member.filename}" for member in members]
         else:
             sources, contents = [str(file) for file in files], [read_text(file) for file in files]
-        names, curves = [Path(source).stem for source in sources], []
+        drones, names = list[Trajectory](), [Path(source).stem for source in sources]
         if not 0 < len(names) == len(set(names)):
             raise FileError(f"{path}: holds no CSV file, or two of one name")
-        for source, text in zip(sources, contents, strict=True):
+        for name, source, text in zip(names, sources, contents, strict=True):
             header, *lines = text.splitlines() or [""]
             if header.strip().split(",")[:4] != (wanted := HEADER.split(",")[:4]):
                 raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
@@ -471,5 +471,6 @@ class SkybrushCsv(Format):
             t, points = table[:, 0] * 1e-3, table[None, :, 1:]
             check_times(t, source)
             with reading(path, "table of positions"):
-                curves.append(PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:]))
-        return Recording.of_curves(names, curves, "nwu", 0)
+                curve = PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
+            drones.append(Trajectory(name, curve))
+        return Recording.of_curves(drones, "nwu", 0)
