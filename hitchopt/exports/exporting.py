@@ -261,9 +261,6 @@ def _owned(folder: Path, files: Sequence[str]) -> set[str]:
 FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
 """Rules of the checks of what is flown, as they are listed."""
 
-LINES = tuple(rule for rule in FLOWN if rule.derivative <= 1)
-"""Rules for drones that fly along lines: velocities jump where they meet."""
-
 PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
 """Rules for set points that hold a tension. They are not where the drones are, of which the plan's
 certificate says everything; but a drone whose cable breaks or goes slack flies there."""
