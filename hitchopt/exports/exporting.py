@@ -46,7 +46,6 @@ SLOWER = (1.02, 1.05)
 limits, and whole millimetres cost one or two per cent of them, more of slow ones."""
 
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
-"""What the manifest says of feed-forward where the tension is held."""
 
 
 @dataclass(frozen=True)
@@ -266,10 +265,8 @@ PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep
 certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
 EASIER = "fly it slower with --stretch, plan below the limit, or choose another format"
-"""Remedy for checks that a slower flight eases."""
-
 CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
-"""Remedy for the others."""
+"""Remedies for checks that a slower flight eases, and for the others."""
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "

@@ -31,22 +31,15 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, positive
 
-DAMPING_RATIO = 5.0 / 6.0
-"""c/(2 √(k m)) unless it is given: gains of 36 and 10 per mass, as soft loops of hitches use."""
-
+DAMPING_RATIO = 5.0 / 6.0  # c/(2 √(k m)) unless it is given: gains of 36 and 10 per mass
 DEGREE = 8  # Degree of the offset's pieces
 LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings by one radian
 HALVINGS = 3  # Number of times that the pieces are halved while the miss is too large
 LARGEST_MISS = 1e-4  # [m] Largest distance of drones from the plan that a solution may leave
 PROBES = 3  # Points between two of Lobatto's at which the equation is checked
 
-REST = 2.0
-"""[s] Time by which the plan is prolonged; what is left of the offset's motion is then
-``exp(-REST c/2m)``, 5e-5 at c/m = 10/s, and nothing that receivers could resolve."""
-
-SPARE = 0.2
-"""Share by which limits of speed and acceleration exceed the set points': whole millimetres cost
-some cm/s where pieces are short."""
+REST = 2.0  # [s] Time by which the plan is prolonged, for offsets to come to rest
+SPARE = 0.2  # Share by which limits of speed and acceleration exceed set points, for rounding
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,14 +42,9 @@ from hitchopt.storage.yaml_file import plain, read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")
-"""Pattern of names that suit files, ROS topics and keys of YAML alike."""
-
-RESERVED = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
-"""Names that YAML 1.1, as ROS reads it, takes for something else."""
-
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # That suits files, ROS topics and YAML
+RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Others in YAML 1.1
 URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' radios
-
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 

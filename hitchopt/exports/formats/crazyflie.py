@@ -55,8 +55,6 @@ from hitchopt.storage.archive import reading
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
-Integers = NDArray[np.int64]
-
 BYTES = 4096  # Size of the memory for all trajectories of one drone [B]
 
 UPLOAD_LAST = "goTo the point where each hovers and wait, only then upload the next"
@@ -65,8 +63,7 @@ UPLOAD_LAST = "goTo the point where each hovers and wait, only then upload the n
 CLOSER = 0.3  # Share of the error within which parts are refitted where coarser ones lose a limit
 DEGREE = 7  # Degree of pieces and segments
 
-STEADY = 2e-3
-"""[rad] Yaw that changes less is constant: a tenth of a degree is the last digit of bytes."""
+STEADY = 2e-3  # [rad] Yaw that changes less is constant: bytes have tenths of a degree
 
 
 class CrazyflieFormat(Format):
@@ -168,10 +165,7 @@ LEAST = 2  # Rows of a file at least: the usual reader fails on one
 MAX_ROWS = 100_000  # Rows of a file that is read
 NOTHING = 1e-10  # Powers that never add more than this are left out [m]
 
-CLOSE = 1.0 - 1e-4
-"""Share of an ellipsoid's width: drones closer than it, seen from above, block each other; below 1
-by the rounding of file digits."""
-
+CLOSE = 1.0 - 1e-4  # Share of an ellipsoid's width within which drones, from above, block others
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
 
 
@@ -408,12 +402,11 @@ class CompressedBytes(CrazyflieFormat):
         return Trajectory(name, curve, size, frame, tuple(faults))
 
 
-def encoded(durations: Integers, points: Integers, heading: float) -> bytes:
-    """Return the bytes of one drone.
+def encoded(durations: NDArray[np.int64], points: NDArray[np.int64], heading: float) -> bytes:
+    """Return the bytes of one drone: durations [ms], a constant heading [rad].
 
     ``points`` (segments, 3, 8) are Bézier control points [mm], each segment from where the last
-    ended; durations are in ms, the constant heading in rad. InfeasibleError tells of a control
-    point beyond ±32.767 m.
+    ended.
     """
     if (farthest := float(np.max(np.abs(points))) * MILLI) > LARGEST:
         remedy = "move the plan with --origin"

@@ -39,17 +39,13 @@ COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
 
 FLOWN = [COLUMNS.split(",")[i : i + 3] for i in (2, 5, 8)]  # Position, velocity and acceleration
 
-ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"
-"""A row of mode 70; all that are no counts have a decimal point."""
-
+ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"  # All that are no counts have a point
 SMOOTH = 2  # Quintics run through positions, velocities and accelerations
 SAME_TIME = 1e-6  # Largest difference of the drones' times in one row [s]
 LATE = 5.0  # Longest time that arming takes after the common start [s]: rows run meanwhile
 BLEND = 3.0  # Longest straight line from the climb to the rows [s]
 
-WAIT = LATE + BLEND
-"""Wait on the ground [s]: a drone that is late, or is drawn to its row, is there by then."""
-
+WAIT = LATE + BLEND  # Wait on the ground [s], for drones that are late or drawn to their rows
 SETTLE = 3.0  # Wait at the first places [s]
 SPEED, ACCELERATION = 0.5, 0.5  # Largest speed and acceleration while rising [m/s], [m/s²]
 LEAST = 1.0  # Shortest duration of the rise [s]

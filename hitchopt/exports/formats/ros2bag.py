@@ -33,7 +33,6 @@ from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
 STEM, METADATA = "setpoints", "metadata.yaml"  # Names of the data, without ending, and of the rest
-
 BLOCK = 20_000  # Setpoints that are held at once
 
 FULL_STATE = "crazyflie_interfaces/msg/FullState"

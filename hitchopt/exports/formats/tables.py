@@ -38,14 +38,9 @@ GROUPS = SAVED | {
 }
 """Quantities of ``Task.samples`` and their columns."""
 
-COLUMNS = tuple(name for group in GROUPS.values() for name in group)
-"""Names of the numbers of a row, after ``t`` and ``drone``."""
-
+COLUMNS = tuple(name for group in GROUPS.values() for name in group)  # After t and drone
 HEADER = ",".join(("t", "drone", *COLUMNS))
-
-FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
-"""Columns that say where the drones go; readers need no others, and places alone will do."""
-
+FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]  # All that readers need; places alone will do
 SMOOTH = 2  # Positions, velocities and accelerations are in the table: quintics run through them
 GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 MAX_TEXT = 2_000_000_000  # Size limit of a JSON document that is read [B]
