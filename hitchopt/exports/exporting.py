@@ -41,10 +41,7 @@ from hitchopt.values import Array
 
 Progress = Callable[[str], None]  # Function that is called with what is being done now
 
-SLOWER = (1.02, 1.05)
-"""Factors of the durations of a plan that loses a limit by being rounded: plans fly at their
-limits, and whole millimetres cost one or two per cent of them, more of slow ones."""
-
+SLOWER = (1.02, 1.05)  # Factors of the durations of a plan that loses a limit by being rounded
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
 
 

@@ -37,7 +37,6 @@ LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings b
 HALVINGS = 3  # Number of times that the pieces are halved while the miss is too large
 LARGEST_MISS = 1e-4  # [m] Largest distance of drones from the plan that a solution may leave
 PROBES = 3  # Points between two of Lobatto's at which the equation is checked
-
 REST = 2.0  # [s] Time by which the plan is prolonged, for offsets to come to rest
 SPARE = 0.2  # Share by which limits of speed and acceleration exceed set points, for rounding
 

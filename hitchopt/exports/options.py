@@ -25,14 +25,8 @@ HOMES = {
 """Module and class of every format; a module is imported when its format is asked for."""
 
 ENDINGS = (".bin", ".csv", ".db3", ".glb", ".json", ".mcap", ".npz", ".parquet", ".skyc", ".zip")
-"""Endings of names that are those of a single file."""
-
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of a bag, and how their files end
-
-ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
-"""Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
-stop at 9, whose profiles of quality of service are lists."""
-
+ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8
 MAX_RATE = 10_000.0  # Largest rate of samples [Hz]: no flight controller accepts a higher one
 
 

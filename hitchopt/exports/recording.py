@@ -31,7 +31,6 @@ from hitchopt.values import Array
 WINDOW = 20_000  # Pieces times drones that are read together: about 40 MB with their bounds
 MAX_SPANS = 20_000_000  # Largest number of them with all drones' breaks merged; no show has more
 SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
-
 ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
 

@@ -56,13 +56,8 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
 BYTES = 4096  # Size of the memory for all trajectories of one drone [B]
-
-UPLOAD_LAST = "goTo the point where each hovers and wait, only then upload the next"
-"""A finished trajectory is evaluated from the memory that an upload overwrites; goTo is not."""
-
 CLOSER = 0.3  # Share of the error within which parts are refitted where coarser ones lose a limit
 DEGREE = 7  # Degree of pieces and segments
-
 STEADY = 2e-3  # [rad] Yaw that changes less is constant: bytes have tenths of a degree
 
 
@@ -113,7 +108,8 @@ class CrazyflieFormat(Format):
             why = (
                 f"the plan is cut into {len(parts)} parts at rests, since as a whole it does not "
                 f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
-                f"drones hover, {UPLOAD_LAST}, go on"
+                "drones hover, goTo the point where each hovers, wait, only then upload the next "
+                "(uploads overwrite the memory that a finished trajectory is flown from), go on"
             )
             tasks = []
             for i, (first, part) in enumerate(parts):

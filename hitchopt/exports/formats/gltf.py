@@ -34,7 +34,6 @@ from hitchopt.view.shapes import drone_faces, mesh, object_faces, slab_faces
 FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # Types of rows in accessors
 MAX_BYTES = 2_000_000_000  # Size limit of a file that is read [B]
-
 SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]  # Points of a drawn cable that spans join
 COLOURS = {"drones": (0.04, 0.24, 0.36), "cables": (0.88, 0.65, 0.15), "objects": (0.9, 0.83, 0.66)}
 

@@ -36,9 +36,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
-
 FLOWN = [COLUMNS.split(",")[i : i + 3] for i in (2, 5, 8)]  # Position, velocity and acceleration
-
 ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"  # All that are no counts have a point
 SMOOTH = 2  # Quintics run through positions, velocities and accelerations
 SAME_TIME = 1e-6  # Largest difference of the drones' times in one row [s]

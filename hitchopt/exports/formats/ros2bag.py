@@ -34,7 +34,6 @@ from hitchopt.values import Array
 
 STEM, METADATA = "setpoints", "metadata.yaml"  # Names of the data, without ending, and of the rest
 BLOCK = 20_000  # Setpoints that are held at once
-
 FULL_STATE = "crazyflie_interfaces/msg/FullState"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 POINT = "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"
@@ -47,8 +46,7 @@ geometry_msgs/Vector3 acc
 """
 """Definition of crazyflie_interfaces' message, which no ROS distribution brings along."""
 
-FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}
-"""Frames by the names in messages' headers: REP 105 has ``map``, east-north-up by REP 103."""
+FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}  # By names in headers (REP 105, 103)
 
 
 class Ros2Bag(Format):

@@ -75,10 +75,7 @@ control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
 ROUNDING, CLOSER = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
 """Errors of rounding that weigh alike: the latter cost less place, as lengths of cables need it."""
 
-NUDGE = 1e-6
-"""Distance of points in the file beyond their whole millimetres [m]: the server cuts digits off,
-and in binary most of them lie just below."""
-
+NUDGE = 1e-6  # [m] Points lie beyond their millimetres: the server cuts off, binary lies below
 DISTANCE = "minDistance"  # Key of the smallest distance between two drones [m]
 
 OWN_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
@@ -94,7 +91,6 @@ SHARE = 0.9  # Share of the speed limit that returns use: their durations are wh
 LANDING = 0.5  # [m/s] Usual speed of a descent
 SPARE = 1.01  # Separation of a return that is planned: rounding to millimetres takes some of it
 MOST = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
-
 Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
 
 
@@ -416,7 +412,6 @@ def certify_returns(
 
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
-
 ROW = "%d,%.6f,%.6f,%.6f,255,255,255"
 
 
