@@ -124,8 +124,8 @@ def lint(path: Path, **limits: float | None) -> None:
 
 def _say_report(report: Report) -> None:
     """Write the figures of the files, then the findings, then their number."""
-    from hitchopt.exports.format import ERROR, WARNING
-    from hitchopt.exports.formats.compressed import BYTES
+    from hitchopt.exports.formats.crazyflie import BYTES
+    from hitchopt.exports.recording import ERROR, WARNING
 
     facts, flight = report.facts, report.flight
     figures: list[tuple[str, float | None, float | None]] = [

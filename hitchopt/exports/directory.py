@@ -23,16 +23,11 @@ from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import Writer, parsed_json, replace_files, write_strict_json
 from hitchopt.values import Array
 
-SETPOINTS = "setpoints.csv"
-VERTICES = "vertices.csv"
-CERTIFICATE = "certificate.json"
-SUMMARY = "summary.png"
-DIAGNOSIS = "diagnosis.json"
-REPORT = "report.html"
-STATICS = "statics.json"
-STATICS_PICTURE = "statics.png"
-ABORTS = "aborts.json"
-ABORT_PLANS = "aborts.zip"
+SETPOINTS, VERTICES = "setpoints.csv", "vertices.csv"
+CERTIFICATE, DIAGNOSIS = "certificate.json", "diagnosis.json"
+SUMMARY, REPORT = "summary.png", "report.html"
+STATICS, STATICS_PICTURE = "statics.json", "statics.png"
+ABORTS, ABORT_PLANS = "aborts.json", "aborts.zip"
 
 OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),
@@ -58,23 +53,9 @@ def save_plan(
 ) -> Path:
     """Write the files of a certified plan, whole or not at all; return the directory.
 
-    Parameters
-    ----------
-    directory: made if it is missing.
-    motion: the plan; that of a swarm without cables has no table of vertices.
-    certificate: the plan's certificate.
-    title: what the problem is called.
-    rate: samples a second in the tables [Hz].
-    pictures: for names among OWNED (``summary.png``), what draws them at a path; written after the
-        plan.
-    progress: called with the fraction of the setpoints written.
-    problem: the text of the problem file, if it is known.
-
-    Raises
-    ------
-    CertificateError: the certificate does not hold; nothing is written.
-    InputError: a rate that is not positive.
-    FileError: the directory cannot be written to.
+    Tables are sampled at ``rate`` [Hz]; ``pictures`` has, for names among OWNED, what draws them at
+    a path; ``progress`` is called with the fraction of the setpoints written. CertificateError,
+    InputError or FileError tell what is wrong; nothing is written then.
     """
     certificate.raise_if_violated()
     writers: dict[str, Writer] = {
@@ -102,10 +83,7 @@ def _digest(path: Path) -> str:
 
 
 def refuse_mixture(directory: Path) -> None:
-    """Raise FileError unless the directory's certificate is that of its plan.
-
-    For readers of files beside ``plan.npz``: a save that was killed leaves no certificate.
-    """
+    """Raise FileError unless the certificate is that of the plan: a killed save leaves none."""
     path = directory / CERTIFICATE
     try:
         named = parsed_json(path.read_bytes()).get("plan")
@@ -120,19 +98,9 @@ def refuse_mixture(directory: Path) -> None:
 def save_diagnosis(
     directory: Path | str, reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
 ) -> Path:
-    """Write why there is no plan; return the directory.
+    """Write why there is no plan, and verified changes that remove the reason, the smallest first.
 
     The files of the last certified plan move to the subdirectory ``previous``, or stay there.
-
-    Parameters
-    ----------
-    directory: made if it is missing.
-    reason: why there is no plan; an InfeasibleError names what binds.
-    suggestions: the changes that are verified to remove the reason, the smallest first.
-
-    Raises
-    ------
-    FileError: the directory cannot be written to.
     """
     content = diagnosis_content(reason, suggestions)
     writers = {DIAGNOSIS: lambda path: write_strict_json(path, content)}
@@ -142,7 +110,7 @@ def save_diagnosis(
 def diagnosis_content(
     reason: HitchoptError, suggestions: Sequence[Suggestion] = ()
 ) -> dict[str, Any]:
-    """Return what diagnosis.json says; arguments as those of ``save_diagnosis``."""
+    """Return what diagnosis.json says; an InfeasibleError names what binds."""
     violations = reason.violations if isinstance(reason, InfeasibleError) else ()
     return {
         "format": DIAGNOSIS_FORMAT,
@@ -168,15 +136,12 @@ HEADER = ",".join(("t", "drone", *(name for group in SAVED.values() for name in 
 VERTICES_HEADER = "t,vertex,x,y,z,tension"
 
 NUMBER = "%#.12g"
-"""Format of numbers: twelve significant digits, below a nanometre over a kilometre. A decimal point
-is always there, since readers such as polars take a column for whole numbers that begins with one.
-"""
+"""Twelve significant digits and a decimal point always: readers such as polars take a column that
+begins without one for whole numbers."""
 
-ROWS = 2000
-"""Rows that are formatted at once: more are slower, since they leave the processor's cache."""
+ROWS = 2000  # Rows that are formatted at once: more leave the processor's cache
 
-Progress = Callable[[float], None]
-"""Function that is called now and then with the fraction done, 0 to 1."""
+Progress = Callable[[float], None]  # Function that is called with the fraction done, 0 to 1
 
 
 def _values(states: States) -> Array:
@@ -190,20 +155,7 @@ def _values(states: States) -> Array:
 def write_setpoints(
     path: Path, motion: Motion, rate: float, progress: Progress | None = None
 ) -> None:
-    """Write one row per sample and drone, by time, then drone; yaw is 0.
-
-    Parameters
-    ----------
-    path: name of the file, replaced if there is one.
-    motion: the plan.
-    rate: samples a second [Hz].
-    progress: called with the fraction done.
-
-    Raises
-    ------
-    InputError: a rate that is not positive, or more samples than anyone can use.
-    OSError: the file cannot be written.
-    """
+    """Write one row per sample at ``rate`` [Hz] and drone, by time, then drone; yaw is 0."""
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
 
     def blocks() -> Iterator[tuple[Array, Array]]:
@@ -218,8 +170,7 @@ def write_setpoints(
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
-    The last row of an open chain, which has one point more than cables, leaves it empty. Parameters
-    and errors are those of ``write_setpoints``.
+    The last row of an open chain, which has one point more than cables, leaves it empty.
     """
     times, points = sample_times(motion.duration, rate), motion.team.layout.points
 
@@ -238,13 +189,8 @@ def write_rows(
 ) -> None:
     """Write a header and one line per sample and item: the time, the item's name, the numbers.
 
-    Parameters
-    ----------
-    path: name of the file, replaced if there is one.
-    header: the first line.
-    names: (D,) of drones or vertices.
-    blocks: times (S,) [s] and numbers (S, D, C) of the samples, one block after the other; where
-        they are nan nothing is written.
+    ``blocks`` are times (S,) [s] and numbers (S, D, C) of ``names`` (D,), one block after the
+    other; where these are nan nothing is written.
     """
     numbers = f",{NUMBER}" * (header.count(",") - 1) + "\n"
     lines = "".join(f"{NUMBER},{name.replace('%', '%%')}{numbers}" for name in names)
@@ -258,29 +204,20 @@ def write_rows(
 
 
 def data_frame(motion: Motion, rate: float) -> DataFrame:
-    """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone.
-
-    Raises
-    ------
-    InputError: a rate that is not positive.
-    UnsupportedError: pandas is not installed.
-    """
+    """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone."""
     try:
         import pandas
     except ImportError as error:
         remedy = "pip install 'hitchopt[pandas]'"
         raise UnsupportedError(f"data frames need the package pandas ({error}); {remedy}") from None
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
-    flat = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
-    first, _, *columns = HEADER.split(",")
+    values = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
     ends = np.array([phase.end for phase in motion.phases[:-1]])
-    here = np.repeat(np.searchsorted(ends, times, side="right"), len(names))
-    who, when = (
-        pandas.Categorical.from_codes(codes, categories=pandas.Index(list(words)))
-        for codes, words in ((np.tile(np.arange(len(names)), len(times)), names), (here, phases))
-    )
-    numbers = {name: flat[:, i] for i, name in enumerate(columns)}
-    return pandas.DataFrame(
-        {first: np.repeat(times, len(names)), "drone": who} | numbers | {"phase": when}
-    )
+    here = np.repeat(np.array(phases)[np.searchsorted(ends, times, side="right")], len(names))
+    first, drone, *columns = HEADER.split(",")
+    who = pandas.Categorical(np.tile(names, len(times)), pandas.Index(list(names)))
+    rows = {first: np.repeat(times, len(names)), drone: who}
+    numbers = dict(zip(columns, values.T, strict=True))
+    when = pandas.Categorical(here, pandas.Index(phases))
+    return pandas.DataFrame(rows | numbers | {"phase": when})

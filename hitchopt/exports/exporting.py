@@ -27,48 +27,33 @@ from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
 from hitchopt.exports.format import Format, Task, format_of
-from hitchopt.exports.held_tension import PositionLoop, held_tension
-from hitchopt.exports.options import HOMES, ExportOptions, checked_rate
+from hitchopt.exports.held_tension import held_tension
+from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, read_manifest
-from hitchopt.hitch import Swarm
+from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, listed
 from hitchopt.hitch.forces import undetermined_tension
-from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
-from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
 
 Progress = Callable[[str], None]  # Function that is called with what is being done now
 
-SLOWER = (1.02, 1.05)
-"""Factors of the durations of a plan that loses a limit by being rounded: plans fly at their
-limits, and whole millimetres cost one or two per cent of them, more of slow ones."""
-
+SLOWER = (1.02, 1.05)  # Factors of the durations of a plan that loses a limit by being rounded
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
-"""What the manifest says of feed-forward where the tension is held."""
 
 
 @dataclass(frozen=True)
 class Export(OneLine):
-    """Files that were written and verified.
+    """Files that were written and verified."""
 
-    Attributes
-    ----------
-    folder: where they are.
-    files: names of the files in it, without the manifest.
-    verdict: errors and checks of what the files say.
-    notes: what else is to be known of them.
-    begins: when in the plan it begins [s]; 0 unless the plan was cut.
-    """
-
-    folder: Path
-    files: tuple[str, ...]
-    verdict: Verdict
-    notes: tuple[str, ...]
-    begins: float = 0.0
+    folder: Path  # where they are
+    files: tuple[str, ...]  # names in it, without the manifest
+    verdict: Verdict  # errors and checks of what the files say
+    notes: tuple[str, ...]  # what else is to be known of them
+    begins: float = 0.0  # when in the plan it begins [s]; 0 unless the plan was cut
 
 
 def export_motion(
@@ -80,14 +65,9 @@ def export_motion(
 ) -> tuple[Export, ...]:
     """Write the plan with these options; return what was written, one entry per part.
 
-    Parameters
-    ----------
-    motion: the plan; it is certified first, stretched as the options say.
-    title: what it is called.
-    options: the format, and how the plan is placed and sampled in it.
-    folder: where to, made if it is missing, of which only files of an earlier export are replaced;
-        a name that ends as the format's only file does is that file, its manifest next to it.
-    progress: called with what is being done now.
+    The plan is certified first, stretched as the options say. The folder is made if it is missing,
+    and only files of an earlier export there are replaced; a name that ends as the format's only
+    file does is that file, its manifest next to it. ``progress`` is called with what is being done.
 
     Raises
     ------
@@ -115,16 +95,14 @@ def export_motion(
         options,
         undetermined=_undetermined(kind, motion, options),
     )
-    _refuse_taken(place)
+    sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
+    if place.exists() and not (place.is_dir() or sealed):
+        words = "is there already, and no export's: an export is a folder"
+        raise FileError(f"{place}: {words}; choose another name")
     certificate = certify(plan, say)
-    if options.stretch > 1.0 and motion.borne is not None and certificate.violated:
-        words = f"with --stretch {options.stretch:g}: legs lean by the inertia of what is carried"
-        remedy = "stretch it less, or plan the steps with a longer duration"
-        raise InfeasibleError(each.violation(words, remedy) for each in certificate.violated)
     certificate.raise_if_violated()
     if options.hold_tension:
-        loop = PositionLoop.of(motion.team, options.stiffness, options.damping)
-        held = held_tension(plan, loop)
+        held = held_tension(plan, options.stiffness, options.damping)
         task = replace(task, motion=held.motion, notes=(held.note,))
     with _scratch(place) as scratch:
         return _put(_written(kind, task, certificate, scratch, say), place, kind, task)
@@ -145,62 +123,54 @@ def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple
 def _written(
     kind: Format, task: Task, certificate: Certificate, scratch: Path, say: Progress
 ) -> list[Export]:
-    """Write the first arrangement that loses nothing, or raise what the first of all loses."""
+    """Write the first that loses nothing of the whole, it slower, its parts; or raise."""
     refusals: list[InfeasibleError] = []
-    try:
-        for number, (tasks, kept) in enumerate(_arrangements(kind, task, certificate, refusals)):
+
+    def arrangements() -> Iterator[tuple[Sequence[Task], Certificate]]:
+        yield (task,), certificate
+        full = any(broken.constraint == "memory" for broken in refusals[0].violations)
+        rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
+        for factor in SLOWER if rounds else ():
+            slower = stretched(task.motion, factor)
+            said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+            if (kept := certify(slower)).certified:
+                yield (replace(task, motion=slower, notes=(*task.notes, said)),), kept
+        for tasks in kind.parts(task):
+            yield tasks, certificate
+
+    with contextlib.suppress(InfeasibleError):  # there are no such parts
+        for number, (tasks, kept) in enumerate(arrangements()):
             try:
                 return [_part(kind, each, kept, scratch / str(number), say) for each in tasks]
-            except InfeasibleError as error:
-                refusals.append(error)
-    except InfeasibleError as error:  # there is no other arrangement
-        refusals.append(error)
+            except InfeasibleError as refusal:
+                refusals.append(refusal)
     raise refusals[0]
-
-
-def _arrangements(
-    kind: Format, task: Task, certificate: Certificate, refusals: Sequence[InfeasibleError]
-) -> Iterator[tuple[Sequence[Task], Certificate]]:
-    """Yield the whole task, the same slower where that may help, then parts of it."""
-    yield (task,), certificate
-    full = any(broken.constraint == "memory" for broken in refusals[0].violations)
-    rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
-    for factor in SLOWER if rounds else ():
-        slower = stretched(task.motion, factor)
-        said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
-        if (kept := certify(slower)).certified:
-            yield (replace(task, motion=slower, notes=(*task.notes, said)),), kept
-    for tasks in kind.parts(task):
-        yield tasks, certificate
 
 
 def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: Progress) -> Export:
     """Write the first refit that loses nothing, or raise what the first of all loses."""
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
-    refusal: InfeasibleError | None = None
+    refusals: list[InfeasibleError] = []
     rules = PLACES if task.options.hold_tension else FLOWN
-    for number, bound in enumerate(kind.bounds, 1):
-        attempt = f", attempt {number}" if number > 1 else ""
-        say(f"writing {kind.name}{attempt}")
+    for bound in kind.bounds:
+        say(f"writing {kind.name}" + (f", attempt {len(refusals) + 1}" if refusals else ""))
         try:
-            written = kind.write(folder, task, bound)
+            written = kind.write(folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
             verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
             if lost := verdict.violations(certificate, kind.accuracy):
                 words = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
-            kind.certify(folder, task)
-        except InfeasibleError as error:
-            refusal = refusal or error
+        except InfeasibleError as refusal:
+            refusals.append(refusal)
             continue
         notes = (*written.notes, *task.notes, *task.undetermined)
-        done = Export(folder, written.files, verdict, notes, task.begins)
         manifest = _head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
             "duration": verdict.duration,
-            "plan_span": list(task.span),
+            "plan_span": [task.begins, task.begins + task.motion.duration],
             "position_error_m": asdict(verdict.position),
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
@@ -212,9 +182,8 @@ def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: 
             **({"receiver": dict(written.receiver)} if written.receiver else {}),
         }
         write_strict_json(folder / MANIFEST, manifest)
-        return done
-    assert refusal is not None
-    raise refusal
+        return Export(folder, written.files, verdict, notes, task.begins)
+    raise refusals[0]
 
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
@@ -224,12 +193,7 @@ def _head(kind: Format, task: Task) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def _scratch(place: Path) -> Iterator[Path]:
-    """Yield a hidden folder on the disk of a place, which is gone after the block.
-
-    Raises
-    ------
-    FileError: files cannot be written there.
-    """
+    """Yield a hidden folder on the disk of a place, which is gone after the block."""
     try:
         home = next(p for p in (place, *place.absolute().parents) if p.is_dir())
         with tempfile.TemporaryDirectory(prefix=".hitchopt-", dir=home) as folder:
@@ -239,19 +203,8 @@ def _scratch(place: Path) -> Iterator[Path]:
 
 
 def _is_file(place: Path) -> bool:
-    """Return whether a place is that of a single file: it ends as files of formats do."""
-    if place.is_dir() or not place.suffix:
-        return False
-    return any(place.suffix.lower() in (*format_of(name).endings, ".yaml") for name in HOMES)
-
-
-def _refuse_taken(place: Path) -> None:
-    """Raise FileError if a file that no export wrote has the place."""
-    if place.exists() and not place.is_dir():
-        if not _is_file(place):
-            raise FileError(f"{place}: is a file; an export is a folder, choose another one")
-        if not place.with_name(f"{place.name}.{MANIFEST}").exists():
-            raise FileError(f"{place}: is there already, and no export's; choose another name")
+    """Return whether a place is that of a single file."""
+    return place.suffix.lower() in ENDINGS and not place.is_dir()
 
 
 def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple[Export, ...]:
@@ -259,97 +212,58 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
     first, several = done[0], len(done) > 1
     if _is_file(place):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
-            some = ", ".join(first.files[:3]) + (", …" if len(first.files) > 3 else "")
             bound = f"a folder for {kind.name}, or a name that ends as its only file does"
-            raise InputError("-o", str(place), bound, f"it writes {some}")
+            raise InputError("-o", str(place), bound, f"it writes {', '.join(first.files[:3])}")
         seal = f"{place.name}.{MANIFEST}"
         sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}
         _move(place.parent, sources, set(sources), seal)
         return (replace(first, folder=place.parent, files=(place.name,)),)
-    before = part_folders(place)  # the manifest that names them is about to be replaced
-    parts = [part.folder.name for part in done] if several else []
-    placed = []
-    for part in done:
-        home = place / part.folder.name if several else place
-        names = (*part.files, MANIFEST)
-        _move(home, {n: part.folder / n for n in names}, _owned(home, part.files), MANIFEST)
-        placed.append(replace(part, folder=home))
-    if parts:
+    before = listed(place, "parts")  # the manifest that names them is about to be replaced
+    placed = [replace(part, folder=place / part.folder.name if several else place) for part in done]
+    for part, here in zip(done, placed, strict=True):
+        sources = {name: part.folder / name for name in (*part.files, MANIFEST)}
+        _move(here.folder, sources, _owned(here.folder, part.files), MANIFEST)
+    parts = [part.folder.name for part in placed] if several else []
+    if several:
         ends = [*(part.begins for part in done[1:]), task.motion.duration]
         spans = [[part.begins, end] for part, end in zip(done, ends, strict=True)]
         content = {**_head(kind, task), "duration": task.motion.duration, "parts": parts}
         content |= {"plan_spans": spans, "files": []}
         write = partial(write_strict_json, content=content)
         replace_files(place, {MANIFEST: write}, _owned(place, ()), seal=MANIFEST)
-    for name in set(before) - set(parts):  # an earlier export was cut into more parts
-        for file in owned_files(place / name):
-            (place / name / file).unlink(missing_ok=True)
-        with contextlib.suppress(OSError):  # not empty, or gone
-            (place / name).rmdir()
+    for old in (place / name for name in before if name not in parts):  # it was cut into more
+        replace_files(old, {}, _owned(old, ()), seal=MANIFEST)
+        with contextlib.suppress(OSError):  # not empty
+            old.rmdir()
     return tuple(placed)
 
 
 def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str) -> None:
-    def moving(source: Path) -> Writer:
-        def move(path: Path) -> None:
-            source.rename(path)
+    def move(path: Path) -> None:
+        sources[path.name].rename(path)
 
-        return move
-
-    replace_files(folder, {n: moving(source) for n, source in sources.items()}, owned, seal)
+    replace_files(folder, dict.fromkeys(sources, move), owned, seal)
 
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
-    """Return the files of an earlier export and of the next one, which replaces no others.
-
-    Raises
-    ------
-    FileError: a file of such a name is there and not from an export.
-    """
-    owned = {MANIFEST, *owned_files(folder)}
-    for name in files:
-        if name not in owned and (folder / name).exists():
-            raise FileError(
-                f"{folder / name}: is there already and not from an export; "
-                "choose another folder with -o"
-            )
+    """Return the files of an earlier export and of the next one, which replaces no others."""
+    owned = {MANIFEST, *listed(folder, "files")}
+    if foreign := [name for name in files if name not in owned and (folder / name).exists()]:
+        words = "is there already and not from an export; choose another folder with -o"
+        raise FileError(f"{folder / foreign[0]}: {words}")
     return {*owned, *files}
-
-
-def owned_files(folder: Path) -> tuple[str, ...]:
-    """Return the names of an earlier export's files in a folder, its manifest among them."""
-    content = read_manifest(folder)
-    return () if content is None else (*_plain_names(content, "files"), MANIFEST)
-
-
-def part_folders(folder: Path) -> tuple[str, ...]:
-    """Return the names of the folders that an earlier export cut its plan into."""
-    names = _plain_names(read_manifest(folder) or {}, "parts")
-    return tuple(name for name in names if name.startswith("part"))
-
-
-def _plain_names(content: dict[str, Any], key: str) -> tuple[str, ...]:
-    """Return the plain names in a list of the manifest, whatever else it says."""
-    given = content.get(key)
-    names = [n for n in given if isinstance(n, str)] if isinstance(given, list) else []
-    return tuple(n for n in names if Path(n).name == n and "\0" not in n and not n.startswith("."))
 
 
 FLOWN = tuple(rule for rule in RULES if any(finder.exported for finder in rule.finders))
 """Rules of the checks of what is flown, as they are listed."""
-
-LINES = tuple(rule for rule in FLOWN if rule.derivative <= 1)
-"""Rules for drones that fly along lines: velocities jump where they meet."""
 
 PLACES = tuple(RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena"))
 """Rules for set points that hold a tension. They are not where the drones are, of which the plan's
 certificate says everything; but a drone whose cable breaks or goes slack flies there."""
 
 EASIER = "fly it slower with --stretch, plan below the limit, or choose another format"
-"""Remedy for checks that a slower flight eases."""
-
 CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
-"""Remedy for the others."""
+"""Remedies for checks that a slower flight eases, and for the others."""
 
 NOT_CARRIED = {
     0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
@@ -358,11 +272,6 @@ NOT_CARRIED = {
     "those within the pieces",
     2: "jerk jumps between pieces; acceleration is smooth",
 }
-
-
-def _eased(constraint: str) -> bool:
-    """Return whether a slower flight eases a check."""
-    return constraint in RULE_OF and RULE_OF[constraint].derivative > 0
 
 
 @dataclass(frozen=True)
@@ -389,14 +298,8 @@ class Verdict:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
-    def violations(self, certificate: Certificate, accuracy: float) -> tuple[Violation, ...]:
-        """Return what is lost, each limit with the value that the plan keeps of it.
-
-        Parameters
-        ----------
-        certificate: the plan's certificate.
-        accuracy: largest position error [m].
-        """
+    def violations(self, certificate: Certificate, accuracy: float) -> list[Violation]:
+        """Return what is lost, beside what the plan keeps; accuracy is the most position error."""
         planned = {check.name: check for check in certificate.checks}
         found = []
         for check in self.lost:
@@ -406,14 +309,15 @@ class Verdict:
                 f"at t = {check.time:.4g} s (the plan keeps {kept:.6g}{unit}, "
                 f"the export loses {abs(check.bound - kept):.3g}{unit})"
             )
-            found.append(check.violation(when, EASIER if _eased(check.name) else CLEARER))
+            eased = check.name in RULE_OF and RULE_OF[check.name].derivative > 0
+            found.append(check.violation(when, EASIER if eased else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"
             where = (self.position.drone,)
             error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
             found.append(error)
-        return tuple(found)
+        return found
 
 
 def verify(
@@ -423,29 +327,19 @@ def verify(
     names: Sequence[str],
     rules: Sequence[CheckRule] = FLOWN,
 ) -> Verdict:
-    """Return errors and checks of a recording that stands for the plan ``motion``.
+    """Return errors and checks of a recording that stands for the plan ``motion``, from t = 0 on.
 
-    Parameters
-    ----------
-    motion: the plan, from t = 0 on.
-    recording: what files say.
-    frame: where the plan lies in their axes.
-    names: (D,) what the files call the plan's drones, in its order.
-    rules: of the checks.
-
-    Raises
-    ------
-    FileError: drones that are not the plan's, or less than all of its time.
+    The plan lies in ``frame``; ``names`` (D,) are what the files call its drones, in its order.
+    FileError tells of drones that are not the plan's, or of less than all of its time.
     """
-    where = {name: i for i, name in enumerate(recording.names)}
-    missing = [name for name in names if name not in where]
-    if missing or len(where) != len(names):
+    missing = [name for name in names if name not in recording.names]
+    if missing or len(recording.names) != len(names):
         reason = f"{missing[0]} is missing" if missing else "there are more of them"
         raise FileError(f"its drones are not those of the plan: {reason}")
-    index = [where[name] for name in names]
+    index = [recording.names.index(name) for name in names]
     carried = [rule for rule in rules if rule.derivative <= recording.smooth + 1]
     checks: list[list[Check | None]] = []
-    apart: list[tuple[Deviation, Deviation]] = []
+    apart: list[list[Deviation]] = []
     end = 0.0
     for window in recording.windows():
         if abs(float(window.breaks[0]) - end) > JOINT:
@@ -455,7 +349,8 @@ def verify(
         planned = _planned(motion, window.breaks)
         flown = on_breaks(frame.in_plan(curves), planned.drones.breaks)
         apart.append(_deviations(flown, planned))
-        checks.append(written_checks(replace(planned, drones=flown), carried))
+        written = replace(planned, drones=flown)
+        checks.append([rule.check(written, exported=True) for rule in carried])
     if end < motion.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
     position, velocity = (max(each, key=lambda d: d.worst) for each in zip(*apart, strict=True))
@@ -478,25 +373,12 @@ def _planned(motion: Motion, breaks: Array) -> Motion:
     return motion.changed(span, here)
 
 
-def _deviations(flown: PiecewisePolynomial, motion: Motion) -> tuple[Deviation, Deviation]:
+def _deviations(flown: PiecewisePolynomial, motion: Motion) -> list[Deviation]:
     """Return how far curves on the breaks of a plan are off, in position and in velocity."""
-    degree = max(flown.degree, motion.drones.degree)
+    degree, found = max(flown.degree, motion.drones.degree), []
     wanted = bernstein.elevate(motion.drones.coefficients, degree)
-    apart = bernstein.elevate(flown.coefficients, degree) - wanted
-    margins = (ROUNDING * float(np.max(np.abs(wanted))), 0.0)
-    position, velocity = (
-        Deviation(found.worst + margin, found.time, motion.team.drone_names[found.item])
-        for order, margin in enumerate(margins)
-        for found in (largest_rate(PiecewisePolynomial(flown.breaks, apart), order),)
-    )
-    return position, velocity
-
-
-def written_checks(motion: Motion, rules: Sequence[CheckRule] = FLOWN) -> list[Check | None]:
-    """Return what the rules say of a motion whose drones were read from files, rule by rule."""
-    return [rule.check(motion, exported=True) for rule in rules]
-
-
-def drone_check(name: str, curves: PiecewisePolynomial, asked: Requirements) -> Check | None:
-    """Return a check of drones alone on their curves (D, 3) [m]; they are named d0, d1, …."""
-    return RULE_OF[name].check(Motion.single(Swarm(curves.shape[0]), asked, curves, ()))
+    apart = flown.alike(bernstein.elevate(flown.coefficients, degree) - wanted)
+    for order, margin in enumerate((ROUNDING * float(np.max(np.abs(wanted))), 0.0)):
+        most = largest_rate(apart, order)
+        found.append(Deviation(most.worst + margin, most.time, motion.team.drone_names[most.item]))
+    return found

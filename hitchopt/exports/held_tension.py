@@ -23,122 +23,82 @@ import numpy as np
 
 from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
-from hitchopt.exports.recording import lasted
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import followed, resting
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, positive
 
-DAMPING_RATIO = 5.0 / 6.0
-"""c/(2 √(k m)) unless it is given: gains of 36 and 10 per mass, as soft loops of hitches use."""
-
+DAMPING_RATIO = 5.0 / 6.0  # c/(2 √(k m)) unless it is given: gains of 36 and 10 per mass
 DEGREE = 8  # Degree of the offset's pieces
 LONGEST = 1.5  # Longest piece over √(m/k), the time in which a drone swings by one radian
-
-HALVINGS = 3
-"""Number of times that the pieces are halved while the drones miss the plan by too much."""
-
-LARGEST_MISS = 1e-4
-"""[m] Largest distance of drones from the plan that a solution of the equation may leave."""
-
+HALVINGS = 3  # Number of times that the pieces are halved while the miss is too large
+LARGEST_MISS = 1e-4  # [m] Largest distance of drones from the plan that a solution may leave
 PROBES = 3  # Points between two of Lobatto's at which the equation is checked
-
-REST = 2.0
-"""[s] Time by which the plan is prolonged; what is left of the offset's motion is then
-``exp(-REST c/2m)``, 5e-5 at c/m = 10/s, and nothing that receivers could resolve."""
-
-SPARE = 0.2
-"""Share by which limits of speed and acceleration exceed the set points': whole millimetres cost
-some cm/s where pieces are short."""
-
-
-@dataclass(frozen=True, eq=False)
-class PositionLoop:
-    """Controllers of the drones."""
-
-    stiffness: Array  # (2n,) [N/m]
-    damping: Array  # (2n,) [N s/m]
-    mass: Array  # (2n,) [kg]
-
-    @classmethod
-    def of(cls, team: Team, stiffness: float | None, damping: float | None) -> PositionLoop:
-        """Return the team's loops, or those of other gains.
-
-        Raises
-        ------
-        InputError: a gain that is not positive, or a team whose drones are rigid.
-        """
-        k = team.stiffness
-        if stiffness is not None:
-            k = np.full(team.drones, positive("--stiffness", stiffness))
-        if not np.all(np.isfinite(k)):
-            bound = "the position loop's [N/m], for --hold-tension"
-            remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
-            raise InputError("stiffness", None, bound, remedy)
-        usual = 2.0 * DAMPING_RATIO * np.sqrt(k * team.mass)
-        given = usual if damping is None else np.full_like(usual, positive("--damping", damping))
-        return cls(k, given, team.mass)
-
-    @property
-    def gain(self) -> float:
-        """Largest offset of a drone over the largest miss of the equation, at any time.
-
-        It is the integral of the absolute impulse response, ``coth(πζ/(2√(1-ζ²)))``; 1 where the
-        response does not swing.
-        """
-        ratio = float(np.min(self.damping / (2.0 * np.sqrt(self.stiffness * self.mass))))
-        if ratio >= 1.0:
-            return 1.0
-        return float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
+REST = 2.0  # [s] Time by which the plan is prolonged, for offsets to come to rest
+SPARE = 0.2  # Share by which limits of speed and acceleration exceed set points, for rounding
 
 
 @dataclass(frozen=True, eq=False)
 class HeldTension:
-    """A plan's set points that hold its tension."""
+    """A plan's set points that hold its tension, for controllers of some gains."""
 
     motion: Motion  # the plan, prolonged, with the set points in place of the drones
-    loop: PositionLoop  # the controllers that they are for
+    stiffness: Array  # (2n,) [N/m]
+    damping: Array  # (2n,) [N s/m]
     offset: float  # largest distance of a set point from its drone [m]
     miss: float  # largest distance of a drone from the plan, with these controllers [m]
 
     @property
     def note(self) -> str:
         """What users have to know."""
-        k, c = self.loop.stiffness, self.loop.damping
         return (
             f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
-            f"position loops of {_span(k)} N/m and {_span(c)} N s/m that feed forward velocity, "
-            "acceleration and gravity and no cable force; with these the drones are within "
-            f"{max(1e3 * self.miss, 1e-3):.2g} mm of the plan"
+            f"position loops of {_span(self.stiffness)} N/m and {_span(self.damping)} N s/m that "
+            "feed forward velocity, acceleration and gravity and no cable force; with these the "
+            f"drones are within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan"
         )
 
 
-def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
+def held_tension(
+    motion: Motion, stiffness: float | None = None, damping: float | None = None
+) -> HeldTension:
     """Return the set points with which controllers fly a plan without feed-forward of the pull.
 
-    Raises
-    ------
-    UnsupportedError: single drones.
-    InfeasibleError: forces that change so fast that the equation is not solved well enough.
+    Without gains [N/m], [N s/m] they are the team's. UnsupportedError tells of single drones,
+    InputError of rigid ones, InfeasibleError of forces that change so fast that the equation is not
+    solved well enough.
     """
-    if not motion.team.has_cables:
+    team = motion.team
+    if not isinstance(team, Team):
         raise UnsupportedError("--hold-tension: single drones carry no cables that could pull")
-    end = float(motion.drones.breaks[-1]) + REST
-    *phases, last = motion.phases
-    longer = (*phases, replace(last, end=end))
-    whole = motion.untimed.changed(lambda part: lasted(part, end), longer)
-    step = LONGEST * float(np.min(np.sqrt(loop.mass / loop.stiffness)))
-    for _ in range(HALVINGS + 1):
-        pieces = pairwise(whole.drones.breaks.tolist())
-        inner = [np.linspace(a, b, ceil((b - a) / step), endpoint=False) for a, b in pieces]
-        breaks = np.concatenate([*inner, [end]])
-        offsets, error = _solved(whole, loop, breaks)
-        miss = loop.gain * error
-        if miss <= LARGEST_MISS:
+    k = team.stiffness
+    if stiffness is not None:
+        k = np.full(team.drones, positive("--stiffness", stiffness))
+    if not np.all(np.isfinite(k)):
+        bound = "the position loop's [N/m], for --hold-tension"
+        remedy = "give --stiffness, or team.quadrotor.stiffness in the problem"
+        raise InputError("stiffness", None, bound, remedy)
+    critical = 2.0 * np.sqrt(k * team.mass)
+    c = DAMPING_RATIO * critical
+    if damping is not None:
+        c = np.full(team.drones, positive("--damping", damping))
+    # The largest offset over the largest miss: the integral of the absolute impulse response.
+    ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
+    gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
+    whole = followed(motion.untimed, resting(motion.untimed, REST))
+    step = LONGEST * float(np.min(np.sqrt(team.mass / k)))
+    for halving in range(HALVINGS + 1):
+        spans = [
+            (a, b, ceil((b - a) / step * 2**halving)) for a, b in pairwise(whole.drones.breaks)
+        ]
+        inner = [np.linspace(a, b, count, endpoint=False) for a, b, count in spans]
+        breaks = np.concatenate([*inner, whole.drones.breaks[-1:]])
+        offsets, error = _solved(whole, k, c, breaks)
+        if (miss := gain * error) <= LARGEST_MISS:
             break
-        step *= 0.5
     else:
         remedy = "fly it slower with --stretch"
         broken = Violation("held_tension", miss, LARGEST_MISS, "max", "m", (), "", remedy)
@@ -153,23 +113,20 @@ def held_tension(motion: Motion, loop: PositionLoop) -> HeldTension:
         speed=max(limits.speed, share * largest_rate(drones, 1).worst),
         acceleration=max(limits.acceleration, share * largest_rate(drones, 2).worst),
     )
-    parts = {"drones": drones, "requirements": replace(split.requirements, limits=eased)}
+    held = replace(split, drones=drones, requirements=replace(split.requirements, limits=eased))
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
-    return HeldTension(Motion(**(dict(vars(split)) | parts)), loop, largest, miss)
+    return HeldTension(held, k, c, largest, miss)
 
 
-def _lobatto(count: int) -> Array:
-    """Return Lobatto's points (count,) on [0, 1]: the ends, and zeros of a Legendre slope."""
-    slope = np.polynomial.legendre.Legendre.basis(count - 1).deriv()
-    return np.concatenate([[0.0], 0.5 + 0.5 * np.sort(slope.roots().real), [1.0]])
-
-
-def _solved(motion: Motion, loop: PositionLoop, breaks: Array) -> tuple[PiecewisePolynomial, float]:
+def _solved(
+    motion: Motion, stiffness: Array, damping: Array, breaks: Array
+) -> tuple[PiecewisePolynomial, float]:
     """Return the offsets (2n, 3) [m] that solve the equation at Lobatto's points, and its error.
 
     The error [m] is the largest one at points between them.
     """
-    x = _lobatto(DEGREE - 1)
+    zeros = np.polynomial.legendre.Legendre.basis(DEGREE - 2).deriv().roots().real
+    x = np.concatenate([[0.0], 0.5 + 0.5 * np.sort(zeros), [1.0]])
     inner = np.arange(1, PROBES + 1) / (PROBES + 1)
     probes = (x[:-1, None] + np.diff(x)[:, None] * inner).ravel()
     order = [bernstein.derivative_basis(np.append(x, probes), DEGREE, i) for i in range(3)]
@@ -177,8 +134,8 @@ def _solved(motion: Motion, loop: PositionLoop, breaks: Array) -> tuple[Piecewis
     times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
     times[:, len(x) - 1] = breaks[1:]  # the very time at which the next piece begins
     forces = states_at(motion, times - breaks[0]).cable_forces
-    wanted = np.moveaxis(-forces / loop.stiffness[:, None], 1, 2)  # (pieces, 2n, points, 3)
-    rate, bend = (v / loop.stiffness for v in (loop.damping, loop.mass))
+    wanted = np.moveaxis(-forces / stiffness[:, None], 1, 2)  # (pieces, 2n, points, 3)
+    rate, bend = (v / stiffness for v in (damping, motion.team.mass))
     found = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))
     value, slope, miss = wanted[0, :, 0], np.zeros_like(wanted[0, :, 0]), 0.0
     for c, h, right in zip(found, durations.tolist(), wanted, strict=True):

@@ -10,8 +10,8 @@ from pathlib import Path
 from hitchopt.errors import InputError
 
 HOMES = {
-    "crazyswarm2": "crazyswarm2:Crazyswarm2",
-    "compressed": "compressed:CompressedBytes",
+    "crazyswarm2": "crazyflie:Crazyswarm2",
+    "compressed": "crazyflie:CompressedBytes",
     "skybrush": "skybrush:SkybrushShow",
     "skybrush_csv": "skybrush:SkybrushCsv",
     "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
@@ -24,61 +24,37 @@ HOMES = {
 }
 """Module and class of every format; a module is imported when its format is asked for."""
 
+ENDINGS = (".bin", ".csv", ".db3", ".glb", ".json", ".mcap", ".npz", ".parquet", ".skyc", ".zip")
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of a bag, and how their files end
-
-ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}
-"""Version of a bag's metadata that each release is given. 8 is read by all three; Humble and Iron
-stop at 9, whose profiles of quality of service are lists."""
-
-MAX_RATE = 10_000.0
-"""Largest rate of setpoints or samples [Hz]: no flight controller accepts a higher one."""
+ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8
+MAX_RATE = 10_000.0  # Largest rate of samples [Hz]: no flight controller accepts a higher one
 
 
 @dataclass(frozen=True)
 class ExportOptions:
     """The format of an export, and how the plan is placed and sampled in it.
 
-    Parameters
-    ----------
-    format: name of the format.
-    frame: enu, nwu or ned; None for the format's usual one.
-    origin: where the plan's origin lies in the file's frame, east, north and up (3,) [m].
-    yaw: angle by which the plan is turned there, counter-clockwise from above [rad].
-    fleet: path of a fleet file; None calls the drones as the plan does.
-    rate: samples a second [Hz], where the format samples; None for its usual rate.
-    stretch: factor of all durations, from 1 on.
-    storage: storage format of a bag, mcap or sqlite3.
-    ros_distro: the ROS 2 release that a bag is for: humble, iron or jazzy. Every later one reads
-        bags for the earlier ones.
-    hold_tension: whether set points are moved outward such that drones whose controllers do not
-        feed the cable force forward are where the plan says.
-    stiffness: of these controllers [N/m]; None for the team's.
-    damping: of these controllers [N s/m]; None for a damping ratio of 5/6.
-
-    Raises
-    ------
-    InputError: an unknown storage format or release, or gains without ``hold_tension``.
+    InputError tells of an unknown storage or release, or of gains without ``hold_tension``.
     """
 
     format: str
-    frame: str | None = None
-    origin: Sequence[float] = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    fleet: Path | str | None = None
-    rate: float | None = None
-    stretch: float = 1.0
-    storage: str = "mcap"
-    ros_distro: str = "humble"
-    hold_tension: bool = False
-    stiffness: float | None = None
-    damping: float | None = None
+    frame: str | None = None  # enu, nwu or ned; None for the format's usual one
+    origin: Sequence[float] = (0.0, 0.0, 0.0)  # of the plan in the frame: east, north, up [m]
+    yaw: float = 0.0  # by which the plan is turned there, counter-clockwise from above [rad]
+    fleet: Path | str | None = None  # fleet file; None calls the drones as the plan does
+    rate: float | None = None  # samples a second [Hz], where the format samples; None: the usual
+    stretch: float = 1.0  # factor of all durations, from 1 on
+    storage: str = "mcap"  # storage format of a bag, mcap or sqlite3
+    ros_distro: str = "humble"  # ROS 2 release that a bag is for: humble, iron or jazzy
+    hold_tension: bool = False  # whether set points are moved outward to hold the cables' tension
+    stiffness: float | None = None  # of controllers then [N/m]; None for the team's
+    damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
 
     def __post_init__(self) -> None:
-        if self.storage not in STORAGES:
-            raise InputError("--storage", self.storage, " or ".join(STORAGES), "mcap is usual")
-        if self.ros_distro not in ROS_DISTROS:
-            choices = ", ".join(ROS_DISTROS)
-            raise InputError("--ros-distro", self.ros_distro, choices, "humble is usual")
+        for name, known in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):
+            if (value := getattr(self, name)) not in known:
+                option, usual = f"--{name.replace('_', '-')}", f"{next(iter(known))} is usual"
+                raise InputError(option, value, " or ".join(known), usual)
         for name in ("stiffness", "damping"):
             if (value := getattr(self, name)) is not None and not self.hold_tension:
                 bound = "left out without --hold-tension"

@@ -29,49 +29,33 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError
 
 from hitchopt.errors import FileError, InputError
+from hitchopt.mission.keys import translated
 from hitchopt.steps.step import Keys
-from hitchopt.storage.yaml_file import key_path, plain, read_yaml
+from hitchopt.storage.yaml_file import plain, read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")
-"""Pattern of names that suit files, ROS topics and keys of YAML alike."""
-
-RESERVED = frozenset(("y", "n", "yes", "no", "on", "off", "true", "false", "null"))
-"""Names that YAML 1.1, as ROS reads it, takes for something else."""
-
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # That suits files, ROS topics and YAML
+RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Others in YAML 1.1
+URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' radios
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 
-Uri = Annotated[str, Field(pattern=r"^(radio|usb|udp|tcp|serial)://\S+$")]
-"""Address of a drone's radio."""
-
-
-class Member(Keys):
+@dataclass(frozen=True)
+class Member:
     """One drone: what files and topics call it, its radio's address, and its entry in types."""
 
+    role: str  # its name in the plan, such as q0
     name: str
-    uri: Uri
+    uri: str
     type: str = "default"
-    role: str = ""  # its name in the plan, such as q0
-    enabled: bool = True
-    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
-
-
-class FleetKeys(Keys):
-    """Drones by the plan's names, or robots by their own; types and settings are copied."""
-
-    drones: dict[str, Member]
-    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
-    settings: dict[str, Any] = Field(default_factory=dict)
-    fileversion: int = 3
 
 
 @dataclass(frozen=True)
@@ -84,20 +68,27 @@ class Fleet:
     given: bool = False  # whether the user named them; else their addresses are placeholders
 
 
-FAULTS = {
-    "missing": ("given", "add it"),
-    "extra_forbidden": (
-        "a known key",
-        "drones have name, uri and type; robots of a crazyflies.yaml enabled, uri, "
-        "initial_position, type and role, and other settings go into their type",
-    ),
-    "string_pattern_mismatch": ("an address", "such as radio://0/80/2M/E7E7E7E7E7"),
-    "string_type": ("text", "put it in quotes"),
-}
-"""Bound and remedy for the kinds of faults that fleet files have."""
+class MemberKeys(Keys):
+    """A drone in a fleet file, or a robot in a crazyflies.yaml."""
 
-ROBOTS = {"robots": "drones", "robot_types": "types", "all": "settings"}
-"""Keys of a crazyflies.yaml, and those of a fleet file that say the same."""
+    uri: str
+    name: str = ""  # in a fleet file; else its key
+    type: str = "default"
+    role: str = ""  # in a crazyflies.yaml; else its key
+    enabled: bool = True
+    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
+
+
+class FleetKeys(Keys):
+    """A fleet file, or a crazyflies.yaml, whose keys are those that stand second."""
+
+    drones: dict[str, MemberKeys] = Field(default_factory=dict)
+    robots: dict[str, MemberKeys] = Field(default_factory=dict)
+    types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    settings: dict[str, Any] = Field(default_factory=dict)
+    all: dict[str, Any] = Field(default_factory=dict)
+    fileversion: int = 3
 
 
 def placeholder_fleet(roles: Sequence[str]) -> Fleet:
@@ -106,18 +97,11 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
     def uri(i: int) -> str:
         return f"radio://{i // PER_RADIO}/80/2M/{0xE7E7E7E701 + i:010X}"
 
-    members = (Member(role=role, name=role, uri=uri(i)) for i, role in enumerate(roles))
-    return Fleet(tuple(members))
+    return Fleet(tuple(Member(role, role, uri(i)) for i, role in enumerate(roles)))
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
-    """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan.
-
-    Raises
-    ------
-    FileError: the file cannot be read as YAML.
-    InputError: keys, names or addresses that are wrong.
-    """
+    """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan."""
     data = read_yaml(path)
     if not isinstance(data, dict):
         raise FileError(f"{path}: is no mapping; a fleet file has the key drones or robots")
@@ -126,50 +110,39 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
 
 def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
     """Return the fleet that ``data`` describes; errors as those of ``read_fleet``."""
-    root = "robots" if "robots" in data else "drones"
-    given: dict[str, Any] = {ROBOTS.get(key, key): plain(value) for key, value in data.items()}
-    if root == "robots" and isinstance(given["drones"], dict):
-        robots = given["drones"].items()
-        given["drones"] = {k: {**v, "name": k} if isinstance(v, dict) else v for k, v in robots}
     try:
-        keys = FleetKeys.model_validate(given)
+        keys = FleetKeys.model_validate(plain(data))
     except ValidationError as error:
-        entry = error.errors(include_url=False)[0]
-        value = "(missing)" if entry["type"] == "missing" else entry["input"]
-        bound, remedy = FAULTS.get(entry["type"], (entry["msg"], "see the fleet file's example"))
-        where = key_path([root, *entry["loc"][1:]]) if entry["loc"][:1] == ("drones",) else ""
-        raise InputError(where or key_path(entry["loc"]), value, bound, remedy) from None
+        raise translated(error, FleetKeys) from None
+    root = "robots" if keys.robots else "drones"
+    each = keys.robots or keys.drones
+    given = [Member(m.role or k, m.name or k, m.uri, m.type) for k, m in each.items() if m.enabled]
     drones: dict[str, Member] = {}
     seen: set[str] = set()
-    for name, drone in keys.drones.items():
-        role, where = (drone.role or name) if root == "robots" else name, f"{root}.{name}"
-        if not drone.enabled:
-            continue
-        if role in drones:
-            bound = f"of one enabled robot only, and {drones[role].name} has it"
-            raise InputError(f"{where}.role", role, bound, "disable one of them")
-        if role not in roles:
-            raise _misnamed(root, role, "a drone of the plan", roles)
-        if not NAME.match(drone.name) or drone.name.lower() in RESERVED:
+    for member in given:
+        where = f"{root}.{member.name if root == 'robots' else member.role}"
+        if member.role in drones:
+            bound = f"of one enabled robot only, and {drones[member.role].name} has it"
+            raise InputError(f"{where}.role", member.role, bound, "disable one of them")
+        if not NAME.match(member.name) or member.name.lower() in RESERVED:
             bound = "letters, digits and underscores, a letter first, and no word of YAML"
-            raise InputError(f"{where}.name", drone.name, bound, "files and topics are called so")
-        for key in ("name", "uri"):  # no name is an address
-            value = getattr(drone, key)
+            raise InputError(f"{where}.name", member.name, bound, "files and topics are called so")
+        if not URI.match(member.uri):
+            remedy = "such as radio://0/80/2M/E7E7E7E707"
+            raise InputError(f"{where}.uri", member.uri, "an address", remedy)
+        for key, value in (("name", member.name), ("uri", member.uri)):
             if value.lower() in seen:
                 raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
             seen.add(value.lower())
-        drones[role] = Member(role=role, name=drone.name, uri=drone.uri, type=drone.type)
-    if missing := [role for role in roles if role not in drones]:
-        raise _misnamed(root, missing[0], "named once, and be a drone of the plan", roles)
+        drones[member.role] = member
+    for role in (*drones, *roles):
+        if role not in drones or role not in roles:
+            known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+            bound = "a drone of the plan" if role in drones else "named once, in the fleet"
+            remedy = f"{known}; a robot's role tells which it flies"
+            raise InputError(root, role, bound, remedy)
     members = tuple(drones[role] for role in roles)
-    placeholders = [member.uri for member in placeholder_fleet(roles).members]
-    return Fleet(members, keys.types, keys.settings, placeholders != [m.uri for m in members])
-
-
-def _misnamed(root: str, role: str, bound: str, roles: Sequence[str]) -> InputError:
-    known = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
-    more = "; a robot's role tells which it flies" if root == "robots" else ""
-    return InputError(root, role, bound, known + more)
+    return Fleet(members, keys.types or keys.robot_types, keys.settings or keys.all, given=True)
 
 
 AXES = {
@@ -182,17 +155,10 @@ AXES = {
 
 @dataclass(frozen=True, eq=False)
 class ReferenceFrame:
-    """A file's axes, and where the plan lies in them.
+    """A file's axes, enu, nwu or ned, and where the plan lies in them.
 
-    Parameters
-    ----------
-    name: enu, nwu or ned.
-    origin: (3,) [m] where the plan's origin lies, east, north and up of the frame's.
-    yaw: angle by which the plan is turned, counter-clockwise seen from above [rad].
-
-    Raises
-    ------
-    InputError: an unknown frame, or numbers that are not finite.
+    The plan's origin lies at ``origin`` (3,) [m], east, north and up, and the plan is turned there
+    by ``yaw`` [rad], counter-clockwise seen from above.
     """
 
     name: str = "enu"
@@ -214,10 +180,8 @@ class ReferenceFrame:
     def rotation(self) -> Array:
         """Rotation (3, 3) from vectors of the plan to vectors of the file."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
-        if self.yaw == 0.0:  # exact: a file in the plan's own frame repeats its numbers
-            return AXES[self.name]
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        rotation: Array = AXES[self.name] @ turn
+        rotation: Array = AXES[self.name] @ turn + 0.0  # no negative zeros
         return rotation
 
     @property
@@ -228,7 +192,7 @@ class ReferenceFrame:
     @property
     def heading(self) -> float:
         """Yaw of the drones in the file's axes [rad], in (-π, π]; in the plan it is 0."""
-        x, y, _ = AXES[self.name] @ np.array([math.cos(self.yaw), math.sin(self.yaw), 0.0])
+        x, y, _ = self.rotation[:, 0]
         heading = math.atan2(y, x)
         return math.pi if heading == -math.pi else heading
 
@@ -246,18 +210,15 @@ class ReferenceFrame:
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""
-        c = np.einsum("ij,pdjn->pdin", self.rotation, part.coefficients) + self.shift[:, None]
+        c = np.moveaxis(self.points(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
         return PiecewisePolynomial(part.breaks, c)
 
     def in_plan(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the file in the plan's axes [m]."""
-        c = np.einsum("ji,pdjn->pdin", self.rotation, part.coefficients - self.shift[:, None])
+        c = np.moveaxis(self.planned(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
         return PiecewisePolynomial(part.breaks, c)
 
     def to_dict(self) -> dict[str, object]:
         """Return what a file says of its frame."""
-        return {
-            "frame": self.name,
-            "origin_enu": np.asarray(self.origin).tolist(),
-            "yaw_deg": math.degrees(self.yaw),
-        }
+        origin = np.asarray(self.origin).tolist()
+        return {"frame": self.name, "origin_enu": origin, "yaw_deg": math.degrees(self.yaw)}

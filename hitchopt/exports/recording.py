@@ -7,125 +7,187 @@ long flights are not held in memory.
 
 from __future__ import annotations
 
-import json
+import re
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.placing import AXES
+from hitchopt.storage.archive import reading
+from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
 from hitchopt.values import Array
 
-WINDOW = 20_000
-"""Pieces times drones that are read together: about 40 MB of coefficients and bounds."""
-
-MAX_SPANS = 20_000_000
-"""Largest number of pieces times drones with all drones' breaks merged; no show has more."""
-
+WINDOW = 20_000  # Pieces times drones that are read together: about 40 MB with their bounds
+MAX_SPANS = 20_000_000  # Largest number of them with all drones' breaks merged; no show has more
 SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
+ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
+"""Levels of a finding: the flight fails; it may fail; information for the pilot."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One problem, or one piece of information, found in fleet files."""
+
+    level: str  # ERROR, WARNING or NOTE
+    rule: str  # its name in one word or two, such as ``memory`` or ``end marker``
+    where: str  # drone or file; empty for all of them
+    message: str  # value, bound, and the remedy
+
+    def __str__(self) -> str:
+        place = f" {self.where}:" if self.where else ""
+        return f"{self.level}: {self.rule}:{place} {self.message}"
+
+
+error, warning, note = (partial(Finding, level) for level in (ERROR, WARNING, NOTE))
+"""Constructors of findings of each level from rule, place and message."""
+
+
+@dataclass(frozen=True)
+class DroneFacts:
+    """Size and duration of one drone's file."""
+
+    name: str
+    pieces: int = 0  # of its curve; 0 where it is sampled
+    size: int = 0  # [bytes] in the drone's memory; 0 where it is not uploaded
+    duration: float = 0.0  # [s] of its own file; 0 where all drones share their times
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One drone's curve as it stands in a file."""
+
+    name: str
+    curve: PiecewisePolynomial  # positions (3,) [m], from t = 0 on
+    size: int = 0  # in the drone's memory [bytes]; 0 where it is not uploaded
+    frame: str = ""  # that the file names; empty where it names none
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """The curves that exported numbers stand for.
-
-    ``smooth`` is the highest derivative by time that does not jump: 0 positions, 1 velocities, 2
-    accelerations. ``windows`` gives the curves (D, 3) [m] over one span of time after the other.
-    ``untold`` says which derivatives the format has and the files do not hold.
-    """
+    """The curves that exported numbers stand for, and what was found while reading them."""
 
     names: tuple[str, ...]  # (D,) of the drones, in the file's order
     frame: str  # enu, nwu or ned; empty where the file does not say
-    smooth: int
-    windows: Callable[[], Iterator[PiecewisePolynomial]]
-    untold: str = ""
+    smooth: int  # highest derivative by time that does not jump: 0 positions, 1 velocities, …
+    windows: Callable[[], Iterator[PiecewisePolynomial]]  # (D, 3) [m], one span after the other
+    facts: tuple[DroneFacts, ...]  # one per drone
+    untold: str = ""  # the first derivative that the format has and the files do not hold
+    findings: tuple[Finding, ...] = ()
+    own: Mapping[str, float] = field(default_factory=dict)  # a show's own limits, by its keys
 
+    @classmethod
+    def of_curves(
+        cls,
+        drones: Sequence[Trajectory],
+        frame: str,
+        smooth: int,
+        findings: Iterable[Finding] = (),
+        own: Mapping[str, float] | None = None,
+    ) -> Self:
+        """Return the recording of one curve per drone, each with breaks of its own.
 
-def recording_of_curves(
-    names: Sequence[str], curves: Sequence[PiecewisePolynomial], frame: str, smooth: int
-) -> Recording:
-    """Return the recording of one curve (3,) per drone, each with breaks of its own from 0.
+        Drones that end before the others stay where they ended. Curves are put on common breaks
+        window by window: they take no more memory than their files.
+        """
+        ends = [float(drone.curve.breaks[-1]) for drone in drones]
+        degree = max(drone.curve.degree for drone in drones)
+        each = [lasted(drone.curve.elevated(degree), max(ends)) for drone in drones]
+        times = [curve.breaks for curve in each]
+        if all(np.array_equal(t, times[0]) for t in times):
+            times = times[:1]
+        spans = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
+        if spans * len(each) > MAX_SPANS:
+            words = f"{len(each)} drones with {spans} spans of time between their points are more "
+            words += f"than {MAX_SPANS} together; give all drones the same times, or fewer points"
+            raise FileError(words)
+        breaks, size = merged_breaks(times), max(1, WINDOW // len(each))
 
-    Drones that end before the others stay where they ended. Curves are put on common breaks window
-    by window, so that drones with breaks of their own take no more memory than their files.
-
-    Raises
-    ------
-    FileError: common breaks times drones beyond MAX_SPANS.
-    """
-    end = max(float(curve.breaks[-1]) for curve in curves)
-    degree = max(curve.degree for curve in curves)
-    each = [lasted(curve.elevated(degree), end) for curve in curves]
-    times, pieces = [curve.breaks for curve in each], each[0].pieces
-    if same := all(np.array_equal(t, times[0]) for t in times):
-        breaks = times[0]
-    else:
-        pieces = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
-    if pieces * len(each) > MAX_SPANS:
-        raise FileError(
-            f"{len(each)} drones with {pieces} spans of time between their points are more than "
-            f"{MAX_SPANS} together; give all drones the same times, or fewer points"
-        )
-    if not same:
-        breaks = merged_breaks(times)
-    size = max(1, WINDOW // len(each))
-
-    def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, len(breaks) - 1, size):
-            here = breaks[start : start + size + 1]
-            if same:
-                parts = [curve.coefficients[start : start + size] for curve in each]
-            else:
+        def windows() -> Iterator[PiecewisePolynomial]:
+            for start in range(0, len(breaks) - 1, size):
+                here = breaks[start : start + size + 1]
                 parts = [on_breaks(curve, here).coefficients for curve in each]
-            yield PiecewisePolynomial(here, np.stack(parts, axis=1))
+                yield PiecewisePolynomial(here, np.stack(parts, axis=1))
 
-    return Recording(tuple(names), frame, smooth, windows)
+        names = tuple(drone.name for drone in drones)
+        pieces, sizes = zip(*((drone.curve.pieces, drone.size) for drone in drones), strict=True)
+        facts = tuple(map(DroneFacts, names, pieces, sizes, ends))
+        found = (*(finding for drone in drones for finding in drone.findings), *findings)
+        return cls(names, frame, smooth, windows, facts, findings=found, own=own or {})
+
+    @classmethod
+    def of_samples(
+        cls, names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
+    ) -> Self:
+        """Return the recording of samples: between two of them the curve that meets both.
+
+        ``values`` (S, D, 3 m) at ``t`` (S,) [s] are positions, then velocities and accelerations as
+        far as there are any: lines, cubics or quintics run through them. ``smooth`` is the highest
+        derivative that the format has; an unknown ``frame`` becomes none.
+        """
+        check_times(t)
+        if len(t) < 2:
+            raise FileError("has fewer than two samples; nothing moves between them")
+        given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
+        untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
+        size = max(1, WINDOW // len(names))
+
+        def windows() -> Iterator[PiecewisePolynomial]:
+            for start in range(0, len(t) - 1, size):
+                ends = given[:, start : start + size + 1]
+                here = t[start : start + size + 1]
+                yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
+
+        known, facts = frame if frame in AXES else "", tuple(map(DroneFacts, names))
+        return cls(tuple(names), known, len(given) - 1, windows, facts, untold)
 
 
-def recording_of_samples(
-    names: Sequence[str], t: Array, values: Array, frame: str, smooth: int
-) -> Recording:
-    """Return the recording of samples: between two of them the curve that meets both.
+def check_times(t: Array, source: str = "") -> None:
+    """Raise FileError unless the times (S,) [s] increase, naming what they do instead."""
+    place = f"{source}: " if source else ""
+    if not np.all(np.isfinite(t)):
+        raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
+    for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
+        if t[i + 1] >= t[i] - SAME_TIME:
+            raise FileError(f"{place}repeats the time t = {t[i]:g} s; keep one row of every time")
+        words = f"its times go back from t = {t[i]:g} s to {t[i + 1]:g} s; sort its rows"
+        raise FileError(f"{place}{words}")
 
-    The curves are straight lines through positions, cubics through velocities as well, and quintics
-    through accelerations too.
 
-    Parameters
-    ----------
-    names: (D,)
-    t: (S,) [s]
-    values: (S, D, 3 m), positions, then velocities and accelerations as far as there are any.
-    frame: an unknown one becomes none.
-    smooth: the highest derivative that the format has.
+def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, float]:
+    """Return size, drone and time of the largest jump of a derivative where pieces join."""
+    left, right = curves.ends(order)
+    sizes = np.linalg.norm(left[1:] - right[:-1], axis=-1)
+    if sizes.size == 0:
+        return 0.0, 0, 0.0
+    joint, drone = np.unravel_index(int(np.argmax(sizes)), sizes.shape)
+    return float(sizes[joint, drone]), int(drone), float(curves.breaks[1 + int(joint)])
 
-    Raises
-    ------
-    FileError: times that do not increase, or fewer than two samples.
-    """
-    check_times(t)
-    if len(t) < 2:
-        raise FileError("has fewer than two samples; nothing moves between them")
-    given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
-    untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
-    size = max(1, WINDOW // len(names))
 
-    def windows() -> Iterator[PiecewisePolynomial]:
-        for start in range(0, len(t) - 1, size):
-            ends = given[:, start : start + size + 1]
-            here = t[start : start + size + 1]
-            yield PiecewisePolynomial.hermite(here, ends[:, :-1], ends[:, 1:])
+def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
+    """Return the curve, staying where it ended until ``end`` [s], if that is later."""
+    if end <= curve.breaks[-1]:
+        return curve
+    c = curve.coefficients
+    rest = np.broadcast_to(c[-1:, ..., -1:], c[-1:].shape)
+    return PiecewisePolynomial(np.append(curve.breaks, end), np.concatenate([c, rest]))
 
-    known = frame if frame in AXES else ""
-    return Recording(tuple(names), known, len(given) - 1, windows, untold)
+
+def read_text(path: Path) -> str:
+    """Return a file's text in UTF-8, with or without a byte order mark; raise FileError."""
+    with reading(path, "text"):
+        return path.read_text(encoding="utf-8-sig")
 
 
 def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> list[str]:
@@ -134,122 +196,62 @@ def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> l
     return [name for vector in (vectors[0], *told) for name in vector]
 
 
-def check_times(t: Array, source: str = "") -> None:
-    """Raise FileError unless the times (S,) [s] increase, naming what they do instead."""
-    place = f"{source}: " if source else ""
-    if not np.all(np.isfinite(t)):
-        raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
-    wrong = np.flatnonzero(np.diff(t) <= SAME_TIME)
-    if wrong.size:
-        before, after = t[wrong[0]], t[wrong[0] + 1]
-        if after - before >= -SAME_TIME:
-            raise FileError(f"{place}repeats the time t = {after:g} s; keep one row of every time")
-        raise FileError(
-            f"{place}its times go back from t = {before:g} s to {after:g} s; sort its rows"
-        )
-
-
-def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
-    """Return the curve, staying where it ended until ``end`` [s], if that is later."""
-    if end <= curve.breaks[-1]:
-        return curve
-    rest = np.broadcast_to(curve.coefficients[-1:, ..., -1:], curve.coefficients[-1:].shape)
-    return PiecewisePolynomial(
-        np.append(curve.breaks, end), np.concatenate([curve.coefficients, rest])
-    )
-
-
-MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
-"""Name of the file with what an export holds, in which frame, and what was checked; its format."""
-
-MAX_MANIFEST = 50_000_000  # Size limit of a manifest that is read [B]
-
-
-def read_text(path: Path) -> str:
-    """Return a file's text in UTF-8, with or without a byte order mark.
-
-    Raises
-    ------
-    FileError: it cannot be read, or is no such text.
-    """
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise FileError(f"{path}: cannot be read: {error}") from error
-
-
 def read_columns(
     lines: Iterable[str],
     header: str,
     wanted: Sequence[str],
-    usual: str,
     source: str,
     least: int = 0,
     kind: type[np.float64 | np.str_] = np.float64,
 ) -> NDArray[Any]:
-    """Return the wanted columns of a table's lines as numbers or text; blank ones are left out.
+    """Return the wanted columns of a table's lines, as numbers or text; blank ones are left out.
 
-    Parameters
-    ----------
-    lines: of the table, without the first one.
-    header: the first line.
-    wanted: names of columns.
-    usual: the first line that hitchopt writes.
-    source: name of the file.
-    least: fewest rows.
-    kind: of the cells.
-
-    Raises
-    ------
-    FileError: a column is missing, fewer rows, rows that are too short, or text that is no number.
+    ``header`` is the first line, ``lines`` are the others, ``source`` is the file's name. FileError
+    tells of a column that is missing, fewer rows than ``least``, rows that are too short, or text
+    that is no number.
     """
     labels = header.split(",")
     if missing := [name for name in wanted if name not in labels]:
-        words = f"its first line has no column {missing[0]!r}; it must be {usual}"
-        raise FileError(f"{source}: {words}")
+        raise FileError(f"{source}: its first line has no column {missing[0]!r}")
     columns = [labels.index(name) for name in wanted]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of no rows
             table = np.loadtxt(lines, kind, delimiter=",", usecols=columns, ndmin=2, comments=None)
-    except (ValueError, IndexError) as error:
-        raise FileError(f"{source}: {error}; it is truncated or damaged") from error
+    except (ValueError, IndexError) as fault:
+        raise FileError(f"{source}: {fault}; it is truncated or damaged") from fault
     if len(table) < least:
         raise FileError(f"{source}: has {len(table)} rows; {least} are the least")
     return table
 
 
 def needed(module: str) -> Any:
-    """Return a module of a library that only some formats need.
-
-    Raises
-    ------
-    UnsupportedError: it is not installed; the message says what to install.
-    """
+    """Return a module that only some formats need; UnsupportedError says what to install."""
     try:
         return import_module(module)
-    except ImportError as error:
+    except ImportError as fault:
         package = module.partition(".")[0]
-        raise UnsupportedError(
-            f"this format needs the package {package} ({error}); pip install 'hitchopt[export]'"
-        ) from error
+        words = f"this format needs the package {package} ({fault}); pip install 'hitchopt[export]'"
+        raise UnsupportedError(words) from fault
+
+
+MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
+"""Name of the file with what an export holds, in which frame, and what was checked; its format."""
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return what the manifest in a folder says; None where there is none, or not one of ours.
-
-    Raises
-    ------
-    FileError: there is one that cannot be read.
-    """
+    """Return what a folder's manifest says; None where there is none of ours; raise FileError."""
     path = folder / MANIFEST
-    try:
-        if not path.is_file():
-            return None
-        if path.stat().st_size > MAX_MANIFEST:
-            raise FileError(f"{path}: is too large for a manifest")
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileError(f"{path}: cannot be read: {error}; remove it, or export anew") from error
+    if not path.is_file():
+        return None
+    with reading(path, "manifest of an export"):
+        content = parsed_json(path.read_bytes())
     ours = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
     return content if ours else None
+
+
+def listed(folder: Path, key: str) -> list[str]:
+    """Return the plain names in a list of a folder's manifest, ``files`` or ``parts``."""
+    given = (read_manifest(folder) or {}).get(key)
+    each = given if isinstance(given, list) else []
+    return [n for n in each if isinstance(n, str) and re.fullmatch(r"[^/\\\0.][^/\\\0]*", n)]

@@ -41,9 +41,6 @@ class Scale(NamedTuple):
     acceleration: float = 1e-1  # [m/s²]
 
 
-USUAL = Scale()
-
-
 @dataclass(frozen=True)
 class Kind:
     """A format's kind of pieces."""
@@ -53,12 +50,7 @@ class Kind:
     quantum: float  # durations are whole multiples of it [s]
     longest: float  # duration of a piece [s]
     shortest: float = 0.0  # duration of a piece, whatever its error [s]; whole curves may be so
-    scale: Scale = USUAL  # of its errors
-
-    @property
-    def free(self) -> slice:
-        """Coefficients that the ends leave free."""
-        return slice(self.match, self.degree + 1 - self.match)
+    scale: Scale = Scale()  # noqa: RUF009 - a tuple
 
 
 def fitted(curves: PiecewisePolynomial, breaks: Array, kind: Kind) -> PiecewisePolynomial:
@@ -79,7 +71,7 @@ def _piece(
     jet = np.moveaxis(curves.jet(start + bernstein.nodes(NODES - 1) * h, 3), -1, 0)
     wanted = jet.reshape(3, NODES, -1) * h ** np.arange(3.0)[:, None, None]
     c = hermite @ np.concatenate([wanted[:match, 0], wanted[:match, -1]])
-    c[kind.free] += solver @ (wanted[0] - basis[0] @ c)
+    c[match : kind.degree + 1 - match] += solver @ (wanted[0] - basis[0] @ c)
     squares = np.sum(((basis @ c - wanted) ** 2).reshape(3, NODES, -1, 3), axis=-1)
     errors = np.sqrt(np.max(squares, axis=(1, 2))) / (kind.scale * h ** np.arange(3.0))
     return c, float(np.max(errors))
@@ -101,11 +93,11 @@ def _matrices(degree: int, match: int) -> tuple[Array, Array, Array]:
 
 def breaks_within(
     curves: PiecewisePolynomial, kind: Kind, bound: float, most: float = inf
-) -> Array | None:
-    """Return the breaks of pieces whose errors stay within ``bound``; None if they are too many.
+) -> Array:
+    """Return the breaks of pieces whose errors stay within ``bound``, from 0 to the curves' end.
 
-    They lead from 0 to the curves' end, rounded up to a quantum. Every piece lasts as long as its
-    error allows, or as short as it may.
+    The end is rounded up to a quantum. Every piece lasts as long as its error allows, or as short
+    as it may. Pieces beyond ``most`` are not placed: more than so many are too many.
     """
     last = max(1, ceil(curves.duration / kind.quantum - 1e-9))
     longest = max(1, floor(kind.longest / kind.quantum))
@@ -119,9 +111,7 @@ def breaks_within(
         span = (ticks[-1] * kind.quantum, (ticks[-1] + stride) * kind.quantum)
         return _piece(some, kind, *span)[1] <= bound
 
-    while ticks[-1] < last:
-        if len(ticks) > most:
-            return None
+    while ticks[-1] < last and len(ticks) <= most + 1:
         remaining = last - ticks[-1]
         stride = max(shortest, _farthest(fits, min(remaining, longest), stride))
         if remaining - stride < shortest:  # the last piece would be too short
@@ -140,18 +130,14 @@ def _farthest(fits: Callable[[int], bool], most: int, guess: int) -> int:
     return good
 
 
-def best_breaks(curves: PiecewisePolynomial, kind: Kind, most: int) -> Array | None:
-    """Return the breaks of at most so many pieces with the smallest error, from FINEST on.
-
-    There are none where the error is beyond COARSEST.
-    """
-    if (found := breaks_within(curves, kind, FINEST, most)) is not None:
-        return found
-    best = breaks_within(curves, kind, COARSEST, most)
-    low, high = log(FINEST), log(COARSEST)
-    for _ in range(BISECTIONS if best is not None else 0):
+def best_breaks(curves: PiecewisePolynomial, kind: Kind, most: int) -> Array:
+    """Return the breaks of at most so many pieces with the smallest error; else more of them."""
+    if len(best := breaks_within(curves, kind, FINEST, most)) - 1 <= most:
+        return best
+    best, low, high = breaks_within(curves, kind, COARSEST, most), log(FINEST), log(COARSEST)
+    for _ in range(BISECTIONS if len(best) - 1 <= most else 0):
         middle = 0.5 * (low + high)
-        if (found := breaks_within(curves, kind, exp(middle), most)) is None:
+        if len(found := breaks_within(curves, kind, exp(middle), most)) - 1 > most:
             low = middle
         else:
             best, high = found, middle

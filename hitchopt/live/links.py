@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.errors import InputError, UnsupportedError
-from hitchopt.exports.formats.crazyswarm2 import LANDED
+from hitchopt.exports.formats.crazyflie import LANDED
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.live.fly import Flown
 from hitchopt.motion.states import Attitudes, attitudes

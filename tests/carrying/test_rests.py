@@ -13,6 +13,7 @@ from carried_plans import MASS, TO, check, lifted, moved, plan, unit, with_body
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
+from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.exports.exporting import export_motion
 from hitchopt.exports.options import ExportOptions
@@ -182,9 +183,8 @@ def test_clasps_of_a_hold_by_rest_are_below_the_rim_and_around(
 
 def test_a_plan_with_a_load_is_not_stretched_far(motion: Motion, tmp_path: Path) -> None:
     options = ExportOptions(format="csv", stretch=2.0)
-    with pytest.raises(ho.InfeasibleError, match="inertia of what is carried") as caught:
+    with pytest.raises(CertificateError, match="equilibrium"):
         export_motion(motion, "tray", options, tmp_path / "out")
-    assert caught.value.violations[0].constraint == "equilibrium"
     assert not (tmp_path / "out").exists()
 
 

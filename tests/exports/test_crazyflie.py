@@ -37,7 +37,7 @@ from ruamel.yaml import YAML
 import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError
 from hitchopt.exports.exporting import Export
-from hitchopt.exports.formats.crazyswarm2 import KIND, read_poly_csv
+from hitchopt.exports.formats.crazyflie import POLY
 from hitchopt.exports.lint import lint
 from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import read_manifest
@@ -49,17 +49,18 @@ from problems.swarm import reversed_stack
 
 
 def test_the_drone_s_memory_holds_what_cflib_packs(tmp_path: Path) -> None:
-    exported(hitch_plan(), "crazyswarm2", tmp_path)
+    exported(hitch_plan(), "crazyswarm2", tmp_path, yaw=0.25)
     for path in sorted(tmp_path.glob("*.csv")):
-        table, data = read_poly_csv(path), b""
-        for duration, powers in zip(table.durations, table.powers, strict=True):
-            axes = [Poly4D.Poly(axis.tolist()) for axis in powers]
-            data += bytes(Poly4D(float(duration), *axes).pack())
-        assert len(data) == 132 * len(table.durations) <= 4096
+        table, data = np.loadtxt(path, delimiter=",", skiprows=1, comments="#"), b""
+        for duration, *powers in table.tolist():
+            axes = [Poly4D.Poly(powers[i : i + 8]) for i in range(0, 32, 8)]
+            data += bytes(Poly4D(duration, *axes).pack())
+        assert len(data) == 132 * len(table) <= 4096
+        np.testing.assert_allclose(table[:, 25:], np.eye(1, 8) * 0.25 + 0.0 * table[:, 25:])
         # In single precision nothing is lost: the numbers have been rounded to it.
-        single = np.frombuffer(data, dtype="<f4").reshape(-1, 33).astype(np.float64)
-        assert np.array_equal(single[:, 32], table.durations)
-        assert np.array_equal(single[:, :32].reshape(-1, 4, 8), table.powers)
+        single = np.frombuffer(data, dtype="<f4").reshape(-1, 33)
+        assert np.array_equal(single, np.float32(np.roll(table, -1, axis=1)))
+        np.testing.assert_allclose(single, np.roll(table, -1, axis=1), rtol=1e-8)
 
 
 def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
@@ -90,9 +91,8 @@ def test_what_rests_takes_two_rows_and_no_bytes(tmp_path: Path) -> None:
     assert all(axes[1] == axes[2] == axes[3] == [] for _, axes in found)
     assert len(data) == 8 + len(found) * (3 + 14) + 3
     (part,) = exported(still, "crazyswarm2", tmp_path, frame="nwu")
-    table = read_poly_csv(tmp_path / "d0.csv")
-    assert (len(table.durations), table.frame) == (2, "nwu")
-    assert (tmp_path / "d0.csv").read_text().splitlines()[0].count(",") == 32
+    header, *rows = (tmp_path / "d0.csv").read_text().splitlines()
+    assert (header.count(","), len(rows), lint(tmp_path)[0].frame) == (32, 2, "nwu")
     assert part.verdict.duration == pytest.approx(3.0, abs=1e-3)
 
 
@@ -153,7 +153,6 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
     exported(motion, "crazyswarm2", tmp_path / "placeholders")
     again = read_fleet(tmp_path / "placeholders" / "crazyflies.yaml", roles)
     assert again.members == placeholder_fleet(roles).members
-    assert not again.given
     many = placeholder_fleet([f"d{i}" for i in range(300)])
     assert len({member.uri for member in many.members}) == 300
     assert many.members[PER_RADIO].uri.startswith("radio://1/")
@@ -184,7 +183,7 @@ def test_robots_fly_their_roles_else_their_names(tmp_path: Path) -> None:
 
 MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("drones", "q1", {"name": "cf1", "uri": "radio://0/1/2M/E7"}, "'q1': must be a drone of"),
-    ("drones", "q0", {"name": None}, r"drones.q0.name = '\(missing\)'"),
+    ("drones", "q0", {"uri": None}, r"drones.q0.uri = \(missing\)"),
     ("drones", "q0", {"name": "../up"}, "drones.q0.name = '../up': must be letters"),
     ("drones", "q0", {"name": "On"}, "no word of YAML"),
     ("drones", "q0", {"name": "CF9"}, "must be of one drone only"),
@@ -197,7 +196,7 @@ MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("robots", "cf7", {"firmware_params": {}}, "robots.cf7.firmware_params = .*a known key"),
     ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),
     ("drones", "r0", None, "drones = 'r0': must be named once"),
-    ("others", "", {}, r"drones = '\(missing\)': must be given"),
+    ("others", "", {}, "drones = 'q0': must be named once"),
 ]
 
 
@@ -245,7 +244,7 @@ def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: P
         assert own is not None
         assert own["plan_span"] == [begins, ends]
         # What is flown lasts as long, rounded up to the format's clock.
-        assert 0.0 <= part.verdict.duration - (ends - begins) < KIND.quantum
+        assert 0.0 <= part.verdict.duration - (ends - begins) < POLY.quantum
         if end is not None:
             np.testing.assert_allclose(polynomials(path, np.zeros(1))[0], end, atol=1e-6)
         t = np.array([0.0, 0.7])
@@ -271,8 +270,9 @@ def test_drones_that_start_below_one_another_are_told_of(tmp_path: Path) -> None
 class Craft:
     """One Crazyflie: where it hovers, how long it is busy, and what its memory holds."""
 
-    def __init__(self, fleet: Fleet, name: str, place: Array, needs_arming: bool) -> None:
-        self.fleet, self.name, self.place, self.armed = fleet, name, place, not needs_arming
+    def __init__(self, fleet: Fleet, name: str, place: Array) -> None:
+        self.fleet, self.name, self.place = fleet, name, place
+        self.armed = isinstance(self, OldCraft)
         self.state, self.busy, self.rows = "idle", 0.0, np.zeros((0, 33))
 
     def _go(self, state: str, goal: Sequence[float], duration: float) -> None:
@@ -316,9 +316,7 @@ class Craft:
 class OldCraft(Craft):
     """As clients before arming know it."""
 
-    @property
-    def arm(self) -> None:  # type: ignore[override]
-        raise AttributeError("arm")
+    arm = property()
 
 
 class Rows:
@@ -331,13 +329,10 @@ class Rows:
 class Fleet:
     """Stands for Crazyswarm, its allcfs and its timeHelper at once; drones stand at ``starts``."""
 
-    def __init__(
-        self, starts: dict[str, Array], kind: type[Craft] = Craft, needs_arming: bool = True
-    ) -> None:
+    def __init__(self, starts: dict[str, Array], kind: type[Craft] = Craft) -> None:
         self.now = 0.0
         self.calls: list[tuple[str, str]] = []
-        made = {name: kind(self, name, place, needs_arming) for name, place in starts.items()}
-        self.crazyfliesByName = made
+        self.crazyfliesByName = {name: kind(self, name, at) for name, at in starts.items()}
         self.allcfs = self.timeHelper = self
 
     def sleep(self, duration: float) -> None:
@@ -377,7 +372,8 @@ def standing(folder: Path) -> dict[str, Array]:
 
 def end_of(folder: Path, name: str) -> Array:
     path = folder / f"{name}.csv"
-    place: Array = polynomials(path, np.sum(read_poly_csv(path).durations, keepdims=True))[0]
+    last = float(np.sum(np.loadtxt(path, delimiter=",", skiprows=1)[:, 0]))
+    place: Array = polynomials(path, np.array([last]))[0]
     return place
 
 
@@ -407,20 +403,18 @@ def test_no_setpoint_jumps_through_all_parts(
     assert all(c.place[2] == pytest.approx(0.04) for c in fleet.crazyfliesByName.values())
 
 
-@pytest.mark.parametrize(
-    ("kind", "needs_arming"), [(Craft, True), (OldCraft, False)], ids=["brushless", "brushed"]
-)
+@pytest.mark.parametrize("kind", [Craft, OldCraft])
 def test_a_whole_plan_from_take_off_to_landing(
-    kind: type[Craft], needs_arming: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: type[Craft], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     beside = {name: place + [0.05, -0.03, 0.01] for name, place in standing(tmp_path).items()}
-    fleet = Fleet(beside, kind, needs_arming)
+    fleet = Fleet(beside, kind)
     fleet.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in fleet.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
         np.testing.assert_allclose(craft.place, landed, atol=1e-5)
-    calls = (["arm"] if needs_arming else []) + ["goTo", "uploadTrajectory"]
+    calls = ["arm"] * (kind is Craft) + ["goTo", "uploadTrajectory"]
     alone = [(name, call) for call in calls for name in hitch_plan().team.drone_names]
     together = [call for who, call in fleet.calls if who == "all"]
     assert [call for call in fleet.calls if call[0] != "all"] == alone

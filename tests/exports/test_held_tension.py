@@ -13,7 +13,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import hitchopt as ho
-from hitchopt.exports.held_tension import PositionLoop, held_tension
+from hitchopt.exports.held_tension import HeldTension, held_tension
 from hitchopt.exports.options import HOMES
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
@@ -30,15 +30,16 @@ def plan() -> ho.Plan:
     return ho.morph(start, wider, limits=ho.Limits(speed=0.6))
 
 
-def flown(motion: Motion, held: Motion, loop: PositionLoop, t: np.ndarray) -> np.ndarray:
+def flown(motion: Motion, held: HeldTension, t: np.ndarray) -> np.ndarray:
     """Where drones fly by the set points, with the plan's cable forces: m ẍ, integrated."""
-    m, c, k = (values[:, None] for values in (loop.mass, loop.damping, loop.stiffness))
+    mass = motion.team.mass
+    m, c, k = (values[:, None] for values in (mass, held.damping, held.stiffness))
     count = motion.team.drones
 
     def change(now: float, y: np.ndarray) -> np.ndarray:
         x, v = y.reshape(2, count, 3)
-        at = min(now, held.duration)
-        s, ds, dds = (held.drones.at(at, order) for order in range(3))
+        at = min(now, held.motion.duration)
+        s, ds, dds = (held.motion.drones.at(at, order) for order in range(3))
         force = m * dds + c * (ds - v) + k * (s - x) + states_at(motion, at).cable_forces
         return np.concatenate([v.ravel(), (force / m).ravel()])
 
@@ -52,10 +53,9 @@ def flown(motion: Motion, held: Motion, loop: PositionLoop, t: np.ndarray) -> np
 
 @pytest.mark.slow
 def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
-    loop = PositionLoop.of(plan.motion.team, None, None)
-    held = held_tension(plan.motion, loop)
+    held = held_tension(plan.motion)
     t = np.linspace(0.0, plan.duration, 30)
-    away = np.linalg.norm(flown(plan.motion, held.motion, loop, t) - plan.at(t).positions, axis=-1)
+    away = np.linalg.norm(flown(plan.motion, held, t) - plan.at(t).positions, axis=-1)
     assert np.max(away) < held.miss + 1e-6
     assert held.miss < 1e-4
     # Set points that are moved as at rest only miss the plan by far more.
@@ -65,7 +65,7 @@ def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
 
 def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: ho.Plan) -> None:
     team = plan.motion.team
-    held = held_tension(plan.motion, PositionLoop.of(team, 6.0, 1.5))
+    held = held_tension(plan.motion, 6.0, 1.5)
     for t, end in ((0.0, 0.0), (held.motion.duration, plan.duration)):
         states = plan.at(end)
         legs = states.positions - states.vertices[team.layout.anchors]
@@ -75,8 +75,7 @@ def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: 
         np.testing.assert_allclose(moved, pull * outward / 6.0, atol=1e-5)
     assert held.offset == pytest.approx(0.5 / 6.0, rel=0.05)
     assert held.motion.duration == pytest.approx(plan.duration + 2.0)
-    loop = PositionLoop.of(team, None, None)
-    offsets = held_tension(plan.motion, loop).motion.drones.at(0.0) - plan.at(0.0).positions
+    offsets = held_tension(plan.motion).motion.drones.at(0.0) - plan.at(0.0).positions
     found = ho.settle(plan, 0.0, feed_forward=False, offsets=offsets)  # the statics agree
     np.testing.assert_allclose(found.tensions, team.tension, atol=1e-6)
     np.testing.assert_allclose(found.vertices, found.planned_vertices, atol=1e-6)
@@ -112,7 +111,7 @@ def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_
     third = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=-1)
     thrust = upward / np.linalg.norm(upward, axis=-1, keepdims=True)
     np.testing.assert_allclose(third, thrust, atol=1e-6)
-    held = held_tension(plan.motion, PositionLoop.of(plan.motion.team, None, None)).motion
+    held = held_tension(plan.motion).motion
     places = np.stack([table[axis] for axis in "xyz"], axis=-1).reshape(-1, 6, 3)
     np.testing.assert_allclose(places, held.drones.at(table["t"][::6]), atol=1e-9)
 

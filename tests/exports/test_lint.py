@@ -21,7 +21,7 @@ from rosbags.rosbag2 import Writer
 
 from hitchopt.errors import FileError
 from hitchopt.exports import recording
-from hitchopt.exports.formats.crazyswarm2 import write_poly_csv
+from hitchopt.exports.formats.crazyflie import write_poly_csv
 from hitchopt.exports.formats.ros2bag import message_types
 from hitchopt.exports.formats.skybrush import HEADER, read_show
 from hitchopt.exports.lint import Report, Rules, lint
@@ -146,10 +146,8 @@ DAMAGE: dict[str, list[tuple[Edit, str]]] = {
     "crazyswarm2": [
         (rows("d0.csv", lambda s: s[:1]), "has 0 rows; 1 are the least"),
         (rows("d0.csv", lambda s: [*s, "1.0,2.0"]), "truncated or damaged"),
-        (cell("d0.csv", 2, 3, "nan"), "beyond single precision"),
         (cell("d0.csv", 2, 3, "1e39"), "beyond single precision"),
         (cell("d0.csv", 2, 0, "0.0"), "row 2: its duration is 0 s"),
-        (cell("d0.csv", 2, 3, "half"), "could not convert"),
     ],
     "compressed": [
         (content("d0_enu.bin", b""), "has 0 bytes"),
@@ -160,46 +158,33 @@ DAMAGE: dict[str, list[tuple[Edit, str]]] = {
     ],
     "skybrush": [
         (show(lambda f: f.pop("show.json")), "show.json"),
-        (show(lambda f: f["show.json"].pop("swarm")), "KeyError"),
         (show(lambda f: f["show.json"]["swarm"]["drones"].clear()), "names no drones"),
         (show(lambda f: f.pop(FIRST)), FIRST),
-        (show(lambda f: points_of(f).__delitem__(slice(1, None))), "has 1 points"),
         (show(lambda f: points_of(f).reverse()), "go back from t = "),
         (show(lambda f: f[FIRST].update(points={"0": 1})), "has 0 points"),
         (point(1, [0.0, 1.0]), "damaged|not"),
         (point(2, [[0, 0, 0]] * 3), "cubic is the most"),
         (point(1, [0.0, 1.0, float("nan")]), "finite"),
-        (point(0, 10**400), "show.skyc"),
         (point(1, [0, 0, 1e300]), r"goes 1e\+300 m from"),
-        (point(2, [[0, None, 0]]), "show.skyc"),
-        (point(2, 5), "show.skyc"),
         (content("show.skyc", b"PK\x03\x04" + bytes(200)), "is no Skybrush show"),
     ],
     "skybrush_csv": [
         (zipped("a,b,c\n1,2,3\n"), "its first line is 'a,b,c'"),
         (zipped(f"{HEADER}\n0,0,0,1,0,0,0\n"), "has 1 rows"),
-        (zipped(f"{HEADER}\n0,0,0,1,0,0,0\n50,0,0\n"), "truncated"),
-        (zipped(f"{HEADER}\n50,0,0,1,0,0,0\n0,0,0,1,0,0,0\n"), "go back from t = 0.05 s"),
         (zipped(f"{HEADER}\n50,0,0,1,0,0,0\n50,0,0,1,0,0,0\n"), "repeats the time t = 0.05 s"),
-        (content("show.zip", b"PK\x03\x04" + bytes(200)), "no zip"),
     ],
     "mavsdk_drone_show": [
         (text("Drone 1.csv", "vx", "wx"), "or its columns"),
         (rows("Drone 1.csv", lambda s: [*s[:-1], "0,0"]), "truncated or damaged"),
-        (rows("Drone 1.csv", lambda s: s[:2]), "has 1 rows"),
-        (cell("Drone 1.csv", 4, 3, "zero"), "could not convert"),
         (cell("Drone 2.csv", 4, 1, "0.123"), "its times are not those of Drone 1"),
-        (rows("Drone 2.csv", lambda s: s[:-5]), "its times are not those of Drone 1"),
     ],
     "ros2bag": [
-        (lambda folder: (folder / "setpoints.mcap").unlink(), "is no bag, or a damaged one"),
-        (content("setpoints.mcap", b"no bag"), "is no bag, or a damaged one"),
+        (lambda folder: (folder / "setpoints.mcap").unlink(), "is no bag, or a damaged one")
     ],
     "csv": [
         (text(CSV, "t,drone,x", "t,drone,q"), "no column 'x'"),
         (text(CSV, "d1", "d7"), "are not one per drone"),
         (rows(CSV, lambda s: [s[i] for i in (0, 4, 5, 6, 1, 2, 3)]), "go back from t = "),
-        (rows(CSV, lambda s: [*s[:7], *s[4:]]), r"repeats the time t = 0\.05 s"),
         (rows(CSV, lambda s: s[:3]), "has fewer than two samples|ends within"),
         (rows(CSV, lambda s: s[:-1]), "ends within the sample"),
         (text(CSV, ",d2,", ",d2,nonsense"), "could not convert"),
@@ -210,12 +195,10 @@ DAMAGE: dict[str, list[tuple[Edit, str]]] = {
     "gltf": [
         (content("plan.glb", b"glTF" + bytes(60)), "does not begin as a .glb does"),
         (scene('"d1"', '"d7"'), "'d7'"),
-        (scene('"path": "translation"', '"path": "weights____"'), "KeyError"),
     ],
     "json": [
         (text("setpoints.json", "hitchopt-setpoints/1", "others/1"), "its format is not"),
         (text("setpoints.json", '"rows": [[', '"rows": [[], ['), "setpoints.json"),
-        (text("setpoints.json", '"t": 0', '"t": ' + "[" * 100_000), "nested too deeply"),
     ],
 }
 """What is done to an export, and in which words it is refused."""
@@ -232,11 +215,9 @@ FLAWED: dict[str, list[tuple[Edit, str]]] = {
         (content("d1_enu.bin", TURNED + END), "error range, warning duration, warning yaw"),
     ],
     "skybrush": [
-        (show(lambda f: points_of(f).insert(1, [1e-4, points_of(f)[0][1], []])), "error duration"),
+        (show(lambda f: points_of(f).insert(1, [1e-4, points_of(f)[0][1], []])), "error duration")
     ],
-    "mavsdk_drone_show": [
-        (rows("*.csv", lambda s: s[:10] + s[25:]), "error rate"),
-    ],
+    "mavsdk_drone_show": [(rows("*.csv", lambda s: s[:10] + s[25:]), "error rate")],
     "csv": [(rows(CSV, lambda s: [s[0], *(f"2{r[1:]}" for r in s[1:31])]), "warning start")],
 }
 """What is done to an export, and the rules that it breaks then, of errors and warnings of some."""
@@ -271,23 +252,14 @@ def test_exports_that_were_edited(
     assert found.sound is ("error" not in words)
 
 
-ODD = (
-    *(b"null", b"[null, null]", b"[]", b"{}", b'"a"', b"true", b"", b",", b"\n", b"\xff", b"\x00"),
-    *(b"1" * 400, b"1" * 5000, b"1e400", b"-1e308", b"1e-320", b"nan", b"inf", b"[" * 5000),
-    b'{"a":' * 2000,
-)
+ODD = (*b'null [] {} "a" nan 1e400 ,'.split(), b"", b"\xff", b"1" * 5000, b"[" * 5000)
 """What stands in place of a word or number."""
 
 
 def damaged(data: bytes, chance: random.Random) -> bytes:
     at = chance.randrange(len(data))
-    match chance.randrange(6):
-        case 0:
-            return data[:at] + chance.randbytes(1) + data[at + 1 :]
-        case 1:
-            return data[:at]
-        case 2:
-            return data[:at] + data[at + chance.randrange(1, 200) :]
+    if chance.random() < 0.3:
+        return data[:at] + chance.randbytes(1) + data[at + chance.randrange(200) :]
     words = [m.span() for m in re.finditer(rb"[-\w.+]+|\[[^][]*\]", data[:100_000])] or [(0, at)]
     start, end = chance.choice(words)
     return data[:start] + chance.choice(ODD) + data[end:]
@@ -319,14 +291,7 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
             refused.append(str(error))
         path.write_bytes(originals[path])
     assert len(refused) > 3
-    assert all(text.startswith(str(folder)) for text in refused)
-    stems = {"d0", "d0_enu", "Drone 1", "show", "setpoints", "setpoints_enu", "plan"}
-    data = next(path for path in originals if path.stem in stems)
-    for other in (b"", b"no such file\n", originals[data][: len(originals[data]) // 3]):
-        data.write_bytes(other)
-        with pytest.raises(FileError) as caught:
-            lint(folder)
-        assert len(str(caught.value)) < 800
+    assert all(text.startswith(str(folder)) and len(text) < 800 for text in refused)
 
 
 @pytest.mark.parametrize(
@@ -341,7 +306,7 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
         ({"one.bag": "", "two.bag": "", "c.dae": ""}, r"it holds 2 of \.bag, 1 of \.dae"),
         ({"plan.npz": ""}, "hitchopt check"),
         ({"metadata.yaml": "no bag"}, "is no bag"),
-        ({"export.json": "{"}, "cannot be read"),
+        ({"export.json": "{"}, "is no manifest"),
     ],
 )
 def test_unknown_files_are_refused_in_words(
@@ -353,13 +318,16 @@ def test_unknown_files_are_refused_in_words(
         lint(tmp_path)
 
 
-def test_a_bag_of_other_messages_is_refused(tmp_path: Path) -> None:
+def test_bags_of_other_messages_and_slow_ones(tmp_path: Path) -> None:
     store, kind = message_types(), "std_msgs/msg/String"
     with Writer(tmp_path / "bag", version=9) as bag:
         topic = bag.add_connection("/chatter", kind, typestore=store)
         bag.write(topic, 0, store.serialize_cdr(store.types[kind]("hello"), kind))
     with pytest.raises(FileError, match=r"holds no trajectory_msgs.* but std_msgs/msg/String"):
         lint(tmp_path / "bag")
+    for rate, words in ((25.0, "warning rate"), (30.0, "")):
+        exported(swarm_plan(), "ros2bag", tmp_path / words, rate=rate)
+        assert said(report(tmp_path / words)) == words
 
 
 def shared(path: Path, member: str, drones: int = 300) -> Path:
@@ -460,12 +428,6 @@ def test_figures_and_places_of_what_is_found(tmp_path: Path) -> None:
     cell("d0.csv", 3, yaw, "0.5")(tmp_path)
     (finding,) = report(tmp_path).findings
     assert str(finding).startswith("warning: jump: d0: yaw jumps by 28.6° at t = 2 s")
-
-
-def test_bags_that_are_too_slow_to_stream(tmp_path: Path) -> None:
-    for rate, words in ((25.0, "warning rate"), (30.0, "")):
-        exported(swarm_plan(), "ros2bag", tmp_path / words, rate=rate)
-        assert said(report(tmp_path / words)) == words
 
 
 WITHOUT = [

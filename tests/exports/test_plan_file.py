@@ -190,19 +190,15 @@ def test_a_plan_comes_back_bit_by_bit_and_asks_what_its_problem_does(
     assert bits(read_plan(tmp_path / "packed.npz")) == bits(motion)
 
 
-@pytest.mark.slow
 def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) -> None:
-    tied = planned("form_triangle")
-    polygon = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
-    start = ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4), polygon, altitude=1.0)
+    start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
     plan = ho.morph(start, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
-    for i, each in enumerate((plan, plan.abort(1.0), tied.abort(2.0))):
+    for i, each in enumerate((plan, plan.abort(1.0))):
         each.save(tmp_path / str(i))
         assert ho.load(tmp_path / str(i)).certificate.certified
     with np.load(tmp_path / "0" / "plan.npz") as file:
-        asked = json.loads(str(file["settings"]))["asked"]
-    assert asked["start"]["hitch"]["polygon"][0] == pytest.approx([0.0, -1.0])
-    assert asked["start"]["hitch"]["altitude"] == pytest.approx(1.0)
+        hitch = json.loads(str(file["settings"]))["asked"]["start"]["hitch"]
+    assert [*hitch["polygon"][0], hitch["altitude"]] == pytest.approx([0.0, -1.0, 1.0])
 
 
 def test_what_was_asked_is_in_the_order_of_the_start(formed: Path) -> None:
@@ -228,60 +224,37 @@ LIES: dict[str, tuple[Change, str]] = {
     "breaks that fall": (array("breaks", lambda x: x[::-1]), ""),
     "breaks from 0.5": (array("breaks", lambda x: x + 0.5), r"phases = \["),
     "single precision": (array("legs", lambda x: x.astype(np.float32)), ""),
-    "complex numbers": (array("legs", lambda x: x.astype(np.complex128)), ""),
     "objects": (array("mass", lambda _: np.array([{}, [], 1], dtype=object)), "objects"),
     "a drone too few": (array("drones", lambda x: x[:, :-1]), ""),
-    "a piece too few": (array("vertices", lambda x: x[:-1]), ""),
-    "no coefficients": (array("vertices", lambda x: x[..., :0]), ""),
     "a scalar": (array("tensions", lambda _: np.array(0.4)), ""),
     "no mass": (put("mass", 1, 0.0), ""),
     "a mass too many": (array("mass", lambda _: np.ones(5)), ""),
-    "and its thrust": (lambda _, a: a.update(mass=np.ones(5), max_thrust=np.ones(5)), ""),
     "a negative tension": (put("tension", 0, -0.4), ""),
-    "no JSON": (array("settings", lambda _: np.array("{")), ""),
     "deep JSON": (array("settings", lambda _: np.array("[" * 100_000)), ""),
     "a list": (array("settings", lambda _: np.array("[]")), ""),
-    "settings of numbers": (array("settings", lambda _: np.arange(3.0)), ""),
     "no team": (lambda s, _: s.pop("team"), ""),
     "an unknown limit": (setting("limits", "colour", to=1.0), "colour"),
     "a limit of zero": (setting("limits", "speed", to=0.0), "speed"),
-    "a limit of nan": (setting("limits", "jerk", to=float("nan")), "jerk"),
-    "a radius in words": (setting("separation", "radius", to="wide"), "radius"),
-    "arena of two": (setting("arena", "lower", to=[0.0, 1.0]), "lower"),
     "arena inside out": (setting("arena", "lower", to=[9.0, 9.0, 9.0]), ""),
     "one robot more": (setting("team", "robots", to=5), ""),
     "very many robots": (setting("team", "robots", to=10**9), ""),
-    "half a robot": (setting("team", "robots", to=3.5), ""),
-    "an open chain": (setting("team", "topology", to="open"), ""),
     "a phase without a name": (lambda s, _: s["phases"][0].pop("name"), "name"),
-    "a phase with a number": (setting("phases", 0, "name", to=3), "name"),
-    "a phase from nan": (setting("phases", 0, "start", to=float("nan")), ""),
     "a step of 1.5": (setting("phases", 0, "step", to=1.5), "step"),
     **{
         f"a state {state!r}": (setting("phases", 0, "state", to=state), "state")
-        for state in ("standing", "none", 3, ["clasping"])
+        for state in ("standing", 3)
     },
     **{
         f"a range {x!r}": (setting("phases", 0, "tension", to=x), "tension")
-        for x in ([0.8, 0.3], [0.0, 0.8], [0.3], "0.3", [0.3, True], [0.3, 1e999], {"min": 0.3})
+        for x in ([0.8, 0.3], [0.0, 0.8], [0.3, 1e999])
     },
     "phases back": (spans((0.0, 1.0), (1.0, 0.0), (0.0, 1.0)), r"phases = \["),
     "phases with a gap": (spans((0.0, 0.5), (0.6, 1.0)), r"phases = \["),
-    "phases that overlap": (spans((0.0, 0.6), (0.5, 1.0)), r"phases = \["),
-    "phases from before": (spans((-0.5, 1.0)), r"phases = \["),
     "phases from later": (spans((0.5, 1.0)), r"phases = \["),
-    "phases too long": (spans((0.0, 1.5)), r"phases = \["),
     "no phases": (spans(), r"phases = \["),
     **{f"no {name}": (without(name), f"'{name}' is in it 0 times") for name in ARRAYS},
 }
 """Changes after which a file is no plan, and what is said of it."""
-
-LOOPS: dict[str, tuple[str, float, str]] = {
-    "a negative stiffness": ("stiffness", -1.0, "stiffness = -1.0: must be greater than 0"),
-    "no stiffness": ("stiffness", np.nan, "stiffness = nan: must be finite"),
-    "half an integral": ("integral", 0.5, "integral = 0.5: must be true or false"),
-    "feed-forward of nan": ("feed_forward", np.nan, "feed_forward = nan: must be true or false"),
-}
 
 OTHERS: dict[str, tuple[str, Change]] = {
     "two robots exchanged": ("asked.start.drones", exchanged_robots),
@@ -292,25 +265,17 @@ OTHERS: dict[str, tuple[str, Change]] = {
     ),
     "no assignment": ("asked.start.drones", lambda settings, _: settings.pop("assignment")),
     "lighter drones": ("mass", array("mass", lambda x: 0.5 * x)),
-    "stronger drones": ("max_thrust", array("max_thrust", lambda x: 1.5 * x)),
     "longer cables": ("cable_length", array("cable_length", lambda x: 1.01 * x)),
-    "lower tensions": ("tension", array("tension", lambda x: 0.5 * x)),
     "cables without weight": ("cable_density", setting("team", "cable_density", to=0.0)),
     "no friction": ("cable_friction", setting("team", "cable_friction", to=0.0)),
     "a load": ("load", setting("team", "load", to=[0.01, 0.0, 0.0])),
     "faster": ("limits.speed", setting("limits", "speed", to=9.0)),
-    "tilted farther": ("limits.tilt_deg", setting("limits", "tilt", to=1.2)),
     "no limit on the duration": ("limits.duration", setting("asked", "limits", "duration", to=9.0)),
     "nearer": ("separation.radius", setting("separation", "radius", to=0.01)),
-    "lower": ("separation.height", setting("separation", "height", to=0.1)),
-    "cables nearer": ("separation.cable", setting("separation", "cable", to=0.01)),
     "no arena": ("arena", setting("arena", to=None)),
     "a larger arena": ("arena.upper[2]", setting("arena", "upper", to=[4, 4, 9])),
     "a thinner table": ("objects.table", setting("objects", "table", "section", "radius", to=0.1)),
-    "a table elsewhere": ("objects.table", setting("objects", "table", "at", to=[3, 2, 0])),
-    "no table": ("objects.table", setting("objects", to={})),
     "another start": ("start.drones.q[0]", setting("asked", "start", "drones", "q", 0, 0, to=2.0)),
-    "a start in words": ("asked", setting("asked", "start", "drones", "q", 0, 0, to="left")),
     "a start that is none": ("asked", setting("asked", "start", "drones", to=None)),
     "a prism": (
         "keep_out",
@@ -318,7 +283,6 @@ OTHERS: dict[str, tuple[str, Change]] = {
     ),
     "nothing asked": ("asked", setting("asked", to={})),
     "no speed asked": ("asked.limits.speed", lambda s, _: s["asked"]["limits"].pop("speed")),
-    "no mapping": ("asked", setting("asked", to=[])),
     "not a word": ("asked", lambda settings, _: settings.pop("asked")),
     **{
         f"asked {new}": (key, setting("problem", to=FORM.replace(old, new)))
@@ -326,7 +290,6 @@ OTHERS: dict[str, tuple[str, Change]] = {
             ("{mass: 0.14}", "{mass: 0.28}", "asked.team.quadrotor[1].mass"),
             ("speed: 0.9", "speed: 0.8", "asked.limits.speed"),
             ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "asked.start.drones.r[2][1]"),
-            ("robots: 3", "robots: four", "robots"),
         )
     },
 }
@@ -350,16 +313,24 @@ def test_what_makes_no_plan_is_refused(path: Path, lie: str) -> None:
         assert "phases = [" in result.output
 
 
-@pytest.mark.parametrize("lie", LOOPS)
-def test_damaged_controllers_are_refused(lie: str, tmp_path: Path) -> None:
-    name, value, words = LOOPS[lie]
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("stiffness", -1.0, r"stiffness = -1\.0: must be greater than 0"),
+        ("integral", 0.5, r"integral = 0\.5: must be true or false"),
+        ("feed_forward", np.nan, "feed_forward = nan: must be true or false"),
+    ],
+)
+def test_damaged_controllers_are_refused(
+    name: str, value: float, words: str, tmp_path: Path
+) -> None:
     motion = hitch_plan()
     kinds = tuple(dataclasses.replace(kind, stiffness=5.0) for kind in motion.team.quadrotor)
     team = dataclasses.replace(motion.team, quadrotor=kinds)
     path = tmp_path / "plan.npz"
     write_plan(path, dataclasses.replace(motion, team=team))
     changed(path, array(name, lambda x: np.array([value, *x[1:]])))
-    refused(path, re.escape(words))
+    refused(path, words)
 
 
 @pytest.mark.parametrize("lie", OTHERS)
@@ -370,9 +341,6 @@ def test_what_was_not_asked_is_refused_by_its_key(lie: str, formed: Path, tmp_pa
     changed(path, change)
     with pytest.raises(FileError, match=re.escape(key)):
         ho.load(tmp_path)
-    if lie == "no mapping":
-        done = CliRunner().invoke(main, ["check", str(tmp_path)])
-        assert (done.exit_code, key in done.output) == (2, True)
 
 
 def with_member(path: Path, name: str, content: bytes, compression: int) -> None:

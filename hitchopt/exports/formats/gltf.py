@@ -20,25 +20,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
-from hitchopt.exports.recording import recording_of_samples
+from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.recording import Recording
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
+from hitchopt.objects import Section, Slab
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 from hitchopt.view.scene import scene_at
-from hitchopt.view.shapes import drone_faces, mesh, object_faces
+from hitchopt.view.shapes import drone_faces, mesh, object_faces, slab_faces
 
 FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # Types of rows in accessors
 MAX_BYTES = 2_000_000_000  # Size limit of a file that is read [B]
-
-SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]
-"""Points of a drawn cable between which a span is straight: ends and middles of legs and edges, and
-both clasps."""
-
-SIDES = 8  # Corners of a span's cylinder
+SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]  # Points of a drawn cable that spans join
 COLOURS = {"drones": (0.04, 0.24, 0.36), "cables": (0.88, 0.65, 0.15), "objects": (0.9, 0.83, 0.66)}
 
 
@@ -54,16 +50,60 @@ class Gltf(Format):
     feed_forward = "not in this file: it is a picture that moves, which nobody flies"
     carries_pull = True  # drones are tilted by it
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+    def write(self, folder: Path, task: Task) -> Written:
         """Write the plan's drones, cables and objects at the task's rate."""
-        write_scene(folder / self.file, task)
+        motion, frame, document = task.motion, task.frame, _Document()
+        t = sample_times(motion.duration, task.rate)
+        drawn = scene_at(motion, t)
+        single = t.astype(np.float32)
+        if single[-1] < t[-1]:  # rounded up: the scene holds all of the plan
+            single[-1] = np.nextafter(single[-1], np.float32(np.inf))
+        times = document.numbers(single)
+        bodies = [
+            (name, drawn.drones[:, i], drawn.quaternions[:, i]) for i, name in enumerate(task.names)
+        ]
+        shape = np.concatenate(drone_faces(motion.requirements.separation.radius))
+        meshes = [document.mesh(shape, "drones")] * len(bodies)
+        for i, (name, body) in enumerate(motion.requirements.objects.items()):
+            meshes.append(document.mesh(object_faces(body), "objects"))
+            bodies.append((name, drawn.objects[:, i, :3], drawn.objects[:, i, 3:]))
+        roots, turn = [], Rotation.from_euler("z", frame.yaw)
+        for mesh_, (name, places, quaternions) in zip(meshes, bodies, strict=True):
+            turned = (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat()
+            turned = np.column_stack([y_up(turned[:, :3]), turned[:, 3]])
+            translation = y_up(frame.points(places))
+            roots.append(
+                document.moved(name, mesh_, times, translation=translation, rotation=turned)
+            )
+        span = (
+            document.mesh(slab_faces(Slab(Section(radius=1.0), -0.5, 0.5)), "cables")
+            if drawn.cables.size
+            else -1
+        )
+        for k in range(drawn.cables.shape[1]):
+            points = y_up(frame.points(drawn.cables[:, k, SPANS]))
+            apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
+            scales = np.full_like(apart, drawn.radius)
+            scales[..., 1] = np.linalg.norm(apart, axis=-1)
+            paths = {"translation": middles, "rotation": _along(apart), "scale": scales}
+            spans = [
+                document.moved(
+                    f"cable {k} span {i}",
+                    span,
+                    times,
+                    **{key: all_[:, i] for key, all_ in paths.items()},
+                )
+                for i in range(len(SPANS) - 1)
+            ]
+            roots.append(document.added("nodes", name=f"cable {k}", children=spans))
+        extras = {"drones": list(task.names), **frame.to_dict()}
+        (folder / self.file).write_bytes(document.packed(roots, task.title or "plan", extras))
         return Written((self.file,))
 
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return the places of the drones that a scene names, between lines."""
-        names, t, places = read_drones(files[0])
-        recording = recording_of_samples(names, t, places, "enu", 0)
-        return Loaded(self.name, recording, tuple(map(DroneFacts, names)))
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return the lines through the places of the drones that a scene names."""
+        with reading(files[0], "glTF scene of drones"):
+            return Recording.of_samples(*read_drones(files[0]), "enu", 0)
 
 
 class _Document:
@@ -80,32 +120,28 @@ class _Document:
         self.lists[kind].append(entry)
         return len(self.lists[kind]) - 1
 
-    def numbers(self, values: NDArray[Any], **more: Any) -> int:
-        """Store numbers (count,) or (count, 3 or 4); return their accessor."""
+    def numbers(self, values: NDArray[Any]) -> int:
+        """Store numbers (count,) or (count, 3 or 4) with their extent; return their accessor."""
         whole = values.dtype.kind == "u"
-        stored = values.astype("<u4" if whole else "<f4").tobytes()
-        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": len(stored)}
-        self.data += stored
+        stored = values.astype("<u4" if whole else "<f4").reshape(len(values), -1)
+        view = {"buffer": 0, "byteOffset": len(self.data), "byteLength": stored.nbytes}
+        self.data += stored.tobytes()
         return self.added(
             "accessors",
             bufferView=self.added("bufferViews", **view),
             componentType=UNSIGNED if whole else FLOAT,
             count=len(values),
-            type=KINDS[values.size // len(values)],
-            **more,
+            type=KINDS[stored.shape[1]],
+            min=stored.min(axis=0).tolist(),
+            max=stored.max(axis=0).tolist(),
         )
 
-    def bounded(self, values: NDArray[Any]) -> int:
-        """Store numbers with their extent, as times and vertices need it; return their accessor."""
-        rows = values.astype("<f4").reshape(len(values), -1)
-        return self.numbers(values, min=rows.min(axis=0).tolist(), max=rows.max(axis=0).tolist())
-
     def mesh(self, faces: Array, colour: str) -> int:
-        """Store faces (m, 4, 3) in glTF's axes; return their mesh."""
-        vertices, triangles = mesh(faces)
+        """Store faces (m, 4, 3) with z up; return their mesh."""
+        vertices, triangles = mesh(y_up(faces))
         base = {"baseColorFactor": [*COLOURS[colour], 1.0], "metallicFactor": 0.0}
         material = self.added("materials", pbrMetallicRoughness=base, doubleSided=True)
-        places, corners = {"POSITION": self.bounded(vertices)}, self.numbers(triangles.ravel())
+        places, corners = {"POSITION": self.numbers(vertices)}, self.numbers(triangles.ravel())
         part = {"attributes": places, "indices": corners, "material": material}
         return self.added("meshes", name=colour, primitives=[part])
 
@@ -143,60 +179,6 @@ def y_up(vectors: Array) -> Array:
     return turned
 
 
-def write_scene(path: Path, task: Task) -> None:
-    """Write the plan's drones, cables and objects at the task's rate."""
-    motion, frame, document = task.motion, task.frame, _Document()
-    t = sample_times(motion.duration, task.rate)
-    drawn = scene_at(motion, t)
-    single = t.astype(np.float32)  # the last one rounded up: the scene holds all of the plan
-    if single[-1] < t[-1]:
-        single[-1] = np.nextafter(single[-1], np.float32(np.inf))
-    times = document.bounded(single.astype(np.float64))
-
-    def placed(points: Array) -> Array:
-        return y_up(frame.points(points))
-
-    def turned(quaternions: Array) -> Array:
-        """Return quaternions (S, 4) x, y, z, w in glTF's axes of ones w, x, y, z of the plan."""
-        whole = Rotation.from_euler("z", frame.yaw) * Rotation.from_quat(
-            quaternions, scalar_first=True
-        )
-        return np.column_stack([y_up(whole.as_quat()[:, :3]), whole.as_quat()[:, 3]])
-
-    shape = np.concatenate(drone_faces(motion.requirements.separation.radius))
-    drone = document.mesh(y_up(shape), "drones")
-    bodies = [
-        (name, drone, drawn.drones[:, i], drawn.quaternions[:, i])
-        for i, name in enumerate(task.names)
-    ]
-    for i, (name, body) in enumerate(motion.requirements.objects.items()):
-        solid, poses = document.mesh(y_up(object_faces(body)), "objects"), drawn.objects[:, i]
-        bodies.append((name, solid, poses[:, :3], poses[:, 3:]))
-    roots = [
-        document.moved(name, mesh, times, translation=placed(places), rotation=turned(attitudes))
-        for name, mesh, places, attitudes in bodies
-    ]
-    span = document.mesh(_cylinder(), "cables") if drawn.cables.size else -1
-    for k in range(drawn.cables.shape[1]):
-        points = placed(drawn.cables[:, k, SPANS])
-        apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
-        lengths = np.linalg.norm(apart, axis=-1)
-        scales = np.stack([0.0 * lengths + drawn.radius, lengths, 0.0 * lengths + drawn.radius], -1)
-        paths = {"translation": middles, "rotation": _along(apart), "scale": scales}
-        spans = [
-            document.moved(
-                f"cable {k} span {i}",
-                span,
-                times,
-                **{path: values[:, i] for path, values in paths.items()},
-            )
-            for i in range(len(SPANS) - 1)
-        ]
-        roots.append(document.added("nodes", name=f"cable {k}", children=spans))
-    extras = {"drones": list(task.names), **frame.to_dict()}
-    path.write_bytes(document.packed(roots, task.title or "plan", extras))
-
-
 def _along(vectors: Array) -> Array:
     """Return quaternions (S, m, 4) x, y, z, w from y to vectors (S, m, 3), smooth in time."""
     found = np.empty((*vectors.shape[:2], 4))
@@ -213,50 +195,34 @@ def _along(vectors: Array) -> Array:
     return found
 
 
-def _cylinder() -> Array:
-    """Return the faces (m, 4, 3) of a cylinder of radius 1 about y, from -1/2 to 1/2, lidless."""
-    angles = 2.0 * np.pi * np.arange(SIDES) / SIDES
-    ring = np.stack([np.cos(angles), np.full(SIDES, -0.5), np.sin(angles)], axis=-1)
-    after, up = np.roll(ring, -1, axis=0), np.array([0.0, 1.0, 0.0])
-    return np.stack([ring, ring + up, after + up, after], axis=1)
-
-
 def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
-    """Return names, times (S,) [s] and places (S, D, 3) [m], z up, of the drones in a scene.
+    """Return names, times (S,) [s] and places (S, D, 3) [m], z up, of the drones in a scene."""
+    if path.stat().st_size > MAX_BYTES:
+        raise FileError(f"is larger than {MAX_BYTES} bytes")
+    data = path.read_bytes()
+    magic, _, _, size, kind = struct.unpack_from("<4sIII4s", data)
+    if (magic, kind) != (b"glTF", b"JSON"):
+        raise FileError("does not begin as a .glb does")
+    content = parsed_json(data[20 : 20 + size])
+    nodes = [node["name"] for node in content["nodes"]]
+    names = tuple(map(str, content["asset"]["extras"]["drones"]))
+    (animation,) = content["animations"]
 
-    Raises
-    ------
-    FileError: no scene of hitchopt's, or a damaged one.
-    """
-    with reading(path, "glTF scene of drones"):
-        if path.stat().st_size > MAX_BYTES:
-            raise FileError(f"is larger than {MAX_BYTES} bytes")
-        data = path.read_bytes()
-        magic, _, _, size, kind = struct.unpack_from("<4sIII4s", data)
-        if (magic, kind) != (b"glTF", b"JSON"):
-            raise FileError("does not begin as a .glb does")
-        content = parsed_json(data[20 : 20 + size])
-        nodes = [node["name"] for node in content["nodes"]]
-        names = tuple(map(str, content["asset"]["extras"]["drones"]))
-        (animation,) = content["animations"]
+    def numbers(index: float, columns: int) -> Array:
+        accessor = content["accessors"][int(index)]
+        view = content["bufferViews"][int(accessor["bufferView"])]
+        offset, count = 28 + size + int(view["byteOffset"]), int(accessor["count"])
+        found = np.frombuffer(data, "<f4", columns * count, offset)
+        return found.astype(np.float64).reshape(-1, columns)
 
-        def numbers(index: float, columns: int) -> Array:
-            accessor = content["accessors"][int(index)]
-            view = content["bufferViews"][int(accessor["bufferView"])]
-            offset, count = 28 + size + int(view["byteOffset"]), int(accessor["count"])
-            found = np.frombuffer(data, "<f4", columns * count, offset)
-            return found.astype(np.float64).reshape(-1, columns)
-
-        samplers = {
-            nodes[int(each["target"]["node"])]: animation["samplers"][int(each["sampler"])]
-            for each in animation["channels"]
-            if each["target"]["path"] == "translation"
-        }
-        given = [samplers[name] for name in names]
-        if len({each["input"] for each in given}) != 1:
-            raise FileError("its drones do not share their times")
-        t = numbers(given[0]["input"], 1)[:, 0]
-        places = np.stack([numbers(each["output"], 3) for each in given], axis=1)
-        if places.shape != (len(t), len(names), 3) or not np.all(np.isfinite(places)):
-            raise FileError("its drones have not one place for each time")
-        return names, t, places[..., [0, 2, 1]] * [1.0, -1.0, 1.0]
+    samplers = {
+        nodes[int(each["target"]["node"])]: animation["samplers"][int(each["sampler"])]
+        for each in animation["channels"]
+        if each["target"]["path"] == "translation"
+    }
+    (times,) = {samplers[name]["input"] for name in names}  # all drones share them
+    t = numbers(times, 1)[:, 0]
+    places = np.stack([numbers(samplers[name]["output"], 3) for name in names], axis=1)
+    if len(places) != len(t) or not np.all(np.isfinite(places)):
+        raise FileError("its drones have not one place for each time")
+    return names, t, places[..., [0, 2, 1]] * [1.0, -1.0, 1.0]

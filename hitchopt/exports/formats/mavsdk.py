@@ -10,53 +10,40 @@ accelerations: every drone's rows are then counted from its own first one, in al
 
 **The rise.** Drones are armed on the ground, so their first row is there, below the plan's first
 place. They wait until all of them follow their rows, rise together, straight up, and rest before
-the plan begins. Seen from above nothing moves; a hitch whose drones begin at one altitude rises as
-it is. The cables' pull grows with the altitude.
+the plan begins. Seen from above nothing moves. The cables' pull grows with the altitude.
 
 **Feed-forward.** PX4 adds gravity to the acceleration setpoint and tilts by the sum, but knows no
 cable. So ``ax, ay, az`` are ``a_ff = a - F / m``, with the cable's force F on the drone: thrust is
-then ``m (a_ff + g)``, as planned. Use the show with velocity and acceleration feed-forward on.
+then ``m (a_ff + g)``. Use the show with velocity and acceleration feed-forward on.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil, floor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
-from hitchopt.exports.recording import (
-    Recording,
-    read_columns,
-    read_text,
-    recording_of_samples,
-    told_columns,
-)
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import FileError, InfeasibleError
+from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.recording import Recording, read_columns, read_text, told_columns
+from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 COLUMNS = "idx,t,px,py,pz,vx,vy,vz,ax,ay,az,yaw,mode,ledr,ledg,ledb"
-
 FLOWN = [COLUMNS.split(",")[i : i + 3] for i in (2, 5, 8)]  # Position, velocity and acceleration
-
-ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"
-"""A row of mode 70; all that are no counts have a decimal point."""
-
+ROW = "%d," + "%#.9g," * 10 + "%#.6g,70,255,255,255"  # All that are no counts have a point
 SMOOTH = 2  # Quintics run through positions, velocities and accelerations
 SAME_TIME = 1e-6  # Largest difference of the drones' times in one row [s]
 LATE = 5.0  # Longest time that arming takes after the common start [s]: rows run meanwhile
 BLEND = 3.0  # Longest straight line from the climb to the rows [s]
 
-WAIT = LATE + BLEND
-"""Wait on the ground [s]: a drone that is late, or is drawn to its row, is there by then."""
-
+WAIT = LATE + BLEND  # Wait on the ground [s], for drones that are late or drawn to their rows
 SETTLE = 3.0  # Wait at the first places [s]
 SPEED, ACCELERATION = 0.5, 0.5  # Largest speed and acceleration while rising [m/s], [m/s²]
 LEAST = 1.0  # Shortest duration of the rise [s]
@@ -68,6 +55,7 @@ class MavsdkDroneShow(Format):
 
     name = "mavsdk_drone_show"
     file = "Drone {number}.csv"
+    header = "idx,t,px"
     endings = (".csv",)
     several = endings
     frames = ("ned",)
@@ -78,127 +66,95 @@ class MavsdkDroneShow(Format):
         "and knows no cable; fly it with acceleration feed-forward on"
     )
     carries_pull = True
+    streamed = 2.0
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
-        """Write every drone's rows.
-
-        Raises
-        ------
-        InfeasibleError: drones that begin above one another cannot take off.
-        """
-        rise, first = Rise.of(task), task.motion.drones.coefficients[0, ..., 0]
-        separation = _separation(task, first)
-        settings = receiver_settings(task)
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write every drone's rows, or raise InfeasibleError where they cannot take off."""
+        rise = rise_of(task)
+        separation, settings = separation_before(task, rise), receiver_settings(task)
         files = self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
+        order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
-            f"the plan begins {rise.duration:g} s after the show (row {rise.rows}): until then the "
-            "drones wait on the ground and rise straight up, with their cables not looked at",
+            f"the plan begins {rise.duration:g} s after the show (row "
+            f"{round(rise.duration * task.rate)}): until then the drones wait on the ground and "
+            "rise straight up, with their cables not looked at",
             "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: set "
             + ", ".join(f"{name} = {value}" for name, value in settings.items())
             + " in its src/params.py",
             "at the end PX4 lands every drone from its last row",
-            "Drone N.csv in the plan's order: "
-            + ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
-            + (", …" if len(task.names) > 6 else ""),
+            f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone below its first place, px and py of its first row: its rows are "
             "counted from there",
         )
         receiver: dict[str, Any] = {"settings": settings, "plan_begins_s": rise.duration}
-        if separation is not None:
-            receiver["separation_before"] = separation
+        receiver |= {} if separation is None else {"separation_before": separation}
         return Written(files, notes, receiver)
 
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether the first columns are index, time and north."""
-        return labels[:3] == ["idx", "t", "px"]
-
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return what CSV files hold, one drone each.
-
-        Nobody knows the pull in their accelerations, so cubics run through positions and
-        velocities.
-        """
-        tables = [read_table(path) for path in files]
-        names = tuple(path.stem for path in files)
-        facts = (DroneFacts(n, 0, 0, float(t[-1, 0])) for n, t in zip(names, tables, strict=True))
-        recording = recording_of_tables(names, tables, None)
-        return Loaded(self.name, recording, tuple(facts), streamed=True)
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return cubics through positions and velocities: accelerations have an unknown pull."""
+        names, tables = tuple(path.stem for path in files), read_tables(files)
+        return Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
 
     def read(self, folder: Path, task: Task) -> Recording:
-        """Return the curves through the plan's setpoints as the receiver flies them.
-
-        The cables' pull is taken out of accelerations.
-        """
-        rise, tables = Rise.of(task), [read_table(folder / name) for name in self.files(task)]
-        if len({len(table) for table in tables}) > 1 or len(tables[0]) <= rise.rows + 1:
+        """Return what the receiver flies of the plan, the pull taken out of accelerations."""
+        tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)
+        rows = round(rise.duration * task.rate)
+        if len(tables) <= rows + 1:
             raise FileError(f"{folder}: its drones have not as many rows as the plan")
         # Altitudes are counted from the first row, and that is on the ground.
         ground = task.frame.points(np.array([0.0, 0.0, task.motion.requirements.floor]))[2]
-        for table in tables:
-            table[:, 0] -= rise.duration
-            table[:, 3] += ground - table[0, 3]
-        return recording_of_tables(task.names, [table[rise.rows :] for table in tables], task)
+        tables[..., 3] += ground - tables[0, :, 3]
+        t, values = tables[rows:, 0, 0] - rise.duration, tables[rows:, :, 1:]
+        values[..., 6:] += task.samples(t)["cable_forces"] / task.motion.team.mass[:, None]
+        values[t > task.motion.duration, :, 6:] = 0.0
+        return Recording.of_samples(task.names, t, values, "ned", SMOOTH)
 
 
-@dataclass(frozen=True, eq=False)
-class Rise:
-    """The rows before a plan's own: ``rows`` steps, in which drones rise from the ground."""
-
-    rows: int
-    duration: float  # [s]
-    share: PiecewisePolynomial  # of the rise, 0 to 1, with continuous acceleration
-
-    @classmethod
-    def of(cls, task: Task) -> Rise:
-        """Return the rise to a plan's first places."""
-        motion, limits = task.motion, task.motion.requirements.limits
-        heights = motion.drones.coefficients[0, :, 2, 0] - motion.requirements.floor
-        highest = float(np.max(np.abs(heights)))
-        # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
-        lasts = max(
-            LEAST,
-            1.875 * highest / min(SPEED, limits.speed),
-            (10.0 / 3.0**0.5 * highest / min(ACCELERATION, limits.acceleration)) ** 0.5,
-            (60.0 * highest / limits.jerk) ** (1.0 / 3.0),
-        )
-        rows = ceil((WAIT + lasts + SETTLE) * task.rate)
-        ends = np.zeros((3, 4))
-        ends[0, 2:] = 1.0
-        breaks = np.array([0.0, WAIT, WAIT + lasts, rows / task.rate])
-        share = PiecewisePolynomial.hermite(breaks, ends[:, :-1], ends[:, 1:])
-        return cls(rows, rows / task.rate, share)
+def rise_of(task: Task) -> PiecewisePolynomial:
+    """Return the share of the rise to a plan's first places, 0 to 1, over whole rows before it."""
+    limits = task.motion.requirements.limits
+    highest = float(np.max(np.abs(_climb(task))))
+    # The quintic at rest at both ends is fastest by 15/8, and accelerates most by 10/√3.
+    lasts = max(
+        LEAST,
+        1.875 * highest / min(SPEED, limits.speed),
+        (10.0 / 3.0**0.5 * highest / min(ACCELERATION, limits.acceleration)) ** 0.5,
+        (60.0 * highest / limits.jerk) ** (1.0 / 3.0),
+    )
+    ends = np.zeros((3, 4))
+    ends[0, 2:] = 1.0
+    last = ceil((WAIT + lasts + SETTLE) * task.rate) / task.rate
+    return PiecewisePolynomial.hermite([0.0, WAIT, WAIT + lasts, last], ends[:, :-1], ends[:, 1:])
 
 
-def _separation(task: Task, first: Array) -> float | None:
-    """Return the least separation of drones that rise to ``first`` (D, 3) [m]; None of one drone.
+def separation_before(task: Task, rise: PiecewisePolynomial) -> float | None:
+    """Return the least separation of drones while they rise; None of one drone.
 
-    It is that on the ground: heights grow apart, and seen from above nothing moves.
-
-    Raises
-    ------
-    InfeasibleError: drones that begin above one another cannot rise straight up to there.
+    InfeasibleError tells of drones that begin above one another: they cannot rise straight up.
     """
-    if len(first) < 2:
+    motion, asked = task.motion, task.motion.requirements
+    places, up = motion.drones.coefficients[0, ..., :1], _climb(task)[..., None]
+    missing = up * (rise.coefficients[:, None, None] - 1.0)
+    rising = PiecewisePolynomial(rise.breaks, places + missing)
+    phase = Phase("rise", 0, 0.0, rise.duration)
+    flown = Motion.single(motion.team, asked.untimed, rising, [phase])
+    if (check := RULE_OF["separation"].check(flown)) is None:
         return None
-    found = cKDTree(first[:, :2]).query(first[:, :2], 2)
-    distances, nearest = np.asarray(found[0]), np.asarray(found[1])
-    drone = int(np.argmin(distances[:, 1]))
-    # Numbers in files have nine digits.
-    reach = 5e-9 * float(np.max(np.abs(task.frame.points(first))))
-    radius = task.motion.requirements.separation.radius
-    ratio: float = (float(distances[drone, 1]) - 2.0 * 2.0**0.5 * reach) / (2.0 * radius)
-    if ratio < 1.0:
-        names = task.motion.team.drone_names
-        where = tuple(names[i] for i in sorted((drone, int(nearest[drone, 1]))))
+    if not check.holds:
         when = "while the drones rise straight up from the ground to their first places"
         remedy = "begin with the drones side by side, or choose another format"
-        raise InfeasibleError(
-            [Violation("separation", ratio, 1.0, "min", "ratio", where, when, remedy)],
-            "mavsdk_drone_show is not written: its drones take off from below their first places",
-        )
-    return ratio
+        words = "mavsdk_drone_show takes off from below the first places"
+        raise InfeasibleError([check.violation(when, remedy)], words)
+    digits = 5e-9 * float(np.max(np.abs(task.frame.points(places[..., 0]))))  # files have nine
+    return check.bound - 1.5 * digits / min(asked.separation.radius, asked.separation.height)
+
+
+def _climb(task: Task) -> Array:
+    """Return the way up from the ground to the plan's first places (D, 3) [m]."""
+    heights = task.motion.drones.coefficients[0, :, 2, :1] - task.motion.requirements.floor
+    return heights * [0.0, 0.0, 1.0]
 
 
 def receiver_settings(task: Task) -> dict[str, float | bool]:
@@ -216,61 +172,33 @@ def receiver_settings(task: Task) -> dict[str, float | bool]:
     }
 
 
-def rows_of(task: Task, rise: Rise) -> Array:
+def rows_of(task: Task, rise: PiecewisePolynomial) -> Array:
     """Return all drones' rows (S, D, 12): index, time, nine setpoints and yaw in degrees."""
-    samples = ceil(task.motion.duration * task.rate - 1e-6) + 1
-    index = np.arange(rise.rows + samples)
-    t, frame, first = index / task.rate, task.frame, task.states(np.zeros(1))
-    before, plan = t[: rise.rows], task.setpoints(task.states(t[:samples]))
-    places, up = first.positions[0], np.zeros_like(first.positions[0])
-    up[:, 2] = places[:, 2] - task.motion.requirements.floor
-    share, rate, bend = (rise.share.at(before, k)[:, None, None] for k in range(3))
-    pull = task.pulls(first) * share
-    rising = (
-        frame.points(places - up + share * up),
-        frame.vectors(rate * up),
-        frame.vectors(bend * up) - pull,
-    )
-    values = [np.concatenate(parts, axis=-1) for parts in (rising, plan)]
+    before = round(rise.duration * task.rate)
+    index = np.arange(before + ceil(task.motion.duration * task.rate - 1e-6) + 1)
+    t, up = index / task.rate, task.frame.vectors(_climb(task))
+    plan = task.samples(t[before:] - rise.duration)
+    share, rate, bend = (rise.at(t[:before], k)[:, None, None] for k in range(3))
+    pull = plan["cable_forces"][0] / task.motion.team.mass[:, None]
+    rising = plan["positions"][0] + (share - 1.0) * up, rate * up, bend * up - share * pull
+    flying = plan["positions"], plan["velocities"], plan["feed_forward"]
     rows = np.empty((len(index), len(task.names), 12))
     rows[..., 0], rows[..., 1] = index[:, None], t[:, None]
-    rows[..., 2:11] = np.concatenate(values) + 0.0  # no negative zeros
+    rows[..., 2:11] = np.concatenate([np.concatenate(each, axis=-1) for each in (rising, flying)])
     rows[..., 11] = math.degrees(task.frame.heading)
-    return rows
+    return rows + 0.0  # no negative zeros
 
 
-def read_table(path: Path) -> Array:
-    """Return the rows (S, 4, 7 or 10) of one drone: t, places and rates as they stand.
-
-    Raises
-    ------
-    FileError: another header, rows of other lengths, fewer than two rows.
-    """
-    header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]
-    told = told_columns(header.split(","), FLOWN)
-    return read_columns(lines, header, ("t", *told), COLUMNS, str(path), least=2)
-
-
-def recording_of_tables(
-    names: tuple[str, ...], tables: list[Array], task: Task | None
-) -> Recording:
-    """Return the curves through all drones' rows, which share their times.
-
-    With a task the cables' pull is taken out of the accelerations, and quintics run through all
-    three; without one cubics run through positions and velocities.
-
-    Raises
-    ------
-    FileError: times that differ between the drones.
-    """
-    t = tables[0][:, 0]
-    for name, table in zip(names, tables, strict=True):
-        alike = table.shape == tables[0].shape and np.max(np.abs(table[:, 0] - t)) <= SAME_TIME
-        if not alike:
-            raise FileError(f"{name}: its times are not those of {names[0]}, or its columns")
-    values = np.stack([table[:, 1:] for table in tables], axis=1)
-    if task is None:
-        return recording_of_samples(names, t, values[..., :6], "ned", 1)
-    values[..., 6:] += task.pulls(task.states(t))
-    values[t > task.motion.duration, :, 6:] = 0.0
-    return recording_of_samples(names, t, values, "ned", SMOOTH)
+def read_tables(paths: Sequence[Path]) -> Array:
+    """Return drones' rows (S, D, 4, 7 or 10), times first, at one set of times for all."""
+    tables: list[Array] = []
+    for path in paths:
+        header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]
+        told = told_columns(header.split(","), FLOWN)
+        table = read_columns(lines, header, ("t", *told), str(path), least=2)
+        first = tables[0] if tables else table
+        if table.shape != first.shape or np.max(np.abs(table[:, 0] - first[:, 0])) > SAME_TIME:
+            name = paths[0].stem
+            raise FileError(f"{path.stem}: its times are not those of {name}, or its columns")
+        tables.append(table)
+    return np.stack(tables, axis=1)

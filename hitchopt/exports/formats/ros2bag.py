@@ -23,19 +23,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
+from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.options import ROS_DISTROS, STORAGES
-from hitchopt.exports.recording import Recording, needed, recording_of_samples
-from hitchopt.motion.states import sample_times
+from hitchopt.exports.recording import Recording, needed
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
 STEM, METADATA = "setpoints", "metadata.yaml"  # Names of the data, without ending, and of the rest
-
 BLOCK = 20_000  # Setpoints that are held at once
-
 FULL_STATE = "crazyflie_interfaces/msg/FullState"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 POINT = "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"
@@ -48,20 +46,16 @@ geometry_msgs/Vector3 acc
 """
 """Definition of crazyflie_interfaces' message, which no ROS distribution brings along."""
 
-FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}
-"""Frames by the names in messages' headers: REP 105 has ``map``, east-north-up by REP 103."""
-
-FRAME_IDS = {frame: name for name, frame in FRAMES.items() if frame != "ned"}
-"""Names of fixed frames."""
+FRAMES = {"map": "enu", "map_nwu": "nwu", "map_ned": "ned"}  # By names in headers (REP 105, 103)
 
 
 class Ros2Bag(Format):
     """A bag to play."""
 
     name = "ros2bag"
-    file = STEM
+    file = f"{STEM}{{ending}}"
     endings = tuple(STORAGES.values())
-    frames = tuple(FRAME_IDS)
+    frames = ("enu", "nwu")
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
@@ -69,19 +63,17 @@ class Ros2Bag(Format):
         "and body rates to match; trajectory: the drone's own acceleration"
     )
     carries_pull = True
+    streamed = 30.0
 
-    def files(self, task: Task) -> tuple[str, ...]:
-        """Return the name of the bag's data."""
-        return (f"{STEM}{STORAGES[task.options.storage]}",)
-
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+    def write(self, folder: Path, task: Task) -> Written:
         """Write the bag; raise UnsupportedError without rosbags."""
-        data = self.files(task)[0]
-        bags = needed("rosbags.rosbag2")
-        storage = bags.StoragePlugin[task.options.storage.upper()]
+        (data,), options, bags = self.files(task), task.options, needed("rosbags.rosbag2")
         stage = folder / STEM  # the library makes a directory, and calls the data by its name
-        version = ROS_DISTROS[task.options.ros_distro]
-        with bags.Writer(stage, version=version, storage_plugin=storage) as bag:
+        version, plugin = (
+            ROS_DISTROS[options.ros_distro],
+            bags.StoragePlugin[options.storage.upper()],
+        )
+        with bags.Writer(stage, version=version, storage_plugin=plugin) as bag:
             _write_messages(bag, task)
         for name in (data, METADATA):
             shutil.move(stage / name, folder / name)
@@ -92,20 +84,49 @@ class Ros2Bag(Format):
         )
         return Written((data, METADATA), notes)
 
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return what the trajectories of a bag hold, given by its data or its metadata."""
-        path = files[0]
-        recording = bag_recording(path.parent if path.name == METADATA else path)
-        return Loaded(self.name, recording, tuple(map(DroneFacts, recording.names)), streamed=True)
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return the curves of all MultiDOFJointTrajectory messages of a bag.
+
+        It is given by its data or its metadata; UnsupportedError says that rosbags is missing.
+        """
+        path = files[0].parent if files[0].name == METADATA else files[0]
+        highlevel, store = needed("rosbags.highlevel"), message_types()
+        found: dict[str, Array] = {}
+        frame = ""
+        # The library raises many exceptions of its own, without a common root.
+        with (
+            reading(path, "bag", Exception),
+            highlevel.AnyReader([path], default_typestore=store) as bag,
+        ):
+            kinds = sorted({connection.msgtype for connection in bag.connections})
+            wanted = [c for c in bag.connections if c.msgtype == TRAJECTORY]
+            if not wanted:  # of no connection the library gives all messages
+                raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
+            for connection, _, data in bag.messages(wanted):
+                message = bag.deserialize(data, connection.msgtype)
+                frame = FRAMES.get(message.header.frame_id, "")
+                for i, name in enumerate(message.joint_names):
+                    if name in found:
+                        raise FileError(f"holds two trajectories of {name!r}")
+                    found[name] = np.array([_row(point, i) for point in message.points])
+            if not found:
+                raise FileError("its trajectories name no joint")
+            tables = list(found.values())
+            if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
+                raise FileError("its trajectories have different times")
+            values = np.stack(tables, axis=1)
+            told = values[..., 1:] if np.all(np.isfinite(values)) else values[..., 1:4]
+            smooth = 0 if told.shape[-1] == 3 else 2
+            return Recording.of_samples(tuple(found), values[:, 0, 0], told, frame, smooth)
 
     def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
         """Return the curves of the trajectories, found by the metadata."""
-        return bag_recording(folder)
+        return self.load([folder / METADATA])
 
 
 def _write_messages(bag: Any, task: Task) -> None:
-    store, frame = message_types(), FRAME_IDS[task.frame.name]
-    times = sample_times(task.motion.duration, task.rate)
+    store, names = message_types(), {frame: name for name, frame in FRAMES.items()}
+    frame = names[task.frame.name]
 
     def topic(name: str, kind: str) -> Any:
         return bag.add_connection(f"/{name}", kind, typestore=store)
@@ -136,33 +157,34 @@ def _write_messages(bag: Any, task: Task) -> None:
     def pose(place: Array, q: Array) -> Any:
         return made("Pose", made("Point", *place.tolist()), turned(q))
 
-    topics = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
-    blocks = []
-    for states in task.blocks(times, BLOCK):
-        attitudes = task.attitudes(states)
-        places, velocities, forward = task.setpoints(states)
-        own = task.frame.vectors(states.accelerations)
-        q, rates = attitudes.quaternions, attitudes.body_rates
-        once = np.cross(q[..., 1:], rates)  # body rates about the file's axes instead of the body's
-        turning = rates + 2.0 * (q[..., :1] * once + np.cross(q[..., 1:], once))
-        blocks.append(np.concatenate((places, velocities, own, turning, q), axis=-1))
-        for s, t in enumerate(states.t.tolist()):
-            for d, each in enumerate(topics):
-                i = (s, d)
-                moved = twist(velocities[i], rates[i])
-                state = (header(t), pose(places[i], q[i]), moved, vector(forward[i]))
-                send(each, t, made(FULL_STATE, *state))
-    table = np.concatenate(blocks)  # a trajectory is one message of all samples
-    level = np.array([math.cos(0.5 * task.frame.heading), 0, 0, math.sin(0.5 * task.frame.heading)])
-    still = np.zeros(3)
-    for d, name in enumerate(task.names):
+    streams = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
+    times, blocks = [], []
+    for here, samples in task.blocks(BLOCK):
+        times += here.tolist()
+        blocks.append(samples)
+        for s, t in enumerate(here.tolist()):
+            for d, stream in enumerate(streams):
+                now = {name: values[s, d] for name, values in samples.items()}
+                moved = twist(now["velocities"], now["body_rates"])
+                there = pose(now["positions"], now["quaternions"])
+                send(
+                    stream,
+                    t,
+                    made(FULL_STATE, header(t), there, moved, vector(now["feed_forward"])),
+                )
+    still, turn = np.zeros(3), 0.5 * task.frame.heading
+    level = np.array([math.cos(turn), 0.0, 0.0, math.sin(turn)])
+    for d, name in enumerate(task.names):  # a trajectory is one message of all samples
+        own = {key: np.concatenate([block[key][:, d] for block in blocks]) for key in blocks[0]}
+        quaternions = own["quaternions"]
+        rates = Rotation.from_quat(quaternions, scalar_first=True).apply(own["body_rates"])
         points, poses = [], []
-        for t, row in zip(times.tolist(), table[:, d], strict=True):
-            place, velocity, acceleration, turning = np.split(row[:12], 4)
-            moved = made("Transform", vector(place), turned(row[12:]))
-            twists = [twist(velocity, turning)], [twist(acceleration, still)]
-            points.append(made(POINT, [moved], *twists, stamp("Duration", t)))
-            poses.append(made("PoseStamped", header(t), pose(place, level)))
+        for s, t in enumerate(times):
+            there = made("Transform", vector(own["positions"][s]), turned(quaternions[s]))
+            moved = twist(own["velocities"][s], rates[s])
+            bent = twist(own["accelerations"][s], still)
+            points.append(made(POINT, [there], [moved], [bent], stamp("Duration", t)))
+            poses.append(made("PoseStamped", header(t), pose(own["positions"][s], level)))
         trajectory = made(TRAJECTORY, header(0.0), [name], points)
         send(topic(f"{name}/trajectory", TRAJECTORY), 0.0, trajectory)
         send(topic(f"{name}/path", PATH), 0.0, made(PATH, header(0.0), poses))
@@ -177,55 +199,12 @@ def message_types() -> Any:
     return store
 
 
-def bag_recording(path: Path) -> Recording:
-    """Return the curves of all MultiDOFJointTrajectory messages of a bag, a folder or a file.
-
-    Raises
-    ------
-    UnsupportedError: rosbags is not installed.
-    FileError: no bag, a damaged one, or one without such messages.
-    """
-    highlevel, store = needed("rosbags.highlevel"), message_types()
-    found: dict[str, Array] = {}
-    frame = ""
-    # The library raises many exceptions of its own, without a common root.
-    with (
-        reading(path, "bag", Exception),
-        highlevel.AnyReader([path], default_typestore=store) as bag,
-    ):
-        kinds = sorted({connection.msgtype for connection in bag.connections})
-        wanted = [c for c in bag.connections if c.msgtype == TRAJECTORY]
-        if not wanted:  # of no connection the library gives all messages
-            raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
-        for connection, _, data in bag.messages(wanted):
-            message = bag.deserialize(data, connection.msgtype)
-            frame = FRAMES.get(message.header.frame_id, "")
-            for i, name in enumerate(message.joint_names):
-                if name in found:
-                    raise FileError(f"holds two trajectories of {name!r}")
-                found[name] = _table(message, i)
-        if not found:
-            raise FileError("its trajectories name no joint")
-        names, tables = tuple(found), list(found.values())
-        if any(not np.array_equal(table[:, 0], tables[0][:, 0]) for table in tables):
-            raise FileError("its trajectories have different times")
-        values = np.stack(tables, axis=1)
-        rates = bool(np.all(np.isfinite(values)))
-        places = values[..., 1:] if rates else values[..., 1:4]
-        return recording_of_samples(names, values[:, 0, 0], places, frame, 2 if rates else 0)
-
-
-def _table(message: Any, joint: int) -> Array:
-    """Return t, position, velocity, acceleration of one joint, (S, 10); nan where not given."""
-    rows = []
-    for point in message.points:
-        at = point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec
-        place = point.transforms[joint].translation
-        row = [at, place.x, place.y, place.z]
-        for given in (point.velocities, point.accelerations):
-            linear = given[joint].linear if len(given) > joint else None
-            row += [math.nan] * 3 if linear is None else [linear.x, linear.y, linear.z]
-        rows.append(row)
-    if len(rows) < 2:
-        raise FileError("a trajectory has fewer than two points")
-    return np.array(rows, dtype=np.float64)
+def _row(point: Any, joint: int) -> list[float]:
+    """Return time, position, velocity, acceleration of a joint (10,); nan where not given."""
+    place = point.transforms[joint].translation
+    row = [point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec]
+    row += [place.x, place.y, place.z]
+    for given in (point.velocities, point.accelerations):
+        linear = given[joint].linear if len(given) > joint else None
+        row += [math.nan] * 3 if linear is None else [linear.x, linear.y, linear.z]
+    return row

@@ -8,11 +8,10 @@ and what is read back and certified are the curves that the server stores.
 
 **Coordinated returns** of drones without cables are every drone's ``settings.rthPlan``:
 ``{"version": 1, "landingSpeed", "entries": [{"time", "action", "target", "duration", "preDelay",
-"postDelay"}]}``: all times are whole seconds, those of the entries are the same for all drones. A
-command at t takes the first entry from t on: the show goes on until its time, then the drone waits,
-flies level to its target on a line (``goToKeepAlt``) or nowhere (``land``), waits and goes down.
-After the last entry drones land where they are. Velocity jumps where lines meet, so what is
-certified are distances, places and speeds. The server without its extension drops all of it.
+"postDelay"}]}``, in whole seconds, at the same times for all drones. A command at t takes the first
+entry from t on: the show goes on until its time, then the drone waits, flies level to its target on
+a line (``goToKeepAlt``) or nowhere (``land``), waits and goes down. After the last entry drones
+land where they are. Velocity jumps where lines meet: certified are distances, places and speeds.
 
 ``show.zip`` has one CSV per drone for Skybrush's importers, ``Time [msec],x [m],y [m],z [m],Red,
 Green,Blue``: positions at whole milliseconds, straight lines between them.
@@ -41,28 +40,23 @@ from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports.exporting import LINES, written_checks
-from hitchopt.exports.format import (
-    DroneFacts,
-    Finding,
-    Format,
-    Loaded,
-    Task,
-    Written,
-    error,
-    warning,
-)
+from hitchopt.exports.exporting import FLOWN
+from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.recording import (
+    Finding,
     Recording,
+    Trajectory,
     check_times,
+    error,
+    largest_jump,
     read_columns,
     read_text,
-    recording_of_curves,
+    warning,
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.storage.archive import opened_zip, read_members
+from hitchopt.storage.archive import opened_zip, read_members, reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
@@ -72,53 +66,32 @@ MILLI = 1e-3  # Unit of what Skybrush's server stores, [m] and [s]
 REACH = 32768  # Numbers on either side of zero that 16 bits with a sign hold
 MAX_DRONES = 20_000  # Size limit of a show that is read
 DEGREE = 3  # Degree of the pieces
-
-KIND = Kind(
-    degree=DEGREE,
-    match=2,
-    quantum=MILLI,
-    longest=1.0,
-    shortest=0.1,
-    scale=Scale(position=1e-3, velocity=3e-2, acceleration=0.5),
-)
-"""Cubic pieces: from 1.001 s on the server's arithmetic loses a millisecond of some durations; a
-millimetre of a control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
-
 SMOOTH = 1  # Acceleration jumps after rounding; so does velocity, by as much as the note says
 
-ROUNDING = Scale(position=5e-4, velocity=1e-2, acceleration=0.2)
-CLOSER = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)
+CUBIC = Kind(DEGREE, 2, MILLI, longest=1.0, shortest=0.1, scale=Scale(1e-3, 3e-2, 0.5))
+"""Some durations above 1 s lose a millisecond in the server's arithmetic; a millimetre of a
+control point is 30 mm/s of velocity at 0.1 s, and 150 mm/s at 0.02 s."""
+
+ROUNDING, CLOSER = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
 """Errors of rounding that weigh alike: the latter cost less place, as lengths of cables need it."""
 
-NUDGE = 1e-6
-"""Distance of points in the file beyond their whole millimetres [m]: the server cuts digits off,
-and in binary most of them lie just below."""
-
-
-ACROSS, UP, DOWN = 0, 1, -1  # Directions in which vectors count; z is up
-
+NUDGE = 1e-6  # [m] Points lie beyond their millimetres: the server cuts off, binary lies below
 DISTANCE = "minDistance"  # Key of the smallest distance between two drones [m]
 
-OWN_LIMITS: dict[str, tuple[int, str, tuple[int, ...]]] = {
-    "maxAltitude": (0, "m", (UP,)),
-    "maxVelocityXY": (1, "m/s", (ACROSS,)),
-    "maxVelocityZ": (1, "m/s", (UP, DOWN)),
-    "maxVelocityZUp": (1, "m/s", (UP,)),
-    "maxAccelerationXY": (2, "m/s²", (ACROSS,)),
-    "maxAccelerationZ": (2, "m/s²", (UP, DOWN)),
-    "maxAccelerationZUp": (2, "m/s²", (UP,)),
-    DISTANCE: (0, "m", ()),
+OWN_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
+    f"max{rate}{key}": (order, unit, parts)
+    for rate, order, unit in (("Velocity", 1, "m/s"), ("Acceleration", 2, "m/s²"))
+    for key, parts in (("XY", ("across",)), ("Z", ("up", "down")), ("ZUp", ("up",)))
 }
-"""Limits that shows set themselves, as Skybrush's validation panel checks them: derivative by time,
-unit, and directions in which the quantity counts; none for the distance of pairs."""
+"""Limits that shows set themselves besides DISTANCE, as Skybrush's validation panel checks them:
+derivative by time, unit, and the parts that count."""
 
 LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or after a level flight
 SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
 LANDING = 0.5  # [m/s] Usual speed of a descent
 SPARE = 1.01  # Separation of a return that is planned: rounding to millimetres takes some of it
-Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
-
 MOST = 60  # Number of returns of a plan: with fewer, a command waits longer for the next one
+Entries = Sequence[Mapping[str, Any]]  # One entry per drone, all of one time
 
 
 class SkybrushShow(Format):
@@ -134,35 +107,36 @@ class SkybrushShow(Format):
         "format has no accelerations"
     )
 
-    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)
-    """Long segments fit worse and suffer less from rounding."""
+    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long segments fit worse and suffer less from rounding
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:
-        """Write the show, refitted within a bound and rounded; see ``_rounded``."""
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write the show, refitted within the task's bound and rounded."""
         motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
         if not motion.team.has_cables:
             returns = planned_returns(motion, task.frame)
-            head = {"version": 1, "landingSpeed": landing_speed(motion)}
+            head = {"version": 1, "landingSpeed": _landing(motion)}
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
             times = ", ".join(f"{entries[0]['time']}" for entries in returns)
             none = "no coordinated return was found; drones would land where they are"
             some = f"rthPlan: coordinated returns from t = {times} s"
             notes = [f"{some}; drones are taken to stop at once there" if returns else none]
-        breaks = breaks_within(motion.drones, KIND, bound)
-        assert breaks is not None  # any number of pieces will do
-        fit = task.frame.placed(fitted(motion.drones, breaks, KIND))
+        breaks = breaks_within(motion.drones, CUBIC, task.bound)
+        fit = task.frame.placed(fitted(motion.drones, breaks, CUBIC))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
-        whole = _rounded(fit, quantum, ROUNDING if bound >= 1.0 else CLOSER)
+        # Rounded one point at a time less velocity is lost where drones rest.
+        each = PiecewisePolynomial(fit.breaks, np.rint(fit.coefficients / quantum) * quantum)
+        together = rounded(fit, quantum, ROUNDING if task.bound >= 1.0 else CLOSER)
+        whole = min(together, each, key=lambda curves: largest_jump(curves, 1))
         write_show(folder / self.file, task, whole, plans)
-        notes = [
+        jump = 1e3 * largest_jump(whole, 1)[0]
+        about = (
             f"{len(breaks)} points per drone; LEDs, takeoff and landing are left to Skybrush",
             f"points are multiples of {1e3 * quantum:g} mm, as Skybrush's server stores "
-            f"them; velocity jumps by up to {1e3 * _jump(whole):.3g} mm/s where segments join",
-            *notes,
-        ]
-        return Written((self.file,), tuple(notes))
+            f"them; velocity jumps by up to {jump:.3g} mm/s where segments join",
+        )
+        return Written((self.file,), (*about, *notes))
 
-    def load(self, files: Sequence[Path]) -> Loaded:
+    def load(self, files: Sequence[Path]) -> Recording:
         """Return what a ``.skyc`` holds."""
         show = read_show(files[0])
         own, findings = _limits(show.validation)
@@ -170,54 +144,36 @@ class SkybrushShow(Format):
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
                 words = f"a piece lasts {shortest:.2g} s, which Skybrush rounds to none"
                 findings.append(error("duration", name, f"{words}; leave its point out"))
-        curves = show.curves
-        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", SMOOTH)
-        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
-        return Loaded(self.name, recording, tuple(facts), tuple(findings), own=own)
+        drones = [Trajectory(name, curve) for name, curve in show.curves.items()]
+        return Recording.of_curves(drones, "nwu", SMOOTH, findings, own)
 
-    def read(self, folder: Path, task: Task) -> Recording:  # noqa: ARG002
-        """Return the curves of the show as Skybrush's server stores them."""
-        drones = read_show(folder / self.file).curves
-        return recording_of_curves(tuple(drones), [*map(stored, drones.values())], "nwu", SMOOTH)
-
-    def certify(self, folder: Path, task: Task) -> None:
-        """Certify the coordinated returns of drones without cables."""
+    def read(self, folder: Path, task: Task) -> Recording:
+        """Return the curves of the show as Skybrush's server stores them; certify its returns."""
+        show = read_show(folder / self.file)
+        drones = [Trajectory(name, stored(curve)) for name, curve in show.curves.items()]
         if not task.motion.team.has_cables:
-            certify_returns(folder / self.file, read_show(folder / self.file), task)
+            curves = {drone.name: drone.curve for drone in drones}
+            certify_returns(folder / self.file, show, curves, task)
+        return Recording.of_curves(drones, "nwu", SMOOTH)
 
 
 def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
     """Return the limits in a show's ``settings.validation``, and the findings on the others."""
-    given = {key: validation[key] for key in OWN_LIMITS if validation.get(key) is not None}
-    own = {
-        key: value
-        for key, value in given.items()
-        if isinstance(value, float) and math.isfinite(value) and value > 0.0
-    }
-    fault = "settings.validation.{} is no positive number, so it is not checked; correct it"
-    return own, [warning("settings", "", fault.format(key)) for key in given if key not in own]
-
-
-def _rounded(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> PiecewisePolynomial:
-    """Return the curves rounded together, or one point at a time where that is smoother.
-
-    The former costs less velocity in short pieces, the latter less place where drones rest.
-    """
-    each = PiecewisePolynomial(curves.breaks, np.rint(curves.coefficients / quantum) * quantum)
-    return min(rounded(curves, quantum, scale), each, key=_jump)
-
-
-def _jump(curves: PiecewisePolynomial) -> float:
-    """Return the largest jump of velocity where pieces join [m/s]."""
-    left, right = curves.ends(1)
-    return float(np.max(np.linalg.norm(left[1:] - right[:-1], axis=-1), initial=0.0))
+    own, findings = dict[str, float](), list[Finding]()
+    for key in (*OWN_LIMITS, DISTANCE):
+        value = validation.get(key)
+        if isinstance(value, float) and 0.0 < value < math.inf:
+            own[key] = value
+        elif value is not None:
+            words = f"settings.validation.{key} is no positive number, so it is not checked"
+            findings.append(warning("settings", "", f"{words}; correct it"))
+    return own, findings
 
 
 def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Sequence[Any]) -> None:
     """Write the show of cubic curves (D, 3), north-west-up, of whole millimetres.
 
     ``plans`` has ``rthPlan`` of every drone, or None; the plan's limits are for Skybrush's checks.
-    Raises OSError if it cannot be written.
     """
     requirements = task.motion.requirements
     speed = requirements.limits.speed
@@ -240,8 +196,8 @@ def write_show(path: Path, task: Task, curves: PiecewisePolynomial, plans: Seque
             archive.writestr(file, json.dumps({**head, "points": rows}, allow_nan=False))
             settings = {"name": name, "home": first, "landAt": last}
             settings |= {} if plan is None else {"rthPlan": plan}
-            trajectory = {"trajectory": {"$ref": f"./{file}#"}}
-            drones.append({"type": "generic", "settings": {**settings, **trajectory}})
+            settings["trajectory"] = {"$ref": f"./{file}#"}
+            drones.append({"type": "generic", "settings": settings})
         show = {
             "version": 1,
             "environment": {"type": "indoor"},
@@ -262,12 +218,7 @@ class Show:
 
 
 def read_show(path: Path) -> Show:
-    """Return the show; each file in the zip is read once, however many drones refer to it.
-
-    Raises
-    ------
-    FileError: no zip, no show, a trajectory that is damaged, or more than anyone flies.
-    """
+    """Return the show; each file in the zip is read once, however many drones refer to it."""
     with opened_zip(path, "Skybrush show") as archive:
         (content,) = read_members(path, archive, [archive.getinfo("show.json")])
         show = parsed_json(content)
@@ -275,44 +226,41 @@ def read_show(path: Path) -> Show:
         if not isinstance(drones, list) or not 0 < len(drones) <= MAX_DRONES:
             raise FileError(f"{path}: show.json names no drones, or more than {MAX_DRONES}")
         settings: dict[str, Any] = {}
-        for number, drone in enumerate(drones):
-            name = str(drone["settings"].get("name", number + 1))
+        for number, drone in enumerate(drones, 1):
+            name = str(drone["settings"].get("name", number))
             if name in settings:
                 raise FileError(f"{path}: two drones are called {name!r}")
             settings[name] = drone["settings"]
-        files = {name: _file(each["trajectory"]) for name, each in settings.items()}
-        members = {file: archive.getinfo(file) for file in files.values() if file}
-        first = {file: name for name, file in reversed(files.items())}
+        files = {
+            name: posixpath.normpath(each["trajectory"]["$ref"].partition("#")[0])
+            for name, each in settings.items()
+            if "$ref" in each["trajectory"]
+        }
+        members = {file: archive.getinfo(file) for file in files.values()}
         contents = read_members(path, archive, list(members.values()))
         shared = {
-            file: _curve(f"{path}: {first[file]}", parsed_json(content))
+            file: _curve(f"{path}: {file}", parsed_json(content))
             for file, content in zip(members, contents, strict=True)
         }
         curves = {
-            name: shared[file] if file else _curve(f"{path}: {name}", settings[name]["trajectory"])
-            for name, file in files.items()
+            name: shared[files[name]]
+            if name in files
+            else _curve(f"{path}: {name}", each["trajectory"])
+            for name, each in settings.items()
         }
         own = show.get("settings")
-    returns = {name: each.get("rthPlan") for name, each in settings.items()}
     validation = own.get("validation") if isinstance(own, dict) else None
+    returns = {name: each.get("rthPlan") for name, each in settings.items()}
     return Show(curves, validation if isinstance(validation, dict) else {}, returns)
-
-
-def _file(trajectory: Any) -> str | None:
-    """Return the zip's file that a trajectory is in; None where it stands in the show itself."""
-    reference = trajectory.get("$ref") if isinstance(trajectory, dict) else None
-    if not isinstance(reference, str):
-        return None
-    return posixpath.normpath(reference.partition("#")[0])
 
 
 def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
     """Return the cubics (3,) [m] of a trajectory, at its first place until it takes off."""
     points = trajectory["points"]
-    start = float(trajectory.get("takeoffTime", 0.0))
-    if not isinstance(points, list) or len(points) < 2:
-        count = len(points) if isinstance(points, list) else 0
+    count = len(points) if isinstance(points, list) else 0
+    if count < 2:
         raise FileError(f"{source}: its trajectory has {count} points; two are the least")
+    start = float(trajectory.get("takeoffTime", 0.0))
     times = start + np.array([point[0] for point in points], dtype=np.float64)
     check_times(times, source)
     pieces = []
@@ -333,8 +281,7 @@ def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
 def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
     """Return the least multiple of millimetres that all drones (…, 3) can be stored in.
 
-    Every drone's curve is stored in multiples of its own, by how far its points reach; rounding may
-    move them farther by ``beyond`` [m].
+    It depends on how far a drone's points reach; rounding may move them ``beyond`` [m] that.
     """
     reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1)) + beyond
     scales = (np.ceil(reach / MILLI).astype(np.int64) + REACH) // REACH
@@ -350,9 +297,8 @@ def stored(curve: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(first + np.concatenate([[0.0], np.cumsum(lasting)]), points)
 
 
-def landing_speed(motion: Motion) -> float:
-    """Return the speed of descents [m/s]."""
-    return min(LANDING, SHARE * motion.requirements.limits.speed)
+def _landing(motion: Motion) -> float:
+    return min(LANDING, SHARE * motion.requirements.limits.speed)  # [m/s]
 
 
 @lru_cache(maxsize=1)
@@ -361,12 +307,11 @@ def planned_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
 
     Times from which none was found are left out: a command then waits for the next one.
     """
-    landing, found = landing_speed(motion), []
-    every = max(1, ceil(motion.duration / MOST))
+    found, every = [], max(1, ceil(motion.duration / MOST))
     for time in range(0, ceil(motion.duration) + every, every):
         start = motion.drones.at(min(float(time), motion.duration))
         for entries in _tries(motion, time, start, frame):
-            checks = return_checks(motion, entries, start, landing, frame)
+            checks = return_checks(motion, entries, start, _landing(motion), frame)
             spare = all(check.bound >= SPARE for check in checks if check.name == "separation")
             if spare and all(check.holds for check in checks):
                 found.append(entries)
@@ -388,16 +333,13 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
 
     level, zero = start[:, :2], np.zeros(len(start))
     yield entries(level, 0, zero, zero)
-    places = [motion.drones.at(t)[:, :2] for t in (motion.duration, 0.0)]
-    # The least squares of distances: lines of one clock then do not cross at one time.
-    apart = (np.sum((level[:, None] - place) ** 2, axis=-1) for place in places)
-    orders = (linear_sum_assignment(squares)[1] for squares in apart)
-    nearest = [place[order] for place, order in zip(places, orders, strict=True)]
-    highest = float(np.max(start[:, 2])) - motion.requirements.floor
-    fall = ceil(highest / landing_speed(motion)) + 1
+    fall = ceil((float(np.max(start[:, 2])) - motion.requirements.floor) / _landing(motion)) + 1
     # Drones of one height go down together, the lowest first.
     turn = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
-    for goal in (*nearest, *places, level):
+    for place in (motion.drones.at(motion.duration)[:, :2], motion.drones.at(0.0)[:, :2], level):
+        # The least squares of distances: lines of one clock then do not cross at one time.
+        squares = np.sum((level[:, None] - place) ** 2, axis=-1)
+        goal = place[linear_sum_assignment(squares)[1]]
         far = float(np.max(np.linalg.norm(goal - level, axis=-1)))
         duration = max(1, ceil(far / (SHARE * motion.requirements.limits.speed)))
         yield entries(goal, duration, zero, zero)
@@ -408,70 +350,68 @@ def _tries(motion: Motion, time: int, start: Array, frame: ReferenceFrame) -> It
 def return_checks(
     motion: Motion, entries: Entries, start: Array, landing: float, frame: ReferenceFrame
 ) -> list[Check]:
-    """Return the checks of the return that every drone's entry of one time describes.
+    """Return the checks of a return from ``start`` (D, 3) [m] that descends at ``landing`` [m/s].
 
-    Drones begin at ``start`` (D, 3) [m] and descend at ``landing`` [m/s]. Raises ValueError if the
-    entries are none.
+    It is that which every drone's entry of one time describes; ValueError says that they are none.
     """
-    if len({(entry["time"], entry["action"], entry["duration"]) for entry in entries}) != 1:
-        raise ValueError("entries of one time differ")
-    if entries[0]["action"] not in (LAND, LEVEL) or float(entries[0]["time"]) % 1.0:
+    ((time, action, lasts),) = {(e["time"], e["action"], e["duration"]) for e in entries}
+    if action not in (LAND, LEVEL) or float(time) % 1.0:
         raise ValueError("an action is not known, or its time is no whole second")
-    flat, floor = entries[0]["action"] == LEVEL, motion.requirements.floor
-    targets = frame.planned(np.array([entry["target"] for entry in entries], dtype=np.float64))
-    begins = np.array([entry["preDelay"] for entry in entries], dtype=np.float64)
-    ends = begins + (float(entries[0]["duration"]) if flat else 0.0)
-    lowers = ends + np.array([entry["postDelay"] for entry in entries], dtype=np.float64)
+    floor, level = motion.requirements.floor, start[:, :2]
+    begins, after = (
+        np.array([entry[key] for entry in entries], dtype=np.float64)
+        for key in ("preDelay", "postDelay")
+    )
+    ends = begins
+    if action == LEVEL:
+        targets = np.array([entry["target"] for entry in entries], dtype=np.float64)
+        ends, level = begins + float(lasts), frame.planned(targets)[:, :2]
+    lowers = ends + after
     lands = lowers + np.maximum(start[:, 2] - floor, 0.0) / landing
     times = np.round(np.concatenate([begins, ends, lowers, lands]), 9)
     last = float(np.max(lands)) + 1e-2
     breaks = merged_breaks([np.unique(np.append(times[times < last], [0.0, 1e-2, last]))])
 
     def share(first: Array, last: Array) -> Array:
-        spans = np.maximum(last - first, 1e-12)
-        found: Array = np.clip((breaks[:, None] - first) / spans, 0.0, 1.0)
+        found: Array = np.clip(
+            (breaks[:, None] - first) / np.maximum(last - first, 1e-12), 0.0, 1.0
+        )
         return found[..., None]
 
-    level = targets[:, :2] if flat else start[:, :2]
-    there = np.column_stack([level, start[:, 2]])
-    places = start + share(begins, ends) * (there - start)
+    places = start + share(begins, ends) * (np.column_stack([level, start[:, 2]]) - start)
     places[..., 2:] += share(lowers, lands) * (floor - start[:, 2:])
     curves = PiecewisePolynomial(breaks, np.stack([places[:-1], places[1:]], axis=-1))
     phase = Phase("return", 0, 0.0, curves.duration)
     whole = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
-    return [check for check in written_checks(whole, LINES) if check is not None]
+    rules = [rule for rule in FLOWN if rule.derivative <= 1]  # velocity jumps where lines meet
+    return list(filter(None, (rule.check(whole, exported=True) for rule in rules)))
 
 
-def certify_returns(path: Path, show: Show, task: Task) -> None:
-    """Certify a show's returns, each flown from its time on, as the server stores the show.
-
-    Raises
-    ------
-    FileError: drones without returns, entries that differ in times, or that are no returns.
-    InfeasibleError: a return breaks a limit.
-    """
-    curves, before = [stored(show.curves[name]) for name in task.names], -1.0
-    try:
+def certify_returns(
+    path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: Task
+) -> None:
+    """Certify a show's returns, each flown from its time on, from stored curves."""
+    flown: list[tuple[float, list[Check]]] = []
+    with reading(path, "show with an rthPlan for every drone"):
         plans = [show.returns[name] for name in task.names]
         (landing,) = {float(plan["landingSpeed"]) for plan in plans}
         for entries in zip(*(plan["entries"] for plan in plans), strict=True):
             time = float(entries[0]["time"])
-            if time <= before:
+            if flown and time <= flown[-1][0]:
                 raise ValueError("its times do not increase")
-            before = time
-            start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in curves])
+            each = [curves[name] for name in task.names]
+            start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in each])
             places = task.frame.planned(start)
             checks = return_checks(task.motion, entries, places, landing, task.frame)
-            if broken := [check for check in checks if not check.holds]:
-                words = "a coordinated return of the show breaks a limit when it is read back"
-                when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
-                raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise FileError(f"{path}: rthPlan is damaged: {error}; export anew") from error
+            flown.append((time, [check for check in checks if not check.holds]))
+    for time, broken in flown:
+        if broken:
+            words = "a coordinated return of the show breaks a limit when it is read back"
+            when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
+            raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
 
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
-
 ROW = "%d,%.6f,%.6f,%.6f,255,255,255"
 
 
@@ -482,12 +422,13 @@ class SkybrushCsv(Format):
     file = "show.zip"
     endings = (".zip", ".csv")
     several = (".csv",)  # outside of a zip
+    header = r"time \[msec\]"
     frames = ("nwu",)
     rate = 20.0
     accuracy = 2e-3
     feed_forward = "not in these files: they hold positions alone"
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
+    def write(self, folder: Path, task: Task) -> Written:
         """Write the zip, drone by drone; raise InputError for more than 1000 samples a second."""
         if task.rate > 1000.0:
             raise InputError("--rate", task.rate, "at most 1000 Hz", "the format has milliseconds")
@@ -503,56 +444,29 @@ class SkybrushCsv(Format):
                     np.savetxt(file, rows, ROW, header=HEADER, comments="")
         return Written((self.file,))
 
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether the first column is the time in milliseconds."""
-        return labels[0].startswith("time [msec]")
-
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return what a zip holds, or CSV files of one drone each."""
-        if files[0].suffix.lower() == ".zip":
-            curves = read_zip(files[0])
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return the lines through the positions in a zip, or in CSV files of one drone each."""
+        path = files[0]
+        if path.suffix.lower() == ".zip":
+            with opened_zip(path, "zip of CSV files") as archive:
+                members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
+                contents = [
+                    data.decode("utf-8-sig") for data in read_members(path, archive, members)
+                ]
+            sources = [f"{path}/{member.filename}" for member in members]
         else:
-            curves = {path.stem: lines_of(read_text(path), str(path)) for path in files}
-        recording = recording_of_curves(tuple(curves), tuple(curves.values()), "nwu", 0)
-        facts = (DroneFacts(n, c.pieces, 0, float(c.breaks[-1])) for n, c in curves.items())
-        return Loaded(self.name, recording, tuple(facts))
-
-
-def read_zip(path: Path) -> dict[str, PiecewisePolynomial]:
-    """Return the lines through the positions (3,) [m] of every drone, by its file's name.
-
-    Raises
-    ------
-    FileError: no zip, no such files, damaged ones, or more than anyone flies.
-    """
-    found: dict[str, PiecewisePolynomial] = {}
-    with opened_zip(path, "zip of CSV files") as archive:
-        members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
-        for member, data in zip(members, read_members(path, archive, members), strict=True):
-            name = Path(member.filename).stem
-            if name in found:
-                raise FileError(f"{path}: two files are called {name}.csv")
-            found[name] = lines_of(data.decode("utf-8-sig"), f"{path}: {member.filename}")
-    if not found:
-        raise FileError(f"{path}: holds no CSV file")
-    return found
-
-
-def lines_of(text: str, source: str) -> PiecewisePolynomial:
-    """Return the lines through the positions (3,) [m] in a file of this format.
-
-    Raises
-    ------
-    FileError: another header, rows of other lengths, times that repeat or go back.
-    """
-    header, *lines = text.splitlines() or [""]
-    wanted = HEADER.split(",")[:4]
-    if header.strip().split(",")[:4] != wanted:
-        raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
-    table = read_columns(lines, HEADER, wanted, HEADER, source, least=2)
-    t, points = table[:, 0] * 1e-3, table[None, :, 1:]
-    check_times(t, source)
-    try:
-        return PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
-    except InputError as error:
-        raise FileError(f"{source}: {error}") from error
+            sources, contents = [str(file) for file in files], [read_text(file) for file in files]
+        drones, names = list[Trajectory](), [Path(source).stem for source in sources]
+        if not 0 < len(names) == len(set(names)):
+            raise FileError(f"{path}: holds no CSV file, or two of one name")
+        for name, source, text in zip(names, sources, contents, strict=True):
+            header, *lines = text.splitlines() or [""]
+            if header.strip().split(",")[:4] != (wanted := HEADER.split(",")[:4]):
+                raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
+            table = read_columns(lines, HEADER, wanted, source, least=2)
+            t, points = table[:, 0] * 1e-3, table[None, :, 1:]
+            check_times(t, source)
+            with reading(path, "table of positions"):
+                curve = PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
+            drones.append(Trajectory(name, curve))
+        return Recording.of_curves(drones, "nwu", 0)

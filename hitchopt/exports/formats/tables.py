@@ -24,17 +24,9 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.exports.directory import ROWS, SAVED, write_rows
-from hitchopt.exports.format import DroneFacts, Format, Loaded, Task, Written
+from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import (
-    Recording,
-    check_times,
-    needed,
-    read_columns,
-    recording_of_samples,
-    told_columns,
-)
-from hitchopt.motion.states import sample_times
+from hitchopt.exports.recording import Recording, check_times, needed, read_columns, told_columns
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
@@ -44,51 +36,22 @@ GROUPS = SAVED | {
     "quaternions": ("qw", "qx", "qy", "qz"),
     "body_rates": ("rate_x", "rate_y", "rate_z"),
 }
-"""Those of exported tables: [m/s²], 1, [rad/s] as well."""
+"""Quantities of ``Task.samples`` and their columns."""
 
-COLUMNS = tuple(name for group in GROUPS.values() for name in group)
-"""Names of the numbers of an exported row, after ``t`` and ``drone``."""
-
+COLUMNS = tuple(name for group in GROUPS.values() for name in group)  # After t and drone
 HEADER = ",".join(("t", "drone", *COLUMNS))
-
-FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
-"""Columns that say where the drones go; readers need no others, and places alone will do."""
-
+FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]  # All that readers need; places alone will do
 SMOOTH = 2  # Positions, velocities and accelerations are in the table: quintics run through them
-
-GROUP = 100_000
-"""Rows of a parquet row group, 23 MB of numbers: readers skip and share work by groups."""
-
+GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 MAX_TEXT = 2_000_000_000  # Size limit of a JSON document that is read [B]
-
 FRAME_KEY, PLACE_KEY = b"hitchopt.frame", b"hitchopt.room"  # Of a parquet schema's metadata
-
 JSON_FORMAT = "hitchopt-setpoints/1"
 
 
-def exported_blocks(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
-    """Yield times (S,) [s] and the numbers of COLUMNS (S, D, 26) in blocks of so many rows.
-
-    Raises
-    ------
-    InputError: a rate that is not positive, or more samples than anyone can use.
-    """
-    frame = task.frame
-    for states in task.blocks(sample_times(task.motion.duration, task.rate), rows):
-        positions, velocities, forward = task.setpoints(states)
-        attitudes = task.attitudes(states)
-        parts = (
-            positions,
-            velocities,
-            frame.vectors(states.accelerations),
-            frame.vectors(states.jerks),
-            np.full((*positions.shape[:2], 1), frame.heading),
-            frame.vectors(states.cable_forces),
-            forward,
-            attitudes.quaternions,
-            attitudes.body_rates,
-        )
-        yield states.t, np.concatenate(parts, axis=-1) + 0.0  # no negative zeros
+def rows_of(task: Task, rows: int) -> Iterator[tuple[Array, Array]]:
+    """Yield times (S,) [s] and the numbers of COLUMNS (S, D, 26), so many rows at once."""
+    for t, samples in task.blocks(rows):
+        yield t, np.concatenate([samples[name] for name in GROUPS], axis=-1) + 0.0  # no -0
 
 
 class Table(Format):
@@ -98,53 +61,48 @@ class Table(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "ff_* = a - F/m, the cable's force F and the drone's mass m: for controllers that add "
-        "gravity themselves; cable_* = F for those that take forces; a alone for those that know "
-        "the cable"
+        "ff_* or feed_forward = a - F/m, the cable's force F and the drone's mass m: for "
+        "controllers that add gravity; cable_* = F for those that take forces; a for others"
     )
     carries_pull = True
 
-    def write(self, folder: Path, task: Task, bound: float) -> Written:  # noqa: ARG002
-        """Write the one file there is."""
-        (name,) = self.files(task)
-        self.write_file(folder / name, task)
-        return Written((name,))
-
-    def load(self, files: Sequence[Path]) -> Loaded:
-        """Return what the file says."""
-        with reading(files[0], f"{self.name} table of hitchopt's columns"):
-            recording = self.read_file(files[0])
-        return Loaded(self.name, recording, tuple(map(DroneFacts, recording.names)))
-
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write a row per sample and drone."""
+    def _write(self, path: Path, task: Task) -> None:
         raise NotImplementedError
 
-    def read_file(self, path: Path) -> Recording:
+    def _read(self, path: Path) -> Recording:
         """Return what the file says; raise FileError or others of BROKEN if it is damaged."""
         raise NotImplementedError
 
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write the one file there is."""
+        (name,) = self.files(task)
+        self._write(folder / name, task)
+        return Written((name,))
 
-def _recording_of_rows(who: NDArray[np.str_], table: Array, told: int, frame: str) -> Recording:
-    """Return the recording of rows (rows, 1 + told) by time, then drone: t, then told columns."""
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return what the file says."""
+        with reading(files[0], f"{self.name} table of hitchopt's columns"):
+            return self._read(files[0])
+
+
+def _recording_of_rows(who: NDArray[np.str_], table: Array, frame: str) -> Recording:
+    """Return the recording of rows by time, then drone: t, then whole vectors."""
     if not len(who):
         raise FileError("holds no rows; it is truncated")
     t = table[:, 0]
     check_times(t[:1])
     names = tuple(who[: int(np.argmax(t != t[0])) or len(t)].tolist())
-    if len(set(names)) != len(names):
-        raise FileError(f"drone {names[-1]!r} comes twice at t = {t[0]:g} s")
     if len(t) % len(names):
         raise FileError(f"ends within the sample at t = {t[-1]:g} s; it is truncated")
     times = t.reshape(-1, len(names))
     wrong = np.any((times != times[:, :1]) | (who.reshape(times.shape) != names), axis=1)
-    if np.any(wrong):
+    if len(set(names)) != len(names) or np.any(wrong):
         raise FileError(
             f"its rows at t = {times[np.argmax(wrong), 0]:g} s are not one per drone, in one "
             "order; sort them by time, then drone"
         )
-    values = table[:, 1 : 1 + told].reshape(*times.shape, told)
-    return recording_of_samples(names, times[:, 0], values, frame, SMOOTH)
+    values = table[:, 1:].reshape(*times.shape, -1)
+    return Recording.of_samples(names, times[:, 0], values, frame, SMOOTH)
 
 
 class CsvTable(Table):
@@ -153,27 +111,22 @@ class CsvTable(Table):
     name = "csv"
     endings = (".csv",)
     file = "setpoints_{frame}.csv"
+    header = "t,drone"
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write one row per sample and drone."""
-        write_rows(path, HEADER, task.names, exported_blocks(task, ROWS))
+    def _write(self, path: Path, task: Task) -> None:
+        write_rows(path, HEADER, task.names, rows_of(task, ROWS))
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what columns of these names say; the last word of the name is the frame."""
+    def _read(self, path: Path) -> Recording:
         found = []
         for kind in (np.str_, np.float64):
             with path.open(encoding="utf-8") as file:
-                header = file.readline().rstrip("\r\n")
-                told = told_columns(labels := header.split(","), FLOWN)
+                labels = file.readline().rstrip("\r\n").split(",")
                 # The last column as well, so that rows are whole.
-                wanted = ("drone",) if kind is np.str_ else ("t", *told, labels[-1])
-                found.append(read_columns(file, header, wanted, HEADER, str(path), 0, kind))
+                numbers = ("t", *told_columns(labels, FLOWN), labels[-1])
+                wanted = ("drone",) if kind is np.str_ else numbers
+                found.append(read_columns(file, ",".join(labels), wanted, str(path), 0, kind))
         who, table = found
-        return _recording_of_rows(who[:, 0], table, len(told), path.stem.rpartition("_")[2])
-
-    def recognises(self, labels: Sequence[str]) -> bool:
-        """Return whether the first columns are t and drone."""
-        return labels[:2] == ["t", "drone"]
+        return _recording_of_rows(who[:, 0], table[:, :-1], path.stem.rpartition("_")[2])
 
 
 class ParquetTable(Table):
@@ -183,8 +136,7 @@ class ParquetTable(Table):
     endings = (".parquet",)
     file = "setpoints.parquet"
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write the table in double precision; raise UnsupportedError without pyarrow."""
+    def _write(self, path: Path, task: Task) -> None:
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         names, number = arrow.array(task.names), arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
@@ -192,33 +144,24 @@ class ParquetTable(Table):
         place = json.dumps(task.frame.to_dict(), allow_nan=False).encode()
         said = {FRAME_KEY: task.frame.name.encode(), PLACE_KEY: place}
         with parquet.ParquetWriter(path, arrow.schema(fields, metadata=said)) as writer:
-            for t, values in exported_blocks(task, GROUP):
+            for t, values in rows_of(task, GROUP):
                 who = np.tile(np.arange(len(names), dtype=np.int32), len(t))
-                columns = [
-                    arrow.array(np.repeat(t, len(names))),
-                    arrow.DictionaryArray.from_arrays(who, names),
-                    *(arrow.array(values[..., i].ravel()) for i in range(len(COLUMNS))),
-                ]
-                table = arrow.Table.from_arrays(columns, schema=writer.schema)
-                writer.write_table(table, row_group_size=len(table))
+                drones = arrow.DictionaryArray.from_arrays(who, names)
+                columns = [np.repeat(t, len(names)), drones, *values.reshape(-1, len(COLUMNS)).T]
+                writer.write_table(arrow.table(columns, schema=writer.schema), len(who))
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what columns of these names say; raise UnsupportedError without pyarrow."""
+    def _read(self, path: Path) -> Recording:
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
             refuse_expansion(72 * file.metadata.num_rows, path.stat().st_size)
-            held = file.schema_arrow.names
-            for name in ("t", "drone", *FLOWN[0]):
-                if name not in held:
-                    raise FileError(f"has no column {name!r}; hitchopt writes t, drone and others")
-            frame = (file.schema_arrow.metadata or {}).get(FRAME_KEY, b"")
-            told = told_columns(held, FLOWN)
-            table = file.read(["t", "drone", *told])
-            rows = np.column_stack([table[name].to_numpy() for name in ("t", *told)])
-            who = np.array(list(map(str, table["drone"].to_pylist())))
-            return _recording_of_rows(
-                who, rows.astype(np.float64), len(told), frame.decode("ascii", "replace")
+            frame = (
+                (file.schema_arrow.metadata or {}).get(FRAME_KEY, b"").decode("ascii", "replace")
             )
+            wanted = ["t", "drone", *told_columns(file.schema_arrow.names, FLOWN)]
+            table = file.read(wanted)
+            rows = [table[name].to_numpy() for name in wanted if name != "drone"]
+            who = np.array(list(map(str, table["drone"].to_pylist())))
+            return _recording_of_rows(who, np.column_stack(rows).astype(np.float64), frame)
 
 
 class NpzTable(Table):
@@ -227,24 +170,17 @@ class NpzTable(Table):
     name = "npz"
     endings = (".npz",)
     file = "setpoints.npz"
-    feed_forward = Table.feed_forward.replace("ff_*", "feed_forward").replace(
-        "cable_*", "cable_forces"
-    )
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write an array for every group of columns."""
-        times, blocks = zip(*exported_blocks(task, GROUP), strict=True)
+    def _write(self, path: Path, task: Task) -> None:
+        times, blocks = zip(*task.blocks(GROUP), strict=True)
         arrays: dict[str, Any] = {"frame": task.frame.name, "drones": task.names}
-        arrays["t"] = np.concatenate(times)
-        ends = np.cumsum([len(columns) for columns in GROUPS.values()])
-        parts = np.split(np.concatenate(blocks), ends[:-1], axis=-1)
-        np.savez(path, **arrays | dict(zip(GROUPS, parts, strict=True)))
+        arrays |= {name: np.concatenate([block[name] for block in blocks]) for name in GROUPS}
+        np.savez(path, **arrays | {"t": np.concatenate(times)})
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what such an archive says."""
+    def _read(self, path: Path) -> Recording:
         flown = tuple(GROUPS)[:3]
         arrays = read_arrays(path, ("frame", "drones", "t", *flown))
-        names, t = tuple(map(str, np.atleast_1d(arrays["drones"]))), np.atleast_1d(arrays["t"])
+        names, t = tuple(map(str, arrays["drones"].ravel())), np.atleast_1d(arrays["t"])
         for name in ("t", *flown):
             array, whole = arrays[name], (len(t),) if name == "t" else (len(t), len(names), 3)
             if array.dtype.kind not in "iuf" or array.shape != whole:
@@ -253,7 +189,7 @@ class NpzTable(Table):
                 )
         values = np.concatenate([arrays[name] for name in flown], axis=-1)
         frame = str(arrays["frame"])
-        return recording_of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
+        return Recording.of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
 
 
 class JsonTable(Table):
@@ -263,23 +199,19 @@ class JsonTable(Table):
     endings = (".json",)
     file = "setpoints.json"
 
-    def write_file(self, path: Path, task: Task) -> None:
-        """Write the document, twelve significant digits each."""
+    def _write(self, path: Path, task: Task) -> None:
         head = {"format": JSON_FORMAT, **task.frame.to_dict()}
         head |= {"drones": list(task.names), "columns": list(COLUMNS)}
-        row = "[" + ",".join(["%.12g"] * len(COLUMNS)) + "]"
-        sample = '{"t": %.12g, "rows": [' + ",".join([row] * len(task.names)) + "]}"
         with path.open("w", encoding="utf-8", newline="\n") as file:
             file.write(json.dumps(head, ensure_ascii=False)[:-1] + ',\n"samples": [')
             joint = "\n"
-            for t, values in exported_blocks(task, ROWS):
-                flat = np.column_stack([t, values.reshape(len(t), -1)])
-                file.write(joint + ",\n".join([sample] * len(flat)) % tuple(flat.ravel().tolist()))
-                joint = ",\n"
+            for t, values in rows_of(task, ROWS):
+                for time, rows in zip(t.tolist(), values.tolist(), strict=True):
+                    file.write(joint + json.dumps({"t": time, "rows": rows}))
+                    joint = ",\n"
             file.write("\n]}\n")
 
-    def read_file(self, path: Path) -> Recording:
-        """Return what such a document says."""
+    def _read(self, path: Path) -> Recording:
         if path.stat().st_size > MAX_TEXT:
             raise FileError(f"is larger than {MAX_TEXT} bytes")
         content = parsed_json(path.read_bytes())
@@ -292,4 +224,4 @@ class JsonTable(Table):
             raise FileError("a sample's rows are not one per drone")
         t = np.array([sample["t"] for sample in samples], dtype=np.float64)
         frame = str(content.get("frame"))
-        return recording_of_samples(names, t, values[..., :9], frame, SMOOTH)
+        return Recording.of_samples(names, t, values[..., :9], frame, SMOOTH)

@@ -1,0 +1,447 @@
+"""Formats crazyswarm2 and compressed: trajectories that are uploaded into Crazyflies' memory.
+
+Feed-forward: the drone's own controller (Mellinger's) takes acceleration from the curve and adds
+gravity, so the cable's pull ``F`` (a static tilt of ``atan(T / (m g))``) cannot be in it. The
+controller's integral does not find it: it brings the drone to its place, where any tension may be.
+Stream full-state setpoints (ros2bag, csv) with ``a_ff = a - F / m``, or turn the integral off and
+export with ``--hold-tension``.
+
+**crazyswarm2**: settings of the fleet, how to start, and a CSV file per drone, a header, then 33
+numbers per piece: ``duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7``: ascending powers of the
+piece's own time in seconds; m and rad. The drone holds them in single precision, so the numbers are
+rounded to that before they are written, and what is read back is what is flown.
+
+**compressed**: the bytes in memory, one file per drone. 8 bytes of the start (int16 x, y, z in mm,
+yaw in 0.1°), then per segment 3 bytes of header (two bits per axis for its type, x lowest, yaw
+highest; uint16 duration in ms) and int16 Bézier control points of each axis in turn, the first one
+left out as the segment before ends there: none (constant), 1 (linear), 3 (cubic) or 7. A segment of
+no duration ends it: without one the drone flies on into what an earlier upload left in its memory.
+Everything is little-endian. Control points are whole millimetres, rounded together so that velocity
+suffers little, and yaw is constant: firmware up to 2026.04 flies changing yaw wrongly.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib import resources
+from itertools import takewhile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BPoly, PPoly
+from scipy.spatial import cKDTree
+
+from hitchopt.errors import FileError, InfeasibleError, Violation
+from hitchopt.exports.format import Format, Task, Written
+from hitchopt.exports.placing import AXES
+from hitchopt.exports.recording import (
+    Recording,
+    Trajectory,
+    error,
+    read_columns,
+    read_text,
+    warning,
+)
+from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import cut, rests
+from hitchopt.storage.archive import reading
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.values import Array
+
+BYTES = 4096  # Size of the memory for all trajectories of one drone [B]
+CLOSER = 0.3  # Share of the error within which parts are refitted where coarser ones lose a limit
+DEGREE = 7  # Degree of pieces and segments
+STEADY = 2e-3  # [rad] Yaw that changes less is constant: bytes have tenths of a degree
+
+
+class CrazyflieFormat(Format):
+    """A format of trajectories that are uploaded into a Crazyflie's memory."""
+
+    frames = ("enu", "nwu")
+    receiver_integral = True
+    feed_forward = (
+        "not in these files: the on-board controller takes acceleration from the curve and adds "
+        "gravity, but not the cable's pull; its integral brings drones to their places and leaves "
+        "the tension to the cables' lengths: stream full states (ros2bag), or turn it off and "
+        "export with --hold-tension"
+    )
+    kind: Kind  # of its pieces
+    smooth: int  # highest derivative that does not jump
+
+    def most_pieces(self, curves: PiecewisePolynomial) -> int:
+        """Return how many pieces of some curves memory holds."""
+        raise NotImplementedError
+
+    def upload(self, path: Path) -> Trajectory:
+        """Return what one drone's file holds; raise FileError of a damaged one."""
+        raise NotImplementedError
+
+    def load(self, files: Sequence[Path]) -> Recording:
+        """Return what files hold, one drone each."""
+        drones, findings = [self.upload(path) for path in files], []
+        for drone in drones:
+            if drone.size > BYTES:
+                words = f"{drone.curve.pieces} pieces take {drone.size} bytes, and a drone has "
+                words += f"{BYTES} for all its trajectories; refit it with fewer pieces, or cut it "
+                findings.append(error("memory", drone.name, f"{words}into parts"))
+        frames = sorted({drone.frame for drone in drones} - {""})
+        if len(frames) > 1:
+            findings.append(error("frame", "", f"files are in {' and '.join(frames)}"))
+        frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
+        return Recording.of_curves(drones, frame, self.smooth, findings)
+
+    def parts(self, task: Task) -> Iterator[Sequence[Task]]:
+        """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
+        breaks, counts = task.motion.drones.breaks, [1]
+        for share in (1.0, CLOSER):
+            parts = self._parts(task.motion, share)
+            if len(parts) in counts:
+                continue
+            counts.append(len(parts))
+            why = (
+                f"the plan is cut into {len(parts)} parts at rests, since as a whole it does not "
+                f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
+                "drones hover, goTo the point where each hovers, wait, only then upload the next "
+                "(uploads overwrite the memory that a finished trajectory is flown from), go on"
+            )
+            tasks = []
+            for i, (first, part) in enumerate(parts):
+                begins = float(breaks[first])
+                told = f"part {i + 1} of {len(parts)}, t = {begins:.3f} s to "
+                told += f"{begins + part.duration:.3f} s of the plan"
+                here = replace(task, motion=part, begins=begins, number=i + 1, part=told)
+                tasks.append(replace(here, notes=(*task.notes, f"{told}: {why}")))
+            yield tasks
+
+    def _parts(self, motion: Motion, share: float) -> list[tuple[int, Motion]]:
+        """Return the fewest parts between rests that memory holds, and the break of each start."""
+        parts, at, most = [], rests(motion).tolist(), self.most_pieces(motion.drones)
+
+        def held(part: Motion) -> bool:
+            return len(breaks_within(part.drones, self.kind, share, most)) - 1 <= most
+
+        while len(at) > 1:
+            tried = (cut(motion, at[0], end) for end in at[1:])
+            fitting = list(takewhile(held, tried))
+            if not fitting:
+                raise self.refusal(cut(motion, at[0], at[1]))
+            parts.append((at[0], fitting[-1]))
+            at = at[len(fitting) :]
+        return parts
+
+    def refusal(self, motion: Motion) -> InfeasibleError:
+        """Return the error that memory does not hold a motion."""
+        pieces = len(breaks_within(motion.drones, self.kind, 1.0)) - 1.0
+        when = f"for {motion.duration:.4g} s without a rest"
+        most, remedy = float(self.most_pieces(motion.drones)), "let the plan rest now and then"
+        return InfeasibleError(
+            [Violation("memory", pieces, most, "max", "pieces", (), when, remedy)],
+            "it can be cut at rests only; --format compressed holds three times as much as "
+            "crazyswarm2; or stream it: --format ros2bag (full-state setpoints), csv or "
+            "mavsdk_drone_show",
+        )
+
+
+POLY = Kind(degree=DEGREE, match=3, quantum=1.0 / 1024.0, longest=60.0, shortest=8.0 / 1024.0)
+"""Durations are exact in single precision; position, velocity and acceleration are continuous. A
+piece of a millisecond would have coefficients of 1e12, and their rounding jolts."""
+
+POWERS = tuple(f"{axis}^{i}" for axis in ("x", "y", "z", "yaw") for i in range(DEGREE + 1))
+HEADER = ",".join(("duration", *POWERS))
+PIECE_BYTES = 4 * (1 + len(POWERS))  # Size of a piece in the drone's memory [B]
+MOST = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
+LEAST = 2  # Rows of a file at least: the usual reader fails on one
+MAX_ROWS = 100_000  # Rows of a file that is read
+NOTHING = 1e-10  # Powers that never add more than this are left out [m]
+
+CLOSE = 1.0 - 1e-4  # Share of an ellipsoid's width within which drones, from above, block others
+LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
+
+
+class Crazyswarm2(CrazyflieFormat):
+    """One CSV per drone, crazyflies.yaml, fly.py and a note."""
+
+    name = "crazyswarm2"
+    file = "{name}.csv"
+    header = r"duration|([^,]*,){32}[^,]*$"  # or 33 columns of whatever
+    endings = several = (".csv",)
+    kind = POLY
+    smooth = 2
+    accuracy = 1e-3
+
+    def most_pieces(self, curves: PiecewisePolynomial) -> int:  # noqa: ARG002
+        """Return 31."""
+        return MOST
+
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write the best fit of at most 31 pieces, within a millimetre."""
+        breaks = best_breaks(task.motion.drones, POLY, MOST)
+        if len(breaks) - 1 > MOST:
+            raise self.refusal(task.motion)
+        if len(breaks) <= LEAST:
+            breaks = np.array([0.0, POLY.quantum * (breaks[-1] // (2 * POLY.quantum)), breaks[-1]])
+        curves = task.frame.placed(fitted(task.motion.drones, breaks, POLY))
+        powers = np.zeros((curves.pieces, len(task.names), 4, DEGREE + 1))
+        powers[:, :, :3] = to_powers(curves)
+        powers[:, :, 3, 0] = task.frame.heading
+        for i, file in enumerate(files := self.files(task)):
+            write_poly_csv(folder / file, curves.durations, powers[:, i], task.frame.name)
+        first, last = curves.coefficients[0, ..., 0], curves.coefficients[-1, ..., -1]
+        texts = start_files(task, first, last, curves.duration)
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8", newline="\n")
+        used = curves.pieces * PIECE_BYTES
+        words = f"{curves.pieces} pieces, {used} of {BYTES} bytes of each drone's memory"
+        warnings = (*_stacked(task, first, "take off from"), *_stacked(task, last, "land on"))
+        return Written((*files, *texts), (words, *warnings))
+
+    def upload(self, path: Path) -> Trajectory:
+        """Return the pieces of one drone, in single precision as it holds them."""
+        first, *lines = [*read_text(path).splitlines(), ""]
+        header, _, comment = first.partition("#")
+        if len(lines) > MAX_ROWS:
+            raise FileError(f"{path}: has more than {MAX_ROWS} rows")
+        rows = [line.partition("#")[0].strip().rstrip(",") for line in lines]
+        table = read_columns(rows, HEADER, HEADER.split(","), str(path), least=1)
+        with np.errstate(over="ignore"):  # reported below
+            table = table.astype(np.float32).astype(np.float64)
+        if not np.all(np.isfinite(table)):
+            words = "a number is beyond single precision, which is what drones hold"
+            raise FileError(f"{path}: {words}")
+        if np.any(wrong := table[:, 0] <= 0.0):
+            row = int(np.argmax(wrong))
+            raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")
+        durations, powers = table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1)
+        faults = []
+        if len(table) < LEAST:
+            words = "the usual reader fails on it; split the piece"
+            faults.append(error("one row", path.stem, words))
+        if re.match(r"\s*[-+.]?\d", header):
+            words = "has none: readers skip the first line, and with it the first piece; put a line"
+            faults.append(error("header", path.stem, f"{words} of names before it"))
+        with reading(path, "table of polynomials"):
+            curves = of_powers(durations, powers)
+        left, right = curves.ends()
+        jumps = np.abs(np.angle(np.exp(1j * (left[1:, 3] - right[:-1, 3]))))  # no whole turns
+        if np.max(jumps, initial=0.0) > STEADY:
+            joint = int(np.argmax(jumps))
+            words = f"yaw jumps by {math.degrees(jumps[joint]):.3g}° at "
+            words += f"t = {curves.breaks[joint + 1]:.4g} s; let every piece begin with the yaw at "
+            faults.append(warning("jump", path.stem, f"{words}which the one before ends"))
+        frame, places = comment.partition("frame:")[2].strip(), curves.coefficients[:, :3]
+        curve = PiecewisePolynomial(curves.breaks, places)
+        return Trajectory(path.stem, curve, len(table) * PIECE_BYTES, frame, tuple(faults))
+
+
+def to_powers(curves: PiecewisePolynomial) -> Array:
+    """Return ascending powers of seconds (pieces, D, 3, 8) of curves (D, 3) of degree 7."""
+    basis = BPoly(np.moveaxis(curves.coefficients, -1, 0), curves.breaks)
+    powers = np.moveaxis(PPoly.from_bernstein_basis(basis).c[::-1], 0, -1)
+    local = powers * curves.durations[:, None, None, None] ** np.arange(DEGREE + 1)
+    return np.where(np.abs(local) < NOTHING, 0.0, powers)  # differences that are rounding alone
+
+
+def of_powers(durations: Array, powers: Array) -> PiecewisePolynomial:
+    """Return the curves (4,) of ascending powers (pieces, 4, 8) of seconds."""
+    breaks = np.concatenate([[0.0], np.cumsum(durations)])
+    basis = BPoly.from_power_basis(PPoly(np.moveaxis(powers, -1, 0)[::-1], breaks))
+    return PiecewisePolynomial(breaks, np.moveaxis(basis.c, 0, -1))
+
+
+def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:
+    """Write one drone's pieces, (rows,) and (rows, 4, 8); the header names the frame."""
+    rows = np.column_stack([durations, powers.reshape(len(durations), -1)])
+    single = rows.astype(np.float32).astype(np.float64) + 0.0  # no negative zeros
+    header = f"{HEADER}  # frame: {frame}"
+    np.savetxt(path, single, "%.9g", ",", header=header, comments="", encoding="ascii")
+
+
+def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[str, str]:
+    """Return crazyflies.yaml (fileversion 3), fly.py and README.txt by their names.
+
+    Trajectories lead from ``first`` (D, 3) [m], with drones on the floor below, to ``last``.
+    """
+    fleet, frame, texts = task.fleet, task.frame.name, json.loads(_template("crazyswarm2.json"))
+    robots = [
+        # ROS refuses lists that mix integers and floats, so every number has a point.
+        f"  {member.name}: {{enabled: true, uri: {json.dumps(member.uri)}, "
+        f"initial_position: [{x:.6f}, {y:.6f}, 0.0], type: {json.dumps(member.type)}, "
+        f"role: {member.role}}}"
+        for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True)
+    ]
+    types = [
+        f"  {json.dumps(name)}: {json.dumps(fleet.types.get(name, texts['type']))}"
+        for name in dict.fromkeys(member.type for member in fleet.members)
+    ]
+    places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
+    place = f"This is {task.part}.\n" if task.part else ""
+    hint = " (its radio addresses are placeholders: name yours with --fleet when exporting)"
+    common = {"frame": frame, "duration": duration}
+    return {
+        "crazyflies.yaml": _template("crazyflies.txt").format(
+            robots="\n".join(robots),
+            types="\n".join(types),
+            all=json.dumps(fleet.settings or texts["all"]),
+            **common,
+        ),
+        "fly.py": _template("fly_script.txt").format(
+            title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
+            place=place,
+            heading=task.frame.heading,
+            first=json.dumps(places, indent=4),
+            height=round(float(np.min(first[:, 2])), 3),
+            land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
+            **common,
+        ),
+        "README.txt": _template("start_note.txt").format(
+            title=task.title or "A plan of hitchopt",
+            place=f"\n{place}{texts['parts']}\n" if place else "",
+            placeholders="" if fleet.given else hint,
+            pull=texts["held_pull" if task.options.hold_tension else "pull"],
+            **common,
+        ),
+    }
+
+
+def _template(name: str) -> str:
+    """Return the text of a file beside this module, with fields in braces."""
+    return (resources.files(__package__) / name).read_text(encoding="utf-8")
+
+
+def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
+    """Give a warning where drones start, or land, below one another: fly.py goes straight up."""
+    width = 2.0 * task.motion.requirements.separation.radius
+    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(CLOSE * width))[:1]:
+        words = (
+            f"{task.names[i]} and {task.names[j]}, perhaps others too, would {what} one place, as"
+        )
+        yield f"{words} one is above the other: bring them there one by one, not with fly.py"
+
+
+MILLI = 1e-3  # Unit of durations [s] and control points [m]
+POINTS = (0, 1, 3, DEGREE)  # Control points that a segment of each type gives for an axis
+LARGEST = 32.767  # Largest distance of a control point from zero along an axis [m]
+HEADER_BYTES, START_BYTES = 3, 8
+END = b"\x00\x00\x00"  # The segment of no duration
+
+SEGMENT = Kind(degree=DEGREE, match=3, quantum=MILLI, longest=65.535)
+ROUNDING = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors that weigh alike
+
+
+class CompressedBytes(CrazyflieFormat):
+    """One file of bytes per drone, whose name tells the frame as the bytes cannot."""
+
+    name = "compressed"
+    file = "{name}_{frame}.bin"
+    endings = several = (".bin",)
+    kind = SEGMENT
+    smooth = 1  # velocity jumps too, by a few mm/s: see the velocity error
+    accuracy = 2e-3
+    bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long pieces fit worse and suffer less from rounding
+
+    def most_pieces(self, curves: PiecewisePolynomial) -> int:
+        """Return how many segments memory holds: they are longer the more axes move."""
+        moving = np.ptp(curves.coefficients, axis=(0, 3)) > 0.0
+        axes = max(1, int(np.max(np.sum(moving, axis=-1))))
+        return (BYTES - START_BYTES - len(END)) // (HEADER_BYTES + 2 * DEGREE * axes)
+
+    def write(self, folder: Path, task: Task) -> Written:
+        """Write the bytes of every drone, refitted within the task's bound and rounded."""
+        breaks = breaks_within(task.motion.drones, SEGMENT, task.bound)
+        whole = rounded(
+            task.frame.placed(fitted(task.motion.drones, breaks, SEGMENT)), MILLI, ROUNDING
+        )
+        durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
+        points = np.rint(whole.coefficients / MILLI).astype(np.int64)
+        most = 0
+        for i, file in enumerate(files := self.files(task)):
+            data = encoded(durations, points[:, i], task.frame.heading)
+            (folder / file).write_bytes(data)
+            most = max(most, len(data))
+        if most > BYTES:
+            raise self.refusal(task.motion)
+        note = (
+            f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps "
+            "where segments join by no more than twice the velocity error above"
+        )
+        return Written(files, (note,))
+
+    def upload(self, path: Path) -> Trajectory:
+        """Return one drone's trajectory up to its end, or that of the bytes."""
+        with reading(path, "trajectory of bytes"):
+            if path.stat().st_size > 16 * BYTES:
+                raise FileError(f"is far larger than a drone's memory of {BYTES} bytes")
+            curve, yaws, ended, size = decoded(path.read_bytes())
+        stem, _, frame = path.stem.rpartition("_")
+        name, frame = (stem, frame) if stem and frame in AXES else (path.stem, "")
+        faults = []
+        if not ended:
+            words = (
+                "no segment of no duration ends it: the drone flies on into earlier contents of "
+            )
+            faults.append(error("end marker", name, f"{words}its memory; append three zero bytes"))
+        if (turn := math.radians(0.1 * float(np.ptp(yaws)))) > STEADY:
+            words = (
+                f"turns by {math.degrees(turn):.3g}°; firmware up to 2026.04 flies changing yaw "
+            )
+            faults.append(warning("yaw", name, f"{words}wrongly; keep it constant"))
+        if np.max(np.abs(curve.coefficients)) > LARGEST - 0.5 * MILLI:
+            words = f"a control point is at the end of ±{LARGEST} m: it may have been cut off there"
+            faults.append(error("range", name, f"{words}; move the origin"))
+        return Trajectory(name, curve, size, frame, tuple(faults))
+
+
+def encoded(durations: NDArray[np.int64], points: NDArray[np.int64], heading: float) -> bytes:
+    """Return the bytes of one drone: durations [ms], a constant heading [rad].
+
+    ``points`` (segments, 3, 8) are Bézier control points [mm], each segment from where the last
+    ended.
+    """
+    if (farthest := float(np.max(np.abs(points))) * MILLI) > LARGEST:
+        remedy = "move the plan with --origin"
+        raise InfeasibleError([Violation("range", farthest, LARGEST, "max", "m", (), "", remedy)])
+    yaw = round(math.degrees(heading) * 10.0)
+    parts = [struct.pack("<hhhh", *points[0, :, 0].tolist(), yaw)]
+    for duration, segment in zip(durations.tolist(), points, strict=True):
+        moving = np.ptp(segment, axis=-1) > 0  # what stays needs no points, all else has 7
+        kind = sum(POINTS.index(DEGREE) << (2 * i) for i in np.flatnonzero(moving).tolist())
+        values = segment[moving, 1:].astype("<i2").tobytes()
+        parts.append(struct.pack("<BH", kind, duration) + values)
+    return b"".join([*parts, END])
+
+
+def decoded(data: bytes) -> tuple[PiecewisePolynomial, list[int], bool, int]:
+    """Return positions (3,) [m], all yaws [0.1°], whether bytes end it, and how many are read."""
+    if len(data) < START_BYTES:
+        raise FileError(f"has {len(data)} bytes, and the start alone takes {START_BYTES}")
+    *last, yaw = struct.unpack_from("<hhhh", data)
+    at, yaws, durations, segments = START_BYTES, [yaw], list[int](), list[list[Array]]()
+    while at < len(data):
+        if at + HEADER_BYTES > len(data):
+            raise FileError(f"stops within a segment's header, at byte {at}")
+        kind, duration = struct.unpack_from("<BH", data, at)
+        at += HEADER_BYTES
+        if duration == 0:
+            break
+        counts = [POINTS[(kind >> (2 * i)) & 3] for i in range(4)]
+        if at + 2 * sum(counts) > len(data):
+            raise FileError(f"stops within segment {len(durations)}, at byte {len(data)}")
+        values = struct.unpack_from(f"<{sum(counts)}h", data, at)
+        at += 2 * sum(counts)
+        *axes, turns = np.split(np.array(values, dtype=np.float64), np.cumsum(counts)[:-1])
+        axes = [np.append(start, axis) for start, axis in zip(last, axes, strict=True)]
+        last = [axis[-1] for axis in axes]
+        yaws += turns.tolist()
+        durations.append(duration)
+        segments.append([bernstein.elevate(axis, DEGREE) for axis in axes])
+    if not durations:
+        raise FileError("has no segment that lasts")
+    breaks = np.concatenate([[0], np.cumsum(durations)]) * MILLI
+    return PiecewisePolynomial(breaks, np.array(segments) * MILLI), yaws, duration == 0, at
