@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 ROWS, STUDY, FORMAT = "rows.jsonl", "study.json", "hitchopt-sweep/1"
 
-MEASURED = "time."  # Beginning of the columns that differ from run to run
-
 # Beginnings of the columns whose medians are told
 FIGURES = ("duration", "check.", "simulate.", "time.")
 

@@ -126,7 +126,11 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
     assert replace(tray, turned=40.0).well_placed
     assert not replace(tray, turned=40.0, round=False).well_placed
     assert not replace(tray, tilted=6.0).well_placed
-    cargo = flight.task.cargo  # and if it was not to be moved
+    cargo = flight.task.cargo
+    aside = replace(flight.task, cargo=replace(cargo, poses=cargo.poses + 0.01))
+    (slid,) = judge(replace(flight, task=aside)).objects  # from where it was as it was lifted
+    assert slid.slipped == pytest.approx(tray.slipped)
+    # And if it was not to be moved:
     none = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "borne")}
     standing = replace(cargo, **none, poses=np.repeat(cargo.poses[:1], len(cargo.poses), axis=0))
     outcome = judge(replace(flight, task=replace(flight.task, cargo=standing)))

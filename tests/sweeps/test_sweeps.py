@@ -20,7 +20,7 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
 from hitchopt.sweeps.study import study_from_dict
-from hitchopt.sweeps.sweep import MEASURED, ROWS, Share, load_sweep, summary, write_row
+from hitchopt.sweeps.sweep import ROWS, Share, load_sweep, summary, write_row
 from hitchopt.sweeps.work import SETTINGS, row_of
 
 STUDY: dict[str, Any] = {
@@ -31,7 +31,7 @@ STUDY: dict[str, Any] = {
 
 
 def fixed(rows: pandas.DataFrame) -> pandas.DataFrame:
-    return rows[[name for name in map(str, rows.columns) if not name.startswith(MEASURED)]]
+    return rows[[name for name in map(str, rows.columns) if not name.startswith("time.")]]
 
 
 @pytest.fixture(scope="module")
