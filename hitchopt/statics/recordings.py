@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 from hitchopt.errors import FileError, OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.simulation.judgement import STILL, TIGHT, Spread
+from hitchopt.simulation.judgement import TIGHT
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
@@ -96,10 +96,9 @@ def _simulated(path: Path, team: Team) -> tuple[Any, ...]:
     """Return density, feed-forward and integral action of a simulated flight from its summary."""
     try:
         content = parsed_json(path.read_text(encoding="utf-8"))
-        loops = content["position_loops"]
-        feeds = np.array(loops["feed_forward"], np.float64).reshape(team.drones) > 0.0
-        winds = np.array(loops["integral"], np.float64).reshape(team.drones) > 0.0
-        return float(content["density"]["simulated"]), feeds, winds
+        loops = [content["position_loops"][name] for name in ("feed_forward", "integral")]
+        on = np.array(loops, np.float64).reshape(2, team.drones) > 0.0
+        return float(content["density"]["simulated"]), *on
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FileError(
             f"{path}: not a summary of this plan's flight; simulate again ({error})"
@@ -107,35 +106,31 @@ def _simulated(path: Path, team: Team) -> tuple[Any, ...]:
 
 
 def _rows(path: Path, kind: str, names: Any) -> Array:
-    """Return (rows, 5): time, index of the name in column ``kind``, and position.
+    """Return (rows, 5): time, index of the name in column ``kind``, and position; else a FileError.
 
     Rows of other names are left out.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FileError(f"{path}: is larger than {MAX_BYTES:.0e} bytes; record at a lower rate")
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            titles = [title.strip() for title in next(csv.reader(file), [])]
-            lines = list(csv.DictReader(file, titles, restval="missing"))
-    except FileNotFoundError:
-        raise FileError(f"{path}: there is no such file; give a recording") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileError(f"{path}: cannot be read as a table: {error}") from error
-    for title in ("t", kind, "x", "y", "z"):
-        if title not in titles:
-            raise FileError(f"{path}: has no column {title!r}; a recording has {HEADER}")
     index = {name: float(i) for i, name in enumerate(names)}
     try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"it is larger than {MAX_BYTES:.0e} bytes; record at a lower rate")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            titles, *lines = [[x.strip() for x in line] for line in csv.reader(file) if line] or [
+                []
+            ]
+        time, name, *place = map(titles.index, ("t", kind, "x", "y", "z"))
         cells = [
-            [float(line["t"]), index[line[kind].strip()], *(float(line[c] or "nan") for c in "xyz")]
+            [float(line[time]), index[line[name]], *(float(line[c] or "nan") for c in place)]
             for line in lines
-            if line[kind].strip() in index
+            if line[name] in index
         ]
-    except (ValueError, TypeError, AttributeError) as error:
-        raise FileError(f"{path}: holds a row that is not of numbers: {error}") from error
-    rows = np.array(cells, np.float64).reshape(-1, 5)
-    if not np.all(np.isfinite(rows[:, 0])):
-        raise FileError(f"{path}: holds a time that is not finite; give every row its time")
+        rows = np.array(cells, np.float64).reshape(-1, 5)
+        if not np.all(np.isfinite(rows[:, 0])):
+            raise ValueError("a time is not finite")
+    except FileNotFoundError:
+        raise FileError(f"{path}: there is no such file; give a recording") from None
+    except (OSError, ValueError, IndexError, csv.Error) as error:
+        raise FileError(f"{path}: is no table of {HEADER} in numbers: {error}") from error
     return rows
 
 
@@ -161,30 +156,19 @@ class Comparison:
     t: (samples,) [s]
     vertices: (samples, points) [m], nan where there is no hitch, drawn tight, or none was seen.
     drones: (samples, 2n) [m]
-    moving: whether the plan moves a drone (samples,).
     """
 
     t: Array
     vertices: Array
     drones: Array
-    moving: NDArray[np.bool_]
 
-    def spreads(self, errors: Array) -> list[tuple[Spread, Spread, Spread]]:
-        """Return the spreads of each column: over all samples, at rest, and moving."""
-        return [
-            (Spread.of(e), Spread.of(e[~self.moving]), Spread.of(e[self.moving])) for e in errors.T
-        ]
-
-
-def compare(recording: Recording, task: Task) -> Comparison:
-    """Return how far a recording is from its plan."""
-    t, places = recording.t, task.setpoints.positions
-    off = length(recording.vertices - planned(task, t, task.vertices))
-    vertices = np.where(_tight(task, t, TIGHT)[:, None], off, np.nan)
-    steps = np.max(np.abs(np.diff(places, axis=0)), axis=(1, 2))
-    step = np.clip(np.searchsorted(task.t - task.t[0], t, "right") - 1, 0, len(steps) - 1)
-    moving = (steps[step] > STILL) & (t >= 0.0) & (t <= task.duration)
-    return Comparison(t, vertices, length(recording.drones - planned(task, t, places)), moving)
+    @classmethod
+    def of(cls, recording: Recording, task: Task) -> Comparison:
+        """Return how far a recording is from its plan."""
+        t, places = recording.t, task.setpoints.positions
+        off = length(recording.vertices - planned(task, t, task.vertices))
+        vertices = np.where(_tight(task, t, TIGHT)[:, None], off, np.nan)
+        return cls(t, vertices, length(recording.drones - planned(task, t, places)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,16 +179,14 @@ class Windows:
     ----------
     t: means of the times (windows,) [s].
     drones, vertices: measured (windows, 2n, 3), (windows, points, 3) [m].
-    commanded: set points (windows, 2n, 3) [m].
-    planned: planned vertices (windows, points, 3) [m].
-    cable_forces: of the set points (windows, 2n, 3) [N].
-    tensions: planned (windows, n) [N].
+    positions, planned: set points (windows, 2n, 3), planned vertices (windows, points, 3) [m].
+    cable_forces, tensions: of the set points (windows, 2n, 3), planned (windows, n) [N].
     """
 
     t: Array
     drones: Array
     vertices: Array
-    commanded: Array
+    positions: Array
     planned: Array
     cable_forces: Array
     tensions: Array

@@ -11,7 +11,7 @@ without friction, in small steps of the share of friction that is used, by Newto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,17 +25,15 @@ from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.statics.energy import SAG_RATIO, Cables, HitchEnergy, rubbing_nodes, settled_nodes
+from hitchopt.statics.energy import HitchEnergy
 from hitchopt.values import Array, Indices, instance
 
-FRICTION = (
-    "tensions are those without friction at the clasps: where the cable bends by β they may differ "
-    "by a factor of up to exp(friction·β); each vertex rests somewhere in its band"
-)
-"""What is to be known of a team whose cables rub."""
+POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
+"""Least positive and largest finite number."""
 
-POSITIVE = float(np.finfo(np.float64).tiny)
-"""Least positive number."""
+PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
+SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
+"""What the plan says, and conditions that may differ from sample to sample, with their axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +78,17 @@ class Conditions:
         InputError: another shape, or a number that is not finite or out of its range.
         """
         found, drones = {}, (team.drones,)
-        for name, shape, least, sampled in (
-            ("cable_length", (team.robots,), POSITIVE, True),
-            ("cable_density", (), 0.0, False),
-            ("load", (len(team.layout.clasps),), 0.0, False),
-            ("stiffness", drones, POSITIVE, False),
-            ("integral", drones, 0.0, False),
-            ("feed_forward", drones, 0.0, False),
-            ("offsets", (*drones, 3), -np.inf, True),
-            ("forces", (*drones, 3), -np.inf, True),
-            ("axial_stiffness", (), POSITIVE, False),
-            ("friction", (), 0.0, False),
+        for name, shape, least in (
+            ("cable_length", (team.robots,), POSITIVE),
+            ("cable_density", (), 0.0),
+            ("load", (len(team.layout.clasps),), 0.0),
+            ("stiffness", drones, POSITIVE),
+            ("integral", drones, 0.0),
+            ("feed_forward", drones, 0.0),
+            ("offsets", (*drones, 3), -np.inf),
+            ("forces", (*drones, 3), -np.inf),
+            ("axial_stiffness", (), POSITIVE),
+            ("friction", (), 0.0),
         ):
             given = getattr(self, name)
             if given is None:
@@ -98,9 +96,9 @@ class Conditions:
             values = np.asarray(given, np.float64)
             if values.ndim == 0:
                 values = np.broadcast_to(values, shape)
-            split = values.ndim - len(shape) if sampled else 0
-            largest = np.inf if name == "stiffness" else np.finfo(np.float64).max
-            if values.shape[split:] != shape or not np.all((values >= least) & (values <= largest)):
+            own = values.shape[values.ndim - len(shape) :] if name in SAMPLED else values.shape
+            largest = np.inf if name == "stiffness" else LARGEST
+            if own != shape or not np.all((values >= least) & (values <= largest)):
                 size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
                 array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
                 bound = f"one {size}number{array}"
@@ -110,17 +108,9 @@ class Conditions:
         return found
 
     def notes(self, team: Team) -> tuple[str, ...]:
-        """Return why the plan does not determine the tensions, and what else is to be known."""
-        found = self.of(team)
-        notes = undetermined_tension(
-            integral=bool(np.any(found["integral"])),
-            feed_forward=bool(np.all(found["feed_forward"])),
-        )
-        return (*notes, FRICTION) if found["friction"] > 0.0 else notes
-
-
-SLACK_SHARE = 1e-6
-"""Tension over the planned one up to which a cable is slack, its length not compared."""
+        """Return why the plan does not determine the tensions."""
+        winds, feeds = (self.of(team)[name] for name in ("integral", "feed_forward"))
+        return undetermined_tension(integral=bool(np.any(winds)), feed_forward=bool(np.all(feeds)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +126,8 @@ class Settled(OneLine):
     rests: (…, 2, points, 3) [m], where vertices rest with clasps' friction fully used, legs pulling
         less than edges and more; both are ``vertices`` without friction, nan where none is found.
     tensions: (…, n) [N], at the heights of the edges' middles.
-    slack: (…, n) whether a cable is slack: it does not pull, or hangs by more than a quarter of one
-        of its spans.
+    slack: (…, n) whether a cable is slack: it does not pull, or hangs by more than a quarter of its
+        longest span.
     bears: (…, clasps) whether the two cables of a clasp press on each other.
     planned_drones, planned_vertices, planned_tensions: what the plan says at those times.
     force_residual: (…) [N], the largest force without balance at a drone or a clasp.
@@ -161,8 +151,7 @@ class Settled(OneLine):
     @property
     def displacements(self) -> Array:
         """(…, points) [m]: distance of every vertex from the planned one."""
-        found: Array = np.linalg.norm(self.vertices - self.planned_vertices, axis=-1)
-        return found
+        return length(self.vertices - self.planned_vertices)
 
     @property
     def band(self) -> Array:
@@ -171,17 +160,15 @@ class Settled(OneLine):
         Outside is away from the neighbouring vertices, along the bisector; inside is negative. The
         band is infinite where no rest is found with friction fully used in that sense.
         """
-        ahead = unit(np.roll(self.planned_vertices, -1, axis=-2) - self.planned_vertices)
+        planned = self.planned_vertices[..., None, :, :]
+        ahead = unit(np.roll(planned, -1, axis=-2) - planned)
         behind = -np.roll(ahead, 1, axis=-2)
         if not self.team.layout.closed:
             ahead[..., -1, :] = behind[..., 0, :] = 0.0
-        outward = unit(-(ahead + behind))
         places = np.concatenate([self.vertices[..., None, :, :], self.rests], axis=-3)
-        out = np.moveaxis(
-            dot(places - self.planned_vertices[..., None, :, :], outward[..., None, :, :]), -2, -1
-        )
-        least = np.min(np.where(np.isnan(out), -np.inf, out), axis=-1)
-        most = np.max(np.where(np.isnan(out), np.inf, out), axis=-1)
+        out = dot(places - planned, unit(-(ahead + behind)))
+        least = np.min(np.where(np.isnan(out), -np.inf, out), axis=-2)
+        most = np.max(np.where(np.isnan(out), np.inf, out), axis=-2)
         return np.stack([least, most], axis=-1)
 
     @property
@@ -204,14 +191,18 @@ def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str,
 LARGEST_RESIDUAL = 1e-6
 """[N] Largest force without balance of a solution that is returned."""
 
-NO_LEG = 1e-4
-"""[m] Length below which a leg has no direction: its drone has come to its vertex."""
+SAG_RATIO = 4.0
+"""A cable is slack where a level span as long as its longest one would hang by more than its chord
+over this number."""
+
+SLACK_SHARE = 1e-6
+"""Tension over the planned one up to which a cable is slack whatever its weight."""
 
 BLOCK = 4000
 """Cables of all samples that are solved for at once, which bounds the memory."""
 
 
-def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
+def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     """Return where drones and vertices of a plan's hitch come to rest, and with what tensions.
 
     Drones stand at their set points, offset by ``(F + cable force)/k``: k is the stiffness of their
@@ -220,7 +211,7 @@ def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
 
     Parameters
     ----------
-    plan: with a hitch at all these times.
+    plan: with a hitch at all these times; or its motion.
     t: (…) [s]; its axes broadcast with those of the conditions.
     conditions: the keywords of ``Conditions``, all optional: ``cable_length``, ``cable_density``,
         ``load``, ``stiffness``, ``integral``, ``feed_forward``, ``offsets``, ``forces``,
@@ -229,31 +220,27 @@ def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
     Raises
     ------
     InputError: a time without hitch, or a condition that is wrong in itself.
-    UnsupportedError: single drones.
+    UnsupportedError: single drones, or objects that are carried.
     InfeasibleError: no rest is found.
     """
-    instance("plan", plan, Plan)
-    return settle_motion(plan.motion, t, Conditions(**conditions))
-
-
-def settle_motion(motion: Motion, t: ArrayLike, conditions: Conditions) -> Settled:
-    """Return where the hitch of a motion comes to rest; see ``settle``."""
-    shape, samples = samples_of(motion, t, conditions)
+    instance("plan", plan, Plan, Motion)
+    motion, given = plan.motion if isinstance(plan, Plan) else plan, Conditions(**conditions)
+    shape, samples = samples_of(motion, t, given)
     size = max(1, BLOCK // motion.team.robots)
-    starts = range(0, len(samples[0]), size)
-    blocks = [_settled(motion, conditions, [v[i : i + size] for v in samples]) for i in starts]
-    joined = [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
-    return Settled(motion.team, *(v.reshape((*shape, *v.shape[1:])) for v in joined))
+    blocks = [
+        _rest(motion.team, given, {name: v[i : i + size] for name, v in samples.items()})
+        for i in range(0, len(samples["t"]), size)
+    ]
+    found = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    return Settled(motion.team, **{k: v.reshape((*shape, *v.shape[1:])) for k, v in found.items()})
 
 
 def samples_of(
     motion: Motion, t: ArrayLike, conditions: Conditions
-) -> tuple[tuple[int, ...], list[Array]]:
-    """Return the shape of times and conditions together, and the arrays (S, …) of all samples.
+) -> tuple[tuple[int, ...], dict[str, Array]]:
+    """Return the shape of times and conditions together, and what all samples (S, …) have.
 
-    The arrays are times [s], the plan's positions (2n, 3), vertices (points, 3) [m], tensions (n)
-    and cable forces (2n, 3) [N], then lengths (n), offsets (2n, 3) [m] and forces (2n, 3) [N] of
-    the conditions.
+    That is by name, as of ``States`` and ``Conditions``: PLANNED and SAMPLED.
 
     Raises
     ------
@@ -271,87 +258,84 @@ def samples_of(
     if np.any(carrying):
         when = f"t = {float(states.t[carrying].flat[0]):.4g} s"
         raise UnsupportedError(f"{when}: statics do not know of objects that a hitch carries")
-    planned = states.positions, states.vertices, states.tensions, states.cable_forces
-    values = [states.t, *planned, *(known[name] for name in ("cable_length", "offsets", "forces"))]
-    split = [v.ndim - axes for v, axes in zip(values, (0, 2, 2, 1, 2, 1, 2, 2), strict=True)]
-    shape = np.broadcast_shapes(*(v.shape[:k] for v, k in zip(values, split, strict=True)))
-    return shape, [
-        np.broadcast_to(v, (*shape, *v.shape[k:])).reshape((-1, *v.shape[k:]))
-        for v, k in zip(values, split, strict=True)
-    ]
+    axes = PLANNED | SAMPLED
+    values = {name: vars(states)[name] if name in PLANNED else known[name] for name in axes}
+    own = {name: v.shape[v.ndim - axes[name] :] for name, v in values.items()}
+    shape = np.broadcast_shapes(*(v.shape[: v.ndim - axes[k]] for k, v in values.items()))
+    return shape, {
+        name: np.broadcast_to(v, (*shape, *own[name])).reshape((-1, *own[name]))
+        for name, v in values.items()
+    }
 
 
-def energy_of(
-    team: Team, conditions: Conditions, samples: Sequence[Array]
-) -> tuple[HitchEnergy, Array]:
-    """Return the energy of samples, see ``samples_of``, and the nodes to start from [m]."""
-    layout, known = team.layout, conditions.of(team)
+def energy_of(team: Team, conditions: Conditions, samples: Mapping[str, Array]) -> HitchEnergy:
+    """Return the energy of samples, see ``samples_of``."""
+    layout, known, cables = team.layout, conditions.of(team), np.arange(team.robots)
     clasps = team.drones + np.arange(len(layout.clasps))
-    _, drones, vertices, tensions, cable_forces, lengths, offsets, forces = samples
     points = np.zeros(layout.points, dtype=np.intp)
     points[-1] = team.drones - 1  # a chain's ends are its outer drones, nodes 0 and this
     points[layout.clasps] = clasps
-    cables = np.arange(team.robots)
     ends = points[layout.starts], points[layout.ends]
     nodes = np.column_stack([2 * cables, *ends, 2 * cables + 1])
-    at = np.concatenate([drones, vertices[:, layout.clasps]], axis=1)[:, nodes]
+    drones, vertices = samples["positions"], samples["vertices"][:, layout.clasps]
+    at = np.concatenate([drones, vertices], axis=1)[:, nodes]
     weight = GRAVITY * float(known["cable_density"])
-    law = Cables(
-        np.insert(layout.has_leg, 1, True, axis=1),
-        lengths,
-        weight,
-        team.cable_length / known["axial_stiffness"],
-        tensions,
-        0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
-        weight * SAG_RATIO / 8.0 * np.max(length(np.diff(at, axis=2)), axis=-1),
-    )
     held = np.isinf(known["stiffness"])
-    places = drones + offsets
-    start = np.concatenate([places, vertices[:, layout.clasps]], axis=1)
-    loads = np.zeros(start.shape)
-    loads[:, : team.drones] = forces - known["feed_forward"][:, None] * cable_forces
+    loads = np.zeros((len(at), team.drones + len(clasps), 3))
+    fed = known["feed_forward"][:, None] * samples["cable_forces"]
+    loads[:, : team.drones] = samples["forces"] - fed
     loads[:, team.drones :, 2] = -GRAVITY * known["load"]
-    free = np.append(~held, np.ones(len(clasps), dtype=np.bool_))
-    stiffness = np.where(held, 0.0, known["stiffness"])
-    return HitchEnergy(nodes, points, free, law, places, stiffness, loads), start
+    return HitchEnergy(
+        nodes,
+        exist=np.insert(layout.has_leg, 1, True, axis=1),
+        points=points,
+        free=np.append(~held, np.ones(len(clasps), dtype=np.bool_)),
+        start=np.concatenate([drones + samples["offsets"], vertices], axis=1),
+        stiffness=np.where(held, 0.0, known["stiffness"]),
+        loads=loads,
+        lengths=samples["cable_length"],
+        weight=weight,
+        compliance=team.cable_length / known["axial_stiffness"],
+        reference=samples["tensions"],
+        heights=0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
+        least=weight * SAG_RATIO / 8.0 * np.max(length(np.diff(at, axis=2)), axis=-1),
+    )
 
 
-def _settled(motion: Motion, conditions: Conditions, samples: Sequence[Array]) -> list[Array]:
-    """Return the arrays of ``Settled`` for some samples, in order."""
-    energy, start = energy_of(motion.team, conditions, samples)
-    law, x = energy.law, settled_nodes(energy, start)
-    ends = x[:, energy.nodes]
-    T = law.tensions(ends)
-    _, sizes, heights = law.spans(ends)
+def _rest(
+    team: Team, conditions: Conditions, samples: Mapping[str, Array]
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of ``Settled`` for some samples."""
+    energy = energy_of(team, conditions, samples)
+    x = energy.settled()
     force = np.max(length(energy.slopes(x)), axis=1)
     if not np.max(force) <= LARGEST_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
-        remedy = "give drones a stiffness, or cables more length"
-        short = np.min(np.where(law.exist, sizes[worst], np.inf), axis=-1)
-        if np.min(short) < NO_LEG:
-            cable = int(np.argmin(short))
-            remedy = f"lead its drones farther out: a leg of cable c{cable} has no length left"
-        when = f"at t = {samples[0][worst]:.4g} s"
-        found = "settling", float(force[worst]), LARGEST_RESIDUAL, "max", "N", (), when, remedy
-        raise InfeasibleError([Violation(*found)], "the hitch finds no rest under these conditions")
-    missing = law.forces(ends, T)[1] - law.lengths - law.compliance * (T - law.reference)
-    pulling = SLACK_SHARE * law.reference < T
-    taut = pulling & (law.least < T)
-    friction, points = float(conditions.of(motion.team)["friction"]), energy.points
-    rests = [rubbing_nodes(energy, x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
-    tensions = T + law.weight * heights[..., 1]
-    return [
-        samples[0],
-        x[:, : energy.drones],
-        x[:, points],
-        np.stack(rests, axis=1),
-        tensions,
-        ~pulling | law.hanging(ends, T),
-        _bearing(motion.team, energy, x, np.where(pulling, tensions, 0.0)),
-        *samples[1:4],
-        force,
-        np.max(np.where(taut, np.abs(missing), 0.0), axis=-1),
-    ]
+        when, words = f"at t = {samples['t'][worst]:.4g} s", "finds no rest under these conditions"
+        remedy = "give drones a stiffness, cables more length, or lead drones farther from vertices"
+        broken = "settling", float(force[worst]), LARGEST_RESIDUAL, "max", "N", (), when, remedy
+        raise InfeasibleError([Violation(*broken)], f"the hitch {words}")
+    T, ends, points = energy.tensions(x), x[:, energy.nodes], energy.points
+    missing = energy.forces(ends, T)[1] - energy.lengths
+    missing -= energy.compliance * (T - energy.reference)
+    slack = np.maximum(energy.least, SLACK_SHARE * energy.reference) >= T
+    tensions = T + energy.weight * energy.spans(ends)[2][..., 1]
+    friction = float(conditions.of(team)["friction"])
+    rests = [energy.rubbing(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
+    return {
+        "t": samples["t"],
+        "drones": x[:, : energy.drones],
+        "vertices": x[:, points],
+        "rests": np.stack(rests, axis=1),
+        "tensions": tensions,
+        "slack": slack,
+        "bears": _bearing(team, energy, x, np.where(slack, 0.0, tensions)),
+        "planned_drones": samples["positions"],
+        "planned_vertices": samples["vertices"],
+        "planned_tensions": samples["tensions"],
+        "force_residual": force,
+        "length_residual": np.max(np.where(slack, 0.0, np.abs(missing)), axis=-1),
+    }
 
 
 def _bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDArray[np.bool_]:
@@ -364,6 +348,6 @@ def _bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDAr
         clasp, other, end = (x[:, energy.nodes[cables, k]] for k in (node, 3 - node, drone))
         leg, edge = end - clasp, other - clasp
         contact = -tensions[:, cables, None] * (unit(leg) + unit(edge))
-        contact[..., 2] += 0.5 * energy.law.weight * (length(leg) + length(edge))
+        contact[..., 2] += 0.5 * energy.weight * (length(leg) + length(edge))
         found &= (dot(contact, leg) < 0.0) & (dot(contact, edge) < 0.0)
     return found

@@ -29,9 +29,10 @@ def balanced(
     layout, n = team.layout, team.robots
     zero = np.zeros((1, 2 * n, 3))
     conditions = Conditions(cable_density=density, stiffness=1.0, feed_forward=False)
-    state = [drones, guess, team.tension, 0.0 * drones, team.cable_length, 0.0 * drones]
-    samples = [np.zeros(1), *(each[None] for each in state), zero]
-    energy = energy_of(team, conditions, samples)[0]
+    none = dict.fromkeys(("cable_forces", "offsets", "forces"), zero)
+    plan = {"positions": drones, "vertices": guess, "tensions": team.tension}
+    plan |= {"cable_length": team.cable_length}
+    energy = energy_of(team, conditions, none | {name: v[None] for name, v in plan.items()})
 
     nodes, ahead, behind = energy.nodes, layout.ahead, layout.behind
 
@@ -45,7 +46,7 @@ def balanced(
             turned, np.stack([rates[2 * ahead], rates[2 * behind + 1]], axis=-1)
         )
         used[ahead, 0], used[behind, 1] = friction * (pulled / turned).T
-        forces = energy.law.forces(at[:, nodes], team.tension[None], used)[0]
+        forces = energy.forces(at[:, nodes], team.tension[None], used)[0]
         return np.asarray(energy.pulls(forces)[0])
 
     def missing(x: Array) -> Array:

@@ -16,7 +16,7 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.holding import rest_capacity
-from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
+from hitchopt.statics.fit import enclosing_polygon, shortest_cable
 
 BOX = ho.Section([[0.2, 0.15], [0.2, -0.15], [-0.2, -0.15], [-0.2, 0.15]])
 DISC = ho.Section(radius=0.3)
@@ -42,11 +42,8 @@ def test_polygons_around_and_inside_keep_the_clearance(section: ho.Section, n: i
     distances = section.segment_distance(p, np.roll(p, -1, axis=0))
     assert np.min(distances) >= 0.04 - 1e-9  # and what is between their ends
     assert np.min(polygon.edge_lengths) >= 0.5 * np.mean(polygon.edge_lengths) - 1e-9
-    inner = inner_polygon(section, n, 0.02)
-    np.testing.assert_allclose(np.max(section.clearance(inner.vertices)[0]), -0.02, atol=1e-9)
-    for each in (polygon, inner):
-        assert len(each) == n
-        assert np.min(each.exterior_angles) >= 0.6 * 2.0 * math.pi / n - 1e-9
+    assert len(polygon) == n
+    assert np.min(polygon.exterior_angles) >= 0.6 * 2.0 * math.pi / n - 1e-9
 
 
 def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> None:
@@ -58,8 +55,6 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
 
 
 def test_narrow_and_small_sections_carry_no_polygon_and_few_edges() -> None:
-    with pytest.raises(ho.InfeasibleError, match="too narrow for such a polygon"):
-        inner_polygon(NARROW, 3, 0.035)
     with pytest.raises(ho.InfeasibleError, match="too narrow for so many edges"):
         enclosing_polygon(NARROW, 7, 0.035)
     with pytest.raises(ho.InfeasibleError, match="no cable length"):

@@ -13,7 +13,7 @@ from click.testing import CliRunner, Result
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.simulation.task import read_task
-from hitchopt.statics.calibrate import Estimate, estimate_team
+from hitchopt.statics.calibrate import Estimate
 from hitchopt.statics.files import team_text
 from hitchopt.statics.recordings import HEADER, Recording, read_recording
 from hitchopt.storage.yaml_file import parse_yaml
@@ -90,12 +90,12 @@ def test_order_other_columns_and_unknown_names_do_not_matter(solved: Path, tmp_p
 def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path) -> None:
     rows = planned_rows(solved)
     for header, lines, words in (
-        ("t,name,x,y", rows, "has no column 'z'"),
+        ("t,name,x,y", rows, "'z' is not in list"),
         (HEADER, [r for r in rows if ",r1," not in r], "r1 is not recorded"),
         (HEADER, [*rows, rows[0]], "holds a name twice at the same time"),
-        (HEADER, [*rows, "9,q0,a,b,c"], "holds a row that is not of numbers"),
-        (HEADER, [*rows, "9,q0"], "holds a row that is not of numbers"),
-        (HEADER, [*rows, "inf,q0,1,2,3"], "holds a time that is not finite"),
+        (HEADER, [*rows, "9,q0,a,b,c"], "could not convert"),
+        (HEADER, [*rows, "9,q0"], "index out of range"),
+        (HEADER, [*rows, "inf,q0,1,2,3"], "a time is not finite"),
         (HEADER, rows[:0], "q0 is not recorded"),
         (HEADER, [r for r in rows if ",p" not in r], "record the vertices too"),
     ):
@@ -131,7 +131,7 @@ def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
 def test_a_team_of_different_kinds_lists_them(solved: Path) -> None:
     task = read_task(solved)
     drones, vertices = task.setpoints.positions, task.vertices
-    plain = estimate_team(Recording(task.t, drones, vertices), task, 0.01)
+    plain = ho.calibrate(Recording(task.t, drones, vertices), task, density=0.01)
     stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))
     text = team_text(replace(plain, stiffness=stiffness, friction=Estimate(0.123, 0.02)))
     team = parse_yaml(text)
