@@ -58,9 +58,10 @@ def statics(
     friction a vertex rests anywhere in its band, as the clasps' history has it. Writes statics.json
     and statics.png to DIR. Ends with 3 if a cable is slack or a clasp does not hold.
     """
+    from hitchopt.hitch.forces import undetermined_tension
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.statics.files import save_statics, statics_content
-    from hitchopt.statics.settle import Conditions, settle
+    from hitchopt.statics.settle import conditions_of, settle
     from hitchopt.statics.tolerance import ErrorSize, taut_times
     from hitchopt.statics.tolerance import tolerance as ranges_of
 
@@ -86,7 +87,10 @@ def statics(
     content = statics_content(settled, ranges)
     record(directory=str(path.parent), statics=content)
     say(_statics_tables(content))
-    for note in Conditions(**chosen).notes(motion.team):
+    winds, feeds = (
+        conditions_of(motion.team, **chosen)[name] for name in ("integral", "feed_forward")
+    )
+    for note in undetermined_tension(integral=bool(winds.any()), feed_forward=bool(feeds.all())):
         say(f"note: {note}")
     say(f"statics.json and statics.png are in {path.parent}")
     if loose := [*content["slack_cables"], *content["loose_clasps"]]:
@@ -184,7 +188,7 @@ def _calibration_tables(found: Calibration) -> str:
     from hitchopt.cli.simulating import spread_text
     from hitchopt.simulation.judgement import Spread
 
-    team, compared = found.task.team, found.comparison
+    team = found.task.team
     named = [
         (f"length of cable {k} [m]", x, team.cable_length[k]) for k, x in enumerate(found.lengths)
     ]
@@ -199,8 +203,8 @@ def _calibration_tables(found: Calibration) -> str:
         else:
             remarks.append(f"{name}: {estimate.remark}")
         rows.append({"quantity": name, **cells, "in the plan": float(planned)})
-    columns = [*zip(team.point_names, compared.vertices.T, strict=True)]
-    columns += zip(team.drone_names, compared.drones.T, strict=True)
+    columns = [*zip(team.point_names, found.vertex_errors.T, strict=True)]
+    columns += zip(team.drone_names, found.drone_errors.T, strict=True)
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
     estimates = table("Estimates", rows)

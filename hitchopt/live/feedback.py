@@ -29,7 +29,7 @@ from hitchopt.geometry.vectors import differences, shortest_offset
 from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion
-from hitchopt.statics.settle import Conditions, energy_of, samples_of
+from hitchopt.statics.settle import conditions_of, energy_of, samples_of
 from hitchopt.statics.tolerance import responses
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
@@ -270,7 +270,7 @@ def vertex_responses(
     """
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
-    conditions = Conditions(stiffness=stiffness, integral=False)
+    conditions = conditions_of(team, stiffness=stiffness, integral=False)
     found = []
     for time in np.atleast_1d(as_array(times)).tolist():
         energy = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])

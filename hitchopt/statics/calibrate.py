@@ -2,13 +2,11 @@
 
 It is the statics of ``energy`` turned round: places are measured, and what acts there is unknown.
 On average a drone stands at ``x = x_set + (F + cable force)/k``, F what its controller feeds
-forward, also while it follows set points slowly, since its controller knows their velocity; forces
-on clasps balance, and the cables' known weight gives them their scale. One problem of robust least
-squares has these residuals, with the tension of every cable and the friction that each of its legs
-uses as unknowns of every window, and compliances 1/k, a steady level wind and the coefficient of
-friction as unknowns of all windows. It is solved twice: in long windows, which are free of the
-noise of the drones' own positions, for the stiffness, and in short ones, in which cables slide, for
-friction. Lengths are those that the law gives cables there, arcs included.
+forward; forces on clasps balance, and the cables' known weight gives them their scale. One problem
+of robust least squares has these residuals. Unknowns of every window are the tension of every cable
+and the friction that each of its legs uses, of all windows compliances 1/k, a steady level wind and
+the coefficient of friction. It is solved twice: in long windows, which are free of the noise of the
+drones' own positions, for the stiffness, and in short ones, in which cables slide, for friction.
 
 Friction acts against the velocity with which one cable's surface moves over the other's. With rates
 v_a and v_b at which the cables a and b of a clasp slide toward their legs, and c the cosine between
@@ -18,10 +16,8 @@ these directions where they touch, the leg of a is pulled harder than its edge b
 
 Θ_a being the angle by which it turns in space; b likewise. It is Coulomb's law: friction on a is
 ``-μ N (v_a t_a - v_b t_b)/w`` with the normal force ``N = T Θ`` and directions t toward the legs,
-and only its part along t_a changes the tension of a. A cable that slides alone has the ratio of a
-capstan and drags the other along; where both slide alike, friction acts across them for the most
-part, and ratios are less. Θ and c are geometry: cables whose ends lie in one plane pass over and
-under each other, turn farther than in the plane, and touch where they cross.
+and only its part along t_a changes the tension of a. Θ and c are geometry: cables whose ends lie in
+one plane turn farther than in the plane, and touch where they cross.
 """
 
 from __future__ import annotations
@@ -37,29 +33,27 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import length, unit
+from hitchopt.simulation.judgement import TIGHT
 from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.energy import HitchEnergy, bends_of
-from hitchopt.statics.recordings import Comparison, Recording, Windows, read_recording
-from hitchopt.statics.settle import Conditions, energy_of
+from hitchopt.statics.recordings import Recording, planned, read_recording, tight, windows_of
+from hitchopt.statics.settle import conditions_of, energy_of
 from hitchopt.values import Array, Indices, not_negative, path
 
 SPAN, WINDOW, RATE_SPAN = 6.0, 0.5, 0.2
-"""Lengths of the windows in which stiffness, friction, and rates of sliding are found [s]. Tensions
-of 0.5 s follow the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to
-13 %; noise reverses rates after more than 0.2 s."""
+"""[s] Windows in which stiffness, friction, and rates of sliding are found. Tensions of 0.5 s
+follow the noise of their drones, which makes these seem up to 24 % stiffer."""
 
-ROUNDS, MOST_STEPS = 3, 200
-"""Solutions of the problem, each with the scatter that the last one left, and steps of each."""
+ROUNDS, MOST_STEPS, FIRST = 3, 200, 5.0
+"""Solutions of the problem, each with the scatter that the last one left; steps of each; and first
+guess of the scatter over the least one."""
 
 LONG, SHORT = (5e-4, 3e-3), (1e-2, 3e-3)
 """Least scatter in long and short windows: of displacements [m], in the latter that of the
 positions that drones measure, and of forces over the tension."""
 
-FIRST = 5.0
-"""First guess of the scatter over the least one."""
-
 GUESS = 5.0
-"""First guess of a stiffness that the team does not state [N/m]."""
+"""[N/m] First guess of a stiffness that the team does not state."""
 
 STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, KNOWN = 3.0, 0.2, 10.0, 1e-6
 """Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
@@ -84,17 +78,15 @@ COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
 cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)."""
 
 BLURRED = 1e-2
-"""Rate of sliding below which its direction is blurred [m/s]: by noise of the recorded positions,
-by what a span does not resolve, and by cables that stick. In simulations contacts creep where
-friction is less than it may be: at 2 mm/s it has a third of its size, at 6 mm/s three quarters."""
+"""[m/s] Rate of sliding below which its direction is blurred, by noise of positions and by contacts
+that creep: in simulations friction has a third of its size at 2 mm/s."""
 
 SLIDING, PLANNED = 1e-2, 5e-3
-"""Least rates at which cables slide over each other in a window that counts as sliding [m/s], and
-at which the plan has to slide them, the same way: sliding that is due to noise goes with errors of
-the tensions."""
+"""[m/s] Least rates at which cables slide over each other in a window that counts as sliding, and
+at which the plan has to slide them, the same way: noise that slides them is no sliding."""
 
 LEAST_LENGTH_SCATTER = 3e-4
-"""Least scatter that is assumed of a measured cable length [m]."""
+"""[m] Least scatter that is assumed of a measured cable length."""
 
 
 @dataclass(frozen=True)
@@ -134,7 +126,9 @@ class Calibration(OneLine):
     lengths: of each cable [m], between its drones: legs, edge and the arcs of their sag.
     stiffness: of the position loops of each robot's drones [N/m].
     friction: coefficient at the clasps.
-    comparison: deviations from the plan.
+    vertex_errors: (samples, points) [m], distances from the plan; nan where it has no hitch, drawn
+        tight, or none was seen.
+    drone_errors: (samples, 2n) [m], distances from the set points.
     """
 
     task: Task
@@ -143,7 +137,8 @@ class Calibration(OneLine):
     lengths: tuple[Estimate, ...]
     stiffness: tuple[Estimate, ...]
     friction: Estimate
-    comparison: Comparison
+    vertex_errors: Array
+    drone_errors: Array
 
 
 def calibrate(
@@ -180,8 +175,8 @@ def calibrate(
     task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
     if not isinstance(recording, Recording):
         recording = read_recording(recording, task.team)
-    team, windows = task.team, Windows.of(recording, task, WINDOW)
-    if not len(windows.t):
+    team, windows = task.team, windows_of(recording, task, WINDOW)
+    if not len(windows["t"]):
         bound = "of a flight in which drones and vertices are seen while the plan has a hitch"
         remedy = "record the vertices too, and let t count from the plan's start"
         raise InputError("recording", f"{len(recording.t)} samples", bound, remedy)
@@ -189,7 +184,8 @@ def calibrate(
     weight = team.cable_density if weighed is None else weighed
     feeds = team.feed_forward if recording.feed_forward is None else recording.feed_forward
     winds = team.integral if recording.integral is None else recording.integral
-    given = Conditions(cable_density=weight, stiffness=1.0, integral=False, feed_forward=feeds)
+    loops = {"stiffness": 1.0, "integral": False, "feed_forward": feeds}
+    given = conditions_of(team, cable_density=weight, **loops)
 
     kinds = sorted(set(team.quadrotor), key=repr)
     of_drones = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
@@ -199,13 +195,13 @@ def calibrate(
     integral = "integral action returns drones to their set points, whatever their stiffness"
     estimates = [_unknown(integral)] * len(kinds)
     if not np.any(winds):
-        long = _Balance.of(task, Windows.of(recording, task, SPAN), given, of_drones)
+        long = _Balance.of(task, windows_of(recording, task, SPAN), given, of_drones)
         expected, errors, _ = long.fitted(expected, spread, LONG)
         compliances = zip(expected[: len(kinds)], errors, strict=False)
         estimates = [_stiffness(float(np.exp(-log)), error) for log, error in compliances]
     known = [one.known for one in estimates]
     expected[: len(kinds)] = np.where(known, expected[: len(kinds)], -np.log(stated))
-    balance, tensions = _Balance.of(task, windows, given, of_drones), windows.tensions
+    balance, tensions = _Balance.of(task, windows, given, of_drones), windows["tensions"]
     if np.all(np.isfinite(expected)):
         slid = balance.slide(task, recording, windows)
         spread[:-1], spread[-1] = KNOWN, FRICTION_SCALE
@@ -214,8 +210,10 @@ def calibrate(
     else:
         why = "the drones' stiffness is neither determined nor stated by the plan's team"
         friction = _unknown(f"tensions are unknown: {why}")
-    tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
+    tensions = np.clip(tensions, windows["tensions"] / 3.0, 3.0 * windows["tensions"])
     arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
+    t, places = recording.t, task.setpoints.positions
+    off = length(recording.vertices - planned(task, t, task.vertices))
     return Calibration(
         task,
         recording,
@@ -223,7 +221,8 @@ def calibrate(
         tuple(_median(arc) for arc in arcs.T),
         tuple(estimates[kinds.index(kind)] for kind in team.quadrotor),
         friction,
-        Comparison.of(recording, task),
+        np.where(tight(task, t, TIGHT)[:, None], off, np.nan),
+        length(recording.drones - planned(task, t, places)),
     )
 
 
@@ -267,44 +266,30 @@ class _Balance:
     Unknowns of all windows are log(1/k) of every kind of drone, the wind (2), and the coefficient
     of friction. Those of a window are the tension of every cable and the friction that both of its
     legs use (n, 3).
-
-    Attributes
-    ----------
-    energy: of the windows, drones led to the set points; its stiffness is not used.
-    x: (windows, nodes, 3) [m], measured.
-    kinds: of each drone (2n,).
-    bends: (windows, n, 2) [rad], angles by which cables turn at both clasps; 1 where there is none.
-    pulls: (windows, n, 2), logarithms of ratios that a coefficient of 1 causes; zero where cables
-        do not slide.
     """
 
-    energy: HitchEnergy
-    x: Array
-    kinds: Indices
-    bends: Array
-    pulls: Array
+    energy: HitchEnergy  # of the windows; its stiffness is not used
+    x: Array  # (windows, nodes, 3) [m], measured
+    kinds: Indices  # (2n,) of each drone
+    bends: Array  # (windows, n, 2) [rad], by which cables turn at both clasps; 1 without a leg
+    pulls: Array  # (windows, n, 2), log of ratios by a coefficient of 1; zero without sliding
 
     @classmethod
-    def of(cls, task: Task, windows: Windows, conditions: Conditions, kinds: Indices) -> _Balance:
+    def of(
+        cls, task: Task, windows: dict[str, Array], given: dict[str, Any], kinds: Indices
+    ) -> _Balance:
         """Return the problem at windows, without friction."""
-        team, none = task.team, np.zeros_like(windows.positions)
-        lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
+        team, none = task.team, np.zeros_like(windows["positions"])
+        lengths = np.broadcast_to(team.cable_length, windows["tensions"].shape)
         errors = {"cable_length": lengths, "offsets": none, "forces": none}
-        energy = energy_of(team, conditions, vars(windows) | errors)
-        x = np.concatenate([windows.drones, energy.start[:, team.drones :]], axis=1)
+        energy = energy_of(team, given, windows | errors)
+        x = np.concatenate([windows["drones"], energy.start[:, team.drones :]], axis=1)
         bends = bends_of(unit(energy.spans(x[:, energy.nodes])[0]))
         bends = np.where(energy.exist[:, ::2], bends, 1.0)
         return cls(energy, x, kinds, bends, 0.0 * bends)
 
     def residuals(self, common: Any, own: Any, scales: Array) -> Any:
-        """Return the residuals (windows, …) of drones, clasps and frictions over their scatter.
-
-        Parameters
-        ----------
-        common: (kinds + 3,) unknowns of all windows.
-        own: (windows, n, 3), of each window.
-        scales: (2,), scatter of displacements [m] and of forces on clasps [N].
-        """
+        """Return the residuals (windows, …) of drones, clasps and frictions over their scatter."""
         energy, many, used = self.energy, self.energy.drones, own[..., 1:]
         at_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used)[0]
         pulls = energy.pulls(at_ends)
@@ -321,10 +306,7 @@ class _Balance:
     ) -> tuple[Array, Array, Array]:
         """Return the unknowns of all windows, their standard errors, and tensions (windows, n).
 
-        Parameters
-        ----------
-        expected, spread: what is known of the former beforehand, and its standard deviations.
-        least: LONG or SHORT.
+        Of the former some value is ``expected`` beforehand, within a standard deviation.
         """
         planned, many, g = self.energy.reference, self.energy.drones, len(expected)
         count, size = len(planned), 3 * planned.shape[1]
@@ -355,23 +337,23 @@ class _Balance:
         errors = np.sqrt(variance * np.diag(columns[:g]))
         return unknown[:g], errors, unknown[g:].reshape(*planned.shape, 3)[..., 0]
 
-    def slide(self, task: Task, recording: Recording, windows: Windows) -> float:
-        """Set what friction makes of ratios where the plan slides cables over each other.
+    def slide(self, task: Task, recording: Recording, windows: dict[str, Array]) -> float:
+        """Set ``pulls`` where the plan slides cables over each other; return how far in all [m].
 
-        Noise of the drones slides cables back and forth; therefore directions are those of short
-        spans. Return the distance by which cables slide in all windows and clasps [m].
+        Noise of the drones slides cables back and forth: directions are those of short spans.
         """
-        layout, short = task.team.layout, Windows.of(recording, task, RATE_SPAN)
+        layout, short = task.team.layout, windows_of(recording, task, RATE_SPAN)
         cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
-        middle, turns = 0.5 * (short.t[1:] + short.t[:-1]), self.bends[:, cable, side]
-        same = np.floor(middle / WINDOW)[:, None] == np.floor(windows.t / WINDOW)
+        middle, turns = 0.5 * (short["t"][1:] + short["t"][:-1]), self.bends[:, cable, side]
+        same = np.floor(middle / WINDOW)[:, None] == np.floor(windows["t"] / WINDOW)
         span, window = np.nonzero(same)
         total = np.sum(same, axis=0)[:, None, None]
 
-        def rates_of(drones: Array, vertices: Array) -> Array:
+        def rates_of(drones: str, vertices: str) -> Array:
             """Return the rates (spans, clasps, 2) [m/s] at which legs grow."""
-            legs = length(drones - vertices[:, layout.anchors]).reshape(len(drones), -1, 2)
-            rates = np.diff(legs[:, cable, side], axis=0) / np.diff(short.t)[:, None, None]
+            legs = length(short[drones] - short[vertices][:, layout.anchors])
+            legs = legs.reshape(len(legs), -1, 2)[:, cable, side]
+            rates = np.diff(legs, axis=0) / np.diff(short["t"])[:, None, None]
             return np.asarray(rates[span])
 
         def mean(values: Array) -> Array:
@@ -379,10 +361,10 @@ class _Balance:
             np.add.at(sums, window, values)
             return np.asarray(sums / np.maximum(total, 1))
 
-        rates = rates_of(short.drones, short.vertices)
+        rates = rates_of("drones", "vertices")
         pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
-        asked, speed = mean(rates_of(short.positions, short.planned)), _speeds(turns, rate)
-        usable = (total[..., 0] > 1) & (speed > SLIDING) & (_speeds(turns, asked) > PLANNED)
+        asked, speed = mean(rates_of("positions", "planned")), _sliding(turns, rate)[1]
+        usable = (total[..., 0] > 1) & (speed > SLIDING) & (_sliding(turns, asked)[1] > PLANNED)
         usable &= np.sum(rate * asked, axis=-1) > 0.0
         self.pulls[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
         return float(np.sum(speed[usable]) * WINDOW)
@@ -391,21 +373,17 @@ class _Balance:
 def friction_pulls(turns: Array, rates: Array, blurred: float = 0.0) -> Array:
     """Return logarithms of leg over edge tensions (…, 2) that a friction coefficient of 1 causes.
 
-    Parameters
-    ----------
-    turns: (…, 2) [rad], angles in the plane by which a clasp's cables turn.
-    rates: (…, 2) [m/s], at which they slide toward their legs.
-    blurred: rate below which the direction of sliding counts little [m/s].
+    A clasp's cables turn by angles in the plane (…, 2) [rad] and slide toward their legs at rates
+    (…, 2) [m/s], whose direction counts little below the rate ``blurred``.
     """
-    turn = np.mean(turns, axis=-1, keepdims=True)
-    along = rates - np.interp(turn, TURNS, COSINES) * rates[..., ::-1]
-    speed = np.hypot(_speeds(turns, rates), blurred)[..., None]
-    pulls: Array = turns * np.interp(turn, TURNS, IN_SPACE) * along / np.maximum(speed, 1e-12)
+    along, speed = _sliding(turns, rates)
+    in_space = turns * np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, IN_SPACE)
+    pulls: Array = in_space * along / np.maximum(np.hypot(speed, blurred), 1e-12)[..., None]
     return pulls
 
 
-def _speeds(turns: Array, rates: Array) -> Array:
-    """Return the speeds (…) [m/s] of one cable's surface over the other's."""
-    a, b = np.moveaxis(rates, -1, 0)
-    cosine = np.interp(np.mean(turns, axis=-1), TURNS, COSINES)
-    return np.asarray(np.sqrt(np.maximum(a**2 + b**2 - 2.0 * cosine * a * b, 0.0)))
+def _sliding(turns: Array, rates: Array) -> tuple[Array, Array]:
+    """Return how cables slide over each other: along both (…, 2), and in all (…) [m/s]."""
+    cosine = np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, COSINES)
+    along = rates - cosine * rates[..., ::-1]
+    return along, np.sqrt(np.maximum(np.sum(rates * along, axis=-1), 0.0))

@@ -37,7 +37,7 @@ IMAGINARY = 1e-30
 """[m], [N] Imaginary step by which derivatives are taken: exact to rounding."""
 
 SMALL_FORCE, BAND_FORCE, ROUNDED_FORCE = 1e-11, 1e-7, 16.0 * float(np.finfo(np.float64).eps)
-"""[N] Forces this small on every node end the iteration, without friction and with it; or [1] over
+"""[N] Forces this small on all nodes end the iteration, without friction and with it; or [1] over
 the cables' stiffness times the coordinates."""
 
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
@@ -59,38 +59,21 @@ SHARES = np.linspace(0.1, 1.0, 10)
 
 @dataclass(frozen=True, eq=False)
 class HitchEnergy:
-    """The energy of S samples of a hitch.
+    """The energy of S samples of a hitch."""
 
-    Attributes
-    ----------
-    nodes: (n, 4), nodes that each cable runs over.
-    exist: (n, 3), whether q-leg, edge and r-leg exist.
-    points: (points,), the node at each point.
-    free: (nodes,), whether a node moves: clasps, and drones that are not held in place.
-    start: (S, nodes, 3) [m], where drones are led, and clasps planned.
-    stiffness: (2n,) [N/m], zero for drones that are held.
-    loads: (S, nodes, 3) [N], forces of feed-forward on drones and of loads on clasps.
-    lengths: (S, n) [m], L at the tension T₀.
-    weight: of cables, per length [N/m].
-    compliance: (n,) [m/N], a: what a cable grows by per tension.
-    reference: (S, n) [N], T₀.
-    heights: (S, n) [m], z₀.
-    least: (S, n) [N], tension at which a cable is slack.
-    """
-
-    nodes: Indices
-    exist: NDArray[np.bool_]
-    points: Indices
-    free: NDArray[np.bool_]
-    start: Array
-    stiffness: Array
-    loads: Array
-    lengths: Array
-    weight: float
-    compliance: Array
-    reference: Array
-    heights: Array
-    least: Array
+    nodes: Indices  # (n, 4) that each cable runs over
+    exist: NDArray[np.bool_]  # (n, 3), whether q-leg, edge and r-leg exist
+    points: Indices  # (points,), the node at each point
+    free: NDArray[np.bool_]  # (nodes,), whether a node moves: all but drones that are held
+    start: Array  # (S, nodes, 3) [m], where drones are led, and clasps planned
+    stiffness: Array  # (2n,) [N/m], zero for drones that are held
+    loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
+    lengths: Array  # (S, n) [m], L at the tension T₀
+    weight: float  # of cables, per length [N/m]
+    compliance: Array  # (n,) [m/N], a: what a cable grows by per tension
+    reference: Array  # (S, n) [N], T₀
+    heights: Array  # (S, n) [m], z₀
+    least: Array  # (S, n) [N], tension at which a cable is slack
 
     @property
     def drones(self) -> int:
@@ -103,30 +86,19 @@ class HitchEnergy:
         return ROUNDED_FORCE / float(np.min(self.compliance))
 
     def spans(self, ends: Any) -> tuple[Any, Any, Any]:
-        """Return the chords (…, S, n, 3, 3) between nodes (…, S, n, 4, 3), lengths and heights [m].
-
-        Heights (…, 3) are those of the middles, over z₀.
-        """
+        """Return chords (…, S, n, 3, 3) of nodes (…, S, n, 4, 3), lengths, middles' heights."""
         chords = np.where(self.exist[..., None], np.diff(ends, axis=-2), 0.0)
         sizes = np.sqrt(np.sum(chords * chords, axis=-1))
         middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
         return chords, sizes, middles - self.heights[..., None]
 
     def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> tuple[Any, Any, Any]:
-        """Return what cables of tensions T pull their nodes with, turned round, and more.
+        """Return forces (…, S, n, 4, 3) [N], lengths [m] and energies [J] of cables (…, S, n).
 
-        Parameters
-        ----------
-        ends: (…, S, n, 4, 3) [m], nodes of each cable; real or complex.
-        T: (…, S, n) [N], likewise.
-        friction: that is used, of all legs or of each (…, S, n, 2); positive where legs pull more
-            than edges, negative where they pull less.
-
-        Returns
-        -------
-        forces: (…, S, n, 4, 3) [N], slopes of the energy by the nodes where there is no friction.
-        arcs: (…, S, n) [m], lengths of the cables.
-        energies: (…, S, n) [J], but for a constant and for friction.
+        The forces are what cables pull their nodes with, turned round: without friction, slopes of
+        the energy. Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The
+        friction that is used, of all legs or of each (…, S, n, 2), is positive where legs pull more
+        than edges.
         """
         chords, sizes, heights = self.spans(ends)
         units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
@@ -186,10 +158,7 @@ class HitchEnergy:
         return np.where(self.free[:, None], slopes, 0.0)
 
     def pulls(self, at_ends: Any) -> Any:
-        """Return minus the forces of cables, of loads and of feed-forward (S, nodes, 3) [N].
-
-        ``at_ends`` (S, n, 4, 3) [N] are those of every cable, turned round.
-        """
+        """Return minus the forces on nodes (S, nodes, 3) [N] but for springs, by the cables'."""
         pulls = -self.loads.astype(at_ends.dtype)
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
         return pulls
@@ -197,12 +166,8 @@ class HitchEnergy:
     def linear(self, x: Array, friction: float = 0.0) -> tuple[Array, Array, Array]:
         """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
 
-        Returns
-        -------
-        forces: (S, n, 12, 13), of the forces on a cable's nodes, turned round, by these [N/m], T
-            following, and by T.
-        tensions: (S, n, 12) [N/m], of T by the nodes.
-        softness: (S, n) [N/m], what T loses per length; zero where a cable is slack.
+        They are (S, n, 12, 13) of the forces by a cable's nodes, T following, and by T; (S, n, 12)
+        of T by the nodes; and (S, n) what T loses per length, zero where a cable is slack.
         """
         ends, T = x[:, self.nodes], self.tensions(x)
         steps = 1j * IMAGINARY * np.eye(13).reshape(13, 1, 1, 13)
@@ -218,10 +183,7 @@ class HitchEnergy:
     def matrix(self, blocks: Array, damping: Array | float = LEAST_DAMPING) -> csc_array:
         """Return the derivatives (S N, S N) [N/m] of all forces, N = 3 nodes, sample by sample.
 
-        Parameters
-        ----------
-        blocks: (S, n, 12, …), those of the cables by their nodes.
-        damping: (S,) [N/m], added to the diagonal.
+        ``blocks`` are those of cables; ``damping`` (S,) [N/m] is added to the diagonal.
         """
         samples, size = len(blocks), 3 * len(self.free)
         shift = size * np.arange(samples)[:, None, None]

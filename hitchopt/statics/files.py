@@ -176,8 +176,8 @@ def _yaml(value: object) -> str:
 
 def save_calibration_picture(path: Path, calibration: Calibration) -> None:
     """Draw where drones and vertices were and should have been, and how far they were off."""
-    task, recording, found = calibration.task, calibration.recording, calibration.comparison
-    team, seen = task.team, np.isfinite(found.vertices).all(axis=1)
+    task, recording, team = calibration.task, calibration.recording, calibration.task.team
+    seen = np.isfinite(calibration.vertex_errors).all(axis=1)
     figure = new_figure(FLIGHT_SIZE)
     above, *right = (figure.add_subplot(1, 2, 1), *(figure.add_subplot(2, 2, k) for k in (2, 4)))
     for places, style in (
@@ -192,10 +192,10 @@ def save_calibration_picture(path: Path, calibration: Calibration) -> None:
     above.set(xlabel="x [m]", ylabel="y [m]", title="recorded; dotted and pale: the plan")
     above.set_aspect("equal", "datalim")
     for axes, errors, names, label in (
-        (right[0], found.vertices, team.point_names, "vertex error [cm]"),
-        (right[1], found.drones, team.drone_names, "drone to set point [cm]"),
+        (right[0], calibration.vertex_errors, team.point_names, "vertex error [cm]"),
+        (right[1], calibration.drone_errors, team.drone_names, "drone to set point [cm]"),
     ):
-        axes.plot(found.t, 100.0 * errors, lw=0.9, label=names)
+        axes.plot(recording.t, 100.0 * errors, lw=0.9, label=names)
         if len(names) <= LABELLED:
             axes.legend(fontsize=7, ncols=3)
         axes.set(ylabel=label, xlabel="t [s]")
@@ -237,12 +237,8 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         content["rest"] = {"polygon": rest.vertices.tolist()}
     for by, masses in content["largest_mass"].items():
         for n, found in fit.capacities(by).items():
-            said: tuple[object, ...]
-            if isinstance(found, InfeasibleError):
-                said = 0.0, found.violations[0].constraint, found.violations[0].remedy
-            else:
-                said = found.mass, found.binding, found.suggested
-            masses[str(n)] = dict(zip(("mass", "limit", "suggested change"), said, strict=True))
+            masses[str(n)] = vars(found) | {"suggested change": found.suggested}
+            masses[str(n)]["limit"] = masses[str(n)].pop("binding")
     return content
 
 

@@ -134,11 +134,11 @@ class Fit(OneLine):
         """The polygon that is lowered around the object."""
         return self.holding.enclosing
 
-    def capacities(self, by: str) -> dict[int, Capacity | InfeasibleError]:
-        """Return what each number of robots holds at most, by ``grip`` or ``rest``, or why not."""
+    def capacities(self, by: str) -> dict[int, Capacity]:
+        """Return what each number of robots holds at most, by ``grip`` or ``rest``."""
         found = self.others.items()
         return {
-            n: each if isinstance(each, InfeasibleError) else each.capacity(by) for n, each in found
+            n: each.capacity(by) if isinstance(each, Holding) else _none(each) for n, each in found
         }
 
     def raise_if_too_heavy(self, mass: float, by: str = GRIP) -> None:
@@ -186,13 +186,11 @@ def fit(
     if whole("robots", robots, 3) > MOST_ROBOTS:
         raise InputError("robots", robots, f"a whole number from 3 to {MOST_ROBOTS}", "use three")
     kind = Quadrotor() if quadrotor is None else quadrotor
-    limits = Limits() if limits is None else limits
-    separation = Separation() if separation is None else separation
+    requirements = Requirements(limits or Limits(), separation or Separation())
     instance("quadrotor", kind, Quadrotor)
-    instance("limits", limits, Limits)
-    instance("separation", separation, Separation)
+    instance("limits", requirements.limits, Limits)
+    instance("separation", requirements.separation, Separation)
     section, notes = _section_of(outline)
-    requirements = Requirements(limits, separation)
     most, binding = largest_tension(requirements, kind)
     if tension is None:
         tension = most
@@ -276,13 +274,19 @@ def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
         return ConvexPolygon(rest_polygons("outline", body, n, task.clearance).closed)
 
     grip, rest = _attempt(lambda: best_grip(gripping)), _attempt(resting)
-    gripped, rested = grip, rest
+    capacities = [grip, rest]
     if isinstance(grip, Grip):
-        gripped = grip_capacity(gripping, grip, task.friction, SAFETY)
+        capacities[0] = grip_capacity(gripping, grip, task.friction, SAFETY)
     if isinstance(rest, ConvexPolygon):
         load = task.tension, task.kind, requirements, 0.5 * task.height
-        rested = _attempt(lambda: rest_capacity(rest, cable, *load))
-    return Holding(task, enclosing, cable, grip, rest, _capacity(gripped), _capacity(rested))
+        capacities[1] = _attempt(lambda: rest_capacity(rest, cable, *load))
+    gripped, rested = (each if isinstance(each, Capacity) else _none(each) for each in capacities)
+    return Holding(task, enclosing, cable, grip, rest, gripped, rested)
+
+
+def _none(error: InfeasibleError) -> Capacity:
+    """Return the capacity of what breaks a limit without a load."""
+    return Capacity(0.0, error.violations[0].constraint)
 
 
 def _attempt(search: Callable[[], Any]) -> Any:
@@ -293,27 +297,17 @@ def _attempt(search: Callable[[], Any]) -> Any:
         return error
 
 
-def _capacity(found: Any) -> Capacity:
-    """Return a capacity: none where a limit is in the way."""
-    nothing = isinstance(found, InfeasibleError)
-    return Capacity(0.0, found.violations[0].constraint) if nothing else found
-
-
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
     """Return an n-gon of short edges, much alike, that keep a distance [m] to a section.
 
     Edges face as those of regular polygons that are turned, and stretched in proportion to the
     section's widths, and keep just the distance; of these n-gons it has the least sum of squares of
-    edges.
-
-    Raises
-    ------
-    InfeasibleError: all have flat corners or short edges, as many edges around a narrow section.
+    edges. InfeasibleError: all have flat corners or short edges, as around a narrow section.
     """
-    core, angles = section.core, math.pi * np.arange(AXES) / AXES
-    sides = unit(np.roll(core, -1, axis=0) - core)[: len(core) if len(core) > 1 else 0]
-    along = np.concatenate([np.column_stack([np.cos(angles), np.sin(angles)]), sides])
-    axes = np.stack([along, np.column_stack([-along[:, 1], along[:, 0]])], axis=1)
+    sides = np.roll(section.core, -1, axis=0) - section.core
+    angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
+    c, s = np.cos(angles), np.sin(angles)
+    axes = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
     widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
     ratios = np.column_stack([np.sqrt(PROPORTIONS), 1.0 / np.sqrt(PROPORTIONS)])
     turns = 2.0 * math.pi / n * (np.arange(TURNS)[:, None] / TURNS - np.arange(n))

@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, OneLine
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.simulation.judgement import TIGHT
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
@@ -141,72 +139,36 @@ def planned(task: Task, t: ArrayLike, values: Array) -> Array:
     return found
 
 
-def _tight(task: Task, t: Array, share: float) -> NDArray[np.bool_]:
+def tight(task: Task, t: Array, share: float) -> NDArray[np.bool_]:
     """Return whether the plan has a hitch with that share of the team's tension, around times."""
-    tight = np.all(task.tensions >= share * task.team.tension, axis=-1) & task.formed
-    return planned(task, t, tight.astype(np.float64)) > 1.0 - 1e-9
+    drawn = np.all(task.tensions >= share * task.team.tension, axis=-1) & task.formed
+    return planned(task, t, drawn.astype(np.float64)) > 1.0 - 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Distances from the plan, in three dimensions.
+def windows_of(recording: Recording, task: Task, size: float) -> dict[str, Array]:
+    """Return means over windows of a size [s] in which the plan has a hitch, drawn tight.
 
-    Attributes
-    ----------
-    t: (samples,) [s]
-    vertices: (samples, points) [m], nan where there is no hitch, drawn tight, or none was seen.
-    drones: (samples, 2n) [m]
+    They are, by name, of the times ``t``, of what was measured, ``drones`` and ``vertices``, and of
+    the plan: set points ``positions``, ``planned`` vertices, ``cable_forces`` and ``tensions``.
+    Samples count in which all was seen; windows are left out less than half of which count.
     """
-
-    t: Array
-    vertices: Array
-    drones: Array
-
-    @classmethod
-    def of(cls, recording: Recording, task: Task) -> Comparison:
-        """Return how far a recording is from its plan."""
-        t, places = recording.t, task.setpoints.positions
-        off = length(recording.vertices - planned(task, t, task.vertices))
-        vertices = np.where(_tight(task, t, TIGHT)[:, None], off, np.nan)
-        return cls(t, vertices, length(recording.drones - planned(task, t, places)))
-
-
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """Means over windows in which the plan has a hitch, drawn tight, and all of it was seen.
-
-    Attributes
-    ----------
-    t: means of the times (windows,) [s].
-    drones, vertices: measured (windows, 2n, 3), (windows, points, 3) [m].
-    positions, planned: set points (windows, 2n, 3), planned vertices (windows, points, 3) [m].
-    cable_forces, tensions: of the set points (windows, 2n, 3), planned (windows, n) [N].
-    """
-
-    t: Array
-    drones: Array
-    vertices: Array
-    positions: Array
-    planned: Array
-    cable_forces: Array
-    tensions: Array
-
-    @classmethod
-    def of(cls, recording: Recording, task: Task, size: float) -> Windows:
-        """Return the windows of a size [s], those left out of which less than half is usable."""
-        t, setpoints = recording.t, task.setpoints
-        measured = t, recording.drones, recording.vertices
-        plan = setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions
-        usable = _tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
-        for places in measured[1:]:
-            usable &= np.all(np.isfinite(places), axis=(1, 2))
-        window = np.unique(np.floor(t / size), return_inverse=True)[1]
-        share = np.bincount(window, usable) / np.median(np.bincount(window))
-        usable &= (share >= 0.5)[window]
-        firsts, counts = np.unique(window[usable], return_index=True, return_counts=True)[1:]
-
-        def mean(values: Array) -> Array:
-            sums = np.add.reduceat(values[usable], firsts) if len(firsts) else values[:0]
-            return sums / counts.reshape(-1, *[1] * (values.ndim - 1))
-
-        return cls(*map(mean, measured), *(mean(planned(task, t, each)) for each in plan))
+    t, setpoints = recording.t, task.setpoints
+    usable = tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
+    for places in (recording.drones, recording.vertices):
+        usable &= np.all(np.isfinite(places), axis=(1, 2))
+    window = np.unique(np.floor(t / size), return_inverse=True)[1]
+    share = np.bincount(window, usable) / np.median(np.bincount(window))
+    usable &= (share >= 0.5)[window]
+    firsts, counts = np.unique(window[usable], return_index=True, return_counts=True)[1:]
+    values = {"t": t, "drones": recording.drones, "vertices": recording.vertices}
+    for name, each in (
+        ("positions", setpoints.positions),
+        ("planned", task.vertices),
+        ("cable_forces", setpoints.cable_forces),
+        ("tensions", task.tensions),
+    ):
+        values[name] = planned(task, t, each)
+    if not len(firsts):
+        return {name: each[:0] for name, each in values.items()}
+    sums = {name: np.add.reduceat(each[usable], firsts) for name, each in values.items()}
+    return {name: (each.T / counts).T for name, each in sums.items()}

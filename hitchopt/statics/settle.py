@@ -21,7 +21,6 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError, Violation
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
@@ -36,81 +35,54 @@ SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
 """What the plan says, and conditions that may differ from sample to sample, with their axes."""
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """Lengths, weights, loads, controllers and errors; whatever is None is the team's.
+AXIAL_STIFFNESS = 1e4
+"""[N] EA of a braided polyethylene line of 1 mm, which is all but inextensible. Without stretch
+rigid drones would not determine tensions."""
 
-    Leading axes (…) are samples; they broadcast with each other and with the times.
 
-    Parameters
-    ----------
-    cable_length: real lengths [m] under the planned tension, one, (n,) or (…, n).
-    cable_density: [kg/m]
-    load: masses that hang at the clasps [kg], one, or (clasps,).
-    stiffness: of the drones' position loops [N/m], one or (2n,); infinite where they are rigid.
-    integral: whether the controllers drive position errors to zero.
-    feed_forward: whether the controllers add the cable force that the set points hold.
-    offsets: errors of the drones' set points (…, 2n, 3) [m].
-    forces: errors of the force feed-forward (…, 2n, 3) [N].
-    axial_stiffness: EA of the cables [N]; by default that of a braided polyethylene line of 1 mm,
-        which is all but inextensible. Without stretch rigid drones would not determine tensions.
-    friction: coefficient where one cable slides about the other; it makes bands of rest.
+def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
+    """Return all conditions of ``settle`` as arrays: one number is for all, others are the team's.
+
+    The stiffness is infinite where a drone stands at its set point whatever the force.
+
+    Raises
+    ------
+    InputError: an unknown name, another shape, or a number that is not finite or out of its range.
     """
-
-    cable_length: ArrayLike | None = None
-    cable_density: float | None = None
-    load: ArrayLike | None = None
-    stiffness: ArrayLike | None = None
-    integral: bool | None = None
-    feed_forward: ArrayLike | None = None
-    offsets: ArrayLike = 0.0
-    forces: ArrayLike = 0.0
-    axial_stiffness: float = 1e4
-    friction: float | None = None
-
-    def of(self, team: Team) -> dict[str, Any]:
-        """Return all as arrays, by name: what is not given is the team's, one number is for all.
-
-        The stiffness is infinite where a drone stands at its set point whatever the force.
-
-        Raises
-        ------
-        InputError: another shape, or a number that is not finite or out of its range.
-        """
-        found, drones = {}, (team.drones,)
-        for name, shape, least in (
-            ("cable_length", (team.robots,), POSITIVE),
-            ("cable_density", (), 0.0),
-            ("load", (len(team.layout.clasps),), 0.0),
-            ("stiffness", drones, POSITIVE),
-            ("integral", drones, 0.0),
-            ("feed_forward", drones, 0.0),
-            ("offsets", (*drones, 3), -np.inf),
-            ("forces", (*drones, 3), -np.inf),
-            ("axial_stiffness", (), POSITIVE),
-            ("friction", (), 0.0),
-        ):
-            given = getattr(self, name)
-            if given is None:
-                given = team.cable_friction if name == "friction" else getattr(team, name)
-            values = np.asarray(given, np.float64)
-            if values.ndim == 0:
-                values = np.broadcast_to(values, shape)
-            own = values.shape[values.ndim - len(shape) :] if name in SAMPLED else values.shape
-            largest = np.inf if name == "stiffness" else LARGEST
-            if own != shape or not np.all((values >= least) & (values <= largest)):
-                size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
-                array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
-                bound = f"one {size}number{array}"
-                raise InputError(name, given, bound, "give plain numbers in SI units")
-            found[name] = values
-        found["stiffness"] = np.where(found["integral"] > 0.0, np.inf, found["stiffness"])
-        return found
-
-    def notes(self, team: Team) -> tuple[str, ...]:
-        """Return why the plan does not determine the tensions."""
-        winds, feeds = (self.of(team)[name] for name in ("integral", "feed_forward"))
-        return undetermined_tension(integral=bool(np.any(winds)), feed_forward=bool(np.all(feeds)))
+    drones, found = (team.drones,), {}
+    own = {"offsets": 0.0, "forces": 0.0, "axial_stiffness": AXIAL_STIFFNESS}
+    own["friction"] = team.cable_friction
+    table: dict[str, tuple[tuple[int, ...], float]] = {
+        "cable_length": ((team.robots,), POSITIVE),
+        "cable_density": ((), 0.0),
+        "load": ((len(team.layout.clasps),), 0.0),
+        "stiffness": (drones, POSITIVE),
+        "integral": (drones, 0.0),
+        "feed_forward": (drones, 0.0),
+        "offsets": ((*drones, 3), -np.inf),
+        "forces": ((*drones, 3), -np.inf),
+        "axial_stiffness": ((), POSITIVE),
+        "friction": ((), 0.0),
+    }
+    for name in given.keys() - table:
+        raise InputError(name, given[name], f"one of {', '.join(table)}", "see hitchopt.settle")
+    for name, (shape, least) in table.items():
+        value = given.get(name)
+        if value is None:
+            value = own[name] if name in own else getattr(team, name)
+        values = np.asarray(value, np.float64)
+        if values.ndim == 0:
+            values = np.broadcast_to(values, shape)
+        each = values.shape[values.ndim - len(shape) :] if name in SAMPLED else values.shape
+        largest = np.inf if name == "stiffness" else LARGEST
+        if each != shape or not np.all((values >= least) & (values <= largest)):
+            size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
+            array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
+            bound = f"one {size}number{array}"
+            raise InputError(name, value, bound, "give plain numbers in SI units")
+        found[name] = values
+    found["stiffness"] = np.where(found["integral"] > 0.0, np.inf, found["stiffness"])
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,12 +163,9 @@ def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str,
 LARGEST_RESIDUAL = 1e-6
 """[N] Largest force without balance of a solution that is returned."""
 
-SAG_RATIO = 4.0
+SAG_RATIO, SLACK_SHARE = 4.0, 1e-6
 """A cable is slack where a level span as long as its longest one would hang by more than its chord
-over this number."""
-
-SLACK_SHARE = 1e-6
-"""Tension over the planned one up to which a cable is slack whatever its weight."""
+over the first number, or its tension is no more than the second over the planned one."""
 
 BLOCK = 4000
 """Cables of all samples that are solved for at once, which bounds the memory."""
@@ -213,9 +182,12 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     ----------
     plan: with a hitch at all these times; or its motion.
     t: (…) [s]; its axes broadcast with those of the conditions.
-    conditions: the keywords of ``Conditions``, all optional: ``cable_length``, ``cable_density``,
-        ``load``, ``stiffness``, ``integral``, ``feed_forward``, ``offsets``, ``forces``,
-        ``axial_stiffness``, ``friction``.
+    conditions: what differs from the team, one number or an array, with axes (…) of samples:
+        ``cable_length`` (…, n) [m] under the planned tension, ``offsets`` of set points and errors
+        of the feed-forward ``forces`` (…, 2n, 3) [m], [N]. Without samples: ``cable_density``
+        [kg/m], ``load`` (clasps,) [kg], ``stiffness`` of position loops (2n,) [N/m], infinite where
+        rigid, ``integral`` and ``feed_forward`` of the controllers (2n,), ``axial_stiffness`` of
+        cables, EA [N], and ``friction``, the coefficient at the clasps.
 
     Raises
     ------
@@ -224,11 +196,12 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     InfeasibleError: no rest is found.
     """
     instance("plan", plan, Plan, Motion)
-    motion, given = plan.motion if isinstance(plan, Plan) else plan, Conditions(**conditions)
-    shape, samples = samples_of(motion, t, given)
+    motion = plan.motion if isinstance(plan, Plan) else plan
+    known = conditions_of(motion.team, **conditions)
+    shape, samples = samples_of(motion, t, known)
     size = max(1, BLOCK // motion.team.robots)
     blocks = [
-        _rest(motion.team, given, {name: v[i : i + size] for name, v in samples.items()})
+        _rest(motion.team, known, {name: v[i : i + size] for name, v in samples.items()})
         for i in range(0, len(samples["t"]), size)
     ]
     found = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
@@ -236,20 +209,15 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
 
 
 def samples_of(
-    motion: Motion, t: ArrayLike, conditions: Conditions
+    motion: Motion, t: ArrayLike, known: Mapping[str, Any]
 ) -> tuple[tuple[int, ...], dict[str, Array]]:
     """Return the shape of times and conditions together, and what all samples (S, …) have.
 
-    That is by name, as of ``States`` and ``Conditions``: PLANNED and SAMPLED.
-
-    Raises
-    ------
-    InputError: a time without hitch, or a wrong condition.
-    UnsupportedError: single drones, or objects that are carried.
+    That is by name, as of ``States`` and ``conditions_of``; errors are those of ``settle``.
     """
     if not motion.team.has_cables:
         raise UnsupportedError("a plan of single drones has no cables that could settle")
-    states, known = states_at(motion, t), conditions.of(motion.team)
+    states = states_at(motion, t)
     if not np.all(states.formed):
         spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
         bound = f"within a hitch: {', '.join(spans) or 'never in this plan'}"
@@ -268,9 +236,9 @@ def samples_of(
     }
 
 
-def energy_of(team: Team, conditions: Conditions, samples: Mapping[str, Array]) -> HitchEnergy:
+def energy_of(team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]) -> HitchEnergy:
     """Return the energy of samples, see ``samples_of``."""
-    layout, known, cables = team.layout, conditions.of(team), np.arange(team.robots)
+    layout, cables = team.layout, np.arange(team.robots)
     clasps = team.drones + np.arange(len(layout.clasps))
     points = np.zeros(layout.points, dtype=np.intp)
     points[-1] = team.drones - 1  # a chain's ends are its outer drones, nodes 0 and this
@@ -303,10 +271,10 @@ def energy_of(team: Team, conditions: Conditions, samples: Mapping[str, Array]) 
 
 
 def _rest(
-    team: Team, conditions: Conditions, samples: Mapping[str, Array]
+    team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of ``Settled`` for some samples."""
-    energy = energy_of(team, conditions, samples)
+    energy = energy_of(team, known, samples)
     x = energy.settled()
     force = np.max(length(energy.slopes(x)), axis=1)
     if not np.max(force) <= LARGEST_RESIDUAL:  # nan as well
@@ -319,8 +287,8 @@ def _rest(
     missing = energy.forces(ends, T)[1] - energy.lengths
     missing -= energy.compliance * (T - energy.reference)
     slack = np.maximum(energy.least, SLACK_SHARE * energy.reference) >= T
+    friction = float(known["friction"])
     tensions = T + energy.weight * energy.spans(ends)[2][..., 1]
-    friction = float(conditions.of(team)["friction"])
     rests = [energy.rubbing(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
     return {
         "t": samples["t"],

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
@@ -28,8 +28,8 @@ from hitchopt.plan import Plan
 from hitchopt.statics.energy import HitchEnergy
 from hitchopt.statics.settle import (
     SAMPLED,
-    Conditions,
     Settled,
+    conditions_of,
     energy_of,
     named,
     samples_of,
@@ -69,19 +69,16 @@ class ErrorSize(OneLine):
     def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
         """Return the size; 0.01 and ``"0.01"`` are bounds, ``"sd:0.01"`` is a deviation.
 
-        Raises
-        ------
-        InputError: a negative number, or another text.
+        InputError for a negative number, or another text.
         """
         if isinstance(given, ErrorSize):
             return given
-        if not isinstance(given, str):
-            return cls(not_negative(key, given))
         try:
-            size = not_negative(key, float(given.removeprefix(MARK)))
+            size = float(given.removeprefix(MARK)) if isinstance(given, str) else given
         except ValueError:
             raise InputError(key, given, "a number, or sd:number", f"write {MARK}0.01") from None
-        return cls(deviation=size) if given.startswith(MARK) else cls(size)
+        name = "deviation" if isinstance(given, str) and given.startswith(MARK) else "bound"
+        return cls(**{name: not_negative(key, size)})
 
     @property
     def words(self) -> str:
@@ -93,8 +90,8 @@ class ErrorSize(OneLine):
 def responses(energy: HitchEnergy, x: Array) -> Array:
     """Return the derivatives (o, 5n, 3) of tensions and points, o = n + 3 points, by the errors.
 
-    These are the cables' n lengths, as first components, set points of the 2n drones, and forces on
-    them. Nodes x (1, nodes, 3) [m] are those of one sample that has settled.
+    These are n lengths, as first components, 2n set points, and 2n forces on drones. Nodes x (1,
+    nodes, 3) [m] are those of one sample that has settled.
     """
     nodes, cables = energy.nodes, np.arange(len(energy.nodes))
     blocks, tensions, softness = energy.linear(x)
@@ -172,18 +169,14 @@ class Tolerance(OneLine):
 
     @property
     def band(self) -> Array:
-        """(S, points, 2) [m]: how far outside of its plan friction lets every vertex rest."""
+        """(S, points, 2) [m]: ``Settled.band``, in which friction lets every vertex rest."""
         return self.settled.band
-
-    @property
-    def slack(self) -> NDArray[np.bool_]:
-        """(S, n): whether a cable may be slack."""
-        return np.asarray(self.settled.slack | (self.tensions[..., 0] <= 0.0))
 
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
-        return named("c", self.slack, np.arange(self.slack.shape[-1]))
+        slack = self.settled.slack | (self.tensions[..., 0] <= 0.0)
+        return named("c", slack, np.arange(slack.shape[-1]))
 
 
 def tolerance(
@@ -205,7 +198,7 @@ def tolerance(
         a standard deviation, which counts three times.
     position_error: of every drone's set point, a vector [m].
     force_error: of every drone's force feed-forward, a vector [N].
-    conditions: the keywords of ``Conditions``, without samples of their own, as for ``settle``.
+    conditions: those of ``settle``, without samples of their own.
 
     Raises
     ------
@@ -249,8 +242,8 @@ def _range(
     conditions: dict[str, Any],
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
-    n, given = motion.team.robots, Conditions(**conditions)
-    energy = energy_of(motion.team, given, samples_of(motion, settled.t[i], given)[1])
+    n, known = motion.team.robots, conditions_of(motion.team, **conditions)
+    energy = energy_of(motion.team, known, samples_of(motion, settled.t[i], known)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
     rows = responses(energy, np.concatenate([settled.drones[i], clasps])[None])
     sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
@@ -272,7 +265,7 @@ def _range(
     ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
     ends = np.concatenate([ends, -ends])
     change = np.einsum("oji,sji->so", rows, ends)
-    known, parts = given.of(motion.team), np.split(ends, [n, 3 * n], axis=1)
+    parts = np.split(ends, [n, 3 * n], axis=1)
     parts[0] = parts[0][..., 0]
     off = {name: known[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
     try:

@@ -13,7 +13,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.task import Setpoints, Task
 from hitchopt.statics.calibrate import friction_pulls
 from hitchopt.statics.recordings import Recording
-from hitchopt.statics.settle import Conditions, energy_of
+from hitchopt.statics.settle import conditions_of, energy_of
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ def balanced(
     """Points (points, 3) [m] at which clasps are in balance, and forces (2n, 3) [N] on drones."""
     layout, n = team.layout, team.robots
     zero = np.zeros((1, 2 * n, 3))
-    conditions = Conditions(cable_density=density, stiffness=1.0, feed_forward=False)
+    conditions = conditions_of(team, cable_density=density, stiffness=1.0, feed_forward=False)
     none = dict.fromkeys(("cable_forces", "offsets", "forces"), zero)
     plan = {"positions": drones, "vertices": guess, "tensions": team.tension}
     plan |= {"cable_length": team.cable_length}

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_flight import recorded, shaken
+from synthetic_flight import RATE, recorded, shaken
 
 import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
 from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS, friction_pulls
-from hitchopt.statics.recordings import Comparison
 
 POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
 DENSITY, MU = 0.012, 0.17
@@ -123,16 +122,17 @@ def test_what_a_recording_does_not_determine_is_said() -> None:
 
 
 @pytest.mark.slow
-def test_the_comparison_is_the_distance_to_the_plan() -> None:
+def test_errors_are_distances_to_the_plan_which_stands_still_before_and_after() -> None:
     task, recording = recorded(*hitches(), K, DENSITY)
-    drones = recording.drones + [0.0, 0.3, 0.4]
-    vertices = np.repeat(task.vertices[-1:], len(recording.t), axis=0) + [0.02, 0.0, 0.0]
-    between = replace(recording, t=recording.t + 0.5 / 20.0, drones=drones, vertices=vertices)
-    found = Comparison.of(between, task)
-    places = task.setpoints.positions
+    places, t = task.setpoints.positions, recording.t + 0.5 / RATE
+    early = np.append(t - 2.0 * t[-1], t)
+    drones = np.tile(recording.drones + [0.0, 0.3, 0.4], (2, 1, 1))
+    vertices = np.tile(task.vertices[-1] + [0.02, 0.0, 0.0], (len(early), 1, 1))
+    found = ho.calibrate(replace(recording, t=early, drones=drones, vertices=vertices), task)
     middle = np.vstack([0.5 * (places[1:] + places[:-1]), places[-1:]])
-    np.testing.assert_allclose(found.drones, np.linalg.norm(drones - middle, axis=-1))
-    assert found.vertices[-1] == pytest.approx(0.02)
+    planned = np.concatenate([np.tile(places[0], (len(t), 1, 1)), middle])
+    np.testing.assert_allclose(found.drone_errors, np.linalg.norm(drones - planned, axis=-1))
+    assert found.vertex_errors[-1] == pytest.approx(0.02)
 
 
 def test_friction_is_coulombs_in_space() -> None:

@@ -12,7 +12,7 @@ from resting_hitches import random_hitch, regular_hitch, settled, standing
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.statics.settle import Conditions, energy_of, samples_of
+from hitchopt.statics.settle import conditions_of, energy_of, samples_of
 from hitchopt.statics.tolerance import ErrorSize, Tolerance, responses, taut_times
 
 seeds = st.integers(0, 2**32 - 1)
@@ -24,7 +24,7 @@ def ranges(hitch: ho.Hitch, **given: Any) -> Tolerance:
 
 def gradients(hitch: ho.Hitch, **given: Any) -> list[np.ndarray]:
     """Derivatives of tensions and points by lengths, set points and forces."""
-    motion, conditions = standing(hitch), Conditions(**given)
+    motion, conditions = standing(hitch), conditions_of(hitch.team, **given)
     energy = energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
     found, n = ho.settle(motion, [1.0], **given), hitch.team.robots
     clasps = found.vertices[:, hitch.team.layout.clasps]

@@ -122,7 +122,7 @@ def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
     assert not found.friction.known
     summary = solved / "simulation" / "simulation.json"
     mean = json.loads(summary.read_text(encoding="utf-8"))["vertex_error"]["all"]["mean"]
-    assert np.nanmean(found.comparison.vertices) == pytest.approx(mean, rel=0.02)
+    assert np.nanmean(found.vertex_errors) == pytest.approx(mean, rel=0.02)
     summary.write_text("{}", encoding="utf-8")
     broken = run("calibrate", solved / "simulation")
     assert (broken.exit_code, "simulate again" in broken.stderr) == (2, True)

@@ -18,7 +18,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import HitchEnergy
-from hitchopt.statics.settle import Conditions, energy_of, samples_of
+from hitchopt.statics.settle import conditions_of, energy_of, samples_of
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(3, 8)
@@ -89,7 +89,7 @@ def test_forces_balance_as_another_module_computes_them(
 
 
 def resting_energy(hitch: ho.Hitch, **given: Any) -> HitchEnergy:
-    motion, conditions = standing(hitch), Conditions(**given)
+    motion, conditions = standing(hitch), conditions_of(hitch.team, **given)
     return energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
 
 
@@ -198,6 +198,7 @@ def test_wrong_conditions_are_refused() -> None:
         ({"cable_density": -0.1}, r"cable_density = -0\.1: must be one non-negative"),
         ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be one positive"),
         ({"friction": -0.1}, "friction"),
+        ({"fiction": 0.1}, "fiction = 0.1: must be one of cable_length"),
     ):
         with pytest.raises(ho.InputError, match="^" + words):
             settled(regular_hitch(3), **conditions)
