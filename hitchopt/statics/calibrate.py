@@ -197,8 +197,14 @@ def calibrate(
     if not np.any(winds):
         long = _Balance.of(task, windows_of(recording, task, SPAN), given, of_drones)
         expected, errors, _ = long.fitted(expected, spread, LONG)
-        compliances = zip(expected[: len(kinds)], errors, strict=False)
-        estimates = [_stiffness(float(np.exp(-log)), error) for log, error in compliances]
+        found = np.exp(-expected[: len(kinds)])
+        remedy = (
+            "drones are displaced by too little; fly a plan that does not know the cables' weight"
+        )
+        estimates = [
+            _judged(k, error * k, MODEL_ERROR, LARGEST_ERROR * k, remedy)
+            for k, error in zip(found.tolist(), errors.tolist(), strict=False)
+        ]
     known = [one.known for one in estimates]
     expected[: len(kinds)] = np.where(known, expected[: len(kinds)], -np.log(stated))
     balance, tensions = _Balance.of(task, windows, given, of_drones), windows["tensions"]
@@ -206,7 +212,9 @@ def calibrate(
         slid = balance.slide(task, recording, windows)
         spread[:-1], spread[-1] = KNOWN, FRICTION_SCALE
         found, errors, tensions = balance.fitted(expected, spread, SHORT)
-        friction = _friction(float(found[-1]), float(errors[-1]), slid)
+        remedy = f"cables slide through clasps by {100 * slid:.1f} cm in all; move vertices farther"
+        mu, error = max(float(found[-1]), 0.0), float(errors[-1])
+        friction = _judged(mu, error, GEOMETRY_ERROR, LARGEST_FRICTION_ERROR, remedy)
     else:
         why = "the drones' stiffness is neither determined nor stated by the plan's team"
         friction = _unknown(f"tensions are unknown: {why}")
@@ -226,24 +234,11 @@ def calibrate(
     )
 
 
-def _stiffness(value: float, relative: float) -> Estimate:
-    """Return the estimate of a stiffness [N/m], or that it is not determined."""
-    if relative <= LARGEST_ERROR:
-        return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
-    return _unknown(
-        f"its standard error would be {relative:.0%} of it: drones are displaced by too little; "
-        "fly a plan that does not know the cables' weight"
-    )
-
-
-def _friction(mu: float, error: float, slid: float) -> Estimate:
-    """Return the estimate of a friction, or that cables slid [m] too little for it."""
-    if error <= LARGEST_FRICTION_ERROR:
-        return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu)))
-    return _unknown(
-        f"its standard error would be {error:.2g}: cables slide through clasps by "
-        f"{100 * slid:.1f} cm in all; move vertices farther, or record more precisely"
-    )
+def _judged(value: float, error: float, model: float, largest: float, remedy: str) -> Estimate:
+    """Return an estimate with the model's relative error, or that it is not determined."""
+    if error <= largest:
+        return Estimate(value, float(np.hypot(error, model * value)))
+    return _unknown(f"its standard error would be {error:.2g}: {remedy}")
 
 
 def _median(values: Array) -> Estimate:
@@ -330,11 +325,8 @@ class _Balance:
             unknown, left = found.x, found.fun[:-g].reshape(count, -1)
             split = np.split(left, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
             scales = np.maximum(scales * [_scatter(part) for part in split], lower)
-        freedom = max(len(found.fun) - len(unknown), 1)
-        variance = max(2.0 * found.cost / freedom, 1.0)
         J: Any = found.jac
-        columns = splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))
-        errors = np.sqrt(variance * np.diag(columns[:g]))
+        errors = np.sqrt(np.diag(splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))))
         return unknown[:g], errors, unknown[g:].reshape(*planned.shape, 3)[..., 0]
 
     def slide(self, task: Task, recording: Recording, windows: dict[str, Array]) -> float:

@@ -32,11 +32,8 @@ STATICS_SIZE, FLIGHT_SIZE, FIT_SIZE = (10.0, 4.8), (11.0, 5.0), (12.0, 4.6)
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
 """Lines of the plan."""
 
-DRAWN_TIMES = 3
-"""Times at which vertices are drawn: the first, the middle and the last one."""
-
-LABELLED = 12
-"""Largest number of curves for which a legend has space."""
+DRAWN_TIMES, LABELLED = 3, 12
+"""Times at which vertices are drawn, and most curves for which a legend has space."""
 
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 """Points of a drawn circle."""

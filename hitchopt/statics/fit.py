@@ -183,13 +183,10 @@ def fit(
     InputError: a number out of its range, or an outline that is none.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    if whole("robots", robots, 3) > MOST_ROBOTS:
-        raise InputError("robots", robots, f"a whole number from 3 to {MOST_ROBOTS}", "use three")
+    whole("robots", robots, 3, MOST_ROBOTS)
     kind = Quadrotor() if quadrotor is None else quadrotor
     requirements = Requirements(limits or Limits(), separation or Separation())
     instance("quadrotor", kind, Quadrotor)
-    instance("limits", requirements.limits, Limits)
-    instance("separation", requirements.separation, Separation)
     section, notes = _section_of(outline)
     most, binding = largest_tension(requirements, kind)
     if tension is None:

@@ -97,13 +97,32 @@ def test_what_rests_is_limited_by_clasps_thrust_and_support() -> None:
     assert (top.mass, top.binding) == (0.0, "support")
 
 
+def test_an_object_rests_while_the_force_line_of_its_centre_is_within_the_edges(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Carried at 1 m/s² the line from half of the height leans by that over g."""
+    monkeypatch.setattr("hitchopt.statics.fit.TABLE_ROBOTS", ())
+    rest = ho.fit(0.3, 4, cable_length=1.4, tension=1.0).holding.rest
+    assert isinstance(rest, ho.ConvexPolygon)
+    clearance = ho.Section(rest.vertices).clearance(np.zeros(2))[0]
+    tallest = -2.0 * float(clearance) * 9.81
+    found = [
+        ho.fit(0.3, 4, cable_length=1.4, tension=1.0, height=share * tallest).holding.rest_capacity
+        for share in (0.99, 1.01)
+    ]
+    assert found[0].mass > 0.0
+    assert (found[1].mass, found[1].binding) == (0.0, "support")
+
+
 def test_fit_of_a_cylinder() -> None:
     found = ho.fit(0.2, 3, tension=1.3, limits=ho.Limits(tilt=math.radians(60.0)))
     grips = found.capacities("grip")
     best = grips[3]
     assert best.mass > 0.1
-    assert best.mass == max(each.mass for each in grips.values())
     assert isinstance(found.holding.grip, ho.Grip)
+    assert best.binding == "grip"
+    assert 1.5 * 9.81 * best.mass == pytest.approx(found.holding.grip.slip_load(0.5))
+    assert best.mass == max(each.mass for each in grips.values())
     assert found.holding.cable_length == pytest.approx(1.6, abs=0.1)
     found.raise_if_too_heavy(0.1)
     with pytest.raises(ho.InfeasibleError, match=r"^grip: 0\.2 kg is above"):

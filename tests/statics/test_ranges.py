@@ -133,6 +133,25 @@ def test_bounds_add_and_no_error_has_no_width() -> None:
     np.testing.assert_allclose(nothing.tensions[0, :, 0], hitch.team.tension, atol=1e-8)
 
 
+def test_what_is_beyond_first_order_is_found_at_the_worst_of_three_deviations() -> None:
+    """For one cable's error that is where it is three times its deviation, both ways."""
+    hitch, step = random_hitch(9, 3, stiffness=2.0), 1e-5 * np.array([[1.0], [-1.0]])
+    lengths, made = hitch.team.cable_length, []
+    for size in (0.002, 0.004):
+        made.append(ranges(hitch, cable_error=f"sd:{size}"))
+        assert 0.0 < made[-1].tension_remainders[0] < 0.2 * np.max(made[-1].tension_halves)
+    up, down = (settled(hitch, cable_length=lengths + h * np.eye(3)).tensions for h in step)
+    slopes = (up - down).T / 2e-5  # of each tension by each length
+    worst = 3.0 * 0.004 * unit(slopes)
+    beyond = []
+    for errors in (worst, -worst):
+        found = settled(hitch, cable_length=lengths + errors).tensions
+        beyond.append(np.abs(found - hitch.team.tension - errors @ slopes.T))
+    assert made[1].tension_remainders[0] >= 2.0 * np.max(beyond) * (1.0 - 1e-3)
+    grown = made[1].tension_remainders / made[0].tension_remainders
+    np.testing.assert_allclose(grown, 4.0, rtol=0.1)  # as it is of second order
+
+
 def test_slack_is_found_where_a_range_reaches_nothing() -> None:
     assert ranges(regular_hitch(3), cable_error=0.01, stiffness=20.0).slack_cables == ()
     loose = ranges(regular_hitch(3), cable_error=0.01, stiffness=120.0)

@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.simulation.task import read_task
+from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.calibrate import Estimate
 from hitchopt.statics.files import team_text
 from hitchopt.statics.recordings import HEADER, Recording, read_recording
@@ -30,8 +30,11 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def planned_rows(solved: Path) -> list[str]:
+    return rows_of(read_task(solved))
+
+
+def rows_of(task: Task) -> list[str]:
     """Return the rows of a recording in which all is as planned."""
-    task = read_task(solved)
     places = np.concatenate([task.setpoints.positions, task.vertices], axis=1)
     names = (*task.team.drone_names, *task.team.point_names)
     return [
@@ -87,6 +90,16 @@ def test_order_other_columns_and_unknown_names_do_not_matter(solved: Path, tmp_p
     np.testing.assert_array_equal(plain.vertices, again.vertices)
 
 
+def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
+    arc = [[1.0, 0.0], [1.6, 1.0], [2.9, 1.1], [3.6, 0.0]]
+    team = ho.Team(3, [2.2, 2.6, 2.3], topology="open", tension=0.5)
+    task = Task.of(ho.hold(ho.Hitch.balanced(team, arc, altitude=1.4), seconds=2.0).motion)
+    rows = [row for row in rows_of(task) if ",p0," not in row and ",p3," not in row]
+    found = ho.calibrate(write(tmp_path / "flight.csv", rows), task)
+    np.testing.assert_array_equal(found.recording.vertices, task.vertices[::5])
+    np.testing.assert_allclose([one.value for one in found.lengths], team.cable_length, atol=1e-6)
+
+
 def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path) -> None:
     rows = planned_rows(solved)
     for header, lines, words in (
@@ -117,6 +130,7 @@ def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
     assert flown.exit_code == 0, flown.output
     found = ho.calibrate(solved / "simulation")  # the plan is where the results lie
     assert found.density == 0.012
+    assert np.isfinite(found.recording.vertices[-1]).all()  # drones are recorded for longer
     np.testing.assert_allclose([one.value for one in found.lengths], [2.4, 2.5, 2.45], atol=5e-3)
     assert found.stiffness[0].value == pytest.approx(6.0, rel=0.1)
     assert not found.friction.known
