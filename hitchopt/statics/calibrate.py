@@ -22,6 +22,7 @@ one plane turn farther than in the plane, and touch where they cross.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,53 +41,49 @@ from hitchopt.statics.recordings import Recording, planned, read_recording, tigh
 from hitchopt.statics.settle import conditions_of, energy_of
 from hitchopt.values import Array, Indices, not_negative, path
 
+# Windows in which stiffness, friction, and rates of sliding are found [s]. Tensions of 0.5 s follow
+# the noise of their drones, which makes these seem up to 24 % stiffer
 SPAN, WINDOW, RATE_SPAN = 6.0, 0.5, 0.2
-"""[s] Windows in which stiffness, friction, and rates of sliding are found. Tensions of 0.5 s
-follow the noise of their drones, which makes these seem up to 24 % stiffer."""
 
-ROUNDS, MOST_STEPS, FIRST = 3, 200, 5.0
-"""Solutions of the problem, each with the scatter that the last one left; steps of each; and first
-guess of the scatter over the least one."""
+ROUNDS = 3  # Solutions of the problem, each with the scatter that the last one left
+MOST_STEPS = 200  # Of each solution
 
-LONG, SHORT = (5e-4, 3e-3), (1e-2, 3e-3)
-"""Least scatter in long and short windows: of displacements [m], in the latter that of the
-positions that drones measure, and of forces over the tension."""
+# Least scatter in long and short windows: of displacements [m], in the latter that of the positions
+# that drones measure, and of forces over the tension; first guess of the scatter over it
+LONG, SHORT, FIRST = (5e-4, 3e-3), (1e-2, 3e-3), 5.0
 
-GUESS = 5.0
-"""[N/m] First guess of a stiffness that the team does not state."""
+GUESS = 5.0  # First guess of a stiffness that the team does not state [N/m]
 
+# Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
+# force [N], of a coefficient of friction, and of what is known
 STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, KNOWN = 3.0, 0.2, 10.0, 1e-6
-"""Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
-force [N], of a coefficient of friction, and of what is known."""
 
+# Standard deviation of the friction that a leg uses where cables do not slide, and of the logarithm
+# of a ratio where they do
 STICKING, SCATTER = 0.5, 0.01
-"""Standard deviation of the friction that a leg uses where cables do not slide, and of the
-logarithm of a ratio where they do."""
 
-MODEL_ERROR, LARGEST_ERROR = 0.03, 0.25
-"""Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
-thickness, and the largest one that counts as determined."""
+# Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
+# thickness, and of a friction coefficient by the angles below
+MODEL_ERROR, GEOMETRY_ERROR = 0.03, 0.15
 
-GEOMETRY_ERROR, LARGEST_FRICTION_ERROR = 0.15, 0.1
-"""Relative standard error of a friction coefficient by the angles below, and the largest absolute
-one that counts as determined."""
+# Largest errors that count as determined: of a stiffness, relative, and of a friction, absolute
+LARGEST_ERROR, LARGEST_FRICTION_ERROR = 0.25, 0.1
 
+# Angles by which cables turn in the plane [rad], that in space over it, and the cosine between the
+# cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)
 TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
 IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
 COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
-"""Angles by which cables turn in the plane [rad], that in space over it, and the cosine between the
-cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)."""
 
+# Rate of sliding below which its direction is blurred [m/s], by noise of positions and by contacts
+# that creep: in simulations friction has a third of its size at 2 mm/s
 BLURRED = 1e-2
-"""[m/s] Rate of sliding below which its direction is blurred, by noise of positions and by contacts
-that creep: in simulations friction has a third of its size at 2 mm/s."""
 
+# Least rates at which cables slide over each other in a window that counts as sliding [m/s], and at
+# which the plan has to slide them, the same way: noise that slides them is no sliding
 SLIDING, PLANNED = 1e-2, 5e-3
-"""[m/s] Least rates at which cables slide over each other in a window that counts as sliding, and
-at which the plan has to slide them, the same way: noise that slides them is no sliding."""
 
-LEAST_LENGTH_SCATTER = 3e-4
-"""[m] Least scatter that is assumed of a measured cable length."""
+LEAST_LENGTH_SCATTER = 3e-4  # Least scatter that is assumed of a measured cable length [m]
 
 
 @dataclass(frozen=True)
@@ -100,18 +97,14 @@ class Estimate(OneLine):
     remark: why it is not determined, or empty.
     """
 
-    value: float
-    error: float
+    value: float = math.nan
+    error: float = math.inf
     remark: str = ""
 
     @property
     def known(self) -> bool:
         """Whether the recording determines it."""
         return not self.remark
-
-
-def _unknown(remark: str) -> Estimate:
-    return Estimate(float("nan"), float("inf"), remark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,7 +186,7 @@ def calibrate(
     expected = np.append(-np.log(np.where(np.isfinite(stated), stated, GUESS)), np.zeros(3))
     spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, KNOWN])
     integral = "integral action returns drones to their set points, whatever their stiffness"
-    estimates = [_unknown(integral)] * len(kinds)
+    estimates = [Estimate(remark=integral)] * len(kinds)
     if not np.any(winds):
         long = _Balance.of(task, windows_of(recording, task, SPAN), given, of_drones)
         expected, errors, _ = long.fitted(expected, spread, LONG)
@@ -217,7 +210,7 @@ def calibrate(
         friction = _judged(mu, error, GEOMETRY_ERROR, LARGEST_FRICTION_ERROR, remedy)
     else:
         why = "the drones' stiffness is neither determined nor stated by the plan's team"
-        friction = _unknown(f"tensions are unknown: {why}")
+        friction = Estimate(remark=f"tensions are unknown: {why}")
     tensions = np.clip(tensions, windows["tensions"] / 3.0, 3.0 * windows["tensions"])
     arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
     t, places = recording.t, task.setpoints.positions
@@ -238,7 +231,7 @@ def _judged(value: float, error: float, model: float, largest: float, remedy: st
     """Return an estimate with the model's relative error, or that it is not determined."""
     if error <= largest:
         return Estimate(value, float(np.hypot(error, model * value)))
-    return _unknown(f"its standard error would be {error:.2g}: {remedy}")
+    return Estimate(remark=f"its standard error would be {error:.2g}: {remedy}")
 
 
 def _median(values: Array) -> Estimate:

@@ -30,31 +30,27 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.values import Array, Indices
 
-CONVERGED, CABLE_STEPS = 1e-10, 100
-"""Relative step at which a cable's tension is found, and number of steps at most."""
+CONVERGED = 1e-10  # Relative step at which a cable's tension is found
+CABLE_STEPS = 100  # Most steps
+IMAGINARY = 1e-30  # Imaginary step by which derivatives are taken [m], [N]: exact to rounding
 
-IMAGINARY = 1e-30
-"""[m], [N] Imaginary step by which derivatives are taken: exact to rounding."""
-
+# Forces this small on all nodes end the iteration [N], without friction and with it, and [1] over
+# the cables' stiffness times the coordinates
 SMALL_FORCE, BAND_FORCE, ROUNDED_FORCE = 1e-11, 1e-7, 16.0 * float(np.finfo(np.float64).eps)
-"""[N] Forces this small on all nodes end the iteration, without friction and with it; or [1] over
-the cables' stiffness times the coordinates."""
 
+# Added to the Hessian's diagonal [N/m]: as slack cables hold their clasps by nothing; after the
+# first step that does not descend; and at most
 LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
-"""[N/m] Added to the Hessian's diagonal, as slack cables hold their clasps by nothing; after the
-first step that does not descend; and at most."""
 
+# Newton steps at most, 3 to 30 are usual; for each share of friction; times that one is halved
 NEWTON_STEPS, BAND_STEPS, HALVINGS = 200, 20, 30
-"""Number of Newton steps (3 to 30 are usual), and of times that one is halved."""
 
-DESCENT, ROUNDING = 1e-4, 1e-14
-"""Share of the linear decrease that a step must bring (Armijo), and rounding of the energies."""
+DESCENT = 1e-4  # Share of the linear decrease that a step must bring (Armijo)
+ROUNDING = 1e-14  # Of the energies
+LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1  # Of a node [m]: directions change beyond it
 
-LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1
-"""[m] Longest step of a node: directions change beyond it."""
-
+# Shares of the friction at which the hitch settles on its way to an end of its band
 SHARES = np.linspace(0.1, 1.0, 10)
-"""Shares of the friction at which the hitch settles on its way to an end of its band."""
 
 
 @dataclass(frozen=True, eq=False)

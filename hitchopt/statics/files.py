@@ -26,17 +26,15 @@ from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, new_figure, 
 
 STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
+# Widths and heights [inch]
 STATICS_SIZE, FLIGHT_SIZE, FIT_SIZE = (10.0, 4.8), (11.0, 5.0), (12.0, 4.6)
-"""Widths and heights [inch]."""
 
+# Lines of the plan, and points of a circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
-"""Lines of the plan."""
-
-DRAWN_TIMES, LABELLED = 3, 12
-"""Times at which vertices are drawn, and most curves for which a legend has space."""
-
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
-"""Points of a drawn circle."""
+
+# Times at which vertices are drawn, and most curves for which a legend has space
+DRAWN_TIMES, LABELLED = 3, 12
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
@@ -102,11 +100,7 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
         finite = np.where(np.isfinite(high), high, 2.0 * np.max(settled.tensions))
-        units = {"cable": "m of cable", "position": "m of position", "force": "N"}
-        sizes = ranges.errors.items()
-        words = [f"{size.words} {units[name]}" for name, size in sizes if size.words]
-        label = f"any cable, for errors of {', '.join(words)}"
-        left.fill_between(t, low, finite, color="0.87", label=label, zorder=1)
+        left.fill_between(t, low, finite, color="0.87", label="range of any cable", zorder=1)
     left.set_prop_cycle(color=COLOURS)
     marker = "o" if len(t) == 1 else None
     left.plot(t, settled.tensions, marker=marker, linewidth=1.2, zorder=3)[0].set_label("at rest")
@@ -234,8 +228,8 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         content["rest"] = {"polygon": rest.vertices.tolist()}
     for by, masses in content["largest_mass"].items():
         for n, found in fit.capacities(by).items():
-            masses[str(n)] = vars(found) | {"suggested change": found.suggested}
-            masses[str(n)]["limit"] = masses[str(n)].pop("binding")
+            masses[str(n)] = {"mass": found.mass, "limit": found.binding}
+            masses[str(n)]["suggested change"] = found.suggested
     return content
 
 

@@ -39,30 +39,23 @@ from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons, rest_polygons
 from hitchopt.values import instance, not_negative, points, positive, whole
 
-SAFETY = 1.5
-"""Least slip load over load."""
-
 GRIP, REST = "grip", "rest"
+SAFETY = 1.5  # Least slip load over load
+MOST_ROBOTS = 24  # Pairs of parts of a grip are laid out at once
+TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared, besides the one asked for
 
-MOST_ROBOTS = 24
-"""Largest number of robots: pairs of parts of a grip are laid out at once."""
-
-TABLE_ROBOTS = (3, 4, 5, 6)
-"""Numbers of robots that are compared, besides the one asked for."""
-
+# Regular polygons are turned by so many parts of their symmetry, and stretched in so many
+# directions besides those of the section's sides, by these ratios over the section's own
 AXES, TURNS, PROPORTIONS = 24, 16, np.geomspace(0.25, 4.0, 41)
-"""Regular polygons are turned by so many parts of their symmetry, and stretched in so many
-directions besides those of the section's sides, by these ratios over the section's own."""
 
-LEAST_TURN, LEAST_EDGE = 0.6, 0.5
-"""Smallest exterior angle and smallest edge, over their means."""
+LEAST_TURN, LEAST_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
 
+# Sizes and margins that differ by less are the same: drones in one place are not 3e-16 apart
 ROUNDING = 1e-9
-"""Sizes and margins that differ by less are the same: drones in one place are not 3e-16 apart."""
 
+# Step of cable lengths [m]; steps between those that are tried with legs that are not balanced; and
+# by how much cables are tried that are longer than legs need [m]
 CENTIMETRE, STRIDE, LONGEST = 0.01, 20, 1.0
-"""[m] Step of cable lengths; steps between those that are tried with legs that are not balanced;
-and by how much [m] cables are tried that are longer than legs need."""
 
 
 @dataclass(frozen=True)
@@ -193,8 +186,7 @@ def fit(
         tension = most
         notes.append(f"tension {most:.4g} N, the largest level pull: {binding} binds")
     if positive("tension", tension) > most:
-        name = "limits.tilt_deg" if binding == "tilt" else "quadrotor.max_thrust"
-        remedy = f"raise {name}, or lower the tension"
+        remedy = Capacity(most, binding).suggested
         raise InfeasibleError([Violation(binding, tension, most, "max", "N", (), "", remedy)])
     task = FitTask(
         section,

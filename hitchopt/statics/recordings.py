@@ -17,18 +17,16 @@ from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 
+# Columns of a recording, in any order and among others: time from the plan's start [s], a drone
+# (q0, r0, …) or a vertex (p0, …), and its position [m]
 HEADER = "t,name,x,y,z"
-"""Columns of a recording, in any order and among others: time from the plan's start [s], a drone
-(q0, r0, …) or a vertex (p0, …), and its position [m]."""
 
-MAX_BYTES = 400_000_000
-"""Larger tables are refused before they are read."""
+MAX_BYTES = 400_000_000  # Larger tables are refused before they are read
 
+# Files of a simulated flight; for "name" its tables have "drone" and "vertex"
 DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
-"""Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
 
-WINDOW_TIGHT = 0.9
-"""Least planned tension over the team's at which a hitch counts in a window."""
+WINDOW_TIGHT = 0.9  # Least planned tension over the team's at which a hitch counts in a window
 
 
 @dataclass(frozen=True, eq=False)

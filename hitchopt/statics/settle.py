@@ -27,17 +27,23 @@ from hitchopt.plan import Plan
 from hitchopt.statics.energy import HitchEnergy
 from hitchopt.values import Array, Indices, instance
 
+# Least positive and largest finite number
 POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
-"""Least positive and largest finite number."""
 
+# What the plan says, and conditions that may differ from sample to sample, with their axes
 PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
 SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
-"""What the plan says, and conditions that may differ from sample to sample, with their axes."""
 
-
+# EA of a braided polyethylene line of 1 mm [N], which is all but inextensible; without stretch
+# rigid drones would not determine tensions
 AXIAL_STIFFNESS = 1e4
-"""[N] EA of a braided polyethylene line of 1 mm, which is all but inextensible. Without stretch
-rigid drones would not determine tensions."""
+
+LARGEST_RESIDUAL = 1e-6  # Largest force without balance of a solution that is returned [N]
+BLOCK = 4000  # Cables of all samples that are solved for at once, which bounds the memory
+
+# A cable is slack where a level span as long as its longest one would hang by more than its chord
+# over the first number, or its tension is no more than the second over the planned one
+SAG_RATIO, SLACK_SHARE = 4.0, 1e-6
 
 
 def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
@@ -121,11 +127,6 @@ class Settled(OneLine):
     length_residual: Array
 
     @property
-    def displacements(self) -> Array:
-        """(…, points) [m]: distance of every vertex from the planned one."""
-        return length(self.vertices - self.planned_vertices)
-
-    @property
     def band(self) -> Array:
         """(…, points, 2) [m]: how far outside of its plan every vertex can rest, least and most.
 
@@ -158,17 +159,6 @@ def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str,
     """Return the names of the columns of flags (…, n) in which any is set."""
     any_ = flags.reshape(-1, flags.shape[-1]).any(axis=0)
     return tuple(f"{letter}{k}" for k in numbers[any_])
-
-
-LARGEST_RESIDUAL = 1e-6
-"""[N] Largest force without balance of a solution that is returned."""
-
-SAG_RATIO, SLACK_SHARE = 4.0, 1e-6
-"""A cable is slack where a level span as long as its longest one would hang by more than its chord
-over the first number, or its tension is no more than the second over the planned one."""
-
-BLOCK = 4000
-"""Cables of all samples that are solved for at once, which bounds the memory."""
 
 
 def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:

@@ -26,22 +26,21 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.statics.energy import HitchEnergy
-from hitchopt.statics.settle import (
-    SAMPLED,
-    Settled,
-    conditions_of,
-    energy_of,
-    named,
-    samples_of,
-    settle,
-)
+from hitchopt.statics.settle import SAMPLED, Settled, conditions_of, energy_of, samples_of, settle
 from hitchopt.values import Array, as_array, instance, not_negative
 
-DEVIATIONS = 3.0
-"""Standard deviations that a range covers: 99.7 % of normal errors."""
+DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
+MARK = "sd:"  # What a standard deviation begins with on the command line: sd:0.01
 
-MARK = "sd:"
-"""What a standard deviation begins with on the command line: ``sd:0.01``."""
+# Times at which ranges are computed unless others are given, and that are looked at for each
+SAMPLES, CANDIDATES = 25, 20
+
+TAUT = 0.9  # Share of the team's tension from which on a cable is taut
+CORNERS = 4  # Tensions, and coordinates, of widest range whose worst errors are settled at
+
+# Factor of the largest difference to first order: the corners are worst for the first order, not
+# for what is beyond it
+REMAINDER = 2.0
 
 
 @dataclass(frozen=True)
@@ -80,11 +79,8 @@ class ErrorSize(OneLine):
         name = "deviation" if isinstance(given, str) and given.startswith(MARK) else "bound"
         return cls(**{name: not_negative(key, size)})
 
-    @property
-    def words(self) -> str:
-        """What it says, without a unit: ``±0.01`` or ``sd 0.01``; nothing of no error."""
-        parts = ("±", self.bound), ("sd ", self.deviation)
-        return " and ".join(f"{mark}{size:g}" for mark, size in parts if size)
+
+Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
 
 
 def responses(energy: HitchEnergy, x: Array) -> Array:
@@ -116,21 +112,6 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
     return np.concatenate([first, position, force], axis=1)
 
 
-SAMPLES, CANDIDATES = 25, 20
-"""Times of a plan at which ranges are computed unless others are given, and times that are looked
-at for each of them, to leave out those without a taut hitch."""
-
-TAUT = 0.9
-"""Share of the team's tension from which on a cable is taut."""
-
-CORNERS = 4
-"""Tensions, and coordinates, of widest range whose worst errors are settled at, for each time."""
-
-REMAINDER = 2.0
-"""Factor of the largest difference to first order: the corners are worst for the first order, not
-for what is beyond it."""
-
-
 @dataclass(frozen=True, eq=False)
 class Tolerance(OneLine):
     """Ranges at times (S,) of a plan.
@@ -146,7 +127,7 @@ class Tolerance(OneLine):
     ellipsoids: (S, points, 3, 3) [m²], E: vertices stay within ``vᵀ E⁻¹ v ≤ 1``, at first order.
     """
 
-    errors: dict[str, ErrorSize]
+    errors: Sizes
     settled: Settled
     tension_halves: Array
     tension_remainders: Array
@@ -176,7 +157,7 @@ class Tolerance(OneLine):
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
         slack = self.settled.slack | (self.tensions[..., 0] <= 0.0)
-        return named("c", slack, np.arange(slack.shape[-1]))
+        return tuple(f"c{k}" for k in np.flatnonzero(slack.any(axis=0)))
 
 
 def tolerance(
@@ -235,11 +216,7 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
 
 
 def _range(
-    motion: Motion,
-    settled: Settled,
-    i: int,
-    errors: dict[str, ErrorSize],
-    conditions: dict[str, Any],
+    motion: Motion, settled: Settled, i: int, errors: Sizes, conditions: dict[str, Any]
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
     n, known = motion.team.robots, conditions_of(motion.team, **conditions)
