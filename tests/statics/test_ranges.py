@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.statics.settle import conditions_of, energy_of, samples_of
 from hitchopt.statics.tolerance import ErrorSize, Tolerance, responses, taut_times
+from hitchopt.trajectory import PiecewisePolynomial
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -173,3 +175,6 @@ def test_taut_times_leave_out_rising_tensions() -> None:
     motion = standing(regular_hitch(3))
     np.testing.assert_allclose(taut_times(motion, 5), [0.0, 0.5, 1.0, 1.5, 2.0], atol=0.02)
     assert taut_times(motion, 1).tolist() == [0.0]
+    rising = PiecewisePolynomial(np.array([0.0, 2.0]), 0.5 * np.outer(np.ones(3), [0.0, 1.0])[None])
+    found = taut_times(dataclasses.replace(motion, tensions=rising), 5)
+    np.testing.assert_allclose(found[[0, -1]], [1.8, 2.0], atol=0.03)

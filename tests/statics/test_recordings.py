@@ -15,7 +15,7 @@ from hitchopt.cli import main
 from hitchopt.simulation.task import Task, read_task
 from hitchopt.statics.calibrate import Estimate
 from hitchopt.statics.files import team_text
-from hitchopt.statics.recordings import HEADER, Recording, read_recording
+from hitchopt.statics.recordings import HEADER, Recording, read_recording, windows_of
 from hitchopt.storage.yaml_file import parse_yaml
 
 POLYGON = [[0.0, -0.75], [-0.6, 0.4], [0.7, 0.4]]
@@ -98,6 +98,16 @@ def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
     found = ho.calibrate(write(tmp_path / "flight.csv", rows), task)
     np.testing.assert_array_equal(found.recording.vertices, task.vertices[::5])
     np.testing.assert_allclose([one.value for one in found.lengths], team.cable_length, atol=1e-6)
+
+
+def test_windows_count_of_which_half_was_seen(solved: Path) -> None:
+    task = read_task(solved)
+    drones, vertices = task.setpoints.positions, task.vertices.copy()
+    vertices[55:100, 0] = np.nan  # of 50 samples 5 are left
+    vertices[100:120, 0] = np.nan  # of 50 samples 30 are left
+    found = windows_of(Recording(task.t, drones, vertices), task, 0.5)
+    np.testing.assert_allclose(found["t"][:2], [0.245, 1.345])
+    np.testing.assert_allclose(found["tensions"], 0.5)
 
 
 def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path) -> None:
