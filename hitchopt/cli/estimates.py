@@ -56,35 +56,39 @@ def statics(
     friction a vertex rests anywhere in its band, as the clasps' history has it. Writes statics.json
     and statics.png to DIR. Ends with 3 if a cable is slack or a clasp does not hold.
     """
+    from hitchopt.hitch.forces import undetermined_tension
     from hitchopt.motion.plan_file import read_plan
     from hitchopt.statics.files import save_statics, statics_content
-    from hitchopt.statics.settle import Conditions, settle_motion
-    from hitchopt.statics.tolerance import Errors, ErrorSize, taut_times, tolerance_of_motion
+    from hitchopt.statics.settle import conditions_of, settle
+    from hitchopt.statics.tolerance import ErrorSize, taut_times
+    from hitchopt.statics.tolerance import tolerance as ranges_of
 
     path = plan_path(directory)
     chosen = {name: value for name, value in given.items() if value is not None}
     sizes = {name: chosen.pop(f"{name}_error") for name in KINDS if f"{name}_error" in chosen}
     if tolerance and not sizes:
         sizes = USUAL
-    parsed = {name: ErrorSize.of(f"--{name}-error", text) for name, text in sizes.items()}
+    parsed = {f"{k}_error": ErrorSize.of(f"--{k}-error", text) for k, text in sizes.items()}
     if "cable_length" in chosen:
         chosen["cable_length"] = _lengths(chosen["cable_length"])
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("--samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
-    conditions = Conditions(**chosen)
     motion = read_plan(path)
     t = list(times) if times else taut_times(motion, samples)
     with LateProgress("settling"):
         if parsed:
-            ranges = tolerance_of_motion(motion, t, Errors(**parsed), conditions)
+            ranges = ranges_of(motion, t, **parsed, **chosen)
             settled = ranges.settled
         else:
-            ranges, settled = None, settle_motion(motion, t, conditions)
+            ranges, settled = None, settle(motion, t, **chosen)
         save_statics(path.parent, settled, ranges)
     content = statics_content(settled, ranges)
     record(directory=str(path.parent), statics=content)
     say(_statics_tables(content))
-    for note in conditions.notes(motion.team):
+    winds, feeds = (
+        conditions_of(motion.team, **chosen)[name] for name in ("integral", "feed_forward")
+    )
+    for note in undetermined_tension(integral=bool(winds.any()), feed_forward=bool(feeds.all())):
         say(f"note: {note}")
     say(f"statics.json and statics.png are in {path.parent}")
     if loose := [*content["slack_cables"], *content["loose_clasps"]]:
@@ -179,8 +183,9 @@ def calibrate(
 def _calibration_tables(found: ho.Calibration) -> str:
     """Return the tables of estimates and of distances to the plan."""
     from hitchopt.cli.simulating import spread_text
+    from hitchopt.simulation.judgement import Spread
 
-    team, compared = found.task.team, found.comparison
+    team = found.task.team
     named = [
         (f"length of cable {k} [m]", x, team.cable_length[k]) for k, x in enumerate(found.lengths)
     ]
@@ -195,15 +200,9 @@ def _calibration_tables(found: ho.Calibration) -> str:
         else:
             remarks.append(f"{name}: {estimate.remark}")
         rows.append({"quantity": name, **cells, "in the plan": float(planned)})
-    heads = ("whole flight", "plan at rest", "plan moving")
-    distances = [
-        {"of": name, **dict(zip(heads, map(spread_text, spreads), strict=True))}
-        for names, columns in (
-            (team.point_names, compared.vertices),
-            (team.drone_names, compared.drones),
-        )
-        for name, spreads in zip(names, compared.spreads(columns), strict=True)
-    ]
+    columns = [*zip(team.point_names, found.vertex_errors.T, strict=True)]
+    columns += zip(team.drone_names, found.drone_errors.T, strict=True)
+    distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
     estimates = table("Estimates", rows)
     return "\n\n".join([estimates, *remarks, table(title, distances)]) + "\n"

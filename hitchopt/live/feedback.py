@@ -30,8 +30,8 @@ from hitchopt.geometry.vectors import differences, shortest_offset
 from hitchopt.hitch.leg_program import SEPARATION, Parts, end_combinations
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion
-from hitchopt.statics.settle import Conditions, energy_of, samples_of
-from hitchopt.statics.tolerance import Gradients
+from hitchopt.statics.settle import conditions_of, energy_of, samples_of
+from hitchopt.statics.tolerance import responses
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, not_negative, per_robot, positive
 
@@ -253,13 +253,14 @@ def vertex_responses(
     """
     team = motion.team
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
-    conditions = Conditions(stiffness=stiffness, integral=False)
+    conditions = conditions_of(team, stiffness=stiffness, integral=False)
     found = []
     for time in np.atleast_1d(as_array(times)).tolist():
-        energy, x = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
-        arcs = energy.law.forces(x[:, energy.nodes], energy.law.reference)[1]
-        energy = replace(energy, law=replace(energy.law, lengths=arcs))  # of planned tension
-        rows = Gradients.of(energy, x).position[clasps.ravel()]
+        energy = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
+        arcs = energy.forces(energy.start[:, energy.nodes], energy.reference)[1]
+        energy = replace(energy, lengths=arcs)  # of planned tension
+        by_setpoints = slice(team.robots, 3 * team.robots)
+        rows = responses(energy, energy.start)[clasps.ravel(), by_setpoints]
         forward = rows.reshape(len(rows), -1)
         gram = forward @ forward.T + DAMPING**2 * np.eye(len(forward))
         found.append((forward, np.ascontiguousarray(np.linalg.solve(gram, forward).T)))

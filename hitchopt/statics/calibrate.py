@@ -2,13 +2,11 @@
 
 It is the statics of ``energy`` turned round: places are measured, and what acts there is unknown.
 On average a drone stands at ``x = x_set + (F + cable force)/k``, F what its controller feeds
-forward, also while it follows set points slowly, since its controller knows their velocity; forces
-on clasps balance, and the cables' known weight gives them their scale. One problem of robust least
-squares has these residuals, with the tension of every cable and the friction that each of its legs
-uses as unknowns of every window, and compliances 1/k, a steady level wind and the coefficient of
-friction as unknowns of all windows. It is solved twice: in long windows, which are free of the
-noise of the drones' own positions, for the stiffness, and in short ones, in which cables slide, for
-friction. Lengths are those that the law gives cables there, arcs included.
+forward; forces on clasps balance, and the cables' known weight gives them their scale. One problem
+of robust least squares has these residuals. Unknowns of every window are the tension of every cable
+and the friction that each of its legs uses, of all windows compliances 1/k, a steady level wind and
+the coefficient of friction. It is solved twice: in long windows, which are free of the noise of the
+drones' own positions, for the stiffness, and in short ones, in which cables slide, for friction.
 
 Friction acts against the velocity with which one cable's surface moves over the other's. With rates
 v_a and v_b at which the cables a and b of a clasp slide toward their legs, and c the cosine between
@@ -18,84 +16,74 @@ these directions where they touch, the leg of a is pulled harder than its edge b
 
 Θ_a being the angle by which it turns in space; b likewise. It is Coulomb's law: friction on a is
 ``-μ N (v_a t_a - v_b t_b)/w`` with the normal force ``N = T Θ`` and directions t toward the legs,
-and only its part along t_a changes the tension of a. A cable that slides alone has the ratio of a
-capstan and drags the other along; where both slide alike, friction acts across them for the most
-part, and ratios are less. Θ and c are geometry: cables whose ends lie in one plane pass over and
-under each other, turn farther than in the plane, and touch where they cross.
+and only its part along t_a changes the tension of a. Θ and c are geometry: cables whose ends lie in
+one plane turn farther than in the plane, and touch where they cross.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import block_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import length, unit
+from hitchopt.simulation.judgement import TIGHT
 from hitchopt.simulation.task import Task, read_task
-from hitchopt.statics.energy import IMAGINARY, HitchEnergy, bends_of
-from hitchopt.statics.recordings import Comparison, Recording, Windows, compare, read_recording
-from hitchopt.statics.settle import Conditions, energy_of
+from hitchopt.statics.energy import HitchEnergy, bends_of
+from hitchopt.statics.recordings import Recording, planned, read_recording, tight, windows_of
+from hitchopt.statics.settle import conditions_of, energy_of
 from hitchopt.values import Array, Indices, not_negative, path
 
+# Windows in which stiffness, friction, and rates of sliding are found [s]. Tensions of 0.5 s follow
+# the noise of their drones, which makes these seem up to 24 % stiffer
 SPAN, WINDOW, RATE_SPAN = 6.0, 0.5, 0.2
-"""Lengths of the windows in which stiffness, friction, and rates of sliding are found [s]. Tensions
-of 0.5 s follow the noise of their drones, which makes these seem up to 24 % stiffer, of 2 s up to
-13 %; noise reverses rates after more than 0.2 s."""
 
-ROUNDS = 3
-"""Solutions of the problem, each with the scatter that the last one left."""
+ROUNDS = 3  # Solutions of the problem, each with the scatter that the last one left
+MOST_STEPS = 200  # Of each solution
 
-OFFSETS, SHARES = (2e-3, 1e-2), (0.02, 0.02)
-LEAST_OFFSETS, LEAST_SHARES = (5e-4, 1e-2), (3e-3, 3e-3)
-"""Scatter of displacements in long and short windows [m], the latter that of the positions that
-drones measure, and of forces over the tension: before the first solution, and the least."""
+# Least scatter in long and short windows: of displacements [m], in the latter that of the positions
+# that drones measure, and of forces over the tension; first guess of the scatter over it
+LONG, SHORT, FIRST = (5e-4, 3e-3), (1e-2, 3e-3), 5.0
 
-GUESS = 5.0
-"""First guess of a stiffness that the team does not state [N/m]."""
+GUESS = 5.0  # First guess of a stiffness that the team does not state [N/m]
 
+# Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
+# force [N], of a coefficient of friction, and of what is known
 STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, KNOWN = 3.0, 0.2, 10.0, 1e-6
-"""Standard deviations that are expected beforehand: of a stiffness' logarithm, of a steady wind's
-force [N], of a coefficient of friction, and of what is known."""
 
+# Standard deviation of the friction that a leg uses where cables do not slide, and of the logarithm
+# of a ratio where they do
 STICKING, SCATTER = 0.5, 0.01
-"""Standard deviation of the friction that a leg uses where cables do not slide, and of the
-logarithm of a ratio where they do."""
 
-MODEL_ERROR, LARGEST_ERROR = 0.03, 0.25
-"""Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
-thickness, and the largest one that counts as determined."""
+# Relative standard error of a stiffness by what the balance leaves out, such as the ropes'
+# thickness, and of a friction coefficient by the angles below
+MODEL_ERROR, GEOMETRY_ERROR = 0.03, 0.15
 
-GEOMETRY_ERROR, LARGEST_FRICTION_ERROR = 0.15, 0.1
-"""Relative standard error of a friction coefficient by the angles below, and the largest absolute
-one that counts as determined."""
+# Largest errors that count as determined: of a stiffness, relative, and of a friction, absolute
+LARGEST_ERROR, LARGEST_FRICTION_ERROR = 0.25, 0.1
 
+# Angles by which cables turn in the plane [rad], that in space over it, and the cosine between the
+# cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)
 TURNS = np.radians([0.0, 30.1, 44.9, 60.0, 74.5, 89.5, 119.2])
 IN_SPACE = np.array([1.52, 1.518, 1.504, 1.483, 1.438, 1.378, 1.266])
 COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
-"""Angles by which cables turn in the plane [rad], that in space over it, and the cosine between the
-cables where they touch, of simulated hitches at rest without friction (10 g/m at 0.5 N)."""
 
+# Rate of sliding below which its direction is blurred [m/s], by noise of positions and by contacts
+# that creep: in simulations friction has a third of its size at 2 mm/s
 BLURRED = 1e-2
-"""Rate of sliding below which its direction is blurred [m/s]: by noise of the recorded positions,
-by what a span does not resolve, and by cables that stick. In simulations contacts creep where
-friction is less than it may be: at 2 mm/s it has a third of its size, at 6 mm/s three quarters."""
 
+# Least rates at which cables slide over each other in a window that counts as sliding [m/s], and at
+# which the plan has to slide them, the same way: noise that slides them is no sliding
 SLIDING, PLANNED = 1e-2, 5e-3
-"""Least rates at which cables slide over each other in a window that counts as sliding [m/s], and
-at which the plan has to slide them, the same way: sliding that is due to noise goes with errors of
-the tensions."""
 
-LEAST_LENGTH_SCATTER = 3e-4
-"""Least scatter that is assumed of a measured cable length [m]."""
-
-SLID = 0.02
-"""Least distance that cables must slide, all clasps taken together, to determine friction [m]."""
+LEAST_LENGTH_SCATTER = 3e-4  # Least scatter that is assumed of a measured cable length [m]
 
 
 @dataclass(frozen=True)
@@ -109,18 +97,14 @@ class Estimate(OneLine):
     remark: why it is not determined, or empty.
     """
 
-    value: float
-    error: float
+    value: float = math.nan
+    error: float = math.inf
     remark: str = ""
 
     @property
     def known(self) -> bool:
         """Whether the recording determines it."""
         return not self.remark
-
-
-def _unknown(remark: str) -> Estimate:
-    return Estimate(float("nan"), float("inf"), remark)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +119,9 @@ class Calibration(OneLine):
     lengths: of each cable [m], between its drones: legs, edge and the arcs of their sag.
     stiffness: of the position loops of each robot's drones [N/m].
     friction: coefficient at the clasps.
-    comparison: deviations from the plan.
+    vertex_errors: (samples, points) [m], distances from the plan; nan where it has no hitch, drawn
+        tight, or none was seen.
+    drone_errors: (samples, 2n) [m], distances from the set points.
     """
 
     task: Task
@@ -144,12 +130,13 @@ class Calibration(OneLine):
     lengths: tuple[Estimate, ...]
     stiffness: tuple[Estimate, ...]
     friction: Estimate
-    comparison: Comparison
+    vertex_errors: Array
+    drone_errors: Array
 
 
 def calibrate(
     recording: Recording | Path | str,
-    plan: Path | str | None = None,
+    plan: Task | Path | str | None = None,
     *,
     density: float | None = None,
 ) -> Calibration:
@@ -163,89 +150,88 @@ def calibrate(
     ----------
     recording: a table with the columns ``t,name,x,y,z``, the directory of a simulated flight, or
         such a recording itself.
-    plan: directory of the plan that was flown; None: the directory that the recording lies in.
+    plan: directory of the plan that was flown, or its task; None: the directory that the recording
+        lies in.
     density: of the cables [kg/m], as weighed; None: that of the simulated flight, else the plan's.
 
     Raises
     ------
     FileError: a recording or a plan that cannot be read, or a recording without its hitch.
-    InputError: no plan, or a negative density.
+    InputError: no plan, a negative density, or drones and vertices that are never seen together
+        while the plan has a hitch.
     """
-    if plan is None and isinstance(recording, Recording):
-        raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
     if not isinstance(recording, Recording):
         recording = path("recording", recording)
         plan = recording.absolute().parent if plan is None else plan
-    task = read_task(path("plan", plan))
+    if plan is None:
+        raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
+    task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
     if not isinstance(recording, Recording):
         recording = read_recording(recording, task.team)
-    given = recording.density if density is None else not_negative("density", density)
-    return estimate_team(recording, task, task.team.cable_density if given is None else given)
-
-
-def estimate_team(recording: Recording, task: Task, density: float) -> Calibration:
-    """Return the calibration from a recording of a task, with cables of a density [kg/m].
-
-    Raises
-    ------
-    InputError: drones and vertices are never seen together while the plan has a hitch.
-    """
-    team, windows = task.team, Windows.of(recording, task, WINDOW)
-    if not len(windows.t):
-        raise InputError(
-            "recording",
-            f"{len(recording.t)} samples",
-            "of a flight in which drones and vertices are seen while the plan has a hitch",
-            "record the vertices too, and let t count from the plan's start",
-        )
+    team, windows = task.team, windows_of(recording, task, WINDOW)
+    if not len(windows["t"]):
+        bound = "of a flight in which drones and vertices are seen while the plan has a hitch"
+        remedy = "record the vertices too, and let t count from the plan's start"
+        raise InputError("recording", f"{len(recording.t)} samples", bound, remedy)
+    weighed = recording.density if density is None else not_negative("density", density)
+    weight = team.cable_density if weighed is None else weighed
     feeds = team.feed_forward if recording.feed_forward is None else recording.feed_forward
     winds = team.integral if recording.integral is None else recording.integral
-    given = Conditions(cable_density=density, stiffness=1.0, integral=False, feed_forward=feeds)
+    loops = {"stiffness": 1.0, "integral": False, "feed_forward": feeds}
+    given = conditions_of(team, cable_density=weight, **loops)
+
     kinds = sorted(set(team.quadrotor), key=repr)
     of_drones = np.repeat([kinds.index(each) for each in team.quadrotor], 2)
     stated = np.array([kind.stiffness or np.nan for kind in kinds])
     expected = np.append(-np.log(np.where(np.isfinite(stated), stated, GUESS)), np.zeros(3))
     spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, KNOWN])
     integral = "integral action returns drones to their set points, whatever their stiffness"
-    estimates = [_unknown(integral)] * len(kinds)
+    estimates = [Estimate(remark=integral)] * len(kinds)
     if not np.any(winds):
-        long = _Balance.of(task, Windows.of(recording, task, SPAN), given, of_drones)
-        expected, errors, _ = long.fitted(expected, spread, 0)
-        compliances = zip(expected[: len(kinds)], errors, strict=False)
-        estimates = [_stiffness(float(np.exp(-log)), error) for log, error in compliances]
+        long = _Balance.of(task, windows_of(recording, task, SPAN), given, of_drones)
+        expected, errors, _ = long.fitted(expected, spread, LONG)
+        found = np.exp(-expected[: len(kinds)])
+        remedy = (
+            "drones are displaced by too little; fly a plan that does not know the cables' weight"
+        )
+        estimates = [
+            _judged(k, error * k, MODEL_ERROR, LARGEST_ERROR * k, remedy)
+            for k, error in zip(found.tolist(), errors.tolist(), strict=False)
+        ]
     known = [one.known for one in estimates]
-    balance = _Balance.of(task, windows, given, of_drones)
     expected[: len(kinds)] = np.where(known, expected[: len(kinds)], -np.log(stated))
+    balance, tensions = _Balance.of(task, windows, given, of_drones), windows["tensions"]
     if np.all(np.isfinite(expected)):
-        pulls, slid = _sliding(task, recording, windows, balance)
+        slid = balance.slide(task, recording, windows)
         spread[:-1], spread[-1] = KNOWN, FRICTION_SCALE
-        found, errors, tensions = replace(balance, pulls=pulls).fitted(expected, spread, 1)
-        sliding = int(np.sum(np.any(pulls != 0.0, axis=(1, 2))))
-        friction = _friction(float(found[-1]), float(errors[-1]), slid, sliding)
+        found, errors, tensions = balance.fitted(expected, spread, SHORT)
+        remedy = f"cables slide through clasps by {100 * slid:.1f} cm in all; move vertices farther"
+        mu, error = max(float(found[-1]), 0.0), float(errors[-1])
+        friction = _judged(mu, error, GEOMETRY_ERROR, LARGEST_FRICTION_ERROR, remedy)
     else:
         why = "the drones' stiffness is neither determined nor stated by the plan's team"
-        friction, tensions = _unknown(f"tensions are unknown: {why}"), windows.tensions
-    tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
-    arcs = balance.energy.law.forces(balance.x[:, balance.energy.nodes], tensions)[1]
+        friction = Estimate(remark=f"tensions are unknown: {why}")
+    tensions = np.clip(tensions, windows["tensions"] / 3.0, 3.0 * windows["tensions"])
+    arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
+    t, places = recording.t, task.setpoints.positions
+    off = length(recording.vertices - planned(task, t, task.vertices))
     return Calibration(
         task,
         recording,
-        density,
+        weight,
         tuple(_median(arc) for arc in arcs.T),
         tuple(estimates[kinds.index(kind)] for kind in team.quadrotor),
         friction,
-        compare(recording, task),
+        np.where(tight(task, t, TIGHT)[:, None], off, np.nan),
+        length(recording.drones - planned(task, t, places)),
     )
 
 
-def _stiffness(value: float, relative: float) -> Estimate:
-    """Return the estimate of a stiffness [N/m], or that it is not determined."""
-    if relative <= LARGEST_ERROR:
-        return Estimate(value, float(np.hypot(relative, MODEL_ERROR) * value))
-    return _unknown(
-        f"its standard error would be {relative:.0%} of it: drones are displaced by too little; "
-        "fly a plan that does not know the cables' weight"
-    )
+def _judged(value: float, error: float, model: float, largest: float, remedy: str) -> Estimate:
+    """Return an estimate with the model's relative error, or that it is not determined."""
+    if error <= largest:
+        return Estimate(value, float(np.hypot(error, model * value)))
+    return Estimate(remark=f"its standard error would be {error:.2g}: {remedy}")
 
 
 def _median(values: Array) -> Estimate:
@@ -261,185 +247,128 @@ def _scatter(residuals: Array) -> float:
     return float(1.4826 * np.median(np.abs(residuals)))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Balance:
-    """Residuals of drones and clasps at measured places.
+    """The problem of robust least squares: drones and clasps at measured places.
 
     Unknowns of all windows are log(1/k) of every kind of drone, the wind (2), and the coefficient
     of friction. Those of a window are the tension of every cable and the friction that both of its
     legs use (n, 3).
-
-    Attributes
-    ----------
-    energy: of the windows, places being the set points; its stiffness is not used.
-    x: (windows, nodes, 3) [m], measured.
-    kinds: of each drone (2n,).
-    bends: (windows, n, 2) [rad], angles by which cables turn at both clasps.
-    pulls: (windows, n, 2), logarithms of ratios that a coefficient of 1 causes; zero where cables
-        do not slide.
     """
 
-    energy: HitchEnergy
-    x: Array
-    kinds: Indices
-    bends: Array
-    pulls: Array
+    energy: HitchEnergy  # of the windows; its stiffness is not used
+    x: Array  # (windows, nodes, 3) [m], measured
+    kinds: Indices  # (2n,) of each drone
+    bends: Array  # (windows, n, 2) [rad], by which cables turn at both clasps; 1 without a leg
+    pulls: Array  # (windows, n, 2), log of ratios by a coefficient of 1; zero without sliding
 
     @classmethod
-    def of(cls, task: Task, windows: Windows, conditions: Conditions, kinds: Indices) -> _Balance:
-        """Return the balance at windows, without friction."""
-        team, none = task.team, np.zeros_like(windows.commanded)
-        lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
-        plan = windows.commanded, windows.vertices, windows.tensions, windows.cable_forces
-        energy, _ = energy_of(team, conditions, [windows.t, *plan, lengths, none, none])
-        clasps = windows.vertices[:, team.layout.clasps]
-        x = np.concatenate([windows.drones, clasps], axis=1)
-        chords, sizes, _ = energy.law.spans(x[:, energy.nodes])
-        bends = bends_of(chords / np.where(sizes > 0.0, sizes, 1.0)[..., None])
-        bends = np.where(energy.law.exist[:, ::2], bends, 1.0)
+    def of(
+        cls, task: Task, windows: dict[str, Array], given: dict[str, Any], kinds: Indices
+    ) -> _Balance:
+        """Return the problem at windows, without friction."""
+        team, none = task.team, np.zeros_like(windows["positions"])
+        lengths = np.broadcast_to(team.cable_length, windows["tensions"].shape)
+        errors = {"cable_length": lengths, "offsets": none, "forces": none}
+        energy = energy_of(team, given, windows | errors)
+        x = np.concatenate([windows["drones"], energy.start[:, team.drones :]], axis=1)
+        bends = bends_of(unit(energy.spans(x[:, energy.nodes])[0]))
+        bends = np.where(energy.exist[:, ::2], bends, 1.0)
         return cls(energy, x, kinds, bends, 0.0 * bends)
 
     def residuals(self, common: Any, own: Any, scales: Array) -> Any:
-        """Return the residuals (windows, …) of drones, clasps and frictions over their scatter.
-
-        Parameters
-        ----------
-        common: (kinds + 3,) unknowns of all windows.
-        own: (windows, n, 3), of each window.
-        scales: (2,), scatter of displacements [m] and of forces on clasps [N].
-        """
+        """Return the residuals (windows, …) of drones, clasps and frictions over their scatter."""
         energy, many, used = self.energy, self.energy.drones, own[..., 1:]
-        at_ends = energy.law.forces(self.x[:, energy.nodes], own[..., 0], used)[0]
+        at_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used)[0]
         pulls = energy.pulls(at_ends)
         pulls[:, :many, :2] -= common[-3:-1]
         drones = np.exp(common[self.kinds])[:, None] * pulls[:, :many]
-        drones = (drones + self.x[:, :many] - energy.places) / scales[0]
+        drones = (drones + (self.x - energy.start)[:, :many]) / scales[0]
         ratios = used * self.bends - common[-1] * self.pulls
         ratios = ratios / np.where(self.pulls != 0.0, SCATTER, STICKING * self.bends)
         parts = drones, pulls[:, many:] / scales[1], ratios
         return np.concatenate([part.reshape(len(self.x), -1) for part in parts], axis=1)
 
-    def fitted(self, expected: Array, spread: Array, stage: int) -> tuple[Array, Array, Array]:
+    def fitted(
+        self, expected: Array, spread: Array, least: tuple[float, float]
+    ) -> tuple[Array, Array, Array]:
         """Return the unknowns of all windows, their standard errors, and tensions (windows, n).
 
-        Parameters
-        ----------
-        expected, spread: what is known of the former beforehand, and its standard deviations.
-        stage: 0 in long windows, 1 in short ones.
+        Of the former some value is ``expected`` beforehand, within a standard deviation.
         """
-        planned, many, g = self.energy.law.reference, self.energy.drones, len(expected)
-        tension, size = float(np.median(planned)), 3 * planned.shape[1]
-        scales = np.array([OFFSETS[stage], SHARES[stage] * tension])
-        least = np.array([LEAST_OFFSETS[stage], LEAST_SHARES[stage] * tension])
+        planned, many, g = self.energy.reference, self.energy.drones, len(expected)
+        count, size = len(planned), 3 * planned.shape[1]
+        lower = np.array([1.0, np.median(planned)]) * least
+        scales = FIRST * lower
+        unknown = np.append(expected, np.pad(planned[..., None], ((0, 0), (0, 0), (0, 2))))
 
         def values(unknown: Any) -> Any:
             own = unknown[g:].reshape(*planned.shape, 3)
             found = self.residuals(unknown[:g], own, scales)
             return np.append(found, (unknown[:g] - expected) / spread)
 
-        def jacobian(unknown: Array) -> csr_array:
-            """Windows depend on the first unknowns and on their own; one step moves all of them."""
-            own, slopes = unknown[g:].reshape(*planned.shape, 3), []
-            for step in 1j * IMAGINARY * np.eye(g + size):
-                moved = unknown[:g] + step[:g], own + step[g:].reshape(-1, 3)
-                slopes.append(self.residuals(*moved, scales).imag / IMAGINARY)
-            entries = np.stack(slopes, axis=-1)
-            count, each, _ = entries.shape
-            of_own = g + np.arange(count * size).reshape(count, 1, size)
-            column = np.concatenate([np.tile(np.arange(g), (count, 1, 1)), of_own], axis=2)
-            row = np.arange(count * each).reshape(count, each, 1)
-            rows, columns = np.broadcast_arrays(row, column)
-            places = np.append(rows, count * each + np.arange(g)), np.append(columns, np.arange(g))
-            return coo_array((np.append(entries, 1.0 / spread), places)).tocsr()
-
-        unknown = np.append(expected, np.pad(planned[..., None], ((0, 0), (0, 0), (0, 2))))
+        # Windows depend on the first unknowns and on their own.
+        each = (len(values(unknown)) - g) // count
+        own: Any = kron(eye_array(count), np.ones((each, size)))
+        parts: Any = [[np.ones((count * each, g)), own], [eye_array(g), None]]
         options: dict[str, Any] = {"loss": "soft_l1", "x_scale": "jac", "tr_solver": "lsmr"}
+        options["max_nfev"] = MOST_STEPS
         for _ in range(ROUNDS):  # the scatter that is left weighs the next one
-            found = least_squares(values, unknown, jacobian, **options)
-            unknown, left = found.x, found.fun[:-g].reshape(len(planned), -1)
+            found = least_squares(values, unknown, "cs", jac_sparsity=block_array(parts), **options)
+            unknown, left = found.x, found.fun[:-g].reshape(count, -1)
             split = np.split(left, [3 * many, 3 * self.x.shape[1]], axis=1)[:2]
-            scales = np.maximum(scales * [_scatter(part) for part in split], least)
-        J = jacobian(unknown)
-        freedom = max(len(found.fun) - len(unknown), 1)
-        variance = max(2.0 * found.cost / freedom, 1.0)
-        columns = splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))
-        errors = np.sqrt(variance * np.diag(columns[:g]))
+            scales = np.maximum(scales * [_scatter(part) for part in split], lower)
+        J: Any = found.jac
+        errors = np.sqrt(np.diag(splu((J.T @ J).tocsc()).solve(np.eye(len(unknown), g))))
         return unknown[:g], errors, unknown[g:].reshape(*planned.shape, 3)[..., 0]
 
+    def slide(self, task: Task, recording: Recording, windows: dict[str, Array]) -> float:
+        """Set ``pulls`` where the plan slides cables over each other; return how far in all [m].
 
-def _friction(mu: float, error: float, slid: float, windows: int) -> Estimate:
-    """Return the estimate of a friction, or that cables slid too little [m] for it."""
-    if slid < SLID:
-        return _unknown(
-            f"cables slide through clasps by {100 * slid:.1f} cm in all, less than {100 * SLID:g} "
-            "cm: friction is not seen; move a vertex by some decimetres"
-        )
-    if error > LARGEST_FRICTION_ERROR or windows < 3:
-        return _unknown(
-            f"its standard error would be {error:.2g}: tensions scatter by more than friction "
-            "changes them; move vertices farther, or record more precisely"
-        )
-    return Estimate(max(mu, 0.0), float(np.hypot(error, GEOMETRY_ERROR * mu)))
+        Noise of the drones slides cables back and forth: directions are those of short spans.
+        """
+        layout, short = task.team.layout, windows_of(recording, task, RATE_SPAN)
+        cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
+        middle, turns = 0.5 * (short["t"][1:] + short["t"][:-1]), self.bends[:, cable, side]
+        same = np.floor(middle / WINDOW)[:, None] == np.floor(windows["t"] / WINDOW)
+        span, window = np.nonzero(same)
+        total = np.sum(same, axis=0)[:, None, None]
+
+        def rates_of(drones: str, vertices: str) -> Array:
+            """Return the rates (spans, clasps, 2) [m/s] at which legs grow."""
+            legs = length(short[drones] - short[vertices][:, layout.anchors])
+            legs = legs.reshape(len(legs), -1, 2)[:, cable, side]
+            rates = np.diff(legs, axis=0) / np.diff(short["t"])[:, None, None]
+            return np.asarray(rates[span])
+
+        def mean(values: Array) -> Array:
+            sums = np.zeros_like(turns)
+            np.add.at(sums, window, values)
+            return np.asarray(sums / np.maximum(total, 1))
+
+        rates = rates_of("drones", "vertices")
+        pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
+        asked, speed = mean(rates_of("positions", "planned")), _sliding(turns, rate)[1]
+        usable = (total[..., 0] > 1) & (speed > SLIDING) & (_sliding(turns, asked)[1] > PLANNED)
+        usable &= np.sum(rate * asked, axis=-1) > 0.0
+        self.pulls[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
+        return float(np.sum(speed[usable]) * WINDOW)
 
 
 def friction_pulls(turns: Array, rates: Array, blurred: float = 0.0) -> Array:
     """Return logarithms of leg over edge tensions (…, 2) that a friction coefficient of 1 causes.
 
-    Parameters
-    ----------
-    turns: (…, 2) [rad], angles in the plane by which a clasp's cables turn.
-    rates: (…, 2) [m/s], at which they slide toward their legs.
-    blurred: rate below which the direction of sliding counts little [m/s].
+    A clasp's cables turn by angles in the plane (…, 2) [rad] and slide toward their legs at rates
+    (…, 2) [m/s], whose direction counts little below the rate ``blurred``.
     """
-    turn = np.mean(turns, axis=-1, keepdims=True)
-    along = rates - np.interp(turn, TURNS, COSINES) * rates[..., ::-1]
-    speed = np.hypot(_speeds(turns, rates), blurred)[..., None]
-    pulls: Array = turns * np.interp(turn, TURNS, IN_SPACE) * along / np.maximum(speed, 1e-12)
+    along, speed = _sliding(turns, rates)
+    in_space = turns * np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, IN_SPACE)
+    pulls: Array = in_space * along / np.maximum(np.hypot(speed, blurred), 1e-12)[..., None]
     return pulls
 
 
-def _speeds(turns: Array, rates: Array) -> Array:
-    """Return the speeds (…) [m/s] of one cable's surface over the other's."""
-    a, b = np.moveaxis(rates, -1, 0)
-    cosine = np.interp(np.mean(turns, axis=-1), TURNS, COSINES)
-    return np.asarray(np.sqrt(np.maximum(a**2 + b**2 - 2.0 * cosine * a * b, 0.0)))
-
-
-def _sliding(
-    task: Task, recording: Recording, windows: Windows, balance: _Balance
-) -> tuple[Array, float]:
-    """Return what friction makes of ratios where the plan slides cables over each other.
-
-    Noise of the drones slides cables back and forth; therefore directions are those of short spans.
-
-    Returns
-    -------
-    pulls: (windows, n, 2), as in ``_Balance``.
-    slid: distance by which cables slide over each other in all windows and clasps [m].
-    """
-    layout, short = task.team.layout, Windows.of(recording, task, RATE_SPAN)
-    cable, side = np.stack([layout.ahead, layout.behind], axis=-1), np.arange(2)
-    middle, turns = 0.5 * (short.t[1:] + short.t[:-1]), balance.bends[:, cable, side]
-    same = np.floor(middle / WINDOW)[:, None] == np.floor(windows.t / WINDOW)
-    span, window = np.nonzero(same)
-    total = np.sum(same, axis=0)[:, None, None]
-
-    def rates_of(drones: Array, vertices: Array) -> Array:
-        """Return the rates (spans, clasps, 2) [m/s] at which legs grow."""
-        legs = length(drones - vertices[:, layout.anchors]).reshape(len(drones), -1, 2)
-        rates = np.diff(legs[:, cable, side], axis=0) / np.diff(short.t)[:, None, None]
-        return np.asarray(rates[span])
-
-    def mean(values: Array) -> Array:
-        sums = np.zeros_like(turns)
-        np.add.at(sums, window, values)
-        return np.asarray(sums / np.maximum(total, 1))
-
-    rates = rates_of(short.drones, short.vertices)
-    pulls, rate = mean(friction_pulls(turns[window], rates, BLURRED)), mean(rates)
-    asked, speed = mean(rates_of(short.commanded, short.planned)), _speeds(turns, rate)
-    usable = (total[..., 0] > 1) & (speed > SLIDING) & (_speeds(turns, asked) > PLANNED)
-    usable &= np.sum(rate * asked, axis=-1) > 0.0
-    of_legs = np.zeros_like(balance.pulls)
-    of_legs[:, cable, side] = np.where(usable[..., None], pulls, 0.0)
-    return of_legs, float(np.sum(speed[usable]) * WINDOW)
+def _sliding(turns: Array, rates: Array) -> tuple[Array, Array]:
+    """Return how cables slide over each other: along both (…, 2), and in all (…) [m/s]."""
+    cosine = np.interp(np.mean(turns, axis=-1, keepdims=True), TURNS, COSINES)
+    along = rates - cosine * rates[..., ::-1]
+    return along, np.sqrt(np.maximum(np.sum(rates * along, axis=-1), 0.0))

@@ -30,85 +30,71 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.values import Array, Indices
 
-SAG_RATIO = 4.0
-"""A cable is slack where a level span as long as its longest one would hang by more than its chord
-over this number."""
+CONVERGED = 1e-10  # Relative step at which a cable's tension is found
+CABLE_STEPS = 100  # Most steps
+IMAGINARY = 1e-30  # Imaginary step by which derivatives are taken [m], [N]: exact to rounding
 
-CONVERGED, CABLE_STEPS = 1e-10, 100
-"""Relative step at which a cable's tension is found, and number of steps at most."""
-
-IMAGINARY = 1e-30
-"""[m], [N] Imaginary step by which derivatives are taken: exact to rounding."""
-
+# Forces this small on all nodes end the iteration [N], without friction and with it, and [1] over
+# the cables' stiffness times the coordinates
 SMALL_FORCE, BAND_FORCE, ROUNDED_FORCE = 1e-11, 1e-7, 16.0 * float(np.finfo(np.float64).eps)
-"""[N] Forces this small on every node end the iteration, without friction and with it; or [1] over
-the cables' stiffness times the coordinates."""
 
-LEAST_STIFFNESS, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
-"""[N/m] Added to the Hessian's diagonal, as slack cables hold their clasps by nothing; after the
-first step that does not descend; and at most."""
+# Added to the Hessian's diagonal [N/m]: as slack cables hold their clasps by nothing; after the
+# first step that does not descend; and at most
+LEAST_DAMPING, FIRST_DAMPING, MOST_DAMPING = 1e-9, 1e-3, 1e6
 
+# Newton steps at most, 3 to 30 are usual; for each share of friction; times that one is halved
 NEWTON_STEPS, BAND_STEPS, HALVINGS = 200, 20, 30
-"""Number of Newton steps (3 to 30 are usual), and of times that one is halved."""
 
-DESCENT, ROUNDING = 1e-4, 1e-14
-"""Share of the linear decrease that a step must bring (Armijo), and rounding of the energies."""
+DESCENT = 1e-4  # Share of the linear decrease that a step must bring (Armijo)
+ROUNDING = 1e-14  # Of the energies
+LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1  # Of a node [m]: directions change beyond it
 
-LONGEST_STEP, LONGEST_BAND_STEP = 0.3, 0.1
-"""[m] Longest step of a node: directions change beyond it."""
-
+# Shares of the friction at which the hitch settles on its way to an end of its band
 SHARES = np.linspace(0.1, 1.0, 10)
-"""Shares of the friction at which the hitch settles on its way to an end of its band."""
 
 
 @dataclass(frozen=True, eq=False)
-class Cables:
-    """Lengths, weight and stretch of the cables (S, n) of S samples.
+class HitchEnergy:
+    """The energy of S samples of a hitch."""
 
-    Attributes
-    ----------
-    exist: (n, 3), whether q-leg, edge and r-leg exist.
-    lengths: (S, n) [m], L at the tension T₀.
-    weight: per length [N/m].
-    compliance: (n,) [m/N], a: what a cable grows by per tension.
-    reference: (S, n) [N], T₀.
-    heights: (S, n) [m], z₀.
-    least: (S, n) [N], tension at which a cable is slack.
-    """
+    nodes: Indices  # (n, 4) that each cable runs over
+    exist: NDArray[np.bool_]  # (n, 3), whether q-leg, edge and r-leg exist
+    points: Indices  # (points,), the node at each point
+    free: NDArray[np.bool_]  # (nodes,), whether a node moves: all but drones that are held
+    start: Array  # (S, nodes, 3) [m], where drones are led, and clasps planned
+    stiffness: Array  # (2n,) [N/m], zero for drones that are held
+    loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
+    lengths: Array  # (S, n) [m], L at the tension T₀
+    weight: float  # of cables, per length [N/m]
+    compliance: Array  # (n,) [m/N], a: what a cable grows by per tension
+    reference: Array  # (S, n) [N], T₀
+    heights: Array  # (S, n) [m], z₀
+    least: Array  # (S, n) [N], tension at which a cable is slack
 
-    exist: NDArray[np.bool_]
-    lengths: Array
-    weight: float
-    compliance: Array
-    reference: Array
-    heights: Array
-    least: Array
+    @property
+    def drones(self) -> int:
+        """Number of drones, the first nodes."""
+        return len(self.stiffness)
+
+    @property
+    def accuracy(self) -> float:
+        """Rounding of the forces per coordinate [N/m]."""
+        return ROUNDED_FORCE / float(np.min(self.compliance))
 
     def spans(self, ends: Any) -> tuple[Any, Any, Any]:
-        """Return the chords (…, S, n, 3, 3) between nodes (…, S, n, 4, 3), lengths and heights [m].
-
-        Heights (…, 3) are those of the middles, over z₀.
-        """
+        """Return chords (…, S, n, 3, 3) of nodes (…, S, n, 4, 3), lengths, middles' heights."""
         chords = np.where(self.exist[..., None], np.diff(ends, axis=-2), 0.0)
         sizes = np.sqrt(np.sum(chords * chords, axis=-1))
         middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
         return chords, sizes, middles - self.heights[..., None]
 
     def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> tuple[Any, Any, Any]:
-        """Return what cables of tensions T pull their nodes with, turned round, and more.
+        """Return forces (…, S, n, 4, 3) [N], lengths [m] and energies [J] of cables (…, S, n).
 
-        Parameters
-        ----------
-        ends: (…, S, n, 4, 3) [m], nodes of each cable; real or complex.
-        T: (…, S, n) [N], likewise.
-        friction: that is used, of all legs or of each (…, S, n, 2); positive where legs pull more
-            than edges, negative where they pull less.
-
-        Returns
-        -------
-        forces: (…, S, n, 4, 3) [N], slopes of the energy by the nodes where there is no friction.
-        arcs: (…, S, n) [m], lengths of the cables.
-        energies: (…, S, n) [J], but for a constant and for friction.
+        The forces are what cables pull their nodes with, turned round: without friction, slopes of
+        the energy. Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The
+        friction that is used, of all legs or of each (…, S, n, 2), is positive where legs pull more
+        than edges.
         """
         chords, sizes, heights = self.spans(ends)
         units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
@@ -131,12 +117,17 @@ class Cables:
         forces[..., :-1, 2] += 0.5 * self.weight * arcs
         return forces, np.sum(arcs, axis=-1), energies
 
-    def tensions(self, ends: Array) -> Array:
-        """Return the T (S, n) [N] at which cables over nodes (S, n, 4, 3) have their lengths.
+    def _sag(self, m: Any) -> tuple[Any, Any]:
+        """Return the slope of arcs by s h² for tensions m (…, 3) [N], and these, at least least."""
+        held = np.where(m.real > self.least[..., None], m, self.least[..., None])
+        return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2, held
+
+    def tensions(self, x: Array) -> Array:
+        """Return the T (S, n) [N] at which cables over nodes x (S, nodes, 3) have their lengths.
 
         Arcs are convex in T: Newton's steps from below do not pass the solution.
         """
-        chords, sizes, heights = self.spans(ends)
+        chords, sizes, heights = self.spans(x[:, self.nodes])
         spare = np.sum(sizes, axis=-1) - self.lengths + self.compliance * self.reference
         bulges = sizes * (chords[..., 0] ** 2 + chords[..., 1] ** 2)
         T = np.maximum(self.least, spare / self.compliance)
@@ -149,80 +140,21 @@ class Cables:
                 break
         return np.asarray(T)
 
-    def hanging(self, ends: Array, T: Array) -> NDArray[np.bool_]:
-        """Return (S, n) whether cables are slack, or one of their spans hangs as slack ones do.
-
-        That is by its chord over SAG_RATIO, by its own tension m: lower spans pull with less.
-        """
-        _, sizes, heights = self.spans(ends)
-        deep = T[..., None] + self.weight * (heights - SAG_RATIO / 8.0 * sizes) < 0.0
-        return np.asarray((self.least >= T) | np.any(deep, axis=-1))
-
-    def _sag(self, m: Any) -> tuple[Any, Any]:
-        """Return the slope of arcs by s h² for tensions m (…, 3) [N], and these, at least least."""
-        held = np.where(m.real > self.least[..., None], m, self.least[..., None])
-        return self.weight**2 / 24.0 / np.where(held.real > 0.0, held, 1.0) ** 2, held
-
-
-def bends_of(units: Any) -> Any:
-    """Return the angles (…, 2) [rad] between spans of directions (…, 3, 3), at both clasps."""
-    cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
-    return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
-
-
-@dataclass(frozen=True, eq=False)
-class HitchEnergy:
-    """The energy of S samples of a hitch.
-
-    Attributes
-    ----------
-    nodes: (n, 4), nodes that each cable runs over.
-    points: (points,), the node at each point.
-    free: (nodes,), whether a node moves: clasps, and drones that are not held in place.
-    law: of the cables.
-    places: (S, 2n, 3) [m], where drones are led.
-    stiffness: (2n,) [N/m], zero for drones that are held.
-    loads: (S, nodes, 3) [N], forces of feed-forward on drones and of loads on clasps.
-    """
-
-    nodes: Indices
-    points: Indices
-    free: NDArray[np.bool_]
-    law: Cables
-    places: Array
-    stiffness: Array
-    loads: Array
-
-    @property
-    def drones(self) -> int:
-        """Number of drones, the first nodes."""
-        return len(self.stiffness)
-
-    @property
-    def accuracy(self) -> float:
-        """Rounding of the forces per coordinate [N/m]."""
-        return ROUNDED_FORCE / float(np.min(self.law.compliance))
-
     def values(self, x: Array) -> Array:
         """Return the energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
-        ends = x[:, self.nodes]
-        energies = np.sum(self.law.forces(ends, self.law.tensions(ends))[2], axis=-1)
-        away = x[:, : self.drones] - self.places
+        energies = np.sum(self.forces(x[:, self.nodes], self.tensions(x))[2], axis=-1)
+        away = (x - self.start)[:, : self.drones]
         energies += 0.5 * np.einsum("sdi,d,sdi->s", away, self.stiffness, away)
         return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
 
     def slopes(self, x: Array, friction: float = 0.0) -> Array:
         """Return minus the force on every node (S, nodes, 3) [N], zero on those that are held."""
-        ends = x[:, self.nodes]
-        slopes = self.pulls(self.law.forces(ends, self.law.tensions(ends), friction)[0])
-        slopes[:, : self.drones] += self.stiffness[:, None] * (x[:, : self.drones] - self.places)
+        slopes = self.pulls(self.forces(x[:, self.nodes], self.tensions(x), friction)[0])
+        slopes[:, : self.drones] += self.stiffness[:, None] * (x - self.start)[:, : self.drones]
         return np.where(self.free[:, None], slopes, 0.0)
 
     def pulls(self, at_ends: Any) -> Any:
-        """Return minus the forces of cables, of loads and of feed-forward (S, nodes, 3) [N].
-
-        ``at_ends`` (S, n, 4, 3) [N] are those of every cable, turned round.
-        """
+        """Return minus the forces on nodes (S, nodes, 3) [N] but for springs, by the cables'."""
         pulls = -self.loads.astype(at_ends.dtype)
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
         return pulls
@@ -230,32 +162,24 @@ class HitchEnergy:
     def linear(self, x: Array, friction: float = 0.0) -> tuple[Array, Array, Array]:
         """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
 
-        Returns
-        -------
-        forces: (S, n, 12, 13), of the forces on a cable's nodes, turned round, by these [N/m], T
-            following, and by T.
-        tensions: (S, n, 12) [N/m], of T by the nodes.
-        softness: (S, n) [N/m], what T loses per length; zero where a cable is slack.
+        They are (S, n, 12, 13) of the forces by a cable's nodes, T following, and by T; (S, n, 12)
+        of T by the nodes; and (S, n) what T loses per length, zero where a cable is slack.
         """
-        ends, law = x[:, self.nodes], self.law
-        T = law.tensions(ends)
+        ends, T = x[:, self.nodes], self.tensions(x)
         steps = 1j * IMAGINARY * np.eye(13).reshape(13, 1, 1, 13)
         moved = ends + steps[..., :12].reshape(13, 1, 1, 4, 3)
-        forces, arcs, _ = law.forces(moved, T + steps[..., 12], friction)
+        forces, arcs, _ = self.forces(moved, T + steps[..., 12], friction)
         columns = np.moveaxis(forces.imag / IMAGINARY, 0, -1).reshape(*T.shape, 12, 13)
         longer = np.moveaxis(arcs.imag / IMAGINARY, 0, -1)
-        softness = np.where(law.least >= T, 0.0, 1.0 / (law.compliance - longer[..., 12]))
+        softness = np.where(self.least >= T, 0.0, 1.0 / (self.compliance - longer[..., 12]))
         tensions = softness[..., None] * longer[..., :12]
         columns[..., :12] += columns[..., 12:] * tensions[..., None, :]
         return columns, tensions, softness
 
-    def matrix(self, blocks: Array, damping: Array | float = LEAST_STIFFNESS) -> csc_array:
+    def matrix(self, blocks: Array, damping: Array | float = LEAST_DAMPING) -> csc_array:
         """Return the derivatives (S N, S N) [N/m] of all forces, N = 3 nodes, sample by sample.
 
-        Parameters
-        ----------
-        blocks: (S, n, 12, …), those of the cables by their nodes.
-        damping: (S,) [N/m], added to the diagonal.
+        ``blocks`` are those of cables; ``damping`` (S,) [N/m] is added to the diagonal.
         """
         samples, size = len(blocks), 3 * len(self.free)
         shift = size * np.arange(samples)[:, None, None]
@@ -286,53 +210,57 @@ class HitchEnergy:
         shares = np.minimum(1.0, longest / np.maximum(sizes, 1e-300))
         return steps * shares[:, None, None], slopes
 
+    def settled(self) -> Array:
+        """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method.
 
-def settled_nodes(energy: HitchEnergy, start: Array) -> Array:
-    """Return the nodes (S, nodes, 3) [m] of least energy, by Newton's method from a start.
-
-    The caller recomputes the residuals. A diagonal is added where a step does not descend; steps
-    are halved until the energy falls enough. The force's size is no measure: steps along cables
-    that hardly stretch raise it.
-    """
-    x, damping, values = start, np.full(len(start), LEAST_STIFFNESS), energy.values(start)
-    for _ in range(NEWTON_STEPS):
-        steps, slopes = energy.steps(x, damping, LONGEST_STEP, 0.0)
-        small = SMALL_FORCE + energy.accuracy * np.max(np.abs(x), axis=(1, 2))
-        active = np.max(np.abs(slopes), axis=(1, 2)) > small
-        if not active.any():
-            break
-        falls = np.einsum("sni,sni->s", steps, slopes)
-        pending, failed = active & (falls < 0.0), active & (falls >= 0.0)
-        for share in 0.5 ** np.arange(HALVINGS):
-            if not pending.any():
+        Steps are halved until the energy falls enough; where none descends the diagonal grows. The
+        force's size is no measure: steps along cables that hardly stretch raise it. The caller
+        recomputes the residuals.
+        """
+        x, damping = self.start, np.full(len(self.start), LEAST_DAMPING)
+        values = self.values(x)
+        for _ in range(NEWTON_STEPS):
+            steps, slopes = self.steps(x, damping, LONGEST_STEP, 0.0)
+            small = SMALL_FORCE + self.accuracy * np.max(np.abs(x), axis=(1, 2))
+            active = np.max(np.abs(slopes), axis=(1, 2)) > small
+            if not active.any():
                 break
-            tried = x + share * np.where(pending[:, None, None], steps, 0.0)
-            energies = energy.values(tried)
-            allowed = values + DESCENT * share * falls + ROUNDING * (1.0 + np.abs(values))
-            good = pending & (energies <= allowed)
-            x, values = np.where(good[:, None, None], tried, x), np.where(good, energies, values)
-            pending = pending & ~good
-        raised = np.clip(10.0 * damping, FIRST_DAMPING, MOST_DAMPING)
-        damping = np.where(failed | pending, raised, np.maximum(0.1 * damping, LEAST_STIFFNESS))
-    return x
+            falls, before = -np.einsum("sni,sni->s", steps, slopes), values
+            shares = np.where(active & (falls > 0.0), 1.0, 0.0)
+            for _ in range(HALVINGS):
+                tried = x + shares[:, None, None] * steps
+                values, rounding = self.values(tried), ROUNDING * (1.0 + np.abs(before))
+                high = values > before - DESCENT * shares * falls + rounding
+                if not high.any():
+                    break
+                shares = np.where(high, 0.5 * shares, shares)
+            x, failed = tried, (shares == 0.0) | high
+            raised = np.clip(10.0 * damping, FIRST_DAMPING, MOST_DAMPING)
+            damping = np.where(failed, raised, np.maximum(0.1 * damping, LEAST_DAMPING))
+        return x
+
+    def rubbing(self, rest: Array, friction: float) -> Array:
+        """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
+
+        ``rest`` is where they are without friction, whose coefficient is positive for legs that
+        pull more than edges, negative for less.
+        """
+        x, lost = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
+        small = BAND_FORCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
+        for share in SHARES if friction else ():
+            for _ in range(BAND_STEPS):
+                steps, slopes = self.steps(x, LEAST_DAMPING, LONGEST_BAND_STEP, share * friction)
+                moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
+                if not np.any(moving):
+                    break
+                x = np.where(moving, x + steps, x)
+            else:
+                lost = lost | moving
+                x = np.where(lost, rest, x)
+        return np.where(lost, np.nan, x)
 
 
-def rubbing_nodes(energy: HitchEnergy, rest: Array, friction: float) -> Array:
-    """Return the nodes (S, nodes, 3) [m] at an end of the band; nan where no rest is found.
-
-    ``rest`` is where they are without friction, whose coefficient is positive for legs that pull
-    more than edges, negative for less.
-    """
-    x, lost = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
-    small = BAND_FORCE + 10.0 * energy.accuracy * float(np.max(np.abs(rest)))
-    for share in SHARES if friction else ():
-        for _ in range(BAND_STEPS):
-            steps, slopes = energy.steps(x, LEAST_STIFFNESS, LONGEST_BAND_STEP, share * friction)
-            moving = ~lost & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
-            if not np.any(moving):
-                break
-            x = np.where(moving, x + steps, x)
-        else:
-            lost = lost | moving
-            x = np.where(lost, rest, x)
-    return np.where(lost, np.nan, x)
+def bends_of(units: Any) -> Any:
+    """Return the angles (…, 2) [rad] between spans of directions (…, 3, 3), at both clasps."""
+    cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
+    return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))

@@ -8,54 +8,39 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse, Polygon
+from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.exports.directory import STATICS, STATICS_PICTURE
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip
-from hitchopt.statics.calibrate import Calibration, Estimate
+from hitchopt.statics.calibrate import Calibration
 from hitchopt.statics.fit import GRIP, REST, Fit
 from hitchopt.statics.settle import Settled
 from hitchopt.statics.tolerance import Tolerance
 from hitchopt.storage.files import replace_files, write_strict_json
-from hitchopt.values import Array
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, new_figure, save_figure
 
 STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
+# Widths and heights [inch]
 STATICS_SIZE, FLIGHT_SIZE, FIT_SIZE = (10.0, 4.8), (11.0, 5.0), (12.0, 4.6)
-"""Widths and heights [inch]."""
 
+# Lines of the plan, and points of a circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
-"""Lines of the plan."""
+CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 
-DRAWN_TIMES = 3
-"""Times at which vertices are drawn: the first, the middle and the last one."""
-
-LABELLED = 12
-"""Largest number of curves for which a legend has space."""
-
-ARC_POINTS = 120
-"""Points of a drawn circle."""
+# Times at which vertices are drawn, and most curves for which a legend has space
+DRAWN_TIMES, LABELLED = 3, 12
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
-    """Write what settles, and its ranges if there are any; return the directory.
+    """Write what settles at times (S,), and its ranges if there are any, to a plan's directory.
 
-    Parameters
-    ----------
-    directory: that of the plan; only files of these two names are replaced.
-    settled: samples (S,), one per time.
-    ranges: at the same times; None for no errors.
-
-    Raises
-    ------
-    FileError: the directory cannot be written to.
+    Only files of these two names are replaced; FileError where it cannot be written to.
     """
     content = statics_content(settled, ranges)
     writers = {
@@ -88,7 +73,7 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
     vertices["band"] = settled.band
     drones = {"planned": settled.planned_drones, "position": settled.drones}
     if ranges is not None:
-        content["errors"] = {name: vars(size) for name, size in vars(ranges.errors).items()}
+        content["errors"] = {name: vars(size) for name, size in ranges.errors.items()}
         content["may_be_slack"] = list(ranges.slack_cables)
         content["tension_remainder"] = ranges.tension_remainders.tolist()
         content["vertex_remainder"] = ranges.vertex_remainders.tolist()
@@ -115,11 +100,7 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
         finite = np.where(np.isfinite(high), high, 2.0 * np.max(settled.tensions))
-        units = {"cable": "m of cable", "position": "m of position", "force": "N"}
-        sizes = vars(ranges.errors).items()
-        words = [f"{s.words} {units[name]}" for name, s in sizes if s.bound or s.deviation]
-        label = f"any cable, for errors of {', '.join(words)}"
-        left.fill_between(t, low, finite, color="0.87", label=label, zorder=1)
+        left.fill_between(t, low, finite, color="0.87", label="range of any cable", zorder=1)
     left.set_prop_cycle(color=COLOURS)
     marker = "o" if len(t) == 1 else None
     left.plot(t, settled.tensions, marker=marker, linewidth=1.2, zorder=3)[0].set_label("at rest")
@@ -136,23 +117,16 @@ def draw_statics(settled: Settled, ranges: Tolerance | None) -> Figure:
             bands = settled.rests[i, ..., :2].swapaxes(0, 1)
             lines = [right.plot(*ends.T, color=colour, lw=4.0, alpha=0.35) for ends in bands]
             lines[0][0].set_label(f"band of rest, {when}")
-        shapes = () if ranges is None else ranges.ellipsoids[i]
-        for centre, shape in zip(settled.vertices[i], shapes, strict=False):
-            _draw_ellipse(right, centre, shape, colour)
+        shapes = () if ranges is None else ranges.ellipsoids[i, :, :2, :2]
+        for centre, shape in zip(settled.vertices[i, :, :2], shapes, strict=False):
+            squares, directions = np.linalg.eigh(shape)
+            ellipse = centre + CIRCLE * np.sqrt(np.maximum(squares, 0.0)) @ directions.T
+            right.fill(*ellipse.T, color=colour, alpha=0.35)
     right.set_aspect("equal", adjustable="datalim")
     right.set(xlabel="x [m]", ylabel="y [m]")
     for axes in (left, right):
         axes.legend(frameon=False, fontsize="small")
     return figure
-
-
-def _draw_ellipse(axes: Axes, centre: Array, shape: Array, colour: str) -> None:
-    """Draw an ellipsoid (3, 3) [m²] as seen from above."""
-    sizes, directions = np.linalg.eigh(shape[:2, :2])
-    width, height = 2.0 * np.sqrt(np.maximum(sizes, 0.0))
-    angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
-    place = float(centre[0]), float(centre[1])
-    axes.add_patch(Ellipse(place, width, height, angle=angle, color=colour, alpha=0.35))
 
 
 def save_team(path: Path, calibration: Calibration) -> None:
@@ -165,30 +139,25 @@ def save_team(path: Path, calibration: Calibration) -> None:
 
 def team_text(calibration: Calibration) -> str:
     """Return the block ``team:`` in YAML."""
-    team, friction = calibration.task.team, calibration.friction
+    team, friction, lengths = calibration.task.team, calibration.friction, calibration.lengths
     names = [field.name for field in fields(Team) if field.name != "quadrotor"]
     values = {name: _yaml(getattr(team, name)) for name in names}
-    errors = ", ".join(f"{one.error:.1g}" for one in calibration.lengths)
-    lengths = ", ".join(f"{one.value:.4f}" for one in calibration.lengths)
-    values["cable_length"] = f"[{lengths}]  # ± {errors} m"
+    errors = ", ".join(f"{one.error:.1g}" for one in lengths)
+    values["cable_length"] = f"{_yaml([round(one.value, 4) for one in lengths])}  # ± {errors} m"
     values["cable_density"] = f"{_yaml(calibration.density)}  # as assumed"
     values["cable_friction"] += "  # of the plan: not determined"
     if friction.known:
         values["cable_friction"] = f"{friction.value:.3f}  # ± {friction.error:.1g}"
-    kinds = list(map(_kind, team.quadrotor, calibration.stiffness))
-    same = len(set(kinds)) == 1
-    values["quadrotor"] = kinds[0] if same else "".join(f"\n    - {kind}" for kind in kinds)
-    return "\n".join(["team:", *(f"  {name}: {text}" for name, text in values.items())]) + "\n"
-
-
-def _kind(kind: Quadrotor, stiffness: Estimate) -> str:
-    """Return a kind of drone in YAML, with the estimate of its stiffness."""
-    entries = {name: _yaml(value) for name, value in vars(kind).items()}
-    known = "of the plan: not determined"
-    if stiffness.known:
-        entries["stiffness"] = f"{stiffness.value:.3g}"
-        known = f"± {stiffness.error:.1g} N/m"
-    return f"{{{', '.join(': '.join(entry) for entry in entries.items())}}}  # stiffness {known}"
+    lines = ["team:", *(f"  {name}: {text}" for name, text in values.items()), "  quadrotor:"]
+    for kind, stiffness in zip(team.quadrotor, calibration.stiffness, strict=True):
+        entries = {name: _yaml(value) for name, value in vars(kind).items()}
+        known = "of the plan: not determined"
+        if stiffness.known:
+            entries["stiffness"] = f"{stiffness.value:.3g}"
+            known = f"± {stiffness.error:.1g} N/m"
+        flow = ", ".join(f"{name}: {text}" for name, text in entries.items())
+        lines.append(f"    - {{{flow}}}  # stiffness {known}")
+    return "\n".join(lines) + "\n"
 
 
 def _yaml(value: object) -> str:
@@ -198,11 +167,10 @@ def _yaml(value: object) -> str:
 
 def save_calibration_picture(path: Path, calibration: Calibration) -> None:
     """Draw where drones and vertices were and should have been, and how far they were off."""
-    task, recording, found = calibration.task, calibration.recording, calibration.comparison
-    team, seen = task.team, np.isfinite(found.vertices).all(axis=1)
+    task, recording, team = calibration.task, calibration.recording, calibration.task.team
+    seen = np.isfinite(calibration.vertex_errors).all(axis=1)
     figure = new_figure(FLIGHT_SIZE)
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.1))
-    above = figure.add_subplot(grid[:, 0])
+    above, *right = (figure.add_subplot(1, 2, 1), *(figure.add_subplot(2, 2, k) for k in (2, 4)))
     for places, style in (
         (task.setpoints.positions, {"color": "0.75", "lw": 0.8}),
         (recording.drones, {"color": "0.35", "lw": 0.8}),
@@ -214,14 +182,11 @@ def save_calibration_picture(path: Path, calibration: Calibration) -> None:
         above.text(float(point[0]), float(point[1]), name, fontsize=8)
     above.set(xlabel="x [m]", ylabel="y [m]", title="recorded; dotted and pale: the plan")
     above.set_aspect("equal", "datalim")
-    for row, (errors, names, label) in enumerate(
-        (
-            (found.vertices, team.point_names, "vertex error [cm]"),
-            (found.drones, team.drone_names, "drone to set point [cm]"),
-        )
+    for axes, errors, names, label in (
+        (right[0], calibration.vertex_errors, team.point_names, "vertex error [cm]"),
+        (right[1], calibration.drone_errors, team.drone_names, "drone to set point [cm]"),
     ):
-        axes = figure.add_subplot(grid[row, 1])
-        axes.plot(found.t, 100.0 * errors, lw=0.9, label=names)
+        axes.plot(recording.t, 100.0 * errors, lw=0.9, label=names)
         if len(names) <= LABELLED:
             axes.legend(fontsize=7, ncols=3)
         axes.set(ylabel=label, xlabel="t [s]")
@@ -263,43 +228,35 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         content["rest"] = {"polygon": rest.vertices.tolist()}
     for by, masses in content["largest_mass"].items():
         for n, found in fit.capacities(by).items():
-            said: tuple[object, ...]
-            if isinstance(found, InfeasibleError):
-                said = 0.0, found.violations[0].constraint, found.violations[0].remedy
-            else:
-                said = found.mass, found.binding, found.suggested
-            masses[str(n)] = dict(zip(("mass", "limit", "suggested change"), said, strict=True))
+            masses[str(n)] = {"mass": found.mass, "limit": found.binding}
+            masses[str(n)]["suggested change"] = found.suggested
     return content
 
 
 def draw_fit(fit: Fit) -> Figure:
     """Return the picture: the object with what encloses it, what grips it, and what it rests on."""
     figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
-    axes = figure.subplots(1, 3)
-    around = 2.0 * np.pi * np.arange(ARC_POINTS) / ARC_POINTS
-    disc = section.rounding * np.column_stack([np.cos(around), np.sin(around)])
-    outline = (section.core[:, None] + disc).reshape(-1, 2)
+    outline = (section.core[:, None] + section.rounding * CIRCLE).reshape(-1, 2)
     titles = [f"enclose: n = {holding.robots}, L = {holding.cable_length:.2f} m"]
     for by in (GRIP, REST):
         found = holding.capacity(by)
         mass = f"{1e3 * found.mass:.0f} g" if found.mass > 0.0 else "nothing"
         titles.append(f"{by}: {mass} ({found.binding} binds)")
     polygons = holding.enclosing, holding.grip, holding.rest
-    for each, polygon, title in zip(axes, polygons, titles, strict=True):
-        each.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
-        each.set_aspect("equal")
-        each.set(xlabel="x [m]", title=title)
+    for axes, polygon, title in zip(figure.subplots(1, 3), polygons, titles, strict=True):
+        axes.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
+        axes.set_aspect("equal")
+        axes.set(xlabel="x [m]", ylabel="y [m]", title=title)
         if isinstance(polygon, InfeasibleError):
             continue
         vertices = polygon.vertices[:, :2]
         # Cables are drawn tight around the section where it is within the polygon.
         inside = polygon is not holding.rest
         places = np.vstack([vertices, outline]) if inside else vertices
-        each.add_patch(Polygon(places[ConvexHull(places).vertices], fill=False, ec=COLOURS[0]))
-        each.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3)
+        axes.add_patch(Polygon(places[ConvexHull(places).vertices], fill=False, ec=COLOURS[0]))
+        axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3)
         if isinstance(polygon, Grip):
             ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
             legs = np.stack([ends, polygon.drones[..., :2]], axis=-2).reshape(-1, 2, 2)
-            each.plot(*legs.T, color=COLOURS[0], marker="o", markevery=[1])
-    axes[0].set_ylabel("y [m]")
+            axes.plot(*legs.T, color=COLOURS[0], marker="o", markevery=[1])
     return figure

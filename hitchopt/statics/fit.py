@@ -1,8 +1,13 @@
-"""``fit``: the hitch polygons for an object's outline, and what they would hold."""
+"""``fit``: the hitch polygons for an object's outline, and what they would hold.
+
+Around the outline goes a polygon of short edges, much alike, that keep the clearance asked. What
+grips is ``holding.best_grip``; what a rim rests on is the polygon that ``grasp`` takes. Cables are
+the shortest with which drones keep apart.
+"""
 
 from __future__ import annotations
 
-import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -10,11 +15,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import outline_of_geometry, read_outline
+from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.holding import (
     Capacity,
     Grip,
@@ -24,23 +31,31 @@ from hitchopt.hitch.holding import (
     largest_tension,
     rest_capacity,
 )
+from hitchopt.hitch.leg_program import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
+from hitchopt.hitch.legs import reference_margin, split_slack
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import Quadrotor
-from hitchopt.objects import Section
-from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons
-from hitchopt.statics.enclosing import enclosing_polygon, inner_polygon, shortest_cable
+from hitchopt.hitch.team import Quadrotor, Team
+from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.planners.carrying.rest import ROOM, STRETCHES, HoldPolygons, rest_polygons
 from hitchopt.values import instance, not_negative, points, positive, whole
 
-SAFETY = 1.5
-"""Least slip load over load."""
-
 GRIP, REST = "grip", "rest"
+SAFETY = 1.5  # Least slip load over load
+MOST_ROBOTS = 24  # Pairs of parts of a grip are laid out at once
+TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared, besides the one asked for
 
-MOST_ROBOTS = 24
-"""Largest number of robots: pairs of parts of a grip are laid out at once."""
+# Regular polygons are turned by so many parts of their symmetry, and stretched in so many
+# directions besides those of the section's sides, by these ratios over the section's own
+AXES, TURNS, PROPORTIONS = 24, 16, np.geomspace(0.25, 4.0, 41)
 
-TABLE_ROBOTS = (3, 4, 5, 6)
-"""Numbers of robots that are compared, besides the one asked for."""
+LEAST_TURN, LEAST_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
+
+# Sizes and margins that differ by less are the same: drones in one place are not 3e-16 apart
+ROUNDING = 1e-9
+
+# Step of cable lengths [m]; steps between those that are tried with legs that are not balanced; and
+# by how much cables are tried that are longer than legs need [m]
+CENTIMETRE, STRIDE, LONGEST = 0.01, 20, 1.0
 
 
 @dataclass(frozen=True)
@@ -56,71 +71,6 @@ class FitTask:
     clasp_friction: float
     kind: Quadrotor
     requirements: Requirements
-
-    def holding(self, robots: int) -> Holding:
-        """Return the polygons for a number of robots.
-
-        Raises
-        ------
-        InfeasibleError: nothing encloses the object.
-        """
-        enclosing = enclosing_polygon(self.section, robots, self.clearance)
-        cable = self.cable_length or shortest_cable(enclosing, self.requirements)
-        least = cable - 2.0 * self.requirements.limits.leg
-        k = int(np.argmax(enclosing.edge_lengths))
-        longest = float(enclosing.edge_lengths[k])
-        if longest > least:
-            remedy = f"use cables of {longest + cable - least:.3g} m or more, or more robots"
-            broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
-            raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
-        found = self._held(enclosing, cable)
-        needed = cable if self.cable_length else self._closing_cable(found)
-        longer = self._held(enclosing, needed) if needed > cable else found
-        return found if isinstance(longer.grip, InfeasibleError) else longer
-
-    def _held(self, enclosing: ConvexPolygon, cable: float) -> Holding:
-        """Return what cables of a length [m] hold."""
-        n, requirements = len(enclosing), self.requirements
-        gripping = GripTask(
-            self.section, n, cable, self.tension, self.clasp_friction, requirements, self.kind
-        )
-        grip: Grip | InfeasibleError = _attempt(lambda: best_grip(gripping))
-        rest = _attempt(lambda: inner_polygon(self.section, n, self.clearance))
-        gripped: Any = grip
-        rested: Any = rest
-        if isinstance(grip, Grip):
-            gripped = grip_capacity(gripping, grip, self.friction, SAFETY)
-        if isinstance(rest, ConvexPolygon):
-            load = self.tension, self.kind, requirements, 0.5 * self.height
-            rested = _attempt(lambda: rest_capacity(rest, cable, *load))
-        return Holding(self, enclosing, cable, grip, rest, _capacity(gripped), _capacity(rested))
-
-    def _closing_cable(self, found: Holding) -> float:
-        """Return the shortest cables [m] at the polygon from which they close around the object.
-
-        There ``enclose`` keeps room for where the object really is. They are no other ones where
-        nothing is gripped, or drones come too close there whatever the cables.
-        """
-        if isinstance(found.grip, InfeasibleError):
-            return found.cable_length
-        closed, gap = found.grip.vertices, self.clearance + ROOM
-        about = HoldPolygons.about(closed, self.section.centroid, (self.section,), gap, STRETCHES)
-        needed = _attempt(lambda: shortest_cable(ConvexPolygon(about.around), self.requirements))
-        return found.cable_length if isinstance(needed, InfeasibleError) else float(needed)
-
-
-def _attempt(search: Callable[[], Any]) -> Any:
-    """Return what is found, or why there is none."""
-    try:
-        return search()
-    except InfeasibleError as error:
-        return error
-
-
-def _capacity(found: Any) -> Capacity:
-    """Return a capacity: none where a limit is in the way."""
-    nothing = isinstance(found, InfeasibleError)
-    return Capacity(0.0, found.violations[0].constraint) if nothing else found
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,11 +127,11 @@ class Fit(OneLine):
         """The polygon that is lowered around the object."""
         return self.holding.enclosing
 
-    def capacities(self, by: str) -> dict[int, Capacity | InfeasibleError]:
-        """Return what each number of robots holds at most, by ``grip`` or ``rest``, or why not."""
+    def capacities(self, by: str) -> dict[int, Capacity]:
+        """Return what each number of robots holds at most, by ``grip`` or ``rest``."""
         found = self.others.items()
         return {
-            n: each if isinstance(each, InfeasibleError) else each.capacity(by) for n, each in found
+            n: each.capacity(by) if isinstance(each, Holding) else _none(each) for n, each in found
         }
 
     def raise_if_too_heavy(self, mass: float, by: str = GRIP) -> None:
@@ -213,8 +163,7 @@ def fit(
     outline: points (m, 2) [m], a circle's radius [m], a ``Section``, a geometry of shapely, or the
         path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
     robots: number n of robots.
-    clearance: distance of cables to the object while it is enclosed [m]; vertices inside of a rim
-        keep it to the rim's edge.
+    clearance: distance of cables to the object while it is enclosed [m].
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
     tension: of all cables [N]; None for the largest level pull that tilt and thrust allow.
@@ -227,23 +176,17 @@ def fit(
     InputError: a number out of its range, or an outline that is none.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    if whole("robots", robots, 3) > MOST_ROBOTS:
-        raise InputError("robots", robots, f"a whole number from 3 to {MOST_ROBOTS}", "use three")
+    whole("robots", robots, 3, MOST_ROBOTS)
     kind = Quadrotor() if quadrotor is None else quadrotor
-    limits = Limits() if limits is None else limits
-    separation = Separation() if separation is None else separation
+    requirements = Requirements(limits or Limits(), separation or Separation())
     instance("quadrotor", kind, Quadrotor)
-    instance("limits", limits, Limits)
-    instance("separation", separation, Separation)
     section, notes = _section_of(outline)
-    requirements = Requirements(limits, separation)
     most, binding = largest_tension(requirements, kind)
     if tension is None:
         tension = most
         notes.append(f"tension {most:.4g} N, the largest level pull: {binding} binds")
     if positive("tension", tension) > most:
-        name = "limits.tilt_deg" if binding == "tilt" else "quadrotor.max_thrust"
-        remedy = f"raise {name}, or lower the tension"
+        remedy = Capacity(most, binding).suggested
         raise InfeasibleError([Violation(binding, tension, most, "max", "N", (), "", remedy)])
     task = FitTask(
         section,
@@ -257,8 +200,8 @@ def fit(
         requirements,
     )
     numbers = sorted({robots, *TABLE_ROBOTS})
-    holding = task.holding(robots)
-    others = {n: holding if n == robots else _attempt(partial(task.holding, n)) for n in numbers}
+    holding = _holding(task, robots)
+    others = {n: holding if n == robots else _attempt(partial(_holding, task, n)) for n in numbers}
     return Fit(section, holding, others, tuple(notes))
 
 
@@ -274,12 +217,134 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
         outline = outline_of_geometry(outline)
     remedy = "give points in metres, a radius, or a drawing"
     found = points("outline", outline, (3, 2), "a list of at least 3 points [x, y]", remedy)
-    with contextlib.suppress(InputError):
-        return Section(found), []
     try:
-        hull = found[ConvexHull(found).vertices]
-    except QhullError:
-        bound, remedy = "an outline around an area", "give three points that are not in line"
-        raise InputError("outline", found.tolist(), bound, remedy) from None
+        return Section(found), []
+    except InputError:
+        if np.linalg.matrix_rank(found - found[0]) < 2:  # around no area
+            raise
+    hull = found[ConvexHull(found).vertices]
     note = f"the outline is concave: its convex hull of {len(hull)} corners is used"
     return Section(hull), [note]
+
+
+def _holding(task: FitTask, robots: int) -> Holding:
+    """Return the polygons for a number of robots; InfeasibleError if none encloses the object."""
+    enclosing = enclosing_polygon(task.section, robots, task.clearance)
+    cable = task.cable_length or shortest_cable(enclosing, task.requirements)
+    least = cable - 2.0 * task.requirements.limits.leg
+    k = int(np.argmax(enclosing.edge_lengths))
+    longest = float(enclosing.edge_lengths[k])
+    if longest > least:
+        remedy = f"use cables of {longest + cable - least:.3g} m or more, or more robots"
+        broken = Violation("legs", longest, least, "max", "m", (f"edge {k}",), "", remedy)
+        raise InfeasibleError([broken], "the enclosing polygon does not fit the cables")
+    found = _held(task, enclosing, cable)
+    if task.cable_length is None and isinstance(found.grip, Grip):
+        # Where cables close from, ``enclose`` keeps room for where the object really is.
+        sections, gap = (task.section,), task.clearance + ROOM
+        closed, centre = found.grip.vertices, task.section.centroid
+        around = ConvexPolygon(HoldPolygons.about(closed, centre, sections, gap, STRETCHES).around)
+        needed = _attempt(lambda: shortest_cable(around, task.requirements))
+        if isinstance(needed, float) and needed > cable:
+            longer = _held(task, enclosing, needed)
+            return longer if isinstance(longer.grip, Grip) else found
+    return found
+
+
+def _held(task: FitTask, enclosing: ConvexPolygon, cable: float) -> Holding:
+    """Return what cables of a length [m] hold."""
+    n, section, requirements = len(enclosing), task.section, task.requirements
+    gripping = GripTask(
+        section, n, cable, task.tension, task.clasp_friction, requirements, task.kind
+    )
+
+    def resting() -> ConvexPolygon:
+        body = SolidObject(section, 0.0, task.height, rim=Rim(section, 0.0))
+        return ConvexPolygon(rest_polygons("outline", body, n, task.clearance).closed)
+
+    grip, rest = _attempt(lambda: best_grip(gripping)), _attempt(resting)
+    capacities = [grip, rest]
+    if isinstance(grip, Grip):
+        capacities[0] = grip_capacity(gripping, grip, task.friction, SAFETY)
+    if isinstance(rest, ConvexPolygon):
+        load = task.tension, task.kind, requirements, 0.5 * task.height
+        capacities[1] = _attempt(lambda: rest_capacity(rest, cable, *load))
+    gripped, rested = (each if isinstance(each, Capacity) else _none(each) for each in capacities)
+    return Holding(task, enclosing, cable, grip, rest, gripped, rested)
+
+
+def _none(error: InfeasibleError) -> Capacity:
+    """Return the capacity of what breaks a limit without a load."""
+    return Capacity(0.0, error.violations[0].constraint)
+
+
+def _attempt(search: Callable[[], Any]) -> Any:
+    """Return what is found, or why there is none."""
+    try:
+        return search()
+    except InfeasibleError as error:
+        return error
+
+
+def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
+    """Return an n-gon of short edges, much alike, that keep a distance [m] to a section.
+
+    Edges face as those of regular polygons that are turned, and stretched in proportion to the
+    section's widths, and keep just the distance; of these n-gons it has the least sum of squares of
+    edges. InfeasibleError: all have flat corners or short edges, as around a narrow section.
+    """
+    sides = np.roll(section.core, -1, axis=0) - section.core
+    angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
+    c, s = np.cos(angles), np.sin(angles)
+    axes = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
+    ratios = np.column_stack([np.sqrt(PROPORTIONS), 1.0 / np.sqrt(PROPORTIONS)])
+    turns = 2.0 * math.pi / n * (np.arange(TURNS)[:, None] / TURNS - np.arange(n))
+    regular = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
+    shapes = np.einsum("aj,kj,tnj,aji->aktni", widths, ratios, regular, axes).reshape(-1, n, 2)
+    edges = unit(np.roll(shapes, -1, axis=-2) - shapes)
+    outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1)
+    far = section.support(outward) + clearance
+    pairs = np.stack([np.roll(outward, 1, axis=-2), outward], axis=-2)
+    reaches = np.stack([np.roll(far, 1, axis=-1), far], axis=-1)
+    corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
+    onward = np.roll(corners, -1, axis=-2) - corners
+    before, sizes = np.roll(onward, 1, axis=-2), length(onward)
+    right = before[..., 1] * onward[..., 0] - before[..., 0] * onward[..., 1]
+    turned = np.arctan2(right, dot(before, onward))
+    good = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
+    good &= np.all(turned >= LEAST_TURN * 2.0 * math.pi / n, axis=-1)
+    good &= np.min(sizes, axis=-1) >= LEAST_EDGE * np.mean(sizes, axis=-1)
+    good &= np.all(dot(onward, edges) > 0.0, axis=-1)
+    if not np.any(good):
+        broken = Violation("convexity", n, n - 1, "max", "edges", (), "", "use fewer robots")
+        raise InfeasibleError([broken], "the section is too narrow for so many edges around it")
+    squares = np.where(good, np.sum(onward**2, axis=(-2, -1)), np.inf)
+    return ConvexPolygon(corners[np.argmax(squares <= (1.0 + ROUNDING) * np.min(squares))])
+
+
+def shortest_cable(polygon: ConvexPolygon, requirements: Requirements) -> float:
+    """Return the shortest cables [m], in whole centimetres, whose balanced legs are ``spread``.
+
+    Where none are, the length that is found with the largest margin, legs split as they may be.
+    InfeasibleError: none of up to a metre more than legs need keep drones apart.
+    """
+    longest, leg = float(np.max(polygon.edge_lengths)), requirements.limits.leg
+    first = math.ceil((longest + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
+    lengths = np.arange(first, first + round(LONGEST / CENTIMETRE)) / 100.0
+    for cables, balanced in ((lengths, True), (lengths[::STRIDE], False)):
+        best, found = 0.0, 0.0
+        for cable in cables.tolist():
+            team = Team(len(polygon), cable)
+            shape = polygon.vertices[None], balanced_legs(team, polygon)[None]
+            task = LegTask(team, requirements, *shape, leg, SPREAD_MARGIN)
+            margin = reference_margin(task) if balanced else split_slack(task).margin
+            if min(margin, SPREAD_MARGIN) > best + ROUNDING:
+                best, found = min(margin, SPREAD_MARGIN), cable
+            if best >= SPREAD_MARGIN:
+                break
+        if best >= LIMIT_MARGIN:
+            return found
+    remedy = f"{'use fewer robots, or ' if len(polygon) > 3 else ''}change the clearance"
+    broken = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
+    raise InfeasibleError([broken], "no cable length keeps drones around the object apart")

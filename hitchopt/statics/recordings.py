@@ -12,25 +12,21 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, OneLine
-from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Team
-from hitchopt.simulation.judgement import STILL, TIGHT, Spread
 from hitchopt.simulation.task import Task
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
 
+# Columns of a recording, in any order and among others: time from the plan's start [s], a drone
+# (q0, r0, …) or a vertex (p0, …), and its position [m]
 HEADER = "t,name,x,y,z"
-"""Columns of a recording, in any order and among others: time from the plan's start [s], a drone
-(q0, r0, …) or a vertex (p0, …), and its position [m]."""
 
-MAX_BYTES = 400_000_000
-"""Larger tables are refused before they are read."""
+MAX_BYTES = 400_000_000  # Larger tables are refused before they are read
 
+# Files of a simulated flight; for "name" its tables have "drone" and "vertex"
 DRONES, VERTICES, SUMMARY = "drones.csv", "vertices.csv", "simulation.json"
-"""Files of a simulated flight; for ``name`` its tables have ``drone`` and ``vertex``."""
 
-WINDOW_TIGHT = 0.9
-"""Least planned tension over the team's at which a hitch counts in a window."""
+WINDOW_TIGHT = 0.9  # Least planned tension over the team's at which a hitch counts in a window
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +92,9 @@ def _simulated(path: Path, team: Team) -> tuple[Any, ...]:
     """Return density, feed-forward and integral action of a simulated flight from its summary."""
     try:
         content = parsed_json(path.read_text(encoding="utf-8"))
-        loops = content["position_loops"]
-        feeds = np.array(loops["feed_forward"], np.float64).reshape(team.drones) > 0.0
-        winds = np.array(loops["integral"], np.float64).reshape(team.drones) > 0.0
-        return float(content["density"]["simulated"]), feeds, winds
+        loops = [content["position_loops"][name] for name in ("feed_forward", "integral")]
+        on = np.array(loops, np.float64).reshape(2, team.drones) > 0.0
+        return float(content["density"]["simulated"]), *on
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise FileError(
             f"{path}: not a summary of this plan's flight; simulate again ({error})"
@@ -107,35 +102,31 @@ def _simulated(path: Path, team: Team) -> tuple[Any, ...]:
 
 
 def _rows(path: Path, kind: str, names: Any) -> Array:
-    """Return (rows, 5): time, index of the name in column ``kind``, and position.
+    """Return (rows, 5): time, index of the name in column ``kind``, and position; else a FileError.
 
     Rows of other names are left out.
     """
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise FileError(f"{path}: is larger than {MAX_BYTES:.0e} bytes; record at a lower rate")
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            titles = [title.strip() for title in next(csv.reader(file), [])]
-            lines = list(csv.DictReader(file, titles, restval="missing"))
-    except FileNotFoundError:
-        raise FileError(f"{path}: there is no such file; give a recording") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise FileError(f"{path}: cannot be read as a table: {error}") from error
-    for title in ("t", kind, "x", "y", "z"):
-        if title not in titles:
-            raise FileError(f"{path}: has no column {title!r}; a recording has {HEADER}")
     index = {name: float(i) for i, name in enumerate(names)}
     try:
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"it is larger than {MAX_BYTES:.0e} bytes; record at a lower rate")
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            titles, *lines = [[x.strip() for x in line] for line in csv.reader(file) if line] or [
+                []
+            ]
+        time, name, *place = map(titles.index, ("t", kind, "x", "y", "z"))
         cells = [
-            [float(line["t"]), index[line[kind].strip()], *(float(line[c] or "nan") for c in "xyz")]
+            [float(line[time]), index[line[name]], *(float(line[c] or "nan") for c in place)]
             for line in lines
-            if line[kind].strip() in index
+            if line[name] in index
         ]
-    except (ValueError, TypeError, AttributeError) as error:
-        raise FileError(f"{path}: holds a row that is not of numbers: {error}") from error
-    rows = np.array(cells, np.float64).reshape(-1, 5)
-    if not np.all(np.isfinite(rows[:, 0])):
-        raise FileError(f"{path}: holds a time that is not finite; give every row its time")
+        rows = np.array(cells, np.float64).reshape(-1, 5)
+        if not np.all(np.isfinite(rows[:, 0])):
+            raise ValueError("a time is not finite")
+    except FileNotFoundError:
+        raise FileError(f"{path}: there is no such file; give a recording") from None
+    except (OSError, ValueError, IndexError, csv.Error) as error:
+        raise FileError(f"{path}: is no table of {HEADER} in numbers: {error}") from error
     return rows
 
 
@@ -146,85 +137,36 @@ def planned(task: Task, t: ArrayLike, values: Array) -> Array:
     return found
 
 
-def _tight(task: Task, t: Array, share: float) -> NDArray[np.bool_]:
+def tight(task: Task, t: Array, share: float) -> NDArray[np.bool_]:
     """Return whether the plan has a hitch with that share of the team's tension, around times."""
-    tight = np.all(task.tensions >= share * task.team.tension, axis=-1) & task.formed
-    return planned(task, t, tight.astype(np.float64)) > 1.0 - 1e-9
+    drawn = np.all(task.tensions >= share * task.team.tension, axis=-1) & task.formed
+    return planned(task, t, drawn.astype(np.float64)) > 1.0 - 1e-9
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Distances from the plan, in three dimensions.
+def windows_of(recording: Recording, task: Task, size: float) -> dict[str, Array]:
+    """Return means over windows of a size [s] in which the plan has a hitch, drawn tight.
 
-    Attributes
-    ----------
-    t: (samples,) [s]
-    vertices: (samples, points) [m], nan where there is no hitch, drawn tight, or none was seen.
-    drones: (samples, 2n) [m]
-    moving: whether the plan moves a drone (samples,).
+    They are, by name, of the times ``t``, of what was measured, ``drones`` and ``vertices``, and of
+    the plan: set points ``positions``, ``planned`` vertices, ``cable_forces`` and ``tensions``.
+    Samples count in which all was seen; windows are left out less than half of which count.
     """
-
-    t: Array
-    vertices: Array
-    drones: Array
-    moving: NDArray[np.bool_]
-
-    def spreads(self, errors: Array) -> list[tuple[Spread, Spread, Spread]]:
-        """Return the spreads of each column: over all samples, at rest, and moving."""
-        return [
-            (Spread.of(e), Spread.of(e[~self.moving]), Spread.of(e[self.moving])) for e in errors.T
-        ]
-
-
-def compare(recording: Recording, task: Task) -> Comparison:
-    """Return how far a recording is from its plan."""
-    t, places = recording.t, task.setpoints.positions
-    off = length(recording.vertices - planned(task, t, task.vertices))
-    vertices = np.where(_tight(task, t, TIGHT)[:, None], off, np.nan)
-    steps = np.max(np.abs(np.diff(places, axis=0)), axis=(1, 2))
-    step = np.clip(np.searchsorted(task.t - task.t[0], t, "right") - 1, 0, len(steps) - 1)
-    moving = (steps[step] > STILL) & (t >= 0.0) & (t <= task.duration)
-    return Comparison(t, vertices, length(recording.drones - planned(task, t, places)), moving)
-
-
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """Means over windows in which the plan has a hitch, drawn tight, and all of it was seen.
-
-    Attributes
-    ----------
-    t: means of the times (windows,) [s].
-    drones, vertices: measured (windows, 2n, 3), (windows, points, 3) [m].
-    commanded: set points (windows, 2n, 3) [m].
-    planned: planned vertices (windows, points, 3) [m].
-    cable_forces: of the set points (windows, 2n, 3) [N].
-    tensions: planned (windows, n) [N].
-    """
-
-    t: Array
-    drones: Array
-    vertices: Array
-    commanded: Array
-    planned: Array
-    cable_forces: Array
-    tensions: Array
-
-    @classmethod
-    def of(cls, recording: Recording, task: Task, size: float) -> Windows:
-        """Return the windows of a size [s], those left out of which less than half is usable."""
-        t, setpoints = recording.t, task.setpoints
-        measured = t, recording.drones, recording.vertices
-        plan = setpoints.positions, task.vertices, setpoints.cable_forces, task.tensions
-        usable = _tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
-        for places in measured[1:]:
-            usable &= np.all(np.isfinite(places), axis=(1, 2))
-        window = np.unique(np.floor(t / size), return_inverse=True)[1]
-        share = np.bincount(window, usable) / np.median(np.bincount(window))
-        usable &= (share >= 0.5)[window]
-        firsts, counts = np.unique(window[usable], return_index=True, return_counts=True)[1:]
-
-        def mean(values: Array) -> Array:
-            sums = np.add.reduceat(values[usable], firsts) if len(firsts) else values[:0]
-            return sums / counts.reshape(-1, *[1] * (values.ndim - 1))
-
-        return cls(*map(mean, measured), *(mean(planned(task, t, each)) for each in plan))
+    t, setpoints = recording.t, task.setpoints
+    usable = tight(task, t, WINDOW_TIGHT) & (t >= 0.0)
+    for places in (recording.drones, recording.vertices):
+        usable &= np.all(np.isfinite(places), axis=(1, 2))
+    window = np.unique(np.floor(t / size), return_inverse=True)[1]
+    share = np.bincount(window, usable) / np.median(np.bincount(window))
+    usable &= (share >= 0.5)[window]
+    firsts, counts = np.unique(window[usable], return_index=True, return_counts=True)[1:]
+    values = {"t": t, "drones": recording.drones, "vertices": recording.vertices}
+    for name, each in (
+        ("positions", setpoints.positions),
+        ("planned", task.vertices),
+        ("cable_forces", setpoints.cable_forces),
+        ("tensions", task.tensions),
+    ):
+        values[name] = planned(task, t, each)
+    if not len(firsts):
+        return {name: each[:0] for name, each in values.items()}
+    sums = {name: np.add.reduceat(each[usable], firsts) for name, each in values.items()}
+    return {name: (each.T / counts).T for name, each in sums.items()}

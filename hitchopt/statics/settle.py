@@ -11,7 +11,7 @@ without friction, in small steps of the share of friction that is used, by Newto
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,106 +21,74 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError, Violation
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.statics.energy import SAG_RATIO, Cables, HitchEnergy, rubbing_nodes, settled_nodes
+from hitchopt.statics.energy import HitchEnergy
 from hitchopt.values import Array, Indices, instance
 
-FRICTION = (
-    "tensions are those without friction at the clasps: where the cable bends by β they may differ "
-    "by a factor of up to exp(friction·β); each vertex rests somewhere in its band"
-)
-"""What is to be known of a team whose cables rub."""
+# Least positive and largest finite number
+POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
 
-POSITIVE = float(np.finfo(np.float64).tiny)
-"""Least positive number."""
+# What the plan says, and conditions that may differ from sample to sample, with their axes
+PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
+SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
+
+# EA of a braided polyethylene line of 1 mm [N], which is all but inextensible; without stretch
+# rigid drones would not determine tensions
+AXIAL_STIFFNESS = 1e4
+
+LARGEST_RESIDUAL = 1e-6  # Largest force without balance of a solution that is returned [N]
+BLOCK = 4000  # Cables of all samples that are solved for at once, which bounds the memory
+
+# A cable is slack where a level span as long as its longest one would hang by more than its chord
+# over the first number, or its tension is no more than the second over the planned one
+SAG_RATIO, SLACK_SHARE = 4.0, 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class Conditions:
-    """Lengths, weights, loads, controllers and errors; whatever is None is the team's.
+def conditions_of(team: Team, **given: Any) -> dict[str, Any]:
+    """Return all conditions of ``settle`` as arrays: one number is for all, others are the team's.
 
-    Leading axes (…) are samples; they broadcast with each other and with the times.
+    The stiffness is infinite where a drone stands at its set point whatever the force.
 
-    Parameters
-    ----------
-    cable_length: real lengths [m] under the planned tension, one, (n,) or (…, n).
-    cable_density: [kg/m]
-    load: masses that hang at the clasps [kg], one, or (clasps,).
-    stiffness: of the drones' position loops [N/m], one or (2n,); infinite where they are rigid.
-    integral: whether the controllers drive position errors to zero.
-    feed_forward: whether the controllers add the cable force that the set points hold.
-    offsets: errors of the drones' set points (…, 2n, 3) [m].
-    forces: errors of the force feed-forward (…, 2n, 3) [N].
-    axial_stiffness: EA of the cables [N]; by default that of a braided polyethylene line of 1 mm,
-        which is all but inextensible. Without stretch rigid drones would not determine tensions.
-    friction: coefficient where one cable slides about the other; it makes bands of rest.
+    Raises
+    ------
+    InputError: an unknown name, another shape, or a number that is not finite or out of its range.
     """
-
-    cable_length: ArrayLike | None = None
-    cable_density: float | None = None
-    load: ArrayLike | None = None
-    stiffness: ArrayLike | None = None
-    integral: bool | None = None
-    feed_forward: ArrayLike | None = None
-    offsets: ArrayLike = 0.0
-    forces: ArrayLike = 0.0
-    axial_stiffness: float = 1e4
-    friction: float | None = None
-
-    def of(self, team: Team) -> dict[str, Any]:
-        """Return all as arrays, by name: what is not given is the team's, one number is for all.
-
-        The stiffness is infinite where a drone stands at its set point whatever the force.
-
-        Raises
-        ------
-        InputError: another shape, or a number that is not finite or out of its range.
-        """
-        found, drones = {}, (team.drones,)
-        for name, shape, least, sampled in (
-            ("cable_length", (team.robots,), POSITIVE, True),
-            ("cable_density", (), 0.0, False),
-            ("load", (len(team.layout.clasps),), 0.0, False),
-            ("stiffness", drones, POSITIVE, False),
-            ("integral", drones, 0.0, False),
-            ("feed_forward", drones, 0.0, False),
-            ("offsets", (*drones, 3), -np.inf, True),
-            ("forces", (*drones, 3), -np.inf, True),
-            ("axial_stiffness", (), POSITIVE, False),
-            ("friction", (), 0.0, False),
-        ):
-            given = getattr(self, name)
-            if given is None:
-                given = team.cable_friction if name == "friction" else getattr(team, name)
-            values = np.asarray(given, np.float64)
-            if values.ndim == 0:
-                values = np.broadcast_to(values, shape)
-            split = values.ndim - len(shape) if sampled else 0
-            largest = np.inf if name == "stiffness" else np.finfo(np.float64).max
-            if values.shape[split:] != shape or not np.all((values >= least) & (values <= largest)):
-                size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
-                array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
-                bound = f"one {size}number{array}"
-                raise InputError(name, given, bound, "give plain numbers in SI units")
-            found[name] = values
-        found["stiffness"] = np.where(found["integral"] > 0.0, np.inf, found["stiffness"])
-        return found
-
-    def notes(self, team: Team) -> tuple[str, ...]:
-        """Return why the plan does not determine the tensions, and what else is to be known."""
-        found = self.of(team)
-        notes = undetermined_tension(
-            integral=bool(np.any(found["integral"])),
-            feed_forward=bool(np.all(found["feed_forward"])),
-        )
-        return (*notes, FRICTION) if found["friction"] > 0.0 else notes
-
-
-SLACK_SHARE = 1e-6
-"""Tension over the planned one up to which a cable is slack, its length not compared."""
+    drones, found = (team.drones,), {}
+    own = {"offsets": 0.0, "forces": 0.0, "axial_stiffness": AXIAL_STIFFNESS}
+    own["friction"] = team.cable_friction
+    table: dict[str, tuple[tuple[int, ...], float]] = {
+        "cable_length": ((team.robots,), POSITIVE),
+        "cable_density": ((), 0.0),
+        "load": ((len(team.layout.clasps),), 0.0),
+        "stiffness": (drones, POSITIVE),
+        "integral": (drones, 0.0),
+        "feed_forward": (drones, 0.0),
+        "offsets": ((*drones, 3), -np.inf),
+        "forces": ((*drones, 3), -np.inf),
+        "axial_stiffness": ((), POSITIVE),
+        "friction": ((), 0.0),
+    }
+    for name in given.keys() - table:
+        raise InputError(name, given[name], f"one of {', '.join(table)}", "see hitchopt.settle")
+    for name, (shape, least) in table.items():
+        value = given.get(name)
+        if value is None:
+            value = own[name] if name in own else getattr(team, name)
+        values = np.asarray(value, np.float64)
+        if values.ndim == 0:
+            values = np.broadcast_to(values, shape)
+        each = values.shape[values.ndim - len(shape) :] if name in SAMPLED else values.shape
+        largest = np.inf if name == "stiffness" else LARGEST
+        if each != shape or not np.all((values >= least) & (values <= largest)):
+            size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(least, "")
+            array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
+            bound = f"one {size}number{array}"
+            raise InputError(name, value, bound, "give plain numbers in SI units")
+        found[name] = values
+    found["stiffness"] = np.where(found["integral"] > 0.0, np.inf, found["stiffness"])
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +104,8 @@ class Settled(OneLine):
     rests: (…, 2, points, 3) [m], where vertices rest with clasps' friction fully used, legs pulling
         less than edges and more; both are ``vertices`` without friction, nan where none is found.
     tensions: (…, n) [N], at the heights of the edges' middles.
-    slack: (…, n) whether a cable is slack: it does not pull, or hangs by more than a quarter of one
-        of its spans.
+    slack: (…, n) whether a cable is slack: it does not pull, or hangs by more than a quarter of its
+        longest span.
     bears: (…, clasps) whether the two cables of a clasp press on each other.
     planned_drones, planned_vertices, planned_tensions: what the plan says at those times.
     force_residual: (…) [N], the largest force without balance at a drone or a clasp.
@@ -159,29 +127,21 @@ class Settled(OneLine):
     length_residual: Array
 
     @property
-    def displacements(self) -> Array:
-        """(…, points) [m]: distance of every vertex from the planned one."""
-        found: Array = np.linalg.norm(self.vertices - self.planned_vertices, axis=-1)
-        return found
-
-    @property
     def band(self) -> Array:
         """(…, points, 2) [m]: how far outside of its plan every vertex can rest, least and most.
 
         Outside is away from the neighbouring vertices, along the bisector; inside is negative. The
         band is infinite where no rest is found with friction fully used in that sense.
         """
-        ahead = unit(np.roll(self.planned_vertices, -1, axis=-2) - self.planned_vertices)
+        planned = self.planned_vertices[..., None, :, :]
+        ahead = unit(np.roll(planned, -1, axis=-2) - planned)
         behind = -np.roll(ahead, 1, axis=-2)
         if not self.team.layout.closed:
             ahead[..., -1, :] = behind[..., 0, :] = 0.0
-        outward = unit(-(ahead + behind))
         places = np.concatenate([self.vertices[..., None, :, :], self.rests], axis=-3)
-        out = np.moveaxis(
-            dot(places - self.planned_vertices[..., None, :, :], outward[..., None, :, :]), -2, -1
-        )
-        least = np.min(np.where(np.isnan(out), -np.inf, out), axis=-1)
-        most = np.max(np.where(np.isnan(out), np.inf, out), axis=-1)
+        out = dot(places - planned, unit(-(ahead + behind)))
+        least = np.min(np.where(np.isnan(out), -np.inf, out), axis=-2)
+        most = np.max(np.where(np.isnan(out), np.inf, out), axis=-2)
         return np.stack([least, most], axis=-1)
 
     @property
@@ -201,17 +161,7 @@ def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str,
     return tuple(f"{letter}{k}" for k in numbers[any_])
 
 
-LARGEST_RESIDUAL = 1e-6
-"""[N] Largest force without balance of a solution that is returned."""
-
-NO_LEG = 1e-4
-"""[m] Length below which a leg has no direction: its drone has come to its vertex."""
-
-BLOCK = 4000
-"""Cables of all samples that are solved for at once, which bounds the memory."""
-
-
-def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
+def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     """Return where drones and vertices of a plan's hitch come to rest, and with what tensions.
 
     Drones stand at their set points, offset by ``(F + cable force)/k``: k is the stiffness of their
@@ -220,49 +170,44 @@ def settle(plan: Plan, t: ArrayLike, **conditions: Any) -> Settled:
 
     Parameters
     ----------
-    plan: with a hitch at all these times.
+    plan: with a hitch at all these times; or its motion.
     t: (…) [s]; its axes broadcast with those of the conditions.
-    conditions: the keywords of ``Conditions``, all optional: ``cable_length``, ``cable_density``,
-        ``load``, ``stiffness``, ``integral``, ``feed_forward``, ``offsets``, ``forces``,
-        ``axial_stiffness``, ``friction``.
+    conditions: what differs from the team, one number or an array, with axes (…) of samples:
+        ``cable_length`` (…, n) [m] under the planned tension, ``offsets`` of set points and errors
+        of the feed-forward ``forces`` (…, 2n, 3) [m], [N]. Without samples: ``cable_density``
+        [kg/m], ``load`` (clasps,) [kg], ``stiffness`` of position loops (2n,) [N/m], infinite where
+        rigid, ``integral`` and ``feed_forward`` of the controllers (2n,), ``axial_stiffness`` of
+        cables, EA [N], and ``friction``, the coefficient at the clasps.
 
     Raises
     ------
     InputError: a time without hitch, or a condition that is wrong in itself.
-    UnsupportedError: single drones.
+    UnsupportedError: single drones, or objects that are carried.
     InfeasibleError: no rest is found.
     """
-    instance("plan", plan, Plan)
-    return settle_motion(plan.motion, t, Conditions(**conditions))
-
-
-def settle_motion(motion: Motion, t: ArrayLike, conditions: Conditions) -> Settled:
-    """Return where the hitch of a motion comes to rest; see ``settle``."""
-    shape, samples = samples_of(motion, t, conditions)
+    instance("plan", plan, Plan, Motion)
+    motion = plan.motion if isinstance(plan, Plan) else plan
+    known = conditions_of(motion.team, **conditions)
+    shape, samples = samples_of(motion, t, known)
     size = max(1, BLOCK // motion.team.robots)
-    starts = range(0, len(samples[0]), size)
-    blocks = [_settled(motion, conditions, [v[i : i + size] for v in samples]) for i in starts]
-    joined = [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
-    return Settled(motion.team, *(v.reshape((*shape, *v.shape[1:])) for v in joined))
+    blocks = [
+        _rest(motion.team, known, {name: v[i : i + size] for name, v in samples.items()})
+        for i in range(0, len(samples["t"]), size)
+    ]
+    found = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
+    return Settled(motion.team, **{k: v.reshape((*shape, *v.shape[1:])) for k, v in found.items()})
 
 
 def samples_of(
-    motion: Motion, t: ArrayLike, conditions: Conditions
-) -> tuple[tuple[int, ...], list[Array]]:
-    """Return the shape of times and conditions together, and the arrays (S, …) of all samples.
+    motion: Motion, t: ArrayLike, known: Mapping[str, Any]
+) -> tuple[tuple[int, ...], dict[str, Array]]:
+    """Return the shape of times and conditions together, and what all samples (S, …) have.
 
-    The arrays are times [s], the plan's positions (2n, 3), vertices (points, 3) [m], tensions (n)
-    and cable forces (2n, 3) [N], then lengths (n), offsets (2n, 3) [m] and forces (2n, 3) [N] of
-    the conditions.
-
-    Raises
-    ------
-    InputError: a time without hitch, or a wrong condition.
-    UnsupportedError: single drones, or objects that are carried.
+    That is by name, as of ``States`` and ``conditions_of``; errors are those of ``settle``.
     """
     if not motion.team.has_cables:
         raise UnsupportedError("a plan of single drones has no cables that could settle")
-    states, known = states_at(motion, t), conditions.of(motion.team)
+    states = states_at(motion, t)
     if not np.all(states.formed):
         spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
         bound = f"within a hitch: {', '.join(spans) or 'never in this plan'}"
@@ -271,87 +216,84 @@ def samples_of(
     if np.any(carrying):
         when = f"t = {float(states.t[carrying].flat[0]):.4g} s"
         raise UnsupportedError(f"{when}: statics do not know of objects that a hitch carries")
-    planned = states.positions, states.vertices, states.tensions, states.cable_forces
-    values = [states.t, *planned, *(known[name] for name in ("cable_length", "offsets", "forces"))]
-    split = [v.ndim - axes for v, axes in zip(values, (0, 2, 2, 1, 2, 1, 2, 2), strict=True)]
-    shape = np.broadcast_shapes(*(v.shape[:k] for v, k in zip(values, split, strict=True)))
-    return shape, [
-        np.broadcast_to(v, (*shape, *v.shape[k:])).reshape((-1, *v.shape[k:]))
-        for v, k in zip(values, split, strict=True)
-    ]
+    axes = PLANNED | SAMPLED
+    values = {name: vars(states)[name] if name in PLANNED else known[name] for name in axes}
+    own = {name: v.shape[v.ndim - axes[name] :] for name, v in values.items()}
+    shape = np.broadcast_shapes(*(v.shape[: v.ndim - axes[k]] for k, v in values.items()))
+    return shape, {
+        name: np.broadcast_to(v, (*shape, *own[name])).reshape((-1, *own[name]))
+        for name, v in values.items()
+    }
 
 
-def energy_of(
-    team: Team, conditions: Conditions, samples: Sequence[Array]
-) -> tuple[HitchEnergy, Array]:
-    """Return the energy of samples, see ``samples_of``, and the nodes to start from [m]."""
-    layout, known = team.layout, conditions.of(team)
+def energy_of(team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]) -> HitchEnergy:
+    """Return the energy of samples, see ``samples_of``."""
+    layout, cables = team.layout, np.arange(team.robots)
     clasps = team.drones + np.arange(len(layout.clasps))
-    _, drones, vertices, tensions, cable_forces, lengths, offsets, forces = samples
     points = np.zeros(layout.points, dtype=np.intp)
     points[-1] = team.drones - 1  # a chain's ends are its outer drones, nodes 0 and this
     points[layout.clasps] = clasps
-    cables = np.arange(team.robots)
     ends = points[layout.starts], points[layout.ends]
     nodes = np.column_stack([2 * cables, *ends, 2 * cables + 1])
-    at = np.concatenate([drones, vertices[:, layout.clasps]], axis=1)[:, nodes]
+    drones, vertices = samples["positions"], samples["vertices"][:, layout.clasps]
+    at = np.concatenate([drones, vertices], axis=1)[:, nodes]
     weight = GRAVITY * float(known["cable_density"])
-    law = Cables(
-        np.insert(layout.has_leg, 1, True, axis=1),
-        lengths,
-        weight,
-        team.cable_length / known["axial_stiffness"],
-        tensions,
-        0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
-        weight * SAG_RATIO / 8.0 * np.max(length(np.diff(at, axis=2)), axis=-1),
-    )
     held = np.isinf(known["stiffness"])
-    places = drones + offsets
-    start = np.concatenate([places, vertices[:, layout.clasps]], axis=1)
-    loads = np.zeros(start.shape)
-    loads[:, : team.drones] = forces - known["feed_forward"][:, None] * cable_forces
+    loads = np.zeros((len(at), team.drones + len(clasps), 3))
+    fed = known["feed_forward"][:, None] * samples["cable_forces"]
+    loads[:, : team.drones] = samples["forces"] - fed
     loads[:, team.drones :, 2] = -GRAVITY * known["load"]
-    free = np.append(~held, np.ones(len(clasps), dtype=np.bool_))
-    stiffness = np.where(held, 0.0, known["stiffness"])
-    return HitchEnergy(nodes, points, free, law, places, stiffness, loads), start
+    return HitchEnergy(
+        nodes,
+        exist=np.insert(layout.has_leg, 1, True, axis=1),
+        points=points,
+        free=np.append(~held, np.ones(len(clasps), dtype=np.bool_)),
+        start=np.concatenate([drones + samples["offsets"], vertices], axis=1),
+        stiffness=np.where(held, 0.0, known["stiffness"]),
+        loads=loads,
+        lengths=samples["cable_length"],
+        weight=weight,
+        compliance=team.cable_length / known["axial_stiffness"],
+        reference=samples["tensions"],
+        heights=0.5 * (at[:, :, 1, 2] + at[:, :, 2, 2]),
+        least=weight * SAG_RATIO / 8.0 * np.max(length(np.diff(at, axis=2)), axis=-1),
+    )
 
 
-def _settled(motion: Motion, conditions: Conditions, samples: Sequence[Array]) -> list[Array]:
-    """Return the arrays of ``Settled`` for some samples, in order."""
-    energy, start = energy_of(motion.team, conditions, samples)
-    law, x = energy.law, settled_nodes(energy, start)
-    ends = x[:, energy.nodes]
-    T = law.tensions(ends)
-    _, sizes, heights = law.spans(ends)
+def _rest(
+    team: Team, known: Mapping[str, Any], samples: Mapping[str, Array]
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of ``Settled`` for some samples."""
+    energy = energy_of(team, known, samples)
+    x = energy.settled()
     force = np.max(length(energy.slopes(x)), axis=1)
     if not np.max(force) <= LARGEST_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
-        remedy = "give drones a stiffness, or cables more length"
-        short = np.min(np.where(law.exist, sizes[worst], np.inf), axis=-1)
-        if np.min(short) < NO_LEG:
-            cable = int(np.argmin(short))
-            remedy = f"lead its drones farther out: a leg of cable c{cable} has no length left"
-        when = f"at t = {samples[0][worst]:.4g} s"
-        found = "settling", float(force[worst]), LARGEST_RESIDUAL, "max", "N", (), when, remedy
-        raise InfeasibleError([Violation(*found)], "the hitch finds no rest under these conditions")
-    missing = law.forces(ends, T)[1] - law.lengths - law.compliance * (T - law.reference)
-    pulling = SLACK_SHARE * law.reference < T
-    taut = pulling & (law.least < T)
-    friction, points = float(conditions.of(motion.team)["friction"]), energy.points
-    rests = [rubbing_nodes(energy, x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
-    tensions = T + law.weight * heights[..., 1]
-    return [
-        samples[0],
-        x[:, : energy.drones],
-        x[:, points],
-        np.stack(rests, axis=1),
-        tensions,
-        ~pulling | law.hanging(ends, T),
-        _bearing(motion.team, energy, x, np.where(pulling, tensions, 0.0)),
-        *samples[1:4],
-        force,
-        np.max(np.where(taut, np.abs(missing), 0.0), axis=-1),
-    ]
+        when, words = f"at t = {samples['t'][worst]:.4g} s", "finds no rest under these conditions"
+        remedy = "give drones a stiffness, cables more length, or lead drones farther from vertices"
+        broken = "settling", float(force[worst]), LARGEST_RESIDUAL, "max", "N", (), when, remedy
+        raise InfeasibleError([Violation(*broken)], f"the hitch {words}")
+    T, ends, points = energy.tensions(x), x[:, energy.nodes], energy.points
+    missing = energy.forces(ends, T)[1] - energy.lengths
+    missing -= energy.compliance * (T - energy.reference)
+    slack = np.maximum(energy.least, SLACK_SHARE * energy.reference) >= T
+    friction = float(known["friction"])
+    tensions = T + energy.weight * energy.spans(ends)[2][..., 1]
+    rests = [energy.rubbing(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
+    return {
+        "t": samples["t"],
+        "drones": x[:, : energy.drones],
+        "vertices": x[:, points],
+        "rests": np.stack(rests, axis=1),
+        "tensions": tensions,
+        "slack": slack,
+        "bears": _bearing(team, energy, x, np.where(slack, 0.0, tensions)),
+        "planned_drones": samples["positions"],
+        "planned_vertices": samples["vertices"],
+        "planned_tensions": samples["tensions"],
+        "force_residual": force,
+        "length_residual": np.max(np.where(slack, 0.0, np.abs(missing)), axis=-1),
+    }
 
 
 def _bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDArray[np.bool_]:
@@ -364,6 +306,6 @@ def _bearing(team: Team, energy: HitchEnergy, x: Array, tensions: Array) -> NDAr
         clasp, other, end = (x[:, energy.nodes[cables, k]] for k in (node, 3 - node, drone))
         leg, edge = end - clasp, other - clasp
         contact = -tensions[:, cables, None] * (unit(leg) + unit(edge))
-        contact[..., 2] += 0.5 * energy.law.weight * (length(leg) + length(edge))
+        contact[..., 2] += 0.5 * energy.weight * (length(leg) + length(edge))
         found &= (dot(contact, leg) < 0.0) & (dot(contact, edge) < 0.0)
     return found

@@ -14,34 +14,33 @@ widens every range. It is infinite where no rest is found there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.statics.energy import HitchEnergy
-from hitchopt.statics.settle import (
-    Conditions,
-    Settled,
-    energy_of,
-    named,
-    samples_of,
-    settle_motion,
-)
+from hitchopt.statics.settle import SAMPLED, Settled, conditions_of, energy_of, samples_of, settle
 from hitchopt.values import Array, as_array, instance, not_negative
 
-DEVIATIONS = 3.0
-"""Standard deviations that a range covers: 99.7 % of normal errors."""
+DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
+MARK = "sd:"  # What a standard deviation begins with on the command line: sd:0.01
 
-MARK = "sd:"
-"""What a standard deviation begins with on the command line: ``sd:0.01``."""
+# Times at which ranges are computed unless others are given, and that are looked at for each
+SAMPLES, CANDIDATES = 25, 20
+
+TAUT = 0.9  # Share of the team's tension from which on a cable is taut
+CORNERS = 4  # Tensions, and coordinates, of widest range whose worst errors are settled at
+
+# Factor of the largest difference to first order: the corners are worst for the first order, not
+# for what is beyond it
+REMAINDER = 2.0
 
 
 @dataclass(frozen=True)
@@ -69,102 +68,48 @@ class ErrorSize(OneLine):
     def of(cls, key: str, given: ErrorSize | float | str) -> ErrorSize:
         """Return the size; 0.01 and ``"0.01"`` are bounds, ``"sd:0.01"`` is a deviation.
 
-        Raises
-        ------
-        InputError: a negative number, or another text.
+        InputError for a negative number, or another text.
         """
         if isinstance(given, ErrorSize):
             return given
-        if not isinstance(given, str):
-            return cls(not_negative(key, given))
         try:
-            size = not_negative(key, float(given.removeprefix(MARK)))
+            size = float(given.removeprefix(MARK)) if isinstance(given, str) else given
         except ValueError:
             raise InputError(key, given, "a number, or sd:number", f"write {MARK}0.01") from None
-        return cls(deviation=size) if given.startswith(MARK) else cls(size)
-
-    @property
-    def words(self) -> str:
-        """What it says, without a unit: ``±0.01`` or ``sd 0.01``."""
-        parts = [f"±{self.bound:g}"] if self.bound or not self.deviation else []
-        return " and ".join([*parts, *([f"sd {self.deviation:g}"] if self.deviation else [])])
+        name = "deviation" if isinstance(given, str) and given.startswith(MARK) else "bound"
+        return cls(**{name: not_negative(key, size)})
 
 
-@dataclass(frozen=True)
-class Errors:
-    """Errors of a hitch.
+Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
 
-    Parameters
-    ----------
-    cable: of every cable's length [m].
-    position: of every drone's set point, a vector [m].
-    force: of every drone's force feed-forward, a vector [N].
+
+def responses(energy: HitchEnergy, x: Array) -> Array:
+    """Return the derivatives (o, 5n, 3) of tensions and points, o = n + 3 points, by the errors.
+
+    These are n lengths, as first components, 2n set points, and 2n forces on drones. Nodes x (1,
+    nodes, 3) [m] are those of one sample that has settled.
     """
-
-    cable: ErrorSize = ErrorSize()
-    position: ErrorSize = ErrorSize()
-    force: ErrorSize = ErrorSize()
-
-
-@dataclass(frozen=True, eq=False)
-class Gradients:
-    """Derivatives of the tensions and points of a hitch at rest, o = n + 3 points of them.
-
-    Attributes
-    ----------
-    cable: (o, n, 1) by the cables' lengths.
-    position: (o, 2n, 3) by the drones' set points.
-    force: (o, 2n, 3) by the forces on drones.
-    """
-
-    cable: Array
-    position: Array
-    force: Array
-
-    @classmethod
-    def of(cls, energy: HitchEnergy, x: Array) -> Gradients:
-        """Return the derivatives of one sample that has settled at nodes x (1, nodes, 3) [m]."""
-        nodes, cables = energy.nodes, np.arange(len(energy.nodes))
-        blocks, tensions, softness = energy.linear(x)
-        count = len(cables) + 3 * len(energy.points)
-        seeds = np.zeros((*x.shape, count))  # outputs by nodes
-        slopes = tensions[0].reshape(-1, 4, 3)
-        slopes[:, 1:3, 2] += 0.5 * energy.law.weight  # tensions are those in the edges' middles
-        for k in range(4):  # one by one: a chain's end stands for two nodes
-            seeds[0, nodes[:, k], :, cables] += slopes[:, k]
-        for axis in range(3):
-            seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
-        matrix = energy.matrix(blocks)
-        y = energy.solved(matrix, seeds)
-        direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
-        y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
-        pulls = softness[0, :, None] * blocks[0, ..., 12]
-        cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
-        cable[cables, cables] -= softness[0]
-        force, soft = y[:, : energy.drones], energy.stiffness[:, None]
-        position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
-        return cls(cable[..., None], position, force)
-
-    @property
-    def rows(self) -> Array:
-        """(o, 5n, 3): all derivatives in one row; those by lengths are first components."""
-        cable = np.pad(self.cable, ((0, 0), (0, 0), (0, 2)))
-        return np.concatenate([cable, self.position, self.force], axis=1)
-
-
-SAMPLES, CANDIDATES = 25, 20
-"""Times of a plan at which ranges are computed unless others are given, and times that are looked
-at for each of them, to leave out those without a taut hitch."""
-
-TAUT = 0.999
-"""Share of the least tension that is stated from which on a cable is taut."""
-
-CORNERS = 4
-"""Tensions, and coordinates, of widest range whose worst errors are settled at, for each time."""
-
-REMAINDER = 2.0
-"""Factor of the largest difference to first order: the corners are worst for the first order, not
-for what is beyond it."""
+    nodes, cables = energy.nodes, np.arange(len(energy.nodes))
+    blocks, tensions, softness = energy.linear(x)
+    count = len(cables) + 3 * len(energy.points)
+    seeds = np.zeros((*x.shape, count))  # outputs by nodes
+    slopes = tensions[0].reshape(-1, 4, 3)
+    slopes[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those in the edges' middles
+    for k in range(4):  # one by one: a chain's end stands for two nodes
+        seeds[0, nodes[:, k], :, cables] += slopes[:, k]
+    for axis in range(3):
+        seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
+    matrix = energy.matrix(blocks)
+    y = energy.solved(matrix, seeds)
+    direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
+    y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
+    pulls = softness[0, :, None] * blocks[0, ..., 12]
+    cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
+    cable[cables, cables] -= softness[0]
+    force, soft = y[:, : energy.drones], energy.stiffness[:, None]
+    position = np.where(soft > 0.0, soft * force, direct[:, : energy.drones])
+    first = np.pad(cable[..., None], ((0, 0), (0, 0), (0, 2)))
+    return np.concatenate([first, position, force], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +118,7 @@ class Tolerance(OneLine):
 
     Attributes
     ----------
-    errors: what they are for.
+    errors: what they are for, of ``cable``, ``position`` and ``force``.
     settled: where the hitch rests without them, in samples (S,).
     tension_halves: (S, n) [N], half widths of the tensions' ranges, at first order.
     tension_remainders: (S,) [N], what is added to them for what is beyond first order.
@@ -182,7 +127,7 @@ class Tolerance(OneLine):
     ellipsoids: (S, points, 3, 3) [m²], E: vertices stay within ``vᵀ E⁻¹ v ≤ 1``, at first order.
     """
 
-    errors: Errors
+    errors: Sizes
     settled: Settled
     tension_halves: Array
     tension_remainders: Array
@@ -205,40 +150,36 @@ class Tolerance(OneLine):
 
     @property
     def band(self) -> Array:
-        """(S, points, 2) [m]: how far outside of its plan friction lets every vertex rest."""
+        """(S, points, 2) [m]: ``Settled.band``, in which friction lets every vertex rest."""
         return self.settled.band
-
-    @property
-    def slack(self) -> NDArray[np.bool_]:
-        """(S, n): whether a cable may be slack."""
-        return np.asarray(self.settled.slack | (self.tensions[..., 0] <= 0.0))
 
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
-        return named("c", self.slack, np.arange(self.slack.shape[-1]))
+        slack = self.settled.slack | (self.tensions[..., 0] <= 0.0)
+        return tuple(f"c{k}" for k in np.flatnonzero(slack.any(axis=0)))
 
 
 def tolerance(
-    plan: Plan,
+    plan: Plan | Motion,
     t: ArrayLike | None = None,
     *,
-    cable_error: ErrorSize | float = 0.0,
-    position_error: ErrorSize | float = 0.0,
-    force_error: ErrorSize | float = 0.0,
+    cable_error: ErrorSize | float | str = 0.0,
+    position_error: ErrorSize | float | str = 0.0,
+    force_error: ErrorSize | float | str = 0.0,
     **conditions: Any,
 ) -> Tolerance:
     """Return the range of every tension and vertex of a plan's hitch for errors of given sizes.
 
     Parameters
     ----------
-    plan: with a hitch.
+    plan: with a hitch; or its motion.
     t: (S,) [s]; by default 25 times at which its cables are drawn taut.
     cable_error: of every cable's length [m]. A number is a bound; ``ErrorSize(deviation=0.01)`` is
         a standard deviation, which counts three times.
     position_error: of every drone's set point, a vector [m].
     force_error: of every drone's force feed-forward, a vector [N].
-    conditions: the keywords of ``Conditions``, without samples of their own, as for ``settle``.
+    conditions: those of ``settle``, without samples of their own.
 
     Raises
     ------
@@ -246,23 +187,14 @@ def tolerance(
     UnsupportedError: a plan without a taut hitch.
     InfeasibleError: no rest is found.
     """
-    instance("plan", plan, Plan)
-    errors = Errors(
-        ErrorSize.of("cable_error", cable_error),
-        ErrorSize.of("position_error", position_error),
-        ErrorSize.of("force_error", force_error),
-    )
-    return tolerance_of_motion(plan.motion, t, errors, Conditions(**conditions))
-
-
-def tolerance_of_motion(
-    motion: Motion, t: ArrayLike | None, errors: Errors, conditions: Conditions
-) -> Tolerance:
-    """Return the ranges of a motion's hitch; see ``tolerance``."""
+    instance("plan", plan, Plan, Motion)
+    motion = plan.motion if isinstance(plan, Plan) else plan
+    given = {"cable": cable_error, "position": position_error, "force": force_error}
+    errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in given.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
     if times.ndim != 1:
         raise InputError("t", t, "one time, or a list of them", "give times [s] in one row")
-    settled = settle_motion(motion, times, conditions)
+    settled = settle(motion, times, **conditions)
     parts = [_range(motion, settled, i, errors, conditions) for i in range(len(times))]
     return Tolerance(errors, settled, *(np.stack(values) for values in zip(*parts, strict=True)))
 
@@ -271,33 +203,27 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     """Return at most ``count`` times [s], the first and last ones among them, of taut cables.
 
     While tensions rise from zero or fall to it a hitch holds little; such times are left out.
-
-    Raises
-    ------
-    UnsupportedError: there are none.
+    UnsupportedError: there are no others.
     """
     times = np.linspace(0.0, motion.duration, CANDIDATES * count)
-    taut = np.zeros(0)
     if motion.team.has_cables:
-        states, breaks = states_at(motion, times), motion.drones.breaks
-        piece = np.searchsorted(breaks[1:-1] - breaks[0], times, "right")
-        least = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
-        found = states.formed & np.all(states.tensions >= TAUT * least[piece], axis=-1)
-        taut = times[found & ~np.any(states.borne > 0.0, axis=-1)]  # statics know of no objects
-    if not len(taut):
+        states = states_at(motion, times)
+        taut = states.formed & np.all(states.tensions >= TAUT * motion.team.tension, axis=-1)
+        times = times[taut & ~np.any(states.borne > 0.0, axis=-1)]  # statics know of no objects
+    if not motion.team.has_cables or not len(times):
         raise UnsupportedError("a plan without a taut hitch has no tensions that could differ")
-    return taut[np.unique(np.linspace(0, len(taut) - 1, count).round().astype(np.intp))]
+    return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]
 
 
 def _range(
-    motion: Motion, settled: Settled, i: int, errors: Errors, conditions: Conditions
+    motion: Motion, settled: Settled, i: int, errors: Sizes, conditions: dict[str, Any]
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
-    n, known = motion.team.robots, conditions.of(motion.team)
-    energy, _ = energy_of(motion.team, conditions, samples_of(motion, settled.t[i], conditions)[1])
+    n, known = motion.team.robots, conditions_of(motion.team, **conditions)
+    energy = energy_of(motion.team, known, samples_of(motion, settled.t[i], known)[1])
     clasps = settled.vertices[i, motion.team.layout.clasps]
-    rows = Gradients.of(energy, np.concatenate([settled.drones[i], clasps])[None]).rows
-    sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in vars(errors).values()])
+    rows = responses(energy, np.concatenate([settled.drones[i], clasps])[None])
+    sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
     bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
     spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
     halves = length(rows) @ bound + spread
@@ -316,17 +242,15 @@ def _range(
     ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
     ends = np.concatenate([ends, -ends])
     change = np.einsum("oji,sji->so", rows, ends)
-    off = {
-        "cable_length": known["cable_length"] + ends[:, :n, 0],
-        "offsets": known["offsets"] + ends[:, n : 3 * n],
-        "forces": known["forces"] + ends[:, 3 * n :],
-    }
+    parts = np.split(ends, [n, 3 * n], axis=1)
+    parts[0] = parts[0][..., 0]
+    off = {name: known[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
     try:
-        found = settle_motion(motion, settled.t[i], replace(conditions, friction=0.0, **off))
+        found = settle(motion, settled.t[i], **(conditions | off | {"friction": 0.0}))
     except InfeasibleError:  # so far from where it was that first order says nothing
         pulled = moved = np.inf
     else:
-        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.law.least[0])
+        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.least[0])
         vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
         pulled = REMAINDER * float(np.max(np.abs(found.tensions - tensions)))
         moved = REMAINDER * float(np.max(length(found.vertices - vertices)))

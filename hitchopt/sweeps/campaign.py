@@ -20,20 +20,15 @@ from hitchopt.simulation.task import Task
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.sweeps.sweep import Share
 from hitchopt.sweeps.work import finished
+from hitchopt.values import whole
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """Flights of one plan under perturbations of different seeds.
+    """Flights of one plan under perturbations of different seeds."""
 
-    Attributes
-    ----------
-    settings: settings of all of them, with the first one's seed.
-    runs: figures of every flight, by seed.
-    """
-
-    settings: Settings
-    runs: tuple[Run, ...]
+    settings: Settings  # of all of them, with the first one's seed
+    runs: tuple[Run, ...]  # by seed
 
     @property
     def successes(self) -> int:
@@ -89,10 +84,9 @@ def run_campaign(
     InputError: no runs, or settings that no flight can be simulated with.
     UnsupportedError: mujoco is not installed.
     """
-    if runs < 1:
-        raise InputError("runs", runs, "at least 1", "a campaign needs some flights")
-    if processes is not None and processes < 1:
-        raise InputError("processes", processes, "at least 1", "leave it out for all processors")
+    whole("runs", runs, 1)
+    if processes is not None:
+        whole("processes", processes, 1)
     width = min(runs, processes or os.cpu_count() or 1)
     given = [replace(settings, seed=settings.seed + i) for i in range(runs)]
     found: list[Run] = []
@@ -122,10 +116,7 @@ def one_run(settings: Settings, task: Task) -> Run:
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
-    """Write the campaign's summary and a table of its runs; return the directory.
-
-    Raises FileError where the directory cannot be written to.
-    """
+    """Write the campaign's summary and a table of its runs; return the directory, or FileError."""
 
     def write_runs(path: Path) -> None:
         rows = []

@@ -71,10 +71,7 @@ def listed(given: Values) -> list[Plain]:
 
 
 def points(parameters: Mapping[str, Values]) -> list[Point]:
-    """Return every combination of the parameters' values, the last one's changing first.
-
-    Raise InputError for more than MAX_CASES points.
-    """
+    """Return every combination of values, the last one's changing first; MAX_CASES at most."""
     found = [listed(each) for each in parameters.values()]
     if (count := prod(map(len, found))) > MAX_CASES:
         raise InputError("parameters", count, f"at most {MAX_CASES} combinations", "take fewer")
@@ -84,11 +81,8 @@ def points(parameters: Mapping[str, Values]) -> list[Point]:
 def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
     """Return a copy of a mapping in which the keys have the values of a point.
 
-    Mappings that are missing on the way are made; lists are as long as they are.
-
-    Raises
-    ------
-    InputError: no key path, or one that leads through a value, or past the end of a list.
+    Mappings that are missing on the way are made. InputError for what is no key path, or leads
+    through a value, or past the end of a list.
     """
     made: dict[str, Plain] = deepcopy(dict(base))
     for key, value in point.items():
@@ -111,23 +105,14 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One plan, and what is done with it.
+    """One plan, and what is done with it."""
 
-    Attributes
-    ----------
-    name: of the problem.
-    point: value of every parameter.
-    problem: keys of the problem file.
-    simulate, seed: keys and seed of the simulated flight; None where there is none.
-    limit: time limit of the plan [s].
-    """
-
-    name: str
+    name: str  # of the problem
     point: Point
-    problem: dict[str, Plain]
-    simulate: dict[str, Plain] | None
+    problem: dict[str, Plain]  # keys of its file
+    simulate: dict[str, Plain] | None  # keys of the simulated flight, if there is one
     seed: int | None
-    limit: float
+    limit: float  # of the plan's time [s]
 
     @property
     def digest(self) -> str:
@@ -193,11 +178,8 @@ class Study(OneLine):
     def cases(self) -> Iterator[Case]:
         """Yield all cases in order: problems, points, seeds."""
         for name, point, problem, flown in self._at(points(self.keys.parameters)):
-            if flown is None:
-                yield Case(name, point, problem, None, None, self.keys.limit)
-                continue
-            first, count = flown.pop("seed"), flown.pop("seeds")
-            for seed in range(first, first + count):
+            first, count = (flown.pop("seed"), flown.pop("seeds")) if flown else (None, 1)
+            for seed in [None] if first is None else range(first, first + count):
                 yield Case(name, point, problem, flown, seed, self.keys.limit)
 
     def _at(self, chosen: list[Point]) -> Iterator[tuple[str, Point, dict[str, Plain], Any]]:
@@ -275,8 +257,7 @@ def _with_outlines(
 ) -> dict[str, Plain]:
     """Return a problem with outlines in place of its objects' drawings, relative to ``folder``.
 
-    Workers elsewhere need no drawings then, and digests depend on what these show. ``known`` are
-    those that were read before, by path.
+    Workers need no drawings then, and digests depend on what these show. ``known`` were read.
     """
     from hitchopt.geometry.drawings import read_outline  # heavy: readers of drawings
 

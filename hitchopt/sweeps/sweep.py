@@ -1,9 +1,9 @@
 """Runs of a study and the rows that they write: what is missing is computed, row by row.
 
 A study's directory holds ``rows.jsonl``, one row a line, and ``study.json``: the digests of the
-study's cases, in order. Rows of other studies that were run
-in the same directory stay; what is computed already is not computed again. A row is appended by one
-write, so that whatever ends a run leaves at most one line that is not whole, which is passed over.
+study's cases, in order. Rows of other studies that were run in the same directory stay; what is
+computed already is not computed again. A row is appended by one write, so that whatever ends a run
+leaves at most one line that is not whole, which is passed over.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ def run_sweep(
     scheduler: str | None = None,
     progress: Progress | None = None,
 ) -> pandas.DataFrame:
-    """Compute the rows of a study that are missing in a directory; return all of them.
+    """Compute the rows of a study that are missing in a directory; return all as ``load_sweep``.
 
-    Every case is planned and certified, then simulated if the study says so.
-    Every result is written as it arrives, keyed by a digest of problem, versions and seed: whatever
-    ends a run, the same call goes on from there.
+    Every case is planned and certified, then simulated if the study says so. Every result is
+    written as it arrives, keyed by a digest of problem, versions and seed: whatever ends a run, the
+    same call goes on from there.
 
     Parameters
     ----------
@@ -55,10 +55,6 @@ def run_sweep(
     workers: number of processes on this machine; None for one per processor.
     scheduler: address of a dask scheduler that has workers; None for a cluster of this machine.
     progress: called after every row, with the number of rows.
-
-    Returns
-    -------
-    As ``load_sweep``.
 
     Raises
     ------
@@ -133,12 +129,7 @@ def load_sweep(directory: Path | str) -> pandas.DataFrame:
 
 
 def read_study(directory: Path) -> dict[str, Any]:
-    """Return title, parameters and cases of the study that was run in a directory.
-
-    Raises
-    ------
-    FileError: there is no study, or a broken one.
-    """
+    """Return title, parameters and cases of the study that was run in a directory, or FileError."""
     path = directory / STUDY
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
@@ -210,23 +201,13 @@ class Share:
 
 @dataclass(frozen=True)
 class Summary:
-    """A sweep in figures.
+    """A sweep in figures."""
 
-    Attributes
-    ----------
-    cases: number of cases of the study; of rows there may be fewer.
-    planned: share of rows with a plan.
-    succeeded: share of simulated flights that succeeded; None where none was simulated.
-    binding: names of limits that bound, or other reasons, with their counts, the most frequent
-        first.
-    medians: median, smallest and largest value of every figure, by column.
-    """
-
-    cases: int
-    planned: Share
-    succeeded: Share | None
-    binding: tuple[tuple[str, int], ...]
-    medians: dict[str, tuple[float, float, float]]
+    cases: int  # of the study; of rows there may be fewer
+    planned: Share  # of rows with a plan
+    succeeded: Share | None  # of simulated flights; None where there are none
+    binding: tuple[tuple[str, int], ...]  # limits that bound, or other reasons, most frequent first
+    medians: dict[str, tuple[float, float, float]]  # with smallest and largest value, by column
 
 
 def summary(rows: pandas.DataFrame, cases: int) -> Summary:

@@ -100,13 +100,9 @@ def finished(
 ) -> Generator[tuple[str, Any], None, None]:
     """Yield the key of every task and its future, which has a result or an exception.
 
-    Parameters
-    ----------
-    work: function that every task calls, on a worker.
-    tasks: arguments, by key.
-    width: number of processes on this machine where there is no scheduler.
-    scheduler: address of a dask scheduler, or None.
-    shared: last argument of all of them, unless None, which is sent but once.
+    Workers call ``work`` with the arguments of each task and, unless it is None, the ``shared``
+    one, which is sent but once. They are ``width`` processes on this machine, or those of a dask
+    ``scheduler`` at an address.
 
     Raises
     ------
@@ -119,7 +115,7 @@ def finished(
     with _client(width, scheduler) as (client, as_completed):
         columns = [list(column) for column in zip(*tasks.values(), strict=True)]
         if shared is not None:  # a task that dask computes again where workers die
-            columns.append([client.submit(_itself, shared, pure=False)] * len(tasks))
+            columns.append([client.submit(lambda value: value, shared, pure=False)] * len(tasks))
         lost, status = "", "finished"
         try:
             futures = client.map(work, *columns, key=list(tasks), pure=False, batch_size=1000)
@@ -134,10 +130,6 @@ def finished(
                 f"the scheduler was lost ({lost or f'a task was {status}'}); rows that were "
                 "written stay: run the same study again"
             )
-
-
-def _itself(value: object) -> object:
-    return value
 
 
 @contextlib.contextmanager

@@ -115,7 +115,7 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --stiffness 0", "stiffness = 0.0: must be"),
         ("simulate --stiffness 60", "oscillates more and more; lower it"),
         ("simulate --density 0.0001", "time_step = 0.001: must be at most"),
-        ("simulate --runs 0", "runs = 0: must be at least 1"),
+        ("simulate --runs 0", "runs = 0: must be a whole number, at least 1"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("simulate --seed -3", "seed = -3: must be a whole number"),
         ("statics --at -1", "t = "),

@@ -8,7 +8,7 @@ import numpy as np
 
 from hitchopt import ConvexArc, Hitch, Motion, Phase, Quadrotor, Team, regular_polygon
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.statics.settle import Conditions, Settled, settle_motion
+from hitchopt.statics.settle import Settled, settle
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 
@@ -54,4 +54,4 @@ def regular_hitch(n: int, tension: float = 0.5, **team: Any) -> Hitch:
 
 
 def settled(hitch: Hitch, **conditions: Any) -> Settled:
-    return settle_motion(standing(hitch), 1.0, Conditions(**conditions))
+    return settle(standing(hitch), 1.0, **conditions)

@@ -13,7 +13,7 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.simulation.task import Setpoints, Task
 from hitchopt.statics.calibrate import friction_pulls
 from hitchopt.statics.recordings import Recording
-from hitchopt.statics.settle import Conditions, energy_of
+from hitchopt.statics.settle import conditions_of, energy_of
 
 Array = NDArray[np.float64]
 
@@ -28,10 +28,11 @@ def balanced(
     """Points (points, 3) [m] at which clasps are in balance, and forces (2n, 3) [N] on drones."""
     layout, n = team.layout, team.robots
     zero = np.zeros((1, 2 * n, 3))
-    conditions = Conditions(cable_density=density, stiffness=1.0, feed_forward=False)
-    state = [drones, guess, team.tension, 0.0 * drones, team.cable_length, 0.0 * drones]
-    samples = [np.zeros(1), *(each[None] for each in state), zero]
-    energy = energy_of(team, conditions, samples)[0]
+    conditions = conditions_of(team, cable_density=density, stiffness=1.0, feed_forward=False)
+    none = dict.fromkeys(("cable_forces", "offsets", "forces"), zero)
+    plan = {"positions": drones, "vertices": guess, "tensions": team.tension}
+    plan |= {"cable_length": team.cable_length}
+    energy = energy_of(team, conditions, none | {name: v[None] for name, v in plan.items()})
 
     nodes, ahead, behind = energy.nodes, layout.ahead, layout.behind
 
@@ -45,7 +46,7 @@ def balanced(
             turned, np.stack([rates[2 * ahead], rates[2 * behind + 1]], axis=-1)
         )
         used[ahead, 0], used[behind, 1] = friction * (pulled / turned).T
-        forces = energy.law.forces(at[:, nodes], team.tension[None], used)[0]
+        forces = energy.forces(at[:, nodes], team.tension[None], used)[0]
         return np.asarray(energy.pulls(forces)[0])
 
     def missing(x: Array) -> Array:

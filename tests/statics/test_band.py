@@ -12,8 +12,6 @@ from resting_hitches import random_hitch, regular_hitch, settled, standing
 from scipy.optimize import root
 
 import hitchopt as ho
-from hitchopt.statics.settle import Conditions
-from hitchopt.statics.tolerance import Errors, tolerance_of_motion
 
 seeds = st.integers(0, 2**32 - 1)
 STIFFNESS, TENSION = 4.75, 0.6
@@ -84,7 +82,7 @@ def test_a_per_cent_between_leg_and_edge_moves_a_vertex_by_centimetres() -> None
 def test_tolerance_has_the_band_of_the_team() -> None:
     kind = ho.Quadrotor(stiffness=STIFFNESS)
     hitch = regular_hitch(3, TENSION, cable_friction=0.05, quadrotor=kind)
-    found = tolerance_of_motion(standing(hitch), [0.5, 1.0], Errors(), Conditions())
+    found = ho.tolerance(standing(hitch), [0.5, 1.0])
     np.testing.assert_allclose(found.band, [settled(hitch).band] * 2, atol=1e-7)
     assert np.all(np.sign(found.band) == [-1.0, 1.0])
     assert np.all(np.abs(found.band) > 0.05)

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_flight import recorded, shaken
+from synthetic_flight import RATE, recorded, shaken
 
+import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Quadrotor, Team
-from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS, estimate_team, friction_pulls
-from hitchopt.statics.recordings import compare
+from hitchopt.statics.calibrate import COSINES, IN_SPACE, TURNS, friction_pulls
 
 POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
 DENSITY, MU = 0.012, 0.17
@@ -63,7 +63,7 @@ def test_without_noise_stiffness_and_friction_are_exact(
 ) -> None:
     monkeypatch.setattr("hitchopt.statics.calibrate.BLURRED", 1e-4)  # the law alone does not creep
     task, recording = recorded(*pair, K, DENSITY, friction, wind)
-    found = estimate_team(recording, task, DENSITY)
+    found = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in found.stiffness)
     np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.01)
     assert found.friction.known
@@ -75,7 +75,7 @@ def test_without_noise_stiffness_and_friction_are_exact(
 def test_cable_lengths_are_those_of_catenaries() -> None:
     task, recording = recorded(*hitches(), K, DENSITY)
     rows = {name: getattr(recording, name)[:30] for name in ("t", "drones", "vertices")}
-    found = estimate_team(replace(recording, **rows), task, DENSITY)
+    found = ho.calibrate(replace(recording, **rows), task, density=DENSITY)
     layout, drones, points = task.team.layout, recording.drones[0], recording.vertices[0]
     corners = drones[0::2], points[layout.starts], points[layout.ends], drones[1::2]
     spans = np.diff(np.stack(corners, axis=1), axis=1)
@@ -93,7 +93,7 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
     task, recording = recorded(*hitches(), K, DENSITY, friction=MU)
     scores = []
     for seed in range(6):
-        found = estimate_team(shaken(recording, 1.5e-3, seed), task, DENSITY)
+        found = ho.calibrate(shaken(recording, 1.5e-3, seed), task, density=DENSITY)
         soft, hard = found.stiffness[0], found.stiffness[1]
         assert abs(found.friction.value - MU) < 0.05
         scores.append([(soft.value - 4.0) / soft.error, (hard.value - 9.0) / hard.error])
@@ -105,36 +105,34 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
 def test_what_a_recording_does_not_determine_is_said() -> None:
     first, second = hitches()
     task, recording = recorded(first, second, K, 0.0)
-    weightless = estimate_team(recording, task, 0.0)
+    weightless = ho.calibrate(recording, task, density=0.0)
     assert not any(one.known for one in weightless.stiffness)
     assert "displaced by too little" in weightless.stiffness[0].remark
     assert "neither determined nor stated" in weightless.friction.remark
     task, recording = recorded(first, first, K, DENSITY)
-    still = estimate_team(recording, task, DENSITY)
+    still = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in still.stiffness)
     assert "slide through clasps by 0.0 cm" in still.friction.remark
     task, recording = recorded(first, second, K, DENSITY)
     wound = replace(recording, integral=np.ones(6, dtype=np.bool_))
-    assert "integral action" in estimate_team(wound, task, DENSITY).stiffness[0].remark
+    assert "integral action" in ho.calibrate(wound, task, density=DENSITY).stiffness[0].remark
     unseen = replace(recording, vertices=np.full_like(recording.vertices, np.nan))
     with pytest.raises(InputError, match="record the vertices too"):
-        estimate_team(unseen, task, DENSITY)
+        ho.calibrate(unseen, task, density=DENSITY)
 
 
 @pytest.mark.slow
-def test_the_comparison_is_the_distance_to_the_plan() -> None:
+def test_errors_are_distances_to_the_plan_which_stands_still_before_and_after() -> None:
     task, recording = recorded(*hitches(), K, DENSITY)
-    drones = recording.drones + [0.0, 0.3, 0.4]
-    vertices = np.repeat(task.vertices[-1:], len(recording.t), axis=0) + [0.02, 0.0, 0.0]
-    between = replace(recording, t=recording.t + 0.5 / 20.0, drones=drones, vertices=vertices)
-    found = compare(between, task)
-    places = task.setpoints.positions
+    places, t = task.setpoints.positions, recording.t + 0.5 / RATE
+    early = np.append(t - 2.0 * t[-1], t)
+    drones = np.tile(recording.drones + [0.0, 0.3, 0.4], (2, 1, 1))
+    vertices = np.tile(task.vertices[-1] + [0.02, 0.0, 0.0], (len(early), 1, 1))
+    found = ho.calibrate(replace(recording, t=early, drones=drones, vertices=vertices), task)
     middle = np.vstack([0.5 * (places[1:] + places[:-1]), places[-1:]])
-    np.testing.assert_allclose(found.drones, np.linalg.norm(drones - middle, axis=-1))
-    assert found.vertices[-1] == pytest.approx(0.02)
-    np.testing.assert_array_equal(found.moving, (between.t > 2.0) & (between.t < 8.0))
-    whole, rest, moving = found.spreads(found.vertices)[0]
-    assert rest.mean < moving.largest <= whole.largest
+    planned = np.concatenate([np.tile(places[0], (len(t), 1, 1)), middle])
+    np.testing.assert_allclose(found.drone_errors, np.linalg.norm(drones - planned, axis=-1))
+    assert found.vertex_errors[-1] == pytest.approx(0.02)
 
 
 def test_friction_is_coulombs_in_space() -> None:
