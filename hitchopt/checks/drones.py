@@ -319,7 +319,7 @@ def tilt(spans: Drones) -> Bound:
     return Bound(np.degrees(np.arctan2(aside, rise)), most.x)
 
 
-def _turning(spans: Drones) -> Bound:
+def turning_rate(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
     found, known = spans.turning.norm_above, np.isfinite(spans.thrust.inverse_norm.r)
     return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
@@ -359,13 +359,13 @@ JERK = _rate_rule("jerk", "m/s³", 3)
 VERTEX_SPEED = _rate_rule("vertex_speed", "m/s", 1, Points)
 
 
-def _used(spans: Drones) -> Bound:
+def used_thrust(spans: Drones) -> Bound:
     """Return the thrust over the drone's ``max_thrust``."""
     thrust = spans.thrust.norm_above
     return Bound(thrust.value / spans.source.team.max_thrust[spans.item], thrust.x)
 
 
-USED_THRUST = Searched(Drones, _used, "max", share=lambda motion: motion.team.max_thrust)
+USED_THRUST = Searched(Drones, used_thrust, "max", share=lambda motion: motion.team.max_thrust)
 
 THRUST = CheckRule(
     "thrust",
@@ -401,7 +401,7 @@ BODY_RATE = CheckRule(
     lambda motion: (
         None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
     ),
-    (Finder(Searched(Drones, _turning, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
+    (Finder(Searched(Drones, turning_rate, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
     ease=Ease.TIME,
     derivative=3,
@@ -496,7 +496,7 @@ def largest_rate(
 
 def largest_static_thrust(motion: Motion) -> float:
     """Return the largest thrust at rest over ``max_thrust``, for all t."""
-    return worst(Hovering.of(motion), _used, "max").worst
+    return worst(Hovering.of(motion), used_thrust, "max").worst
 
 
 def largest_static_tilt(motion: Motion) -> float:

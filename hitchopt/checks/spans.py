@@ -230,6 +230,12 @@ class Spans:
         lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
         return bernstein.restrict(c, lower, upper)
 
+    def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
+        """Return the derivative by time of points of a part, rounding included."""
+        margin = derivative_margin(part, order)[self.piece, self.item]
+        derivative = once(part, PiecewisePolynomial.differentiated, order)
+        return Enclosed(self.read(derivative.coefficients), margin)
+
 
 class MotionSpans(Spans):
     """Spans of one kind of item of a motion."""
@@ -263,12 +269,6 @@ class MotionSpans(Spans):
     def noise(self) -> float:
         """[m] What rounding adds to differences of positions."""
         return position_margin(self.source)
-
-    def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
-        """Return the derivative by time of points of a part, rounding included."""
-        margin = derivative_margin(part, order)[self.piece, self.item]
-        derivative = once(part, PiecewisePolynomial.differentiated, order)
-        return Enclosed(self.read(derivative.coefficients), margin)
 
 
 PART_NAMES = ("q-leg", "edge", "r-leg")

@@ -242,9 +242,9 @@ class Player(OneLine):
         """
         if not len(made):
             return NOTHING
-        time, inertia = made.ends[-1, :1], self._known.limits.inertia
+        time = made.ends[-1, :1]
         if rate == 0.0:
-            carried = inertia is not None and inertia.during(time, time)[0]
+            carried = self._known.limits.carries(time, time)[0]
             rest = np.array([*time, 0.0, 0.0])
             return _to_rates(rest, [1.0], 2.0 * made.duration[-1]) if carried else NOTHING
         return self._run(float(time[0]), rate)
@@ -271,7 +271,7 @@ class Player(OneLine):
         """Fly a change from now on; return how long it takes [s]."""
         if found is None:
             words = "no change of the clock was found that keeps all limits"
-            if self._known.limits.inertia is not None:
+            if self._known.limits.carried:
                 words += "; what is carried has inertia, rest where the plan does"
             if len(self._known.leaning):
                 words += "; legs lean against friction, and are not flown backward"
