@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.checks.spans import (
+    UPWARD,
     Spans,
     cable_parts,
     clasped_pairs,
@@ -73,12 +74,12 @@ Allowed = Callable[[Indices, Indices], Flags]
 """Which pairs (first, second) count."""
 
 
+Names = tuple[Sequence[str], Sequence[str]]
+"""Of the bodies of both groups."""
+
+
 class Shape(Protocol):
     """A convex body that stands still."""
-
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
 
     def towards(self, corners: Array) -> Array:
         """Return unit vectors (…, 3) out of it to the nearest point of hulls (…, corners, 3)."""
@@ -89,8 +90,6 @@ class Shape(Protocol):
 
 class _Origin:
     """A point at the origin: what differences of positions are told from."""
-
-    box = np.zeros((2, 3))
 
     def towards(self, corners: Array) -> Array:
         return unit(shortest_offset(corners))
@@ -114,19 +113,23 @@ class Ground:
 
     height: float
 
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
-        return np.array([[-TALL, -TALL, -TALL], [TALL, TALL, self.height]])
-
     def towards(self, corners: Array) -> Array:
         """Return the directions (…, 3) out of it."""
-        return np.broadcast_to([0.0, 0.0, 1.0], (*corners.shape[:-2], 3))
+        return np.broadcast_to(UPWARD, (*corners.shape[:-2], 3))
 
     def support(self, directions: Array) -> Array:
-        """Return how far it reaches (…) [m] along upward directions (…, 3)."""
-        reach: Array = self.height * directions[..., 2]
-        return reach
+        """Return how far it reaches (…) [m] along directions (…, 3), TALL except upward."""
+        x, y, z = np.moveaxis(directions, -1, 0)
+        return np.asarray(
+            TALL * (np.abs(x) + np.abs(y))
+            - TALL * np.minimum(z, 0.0)
+            + self.height * np.maximum(z, 0.0)
+        )
+
+
+def box_of(shape: Shape) -> Array:
+    """Return the lower and upper corner (2, 3) [m] of a box around a shape."""
+    return np.stack([-shape.support(-np.eye(3)), shape.support(np.eye(3))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +161,19 @@ class Moving:
     shape: Shape = ORIGIN
     counted: Flags | None = None
     lengths: Array | None = None
-    names: tuple[Sequence[str], Sequence[str]] = ((), ())
+    names: Names = ((), ())
     swapped: bool = False
     formula: Callable[[PairSpans], Bound] | None = None
     tolerance: float | None = None
     contact: float | None = None
 
     @classmethod
-    def past(cls, breaks: Array, first: Array, shape: Shape, **further: Any) -> Moving:
-        """Return bodies that move past a shape: item ``i`` is the distance of body i to it."""
-        return cls(breaks, first, np.zeros((len(first), 1, 1, 3, 1)), shape=shape, **further)
+    def of(
+        cls, motion: Motion, first: Array, second: Array | None, names: Names, **given: Any
+    ) -> Moving:
+        """Return bodies of a motion; ``given`` as above."""
+        further = {"margin": position_margin(motion)} | given
+        return cls(motion.drones.breaks, first, second, names=names, **further)
 
     def named(self, item: int) -> tuple[str, ...]:
         """Return the names of a pair."""
@@ -215,7 +221,7 @@ class Moving:
         own, others = self.boxes
         a_lower, a_upper = own.take(pairs.first, axis=3)
         b_lower, b_upper = others.take(pairs.second, axis=3)
-        lower, upper = self.shape.box[..., None, None]
+        lower, upper = box_of(self.shape)[..., None, None]
         apart = np.maximum(a_lower - b_upper - upper, b_lower - a_upper + lower)
         np.maximum(apart, 0.0, out=apart)
         gaps: Array = np.sqrt(np.einsum("cpi,cpi->pi", apart, apart))
@@ -399,7 +405,7 @@ def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> It
 def _indexed(moving: Moving, attained: Callable[[], float], depth: int) -> Iterator[PairSpans]:
     """Yield the spans of pairs that a spatial index lists, of which there are not too many."""
     yield from _neighbours(moving)
-    reach = moving.cutoff(attained()) + float(np.max(np.linalg.norm(moving.shape.box, axis=-1)))
+    reach = moving.cutoff(attained()) + float(np.max(np.linalg.norm(box_of(moving.shape), axis=-1)))
     own, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
     second = None if moving.second is None else others
     single, moves = len(moving.first) == 1, np.median(own.sizes) > 0.25 * reach
@@ -490,12 +496,13 @@ def _taut(motion: Motion) -> Iterator[Moving]:
         shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
         return ~shared
 
-    yield _apart(motion, corners, names, unclasped)
+    yield Moving.of(motion, corners, None, (names, names), allowed=unclasped)
 
 
 def _hanging(motion: Motion) -> Iterator[Moving]:
     """Yield all pairs of cables from above: there they are on their chords."""
-    yield _apart(motion, cable_ends(plan_points(motion)), cable_names(motion), None)
+    names = cable_names(motion)
+    yield Moving.of(motion, cable_ends(plan_points(motion)), None, (names, names))
 
 
 def _clasped(motion: Motion) -> Iterator[Moving]:
@@ -506,13 +513,6 @@ def _clasped(motion: Motion) -> Iterator[Moving]:
         return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
 
     yield from (replace(each, allowed=strangers) for each in _hanging(motion))
-
-
-def _apart(
-    motion: Motion, segments: Array, names: Sequence[str], allowed: Allowed | None
-) -> Moving:
-    margin, breaks = position_margin(motion), motion.drones.breaks
-    return Moving(breaks, segments, margin=margin, allowed=allowed, names=(names, names))
 
 
 CROSSING = CheckRule(

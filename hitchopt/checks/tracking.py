@@ -143,11 +143,6 @@ class Ellipsoid:
 
     axes: Array
 
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
-        return np.stack([-self.axes, self.axes])
-
     def support(self, directions: Array) -> Array:
         """Return how far it reaches (…) [m] along directions (…, 3)."""
         reach: Array = np.linalg.norm(directions * self.axes, axis=-1)
