@@ -31,10 +31,10 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
-from hitchopt.motion.loads import leg_tensions, lowered, object_loads, strut_shares, tautness
+from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
 from hitchopt.trajectory.search import ABSOLUTE, worst
 from hitchopt.values import Array
 
@@ -52,26 +52,23 @@ BACKWARD = -180.0
 
 
 @shared
-def clasp_forces(motion: Motion) -> dict[str, Array]:
-    """Return the sizes of forces at clasps, each (pieces, clasps, rows, degree + 1).
+def clasp_forces(motion: Motion) -> dict[str, list[Array]]:
+    """Return the sizes of forces at clasps, rows of (pieces, clasps, degree + 1).
 
     A factor ``x^a (1 - x)^b`` that all of them share, as where tensions rise from zero, is left
     out: it cancels in every ratio.
 
     - ``parts`` [N]: tensions of the leg and the edge ahead and of those behind; those of edges less
       what a rim takes;
-    - ``halves`` [N/m], where there is weight: half of the weight per length of the same parts, to
-      the share that they are taut, that of edges less what a rim takes;
+    - ``halves`` [N/m], where there is weight: half of the weight per length of the same parts;
     - ``tensions`` [N] of both edges;
     - ``weights`` where there is weight: of the cable ahead and of that behind, its share of the
-      load with half of its cable's weight [N], and half of the weight per length [N/m], all to the
-      share that the cable is taut;
+      load with half of its cable's weight [N], and half of the weight per length [N/m];
     - ``loads`` of objects [N], where there are any.
     """
-    team, layout = motion.team, motion.team.layout
-    ahead, behind = layout.ahead, layout.behind
-    tension, legs = edge_tensions(motion), lowered(leg_tensions(motion))
-    taut, half = lowered(tautness(motion)), 0.5 * GRAVITY * team.cable_density
+    team, ahead, behind = motion.team, motion.team.layout.ahead, motion.team.layout.behind
+    tension, legs = edge_tensions(motion), leg_tensions(motion)
+    taut, half = tautness(motion), 0.5 * GRAVITY * team.cable_density
     loads = object_loads(motion)
 
     def parts(legs: Array, edges: Array) -> list[Array]:
@@ -87,12 +84,13 @@ def clasp_forces(motion: Motion) -> dict[str, Array]:
             found["weights"] += [own[:, None] * taut[:, cable], half * taut[:, cable]]
     if loads is not None:
         found["loads"] = list(np.moveaxis(loads, 2, 0))
-    return without_shared_zeros(found)
+    rows = iter(without_shared_zeros([row for each in found.values() for row in each]))
+    return {name: [next(rows) for _ in each] for name, each in found.items()}
 
 
 def edge_tensions(motion: Motion) -> Array:
     """Return what edges pull with (pieces, n, degree + 1) [N], less what a rim takes."""
-    return _kept(motion, lowered(motion.tensions.coefficients))
+    return _kept(motion, motion.tensions.coefficients)
 
 
 def _kept(motion: Motion, values: Array) -> Array:
@@ -110,16 +108,15 @@ class Clasps(MotionSpans):
         return [motion.team.point_names[k] for k in motion.team.layout.clasps]
 
     @cached_property
-    def _sizes(self) -> dict[str, Enclosed]:
-        forces = clasp_forces(self.source)
-        return {name: Enclosed(self.read(table)) for name, table in forces.items()}
+    def _sizes(self) -> dict[str, list[Enclosed]]:
+        return {name: self.scalars(rows) for name, rows in clasp_forces(self.source).items()}
 
     @cached_property
     def pulls(self) -> list[Enclosed]:
         """The pulls along q̂_k, u_k, r̂_{k-1} and u_{k-1} [N]."""
         tensions, halves = self._sizes["parts"], self._sizes.get("halves")
         if halves is None:
-            return [tensions[i] for i in range(4)]
+            return tensions
         found = []
         for i, way in enumerate(self.ways):
             if i % 2 == 0:
@@ -131,7 +128,7 @@ class Clasps(MotionSpans):
     @cached_property
     def tensions(self) -> Enclosed:
         """The tensions of both edges [N], a component each."""
-        return self._sizes["tensions"]
+        return vector(*self._sizes["tensions"])
 
     @staticmethod
     def weighed(motion: Motion) -> bool:
@@ -194,7 +191,8 @@ class Clasps(MotionSpans):
         """[N] The force of objects on the clasp; None without any."""
         if "loads" not in self._sizes:
             return None
-        return self._sizes["loads"].widened(_load_errors(self.source)[self.piece, self.item])
+        loads = vector(*self._sizes["loads"])
+        return loads.widened(_load_errors(self.source)[self.piece, self.item])
 
     @cached_property
     def residual(self) -> Enclosed:
@@ -254,18 +252,9 @@ def _lifted(spans: Clasps) -> Bound:
 def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
-    Legs have their cable's tension at clasps, or what friction makes of it; where cables have
-    weight, legs and edges pull along their chords by ``forces.chord_pull``. What friction cannot
-    make of a tension counts as unbalanced too: by how much a leg's lies beyond ``e^{μ θ}`` times
-    the edge's, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a chain's
-    ends it wraps none. The weight that a clasp carries is its load and what the drones do not carry
-    of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the share that
-    they are taut; of objects it carries what ``hitchopt.motion.loads`` says, their inertia
-    included, and rims take a share of what edges pull with. Where there is weight cables have to
-    press on each other as well: a clasp that does not bear is infinitely far from balance.
-
-    A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
-    tensions share cancels, also where it rises from zero as a hitch is pulled tight.
+    What friction cannot make of a tension counts as unbalanced, and so does what an object lacks.
+    Where there is weight cables have to press on each other as well: a clasp that does not bear is
+    infinitely far from balance.
     """
     names = Clasps.names(motion)
     found = worst(Clasps.of(motion), _balance, "max", absolute=absolute)
@@ -331,11 +320,7 @@ class Corners(MotionSpans):
 
 
 def _exterior(spans: Corners) -> Bound:
-    """Return the angles [deg] by which the outline turns right.
-
-    Of a chain's ends it is what they leave of once around. Of all (dot, cross) within their bounds
-    it is the least one: past 180° angles start again at -180°.
-    """
+    """Return the angles [deg] by which the outline turns right, the least of all (dot, cross)."""
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
     dot, cross = behind.dot(ahead).range, ahead.cross(behind)
@@ -350,11 +335,8 @@ def _exterior(spans: Corners) -> Bound:
 def _turns(motion: Motion, _: float) -> Finding:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
-    A polygon that goes w times around its inside, w not 1, has ``360 (1 - w)`` reported if that is
-    less. The number at the start is that of all times unless an angle passes -180° in between,
-    which is worse already.
-
-    A chain has 360° less all of its turning reported if that is less; ``where`` names both ends.
+    A polygon that goes w times around its inside has ``360 (1 - w)`` reported if that is less, w
+    that of the start; a chain 360° less all of its turning, and ``where`` names both ends.
     """
     found = worst(Corners.of(motion), _exterior, "min")
     layout, points = motion.team.layout, motion.team.point_names

@@ -33,7 +33,6 @@ from hitchopt.checks.distances import (
     PairSpans,
     Shape,
     cable_ends,
-    cable_names,
     gap,
     plan_points,
     smallest,
@@ -43,6 +42,7 @@ from hitchopt.checks.objects import heading_error, seen_from
 from hitchopt.checks.rule import CheckRule, Ease, Finder
 from hitchopt.checks.spans import (
     ROUNDING,
+    cable_names,
     cable_parts,
     magnitude,
     phase_parts,

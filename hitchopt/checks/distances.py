@@ -27,6 +27,7 @@ from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.checks.spans import (
     UPWARD,
     Spans,
+    cable_names,
     cable_parts,
     clasped_pairs,
     magnitude,
@@ -476,11 +477,6 @@ def plan_points(motion: Motion) -> Array:
 def cable_ends(drones: Array) -> Array:
     """Return the ends (pieces, n, 2, 3, degree + 1) of cables between drones (pieces, 2n, …)."""
     return drones.reshape(len(drones), -1, 2, *drones.shape[-2:])
-
-
-def cable_names(motion: Motion) -> Sequence[str]:
-    """Return the cables' names."""
-    return [f"cable {k}" for k in range(motion.team.robots)]
 
 
 def _taut(motion: Motion) -> Iterator[Moving]:

@@ -65,13 +65,20 @@ def tensions_of_legs(motion: Motion) -> Array:
 
 
 @shared
-def leg_sags(motion: Motion) -> dict[str, Array]:
-    """Return half of the weight per length of legs [N/m] and their tension [N].
+def edge_sags(motion: Motion) -> list[Array]:
+    """Return half of the weight per length of cables [N/m] and their tension [N], (pieces, n, …).
 
     Without the factor that both share where they rise from zero: it cancels in their ratio.
     """
+    half = 0.5 * GRAVITY * motion.team.cable_density * tautness(motion)
+    return without_shared_zeros([half, motion.tensions.coefficients])
+
+
+@shared
+def leg_sags(motion: Motion) -> list[Array]:
+    """Return the same of legs (pieces, 2n, …)."""
     half = 0.5 * GRAVITY * motion.team.cable_density * taut_shares(motion)
-    return without_shared_zeros({"half": [half], "tension": [leg_tensions(motion)]})
+    return without_shared_zeros([half, leg_tensions(motion)])
 
 
 @shared
@@ -124,8 +131,7 @@ class Drones(MotionSpans):
     @cached_property
     def sag(self) -> Enclosed:
         """[1/m] Half of the leg's weight per length over its tension."""
-        tables = leg_sags(self.source)
-        half, tension = (Enclosed(self.read(tables[name])) for name in ("half", "tension"))
+        half, tension = self.scalars(leg_sags(self.source))
         return (half * tension.inverse).reduced(ORDER)
 
     @cached_property

@@ -265,6 +265,10 @@ class MotionSpans(Spans):
     def _shared(cls, motion: Motion) -> tuple[Self, ...]:
         return tuple(cls.spread(motion))
 
+    def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
+        """Return scalars of tables (pieces, items, degree + 1), exact as given."""
+        return [Enclosed(self.read(table)[:, None]) for table in tables]
+
     @cached_property
     def noise(self) -> float:
         """[m] What rounding adds to differences of positions."""
@@ -272,6 +276,11 @@ class MotionSpans(Spans):
 
 
 PART_NAMES = ("q-leg", "edge", "r-leg")
+
+
+def cable_names(motion: Motion) -> Sequence[str]:
+    """Return the cables' names."""
+    return [f"cable {k}" for k in range(motion.team.robots)]
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
@@ -376,30 +385,16 @@ def same_degree(*parts: Array) -> list[Array]:
     return [bernstein.elevate(part, order) for part in parts]
 
 
-def without_shared_zeros(parts: dict[str, list[Array]]) -> dict[str, Array]:
+def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:
     """Return polynomials without the factor ``x^a (1 - x)^b`` that those of an item share.
 
-    Parameters
-    ----------
-    parts: by name, rows (pieces, items, degree + 1) each.
-
-    Returns
-    -------
-    By name (pieces, items, rows, degree + 1), constants in degree 0.
+    They are (pieces, items, degree + 1) each, constants in degree 0.
     """
-    tables = {
-        name: lowered(concatenated([row[:, :, None] for row in rows], axis=2))
-        for name, rows in parts.items()
-    }
-    ends = [
-        [np.all(table[..., end] == 0.0, axis=2) for table in tables.values()] for end in (0, -1)
-    ]
-    if not np.any(np.all(ends, axis=1)):
-        return tables
-    table = concatenated(list(tables.values()), axis=2)
-    table = _divided(_divided(table)[..., ::-1])[..., ::-1]
-    lasts = np.cumsum([each.shape[2] for each in tables.values()])[:-1]
-    return dict(zip(tables, np.split(table, lasts, axis=2), strict=True))
+    rows = [lowered(row) for row in rows]
+    if not any(np.any(np.all([row[..., end] == 0.0 for row in rows], axis=0)) for end in (0, -1)):
+        return rows
+    table = _divided(_divided(np.stack(same_degree(*rows), axis=2))[..., ::-1])[..., ::-1]
+    return [lowered(table[:, :, i]) for i in range(len(rows))]
 
 
 def _divided(table: Array) -> Array:
