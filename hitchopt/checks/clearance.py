@@ -66,9 +66,8 @@ HALVINGS = 25
 class Solid:
     """A slab that points, segments and other upright slabs keep off.
 
-    Of another slab, if a ``rounding`` is given, the corners of the core are known,
-    first those of its floor, then those of its ceiling. What is round about that core is added to
-    the slab that stands still.
+    Of another slab, whose ``rounding`` is given, the corners of the core are known, those of its
+    floor first; what is round about that core is added to the slab that stands still.
     """
 
     slab: Slab
@@ -184,19 +183,13 @@ def _leaving(upright: Flags, stands: Flags, lifted: bool) -> Flags:
 def placed_core(poses: Array, slab: Slab) -> Array:
     """Return the corners of a slab's core (pieces, 2 m, 3, degree + 1) [m], floor and ceiling.
 
-    Parameters
-    ----------
-    poses: of its object, (pieces, 5, degree + 1).
-    slab: in the object's frame.
+    Given poses of its object (pieces, 5, degree + 1).
     """
     core = slab.section.core[:, :, None]
-    c, s = poses[:, None, 3], poses[:, None, 4]
-    x = core[:, 0] * c - core[:, 1] * s + poses[:, None, 0]
-    y = core[:, 0] * s + core[:, 1] * c + poses[:, None, 1]
-    z = [
-        np.broadcast_to(poses[:, None, 2] + height, x.shape) for height in (slab.lower, slab.upper)
-    ]
-    return np.concatenate([np.stack([x, y, each], axis=2) for each in z], axis=1)
+    x, y, z, c, s = (row[:, None] for row in np.moveaxis(poses, 1, 0))
+    across, along = core[:, 0] * c - core[:, 1] * s + x, core[:, 0] * s + core[:, 1] * c + y
+    heights = [z + height + 0.0 * across for height in (slab.lower, slab.upper)]
+    return np.concatenate([np.stack([across, along, up], axis=2) for up in heights], axis=1)
 
 
 TOLERANCE = 1e-3

@@ -254,9 +254,7 @@ def spare_friction(motion: Motion, index: int) -> Array:
 def _slipping(motion: Motion, limit: float) -> Finding:
     """Return the smallest ratio of slip load to load, while the load is borne.
 
-    Level forces are not held by friction but by where edges bend (check ``equilibrium``). What
-    contradicts the phases counts as minus infinity: an edge that bends where nothing is gripped, or
-    that is not on the section of what is.
+    It is minus infinity where an edge bends with nothing gripped, or is off the section of what is.
     """
     best = Finding(math.inf, 0.0)
     lost = np.any(~_straight(*_corners(bends(motion))), axis=1)
@@ -304,9 +302,8 @@ def _straight(start: Enclosed, first: Enclosed, last: Enclosed, end: Enclosed) -
 def _misplaced(spans: Gripped) -> Mask:
     """Return (spans,) which contradict that edges are wrapped around an object.
 
-    Seen from the object, every edge is straight or touches its section at both of its contacts, all
-    of the section is on its right, and it turns to the right by less than half a turn. Contacts are
-    at one height, on the body.
+    Every edge is straight or touches the section at both contacts, which are at one height, all of
+    the section is on its right, and it turns to the right by less than half a turn.
     """
     body, section = spans.body, spans.body.section
     seen = [seen_from(spans.pose, corner) for corner in spans.corners]
@@ -363,10 +360,9 @@ def unbalanced(motion: Motion) -> Finding:
 def lacking(spans: Gripped, *, stands: bool) -> Bound:
     """Return what an object lacks, over the least tension; infinite where none holds it.
 
-    Of an object off its support all of ``Σ P_k (b̂_k - â_k) - m (a + g ẑ)`` counts, and moments
-    about the vertical too; the moment that accelerates its turning there is left to friction (check
-    ``grip``). Of one that stands, in part at least, the share of its weight that is borne counts,
-    and level forces beyond what friction with its support takes.
+    Off its support all of ``Σ P_k (b̂_k - â_k) - m (a + g ẑ)`` counts, and moments about the
+    vertical. Of an object that stands the borne share of its weight counts, and level forces beyond
+    what friction with its support takes.
     """
     body = spans.body
     weight = spans.share.upward() * GRAVITY
@@ -420,30 +416,21 @@ def _sides(section: Section, contacts: Array) -> Array:
 def arc_lengths(rows: Array) -> Enclosed:
     """Return the lengths of arcs (…) [m], given ``wrapped_arcs`` of them (…, 5, degree + 1).
 
-    On a circle of radius R the arc over a chord s is ``2 R asin(s / 2R)``: its Taylor polynomial
-    about the middle of the range of s. Between corners of a polygon arcs are sums of its sides.
+    On a circle of radius R the arc over a chord s is ``2 R asin(s / 2R)``: its tangent at the
+    middle of the range of s. Between corners of a polygon arcs are sums of its sides.
     """
-    radius, sides = rows[..., 3, 0], rows[..., 4, 0]
-    on_circle = radius > 0.0
-    size = np.where(on_circle, 2.0 * radius, 1.0)
+    width, sides = 2.0 * rows[..., 3, 0], rows[..., 4, 0]
+    size = np.where(width > 0.0, width, 1.0)
     chord = Enclosed(rows[..., :3, :]).norm * (1.0 / size)[..., None]
-    between = chord.range
-    middle, most = (
-        np.clip(0.5 * (between.low + between.high), 0.0, 1.0),
-        np.minimum(between.high, 1),
-    )
-    with np.errstate(all="ignore"):
+    low, high = (np.clip(end, 0.0, 1.0) for end in (chord.range.low, chord.range.high))
+    middle = 0.5 * (low + high)
+    with np.errstate(divide="ignore", invalid="ignore"):
         slope = (1.0 - middle**2) ** -0.5
-        bend = 0.5 * middle * slope**3
-        third = (1.0 + 2.0 * most**2) * (1.0 - most**2) ** -2.5  # asin''' grows with its argument
-        error = size * third * (0.5 * (between.high - between.low)) ** 3 / 6.0
-    known = on_circle & np.isfinite(slope) & np.isfinite(error)
-    slope, bend, arc = (
-        np.where(known, x, 0.0)[..., None] for x in (slope, bend, np.arcsin(middle))
-    )
-    away = chord - middle[..., None]
-    found = (away * slope + away * away * bend + arc) * size[..., None] + sides[..., None]
-    return found.widened(np.where(known, error, np.where(on_circle, np.inf, 0.0)))
+        error = 0.125 * (high - low) ** 2 * high * (1.0 - high**2) ** -1.5  # asin'' grows
+    known = (width > 0.0) & np.isfinite(error)
+    slope, arc = (np.where(known, x, 0.0)[..., None] for x in (slope, np.arcsin(middle)))
+    found = ((chord - middle[..., None]) * slope + arc) * width[..., None] + sides[..., None]
+    return found.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
 
 
 SETTLED = 1e-4
@@ -493,11 +480,8 @@ def force_line(spans: Resting) -> Bound:
 def _force_lines(motion: Motion, _: float) -> Finding:
     """Return the smallest distance of a force line to the edge of its supports [m].
 
-    What contradicts the phases' holds counts as minus infinity: an object that moves, or is borne
-    in part, where nothing holds it; one off the ground that is not borne as a whole; clasps of a
-    hold that are above the rim, or not around the body; clasps that bear it and are not at the rim,
-    beside the body and at one place; an acceleration at which it would slide off them. ``where``
-    names the object.
+    It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
+    and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
     """
     objects = motion.requirements.objects.items()
     found = [_of_object(motion, i, name, body) for i, (name, body) in enumerate(objects)]
@@ -544,11 +528,7 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
 
 
 def _apart(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are above a rim, or not around the body.
-
-    They are around it all of a piece if they are when it begins: edges do not enter the body (check
-    ``object_clearance``).
-    """
+    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins."""
     above = Enclosed(spans.clasps.c)[2].above.value > spans.rim.height + SETTLED
     edges = np.roll(spans.places, -1, axis=1) - spans.places
     to = spans.body.section.centroid - spans.places
@@ -558,11 +538,7 @@ def _apart(spans: Resting) -> Mask:
 
 
 def _out_of_place(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are not below the rim, beside the body and at one place.
-
-    Those that bear all of it are as far below as ``rim_drop`` says, while weight passes to them or
-    back at most so far; a clasp accelerates no more than friction carries the rim along.
-    """
+    """Return (spans,) where clasps are not below the rim, by ``rim_drop``, or it slides off."""
     motion, body, rim, places = spans.source, spans.body, spans.rim, spans.places
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]
