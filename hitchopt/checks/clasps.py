@@ -99,13 +99,15 @@ def _kept(motion: Motion, values: Array) -> Array:
     return values if taken is None else bernstein.multiply(1.0 - taken[:, None], values)
 
 
+def clasp_names(motion: Motion) -> Sequence[str]:
+    """Return the clasps' names."""
+    return [motion.team.point_names[k] for k in motion.team.layout.clasps]
+
+
 class Clasps(MotionSpans):
     """Spans of clasps: the forces that meet there."""
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the clasps' names."""
-        return [motion.team.point_names[k] for k in motion.team.layout.clasps]
+    names = staticmethod(clasp_names)
 
     @cached_property
     def _sizes(self) -> dict[str, list[Enclosed]]:
@@ -316,7 +318,7 @@ class Corners(MotionSpans):
     @classmethod
     def names(cls, motion: Motion) -> Sequence[str]:
         """Return the corners' names."""
-        return [*Clasps.names(motion), *([] if motion.team.layout.closed else ["ends"])]
+        return [*clasp_names(motion), *([] if motion.team.layout.closed else ["ends"])]
 
 
 def _exterior(spans: Corners) -> Bound:

@@ -242,12 +242,13 @@ class Moving:
         pieces = len(self.first)
         if pieces > 1:
             return self.part(0, pieces // 2), self.part(pieces // 2, pieces)
-        middle = self.breaks.mean(keepdims=True)
-        first, others = bernstein.halve(self.first), bernstein.halve(self.others)
-        breaks = np.append(self.breaks[:1], middle), np.append(middle, self.breaks[1:])
+        (start, end), middle = self.breaks, self.breaks.mean()
+        seconds = (None, None) if self.second is None else bernstein.halve(self.second)
         one, other = (
-            replace(self, breaks=t, first=a, second=None if self.second is None else b)
-            for t, a, b in zip(breaks, first, others, strict=True)
+            replace(self, breaks=np.array(t), first=a, second=b)
+            for t, a, b in zip(
+                ((start, middle), (middle, end)), bernstein.halve(self.first), seconds, strict=True
+            )
         )
         return one, other
 
@@ -265,9 +266,7 @@ class Moving:
 def body_boxes(corners: Array, lengths: Array | None = None) -> Array:
     """Return boxes (2, 3, pieces, bodies) around corners (pieces, bodies, k, 3, degree + 1) [m].
 
-    Parameters
-    ----------
-    lengths: (bodies,) [m] of cables that hang between two corners.
+    Of cables of ``lengths`` (bodies,) [m] that hang between two of them, if given.
     """
     each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
     found = np.stack([each.min(axis=0), each.max(axis=0)])
@@ -327,9 +326,7 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
 def smallest(moving: Moving, **options: float) -> Extremum:
     """Return the smallest distance of all pairs that count; infinite, item -1, where none does.
 
-    Parameters
-    ----------
-    options: of ``Search``.
+    The ``options`` are of ``Search``.
     """
     search: Search[PairSpans] = Search(moving.formula or gap, "min", **options)
     for spans in near(moving, lambda: search.attained):
@@ -426,15 +423,15 @@ def _neighbours(moving: Moving) -> Iterator[PairSpans]:
 
     middle = len(moving.first) // 2
     part = moving.part(middle, middle + 1)
-    centres = [boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes]
-    _, j = cKDTree(centres[1]).query(centres[0], k=min(NEIGHBOURS, moving.count))
-    j = np.asarray(j, dtype=np.intp).reshape(len(centres[0]), -1)
+    own, others = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
+    found = cKDTree(others).query(own, k=min(NEIGHBOURS, moving.count))[1]
+    j = np.asarray(found, dtype=np.intp).reshape(len(own), -1)
     pairs = Pairs(np.repeat(np.arange(len(j)), j.shape[1]), j.ravel())
     if moving.second is None:
         pairs = pairs.take(pairs.first < pairs.second)
     pairs = moving.chosen(pairs)
-    chosen = pairs.take(np.argsort(part.gaps(pairs)[0], kind="stable")[:SEEDS])
-    item = chosen.first * moving.count + chosen.second
+    pairs = pairs.take(np.argsort(part.gaps(pairs)[0], kind="stable")[:SEEDS])
+    item = pairs.first * moving.count + pairs.second
     yield part.spans(np.zeros_like(item), item).at(np.full(len(item), 0.5))
 
 
@@ -482,8 +479,7 @@ def cable_ends(drones: Array) -> Array:
 def _taut(motion: Motion) -> Iterator[Moving]:
     """Yield the pairs of parts that share no clasp.
 
-    The two legs of one cable count among them: they cross where both pass a star tip. All parts of
-    a chain of two cables share its one clasp: nothing is counted then.
+    The two legs of one cable count among them: they cross where both pass a star tip.
     """
     corners, part = cable_parts(motion)
     ends, names = part_points(part, motion.team.layout), [part_name(p) for p in part]

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Self
 
 import numpy as np
@@ -94,10 +95,7 @@ class Drones(MotionSpans):
 
     moving = True
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the drones' names."""
-        return motion.team.drone_names
+    names = staticmethod(attrgetter("team.drone_names"))
 
     def moved(self, order: int) -> Enclosed:
         """Return a derivative of the position by time."""
@@ -195,7 +193,7 @@ class Drones(MotionSpans):
             found = found + (self.leg.norm * self.taut_weight).upward()
         if self.hangs:
             inward, downward = self.pull_terms
-            found = found - self._pulled(self.partner, inward, downward, self.slack_weight)
+            found = found - _pulled(self.partner, inward, downward, self.slack_weight)
             found = found + (self.slack_weight * self.length[:, None]).upward()
         return found
 
@@ -204,11 +202,6 @@ class Drones(MotionSpans):
         """1/σ and coth σ, which fall with σ."""
         low, high = pull_terms(self.steepness.high), pull_terms(self.steepness.low)
         return Interval(low[0], high[0]), Interval(low[1], high[1])
-
-    @staticmethod
-    def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
-        """Return ``w (k x, k y, l z)`` of an offset."""
-        return vector(offset.level * inward.enclosed, offset[2] * downward.enclosed) * w
 
     @cached_property
     def thrust(self) -> Enclosed:
@@ -265,9 +258,9 @@ class Drones(MotionSpans):
             falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
         )
         weight = self.slack_weight
-        lost = self._pulled(self.partner, inward, downward, -gained)
-        lost = lost + self._pulled(moved, inward, downward, weight)
-        lost = lost + self._pulled(self.partner, *change, weight)
+        lost = _pulled(self.partner, inward, downward, -gained)
+        lost = lost + _pulled(moved, inward, downward, weight)
+        lost = lost + _pulled(self.partner, *change, weight)
         return -lost - (gained * self.length[:, None]).upward()
 
     @cached_property
@@ -280,6 +273,11 @@ class Drones(MotionSpans):
         return found * f.inverse_norm
 
 
+def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
+    """Return ``w (k x, k y, l z)`` of an offset."""
+    return vector(offset.level * inward.enclosed, offset[2] * downward.enclosed) * w
+
+
 class Hovering(Drones):
     """Spans of drones that hover where they fly."""
 
@@ -289,10 +287,7 @@ class Hovering(Drones):
 class Points(MotionSpans):
     """Spans of the hitch's points."""
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the points' names."""
-        return motion.team.point_names
+    names = staticmethod(attrgetter("team.point_names"))
 
     def moved(self, order: int) -> Enclosed:
         """Return a derivative of the position by time."""
@@ -342,15 +337,8 @@ FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
 def _rate_rule(
     name: str, unit: str, order: int, over: type[Drones] | type[Points] = Drones
 ) -> CheckRule:
-    """Return the rule that holds the norm of a derivative against ``Limits.name``.
-
-    Of acceleration and jerk, plans use the share ``Limits.reserve``.
-    """
-
-    def limit_of(motion: Motion) -> float:
-        limit: float = getattr(motion.requirements.limits.planned, name)
-        return limit
-
+    """Return the rule that holds the norm of a derivative against ``Limits.planned.name``."""
+    limit_of = attrgetter(f"requirements.limits.planned.{name}")
     find = Searched(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
     finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
@@ -435,29 +423,26 @@ ARENA = CheckRule(
 )
 
 
-class Legs(Drones):
-    """Spans of the drones that hang on a leg, called by it."""
+def leg_names(motion: Motion) -> Sequence[str]:
+    """Return the legs' names."""
+    return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the legs' names."""
-        return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
+
+class Legs(MotionSpans):
+    """Spans of legs, those of a chain's ends left out."""
+
+    names = staticmethod(leg_names)
 
     @classmethod
     def spread(cls, motion: Motion) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every drone with a leg."""
+        """Yield the spans of whole pieces of every leg."""
         on = np.tile(motion.team.layout.has_leg.ravel(), (motion.drones.pieces, 1))
         return cls.all_of(motion, motion.drones.breaks, motion.team.drones, on)
 
-    @cached_property
-    def leg(self) -> Enclosed:
-        """The vector from its vertex to the drone [m]."""
-        return Enclosed(self.read(leg_vectors(self.source)), self.noise)
-
 
 def _length(spans: Legs) -> Bound:
-    """Return the leg's length [m]."""
-    return spans.leg.norm_below
+    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m]."""
+    return Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
 
 
 LEGS = CheckRule(

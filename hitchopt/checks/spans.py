@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, wraps
 from math import perm
-from typing import Any, Self, TypeVar, cast
+from typing import Any, NamedTuple, Self, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -104,21 +104,16 @@ def position_margin(motion: Motion) -> float:
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     """Return the margin (pieces, items) of the norm of a derivative by time, of order 1 or more.
 
-    The k-th differences of the coefficients amplify what the first ones err by, 2^(k-1) times,
-    and N!/(N-k)! / h^k times that is the derivative.
+    It is ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference of neighbouring coefficients,
+    for the k-th of degree N on a piece of h seconds, and ``2**-40`` of the derivative itself.
     """
     c = part.coefficients
     if part.degree == 0:
         return np.zeros(c.shape[:2])
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
     size = _largest(part.differentiated(order).coefficients)
-    margin: Array = (LAST_PLACE * gain)[:, None] * _steps(part) + ROUNDING * size
+    margin: Array = (LAST_PLACE * gain)[:, None] * _largest(np.diff(c)) + ROUNDING * size
     return margin
-
-
-@shared
-def _steps(part: PiecewisePolynomial) -> Array:
-    return _largest(part.coefficients[..., 1:] - part.coefficients[..., :-1])
 
 
 def _largest(coefficients: Array) -> Array:
@@ -242,10 +237,8 @@ class MotionSpans(Spans):
 
     source: Motion
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the items' names."""
-        raise NotImplementedError
+    names: Callable[[Motion], Sequence[str]]
+    """The items' names."""
 
     @classmethod
     def of(cls, motion: Motion) -> Iterable[Self]:
@@ -320,10 +313,9 @@ def concatenated(parts: Sequence[Array], axis: int) -> Array:
 
 
 def bent_edges(motion: Motion) -> tuple[Array, Array]:
-    """Return what edges are at both of their ends, each (pieces, n, 3, N+1) [m].
+    """Return the straight parts of edges at ``p_k`` and at ``p_{k+1}`` (pieces, n, 3, N+1) [m].
 
-    Edge k leaves ``p_k`` along the first and arrives at ``p_{k+1}`` along the second: up to where
-    it is wrapped around an object, or the whole edge where all are straight.
+    Up to where they are wrapped around an object, or the whole edge where all are straight.
     """
     if motion.contacts is None:
         edges = edge_vectors(motion)
@@ -338,8 +330,7 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
 def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     """Return the cable parts as segments (pieces, bodies, 2, 3, N+1) [m], and which each is.
 
-    They have the order of ``Layout.parts``. An edge that is wrapped around an object has three
-    segments: what is straight of it, and between the chord of its arc, which is on the object.
+    An edge that is wrapped around an object has three: its straight parts and the arc's chord.
     """
     drones, vertices = positions(motion)
     layout, kinds = motion.team.layout, [0, 1, 2]
@@ -409,8 +400,7 @@ def _divided(table: Array) -> Array:
         table = np.where(shared[..., None, None], over, table)
 
 
-@dataclass(frozen=True, eq=False)
-class PhasePart:
+class PhasePart(NamedTuple):
     """A phase, its pieces in the whole motion, and the motion on them."""
 
     phase: Phase
