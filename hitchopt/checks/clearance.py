@@ -209,22 +209,12 @@ SHIFT = 1.12
 its shares in their level and upward parts differ by up to a half."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chains:
-    """Chains of segments that stand in for hanging cables on spans of time.
+def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
+    """Return points of chains that stand in for hanging cables, and how far these are off them.
 
-    Attributes
-    ----------
-    points: (spans, links + 1, 3, degree + 1) [m]
-    off: (spans, links) [m]: the cable is nowhere farther from that segment, at no time of the span.
+    Of cables between ends (spans, 3, degree + 1), ``length`` (spans,) [m]: (spans, links + 1, 3,
+    degree + 1) and (spans, links) [m], from each link at all times of the span.
     """
-
-    points: Array
-    off: Array
-
-
-def chains(q: Array, r: Array, length: Array) -> Chains:
-    """Return the chains of cables between ends (spans, 3, degree + 1) [m], ``length`` (spans,)."""
     offset = Enclosed(r - q)
     cable = Catenary.between(Enclosed(q).middle, Enclosed(r).middle, length)
     by_length = cable.place(np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None])
@@ -238,7 +228,7 @@ def chains(q: Array, r: Array, length: Array) -> Chains:
     sigma = steepness_of(offset, length)
     drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
     height = np.max(np.abs(offset.c[:, 2]), axis=-1)
-    return Chains(points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None])
+    return points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None]
 
 
 def _bends(cable: Catenary, mu: Array) -> Array:
@@ -309,12 +299,12 @@ def _hung(motion: Motion, second: Array, names: Sequence[str], **further: Any) -
 def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
     """Return the distances of hanging cables to points, or to what is below a height [m]."""
     (ends, point), shape = spans.ends, shape or spans.source.shape
-    hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
-    apart = hung.points - point  # (spans, links + 1, 3, degree + 1)
+    points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    apart = points - point  # (spans, links + 1, 3, degree + 1)
     here = Enclosed(apart).middle
     along = shape.towards(np.stack([here[:, :-1], here[:, 1:]], axis=2))
     first, last = (np.einsum("sld,sldi->sli", along, c) for c in (apart[:, :-1], apart[:, 1:]))
-    least = np.minimum(first, last) - (hung.off + shape.support(along))[..., None]
+    least = np.minimum(first, last) - (off + shape.support(along))[..., None]
     found = Enclosed(np.min(least, axis=1, keepdims=True), spans.source.margin).below
     return Bound(np.maximum(found.value, 0.0), found.x)
 

@@ -26,7 +26,6 @@ from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.checks.spans import (
     UPWARD,
-    Spans,
     cable_names,
     cable_parts,
     clasped_pairs,
@@ -42,7 +41,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound
-from hitchopt.trajectory.search import Extremum, Search
+from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
 FEW = 6000

@@ -23,7 +23,6 @@ from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
     MotionSpans,
-    Spans,
     derivative_margin,
     leg_vectors,
     magnitude,
@@ -39,7 +38,7 @@ from hitchopt.motion.loads import leg_tensions, lowered, tautness
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
-from hitchopt.trajectory.search import Extremum, worst
+from hitchopt.trajectory.search import Extremum, Spans, worst
 from hitchopt.values import Array
 
 EXPORTED = -1e-4

@@ -16,14 +16,13 @@ from typing import Any, NamedTuple, Self, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.loads import lowered
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.trajectory.search import BATCH
+from hitchopt.trajectory.search import BATCH, Spans
 from hitchopt.values import Array, Indices
 
 ROUNDING = 2.0**-40
@@ -132,106 +131,6 @@ def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     return slope
 
 
-class Spans:
-    """Spans of time within pieces, each that of one item.
-
-    Parameters
-    ----------
-    source: what the polynomials are of.
-    breaks: (pieces + 1,) [s]
-    piece, item: (spans,)
-    extent: (2, spans), the parts of their pieces from and to which they go; None of whole pieces.
-    points: whether the spans have no length.
-    """
-
-    def __init__(
-        self,
-        source: Any,
-        breaks: Array,
-        piece: Indices,
-        item: Indices,
-        extent: Array | None = None,
-        *,
-        points: bool = False,
-    ) -> None:
-        self.source, self.breaks, self.piece, self.item = source, breaks, piece, item
-        self.whole, self.points = extent is None, points
-        self.extent = np.repeat([[0.0], [1.0]], len(item), axis=1) if extent is None else extent
-
-    def __len__(self) -> int:
-        return len(self.item)
-
-    @classmethod
-    def all_of(
-        cls, source: Any, breaks: Array, items: int, on: NDArray[np.bool_] | None = None
-    ) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every item, in batches.
-
-        Parameters
-        ----------
-        on: (pieces,) or (pieces, items), which of them; None for all.
-        """
-        here = np.ones((len(breaks) - 1, items), dtype=np.bool_)
-        if on is not None:
-            here &= on.reshape(len(here), -1)
-        piece, item = np.nonzero(here)
-        for first in range(0, len(item), BATCH):
-            part = slice(first, first + BATCH)
-            yield cls(source, breaks, piece[part], item[part])
-
-    def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
-        chosen = self.piece[index], self.item[index]
-        return type(self)(self.source, self.breaks, *chosen, extent, points=points)
-
-    def take(self, index: Indices | NDArray[np.bool_] | slice) -> Self:
-        """Return the chosen spans."""
-        extent = None if self.whole else self.extent[:, index]
-        return self._like(index, extent, points=self.points)
-
-    def halves(self) -> Self:
-        """Return all first halves, then all second halves."""
-        (lower, upper), twice = self.extent, np.tile(np.arange(len(self)), 2)
-        middle = 0.5 * (lower + upper)
-        return self._like(twice, np.concatenate([[lower, middle], [middle, upper]], axis=1))
-
-    def at(self, x: Array) -> Self:
-        """Return the points at x (spans,), from 0 to 1."""
-        place = self.extent[0] + x * (self.extent[1] - self.extent[0])
-        return self._like(slice(None), np.stack([place, place]), points=True)
-
-    def times(self, x: Array) -> Array:
-        """Return the times at x (spans,) [s]."""
-        (lower, upper), begin = self.extent, self.breaks[self.piece]
-        durations = self.breaks[self.piece + 1] - begin
-        times: Array = begin + (lower + x * (upper - lower)) * durations
-        return times
-
-    def read(self, table: Array, item: Indices | None = None) -> Array:
-        """Return polynomials (spans, …, degree + 1) on the spans.
-
-        Parameters
-        ----------
-        table: (pieces, items, …, degree + 1), coefficients on whole pieces.
-        item: (spans,) or (spans, k), whose; the spans' own by default.
-        """
-        item = self.item if item is None else item
-        c = table[self.piece if item.ndim == 1 else self.piece[:, None], item]
-        if self.whole or c.shape[-1] == 1:
-            return c
-        if self.points:
-            weights = bernstein.basis(self.extent[0], c.shape[-1] - 1)
-            values: Array = np.einsum("s...i,si->s...", c, weights)
-            return values[..., None]
-        lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
-        return bernstein.restrict(c, lower, upper)
-
-    def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
-        """Return the derivative by time of points of a part, rounding included."""
-        margin = derivative_margin(part, order)[self.piece, self.item]
-        derivative = once(part, PiecewisePolynomial.differentiated, order)
-        return Enclosed(self.read(derivative.coefficients), margin)
-
-
 class MotionSpans(Spans):
     """Spans of one kind of item of a motion."""
 
@@ -261,6 +160,12 @@ class MotionSpans(Spans):
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
         """Return scalars of tables (pieces, items, degree + 1), exact as given."""
         return [Enclosed(self.read(table)[:, None]) for table in tables]
+
+    def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
+        """Return the derivative by time of points of a part, rounding included."""
+        margin = derivative_margin(part, order)[self.piece, self.item]
+        derivative = once(part, PiecewisePolynomial.differentiated, order)
+        return Enclosed(self.read(derivative.coefficients), margin)
 
     @cached_property
     def noise(self) -> float:

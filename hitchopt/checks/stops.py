@@ -31,7 +31,7 @@ from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
-from hitchopt.checks.spans import Spans, concatenated, derivative_margin, once, shared_values
+from hitchopt.checks.spans import concatenated, derivative_margin, once, shared_values
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -43,6 +43,7 @@ from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
+from hitchopt.trajectory.search import Spans
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
@@ -93,6 +94,8 @@ class OnClock(Spans):
     """Spans of plan time that cells of clocks pass, one each."""
 
     cells: ClockPhases
+    clock: tuple[Enclosed, Enclosed, Enclosed]
+    """The rate s and its two derivatives, by time."""
 
     @classmethod
     def passed(
@@ -103,7 +106,7 @@ class OnClock(Spans):
         x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
         extent = np.clip(x, 0.0, 1.0)
         made = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
-        made.cells = cells
+        made.cells, made.clock = cells, clock_of(cells)
         return made
 
     def _on(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
@@ -124,11 +127,6 @@ class OnClock(Spans):
         """Return the points at x (spans,) of their time, from 0 to 1."""
         jets = advanced(self.cells.jets, x * self.cells.duration)
         return self._on(ClockPhases(self.cells.owner, jets, np.zeros(len(self))))
-
-    @cached_property
-    def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
-        """The rate s and its two derivatives, by time."""
-        return clock_of(self.cells)
 
     @cached_property
     def _passed(self) -> Array:

@@ -184,8 +184,8 @@ def _off(spans: PairSpans) -> Flags:
     A sheet is convex: whatever is on one side of all of its corners is off it.
     """
     ends, drone = spans.ends
-    hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
-    apart = Enclosed(drone - hung.points)
+    points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    apart = Enclosed(drone - points)
     # Towards the nearest side of the sheet: one of its links, or the chord.
     ring = np.concatenate([apart.middle, apart.middle[:, :1]], axis=1)
     offsets = shortest_offset(np.stack([ring[:, :-1], ring[:, 1:]], axis=2))
@@ -199,7 +199,7 @@ def _off(spans: PairSpans) -> Flags:
         along = unit(towards)
         least = np.min(apart.dot(along[:, None]).below.value, axis=1)
         # The cable is off its links upward or downward only.
-        sure |= least > APART + np.abs(along[:, 2]) * np.max(hung.off, axis=1)
+        sure |= least > APART + np.abs(along[:, 2]) * np.max(off, axis=1)
     return sure
 
 
