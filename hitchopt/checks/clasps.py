@@ -35,14 +35,11 @@ from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, taut
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
-from hitchopt.trajectory.search import ABSOLUTE, worst
+from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 LIMIT = 5e-3
 """Relative to the tension: the vertex then stands within millimetres of its place."""
-
-NEAR = 0.02 * LIMIT
-"""How close to an attained value the residual is bounded where time is short."""
 
 SIGNS = 1.0, 1.0, 1.0, -1.0
 """The last of the parts at a clasp arrives there; the others leave it."""
@@ -251,7 +248,7 @@ def _lifted(spans: Clasps) -> Bound:
     )
 
 
-def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
+def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
     What friction cannot make of a tension counts as unbalanced, and so does what an object lacks.
@@ -259,7 +256,7 @@ def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
     infinitely far from balance.
     """
     names = Clasps.names(motion)
-    found = worst(Clasps.of(motion), _balance, "max", absolute=absolute)
+    found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
     best = Finding(found.worst, found.time, (names[found.item],))
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)
@@ -288,16 +285,9 @@ def spare_forces(motion: Motion) -> Array:
 FORMULAS = (_balance, Clasps.residual, _lifted, Clasps.contact, slips, lacking)
 
 
-def equilibrium_rule(absolute: float = ABSOLUTE) -> CheckRule:
-    """Return the rule, its residual bounded within ``absolute`` of an attained value."""
-    finder = Finder(
-        lambda motion, limit: _find(motion, limit, absolute), HITCHED_STATE, shown=FORMULAS
-    )
-    return CheckRule("equilibrium", "1", "max", LIMIT, (finder,))
-
-
-EQUILIBRIUM = equilibrium_rule()
-QUICK_EQUILIBRIUM = equilibrium_rule(NEAR)
+EQUILIBRIUM = CheckRule(
+    "equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE, shown=FORMULAS),)
+)
 
 
 @shared

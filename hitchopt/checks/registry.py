@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
-from hitchopt.checks.rule import Findings, Found, ReportRule
+from hitchopt.checks.rule import Found, ReportRule
 from hitchopt.checks.spans import shared_values
 from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.tracking import GAMMA
@@ -57,7 +57,6 @@ def certify(
     *,
     part: bool = False,
     reports: Sequence[ReportRule] = REPORTS,
-    known: Findings | None = None,
 ) -> Certificate:
     """Check what flies for all of its time.
 
@@ -74,7 +73,6 @@ def certify(
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
     part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
     reports: that are made after the checks; others than the usual ones where time is short.
-    known: what rules have found on the motion already, by their names.
 
     Raises
     ------
@@ -85,7 +83,7 @@ def certify(
     for i, report in enumerate(reports := sequence("reports", reports)):
         if not isinstance(report, ReportRule):
             raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
-    found, known = dict[str, Sequence[Found]](), known or {}
+    found = dict[str, Sequence[Found]]()
     reports = [report for report in reports if not (part and report.whole)]
     names = [rule.name for rule in RULES if progress and rule.limit_of(motion) is not None]
     names += [report.name for report in reports]
@@ -97,7 +95,7 @@ def certify(
     with shared_values():
         for rule in RULES:
             tell(rule.name)
-            found[rule.name] = known.get(rule.name) or rule.findings(motion)
+            found[rule.name] = rule.findings(motion)
         checks = [most_pressing(each.check for each in spans) for spans in found.values() if spans]
         for report in reports:
             tell(report.name)

@@ -134,28 +134,6 @@ def test_stops_of_the_table_keep_all_limits() -> None:
         assert kept_of(flown(motion_of(), clock)) <= 1.0 + 1e-9
 
 
-def longest_found(motion: Motion, spacing: float = 0.01, count: int = 60) -> float:
-    """The longest time to rest over many commands, of stops of any duration."""
-    limits = ClockLimits(motion)
-    starts = np.arange(0.0, motion.duration, spacing)
-    best = np.full(len(starts), np.inf)
-    for duration in np.geomspace(0.1, 2.5, count):
-        left = np.flatnonzero(np.isinf(best))
-        clocks = stop_phases(starts[left], np.full(len(left), duration))
-        best[left[limits.keep(clocks, len(left))]] = duration
-    rests = np.minimum.accumulate((starts + best)[::-1])[::-1]
-    return float(np.max(np.minimum(rests, motion.duration) - starts))
-
-
-@pytest.mark.slow
-def test_the_report_is_within_a_quarter_of_the_longest_that_a_finer_search_finds() -> None:
-    motion = motion_of()
-    reported = certify(motion)["stoppable"]
-    finer = longest_found(motion)
-    assert finer <= reported.bound <= 1.25 * finer
-    assert (reported.limit, reported.holds, reported.unit) == (None, True, "s")
-
-
 def test_with_a_reserve_a_stop_can_begin_at_every_time() -> None:
     motion = motion_of(0.8)
     certificate = certify(motion)
@@ -166,29 +144,6 @@ def test_with_a_reserve_a_stop_can_begin_at_every_time() -> None:
     assert not np.all(np.isfinite(table_of().durations))
     assert motion.duration > motion_of().duration
     assert certificate["stoppable"].bound < certify(motion_of())["stoppable"].bound
-
-
-@cache
-def slowly_turning() -> ho.Plan:
-    """A triangle whose thrusts may not turn fast."""
-    team = ho.Team(3, 2.4)
-    start = ho.Hitch.spread(team, [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
-    return ho.move_vertex(start, 0, by=[0.0, 0.4], limits=ho.Limits(body_rate=np.radians(60.0)))
-
-
-def test_body_rates_are_kept_on_the_clock() -> None:
-    plan = slowly_turning()
-    limits, most = ClockLimits(plan.motion), np.radians(60.0)
-    starts, durations = np.meshgrid(np.linspace(0.0, plan.duration, 7)[:-1], [0.3, 0.6, 1.2])
-    clocks = [
-        stop_phases(np.array([start]), np.array([duration]))
-        for start, duration in zip(starts.ravel(), durations.ravel(), strict=True)
-    ]
-    kept = [bool(limits.keep(clock, 1)[0]) for clock in clocks]
-    turning = [flown(plan.motion, clock)["turning"] for clock in clocks]
-    assert 4 <= sum(kept) < len(kept)
-    assert max(rate for rate, keeps in zip(turning, kept, strict=True) if keeps) <= most
-    assert max(turning) > most
 
 
 def test_hovering_is_bounded_for_all_times() -> None:
