@@ -124,7 +124,7 @@ def _drawn_out(spans: Cables) -> Bound:
     return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_above
 
 
-def _longest(motion: Motion) -> float:
+def _size(motion: Motion) -> float:
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
 
@@ -152,7 +152,7 @@ SPAN = CheckRule(
     "1",
     "max",
     1.0,
-    (Finder(Searched(Cables, _drawn_out, "max", _longest), FREE_STATES, exported=True),),
+    (Finder(Searched(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease=Ease.LENGTH,
 )

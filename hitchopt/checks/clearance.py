@@ -50,6 +50,7 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
+from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
@@ -471,29 +472,16 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
     ground, margin = Ground(motion.requirements.floor - 2.0 * CONTACT), position_margin(motion)
     yield _seen(motion, points, ground, (names, (GROUND,)), margin, counted=on, **contact)
     for name, each, pose in _placed(motion):
-        held, gripped = _holding(motion, name)
-        counted, seen = ~held[:, cables], seen_from(pose, points)
+        held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
+        touching = np.array([np.isin(cables, each) for each in [*held, ()]])
+        counted, seen = ~touching[motion.phase_of_piece], seen_from(pose, points)
         if each.stem is not None:  # what is below a flat tray is off it
+            gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # else edges stay out of it
             entering = (~gripped | (part % 3 != 1)) & ~counted
             yield _past(motion, seen, each.slabs[0], names, name, counted=entering, **contact)
         for slab in each.slabs:
             yield _past(motion, seen, slab, names, name, counted=counted)
     yield from carried(motion)
-
-
-def _holding(motion: Motion, name: str) -> tuple[Flags, Flags]:
-    """Return which cables may touch an object, since their phase holds it, (pieces, n).
-
-    And whether it is gripped, (pieces, 1): else edges stay out of it by themselves.
-    """
-    index = motion.phase_of_piece
-    held = np.zeros((motion.drones.pieces, motion.team.robots), dtype=np.bool_)
-    gripped = np.zeros((motion.drones.pieces, 1), dtype=np.bool_)
-    for i, phase in enumerate(motion.phases):
-        if phase.hold is not None and phase.hold.object == name:
-            held[np.ix_(index == i, list(phase.hold.cables))] = True
-            gripped[index == i] = phase.hold.by is HoldBy.GRIP
-    return held, gripped
 
 
 def _hanging_past(motion: Motion) -> Iterator[Moving]:

@@ -490,20 +490,16 @@ def _taut(motion: Motion) -> Iterator[Moving]:
     yield Moving.of(motion, corners, None, (names, names), allowed=unclasped)
 
 
-def _hanging(motion: Motion) -> Iterator[Moving]:
+def _hanging(motion: Motion, allowed: Allowed | None = None) -> Iterator[Moving]:
     """Yield all pairs of cables from above: there they are on their chords."""
     names = cable_names(motion)
-    yield Moving.of(motion, cable_ends(plan_points(motion)), None, (names, names))
+    yield Moving.of(motion, cable_ends(plan_points(motion)), None, (names, names), allowed=allowed)
 
 
 def _clasped(motion: Motion) -> Iterator[Moving]:
     """Yield the same of cables that share no clasp."""
     layout = motion.team.layout
-
-    def strangers(i: Indices, j: Indices) -> Flags:
-        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
-
-    yield from (replace(each, allowed=strangers) for each in _hanging(motion))
+    yield from _hanging(motion, lambda i, j: ~np.isin(pair_of(layout, i, j), clasped_pairs(layout)))
 
 
 CROSSING = CheckRule(

@@ -27,7 +27,6 @@ from hitchopt.checks.spans import (
     concatenated,
     leg_vectors,
     magnitude,
-    position_margin,
     shared,
 )
 from hitchopt.geometry.vectors import unit
@@ -120,14 +119,7 @@ class Held(MotionSpans):
     @cached_property
     def pose(self) -> Enclosed:
         """x, y, z [m], cosine and sine of yaw."""
-        poses = self.source.object_poses.coefficients
-        return Enclosed(self.read(poses), position_margin(self.source))
-
-    @cached_property
-    def centre(self) -> Enclosed:
-        """The centre of mass [m]."""
-        path = centres(self.source).coefficients
-        return Enclosed(self.read(path), position_margin(self.source))
+        return Enclosed(self.read(self.source.object_poses.coefficients), self.noise)
 
     @cached_property
     def pushed(self) -> Enclosed:
@@ -161,13 +153,19 @@ class Gripped(Held):
     @cached_property
     def corners(self) -> list[Enclosed]:
         """Each of ``bends`` (spans, n) [m]."""
-        return _corners(self.of_items(bends(self.source)), position_margin(self.source))
+        return _corners(self.of_items(bends(self.source)), self.noise)
 
     @cached_property
     def ways(self) -> tuple[Enclosed, Enclosed]:
         """Straight parts of edges, before and behind the object (spans, n) [m]."""
         start, first, last, end = self.corners
         return first - start, end - last
+
+    @cached_property
+    def legs(self) -> list[Enclosed]:
+        """All q-legs and all r-legs (spans, n) [m]."""
+        legs = self.of_items(leg_vectors(self.source))
+        return [Enclosed(legs[:, i::2], self.noise) for i in (0, 1)]
 
     @cached_property
     def tension(self) -> Enclosed:
@@ -181,9 +179,8 @@ class Gripped(Held):
         if half == 0.0:
             return self.tension
         taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
-        legs = self.of_items(leg_vectors(self.source))
-        q, r = (Enclosed(legs[:, i::2], self.noise).norm for i in (0, 1))
-        edge = Enclosed(self.source.team.cable_length[:, None, None]) - q - r
+        q, r = self.legs
+        edge = Enclosed(self.source.team.cable_length[:, None, None]) - q.norm - r.norm
         found: Enclosed = chord_pull(self.tension, taut * half, edge * edge)
         return found
 
@@ -193,9 +190,7 @@ class Gripped(Held):
 
         ``T_k`` is the least pull of cable k's legs, less what friction takes where it is clasped.
         """
-        before, behind = self.ways
-        legs = self.of_items(leg_vectors(self.source))
-        q, r = (Enclosed(legs[:, i::2], self.noise) for i in (0, 1))
+        (before, behind), (q, r) = self.ways, self.legs
         clasped = np.maximum(_angles(-q, before).high, _angles(-r, -behind).high)
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         pulls = np.minimum(pulls[:, 0::2], pulls[:, 1::2])
@@ -374,7 +369,7 @@ def lacking(spans: Gripped, *, stands: bool) -> Bound:
         found = np.maximum(level, force[2].norm_above.value)
     else:
         _, first, last, _ = spans.corners
-        centre = for_each(spans.centre)
+        centre = for_each(Enclosed(spans.read(centres(spans.source).coefficients), spans.noise))
         moment = ((last - centre).cross(behind) - (first - centre).cross(before)).sum()
         turning = moment.norm_above.value / body.section.circumradius
         found = np.maximum(force.norm_above.value, turning)
@@ -483,33 +478,31 @@ def _force_lines(motion: Motion, _: float) -> Finding:
     It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
     and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
     """
-    objects = motion.requirements.objects.items()
-    found = [_of_object(motion, i, name, body) for i, (name, body) in enumerate(objects)]
-    return min(found, key=lambda each: each.worst)
-
-
-def _of_object(motion: Motion, index: int, name: str, body: SolidObject) -> Finding:
-    """Return what is found of one object."""
-    pose = motion.object_poses.coefficients[:, index]
-    share = motion.object_shares.coefficients[:, index]
-    moving = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)
-    whole = np.all(share == 1.0, axis=-1)
-    carried = moving | np.any(share != 0.0, axis=-1)
-    resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-    lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
-    lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
-    lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
-    if body.rim is None or not motion.team.layout.closed:
-        lost |= resting
-    else:
-        for spans in Resting.of_object(motion, index, resting):
-            lost[spans.piece] |= _apart(spans)
-        for spans in Resting.of_object(motion, index, resting & carried):
-            lost[spans.piece] |= _out_of_place(spans)
-    if np.any(lost):
-        return Finding(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))]), (name,))
-    found = worst(Resting.of_object(motion, index, resting & carried & whole), force_line, "min")
-    return Finding(found.worst, found.time, (name,), magnitude(motion))
+    best, begins = Finding(math.inf, 0.0, size=magnitude(motion)), motion.drones.breaks
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        share = motion.object_shares.coefficients[:, index]
+        moving = np.any(np.ptp(motion.object_poses.coefficients[:, index], axis=-1) > STILL, -1)
+        whole = np.all(share == 1.0, axis=-1)
+        carried = moving | np.any(share != 0.0, axis=-1)
+        resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
+        lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
+        lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
+        lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
+        if body.rim is None or not motion.team.layout.closed:
+            lost |= resting
+        else:
+            for spans in Resting.of_object(motion, index, resting):
+                lost[spans.piece] |= _apart(spans)
+            for spans in Resting.of_object(motion, index, resting & carried):
+                lost[spans.piece] |= _out_of_place(spans)
+        if np.any(lost):
+            found = Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,))
+        else:
+            parts = Resting.of_object(motion, index, resting & carried & whole)
+            least = worst(parts, force_line, "min")
+            found = Finding(least.worst, least.time, (name,), magnitude(motion))
+        best = min(best, found, key=lambda each: each.worst)
+    return best
 
 
 def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:

@@ -31,7 +31,7 @@ from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
-from hitchopt.checks.spans import concatenated, derivative_margin, once, shared_values
+from hitchopt.checks.spans import concatenated, derivative_margin, shared, shared_values
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -147,11 +147,11 @@ class OnClock(Spans):
     def derivatives(self, part: PiecewisePolynomial, orders: int) -> list[Enclosed]:
         """Return the first derivatives by plan time of points, by time: chords of these."""
         at, found = (self.piece, self.item), []
-        c = once(part, _derived, orders)
+        c = derived(part, orders)
         weights = bernstein.basis(self.extent.T, bernstein.degree(c))  # (spans, 2, degree + 1)
         ends = np.split(c[at] @ np.swapaxes(weights, 1, 2), orders, axis=1)
         for k, chord in enumerate(ends, 1):
-            off = self._passed**2 / 8.0 * once(part, _largest, k + 2)[at]
+            off = self._passed**2 / 8.0 * largest(part, k + 2)[at]
             found.append(self.by_time(Enclosed(chord, derivative_margin(part, k)[at] + off)))
         return found
 
@@ -186,13 +186,14 @@ class DronesOnClock(OnClock, Drones):
         return self.by_time(super().load_rate) * self.clock[0]
 
 
-def _derived(path: PiecewisePolynomial, orders: int) -> Array:
+@shared
+def derived(path: PiecewisePolynomial, orders: int) -> Array:
     """Return the first derivatives (pieces, items, orders d, degree + 1)."""
-    each = [path.differentiated(k).coefficients for k in range(1, orders + 1)]
-    return concatenated(each, axis=2)
+    return concatenated([path.differentiated(k + 1).coefficients for k in range(orders)], axis=2)
 
 
-def _largest(path: PiecewisePolynomial, order: int) -> Array:
+@shared
+def largest(path: PiecewisePolynomial, order: int) -> Array:
     """Return bounds of a derivative's norm (pieces, items)."""
     norms = np.max(column_lengths(path.differentiated(order).coefficients), axis=-1)
     return np.asarray((norms + derivative_margin(path, order)) * (1.0 + SLACK))
@@ -222,7 +223,7 @@ class Limited:
     @cached_property
     def sizes(self) -> Array:
         """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
-        return np.stack([_largest(self.path, k) for k in range(1, self.orders + 1)])
+        return np.stack([largest(self.path, k) for k in range(1, self.orders + 1)])
 
     def look(self, phases: ClockPhases, kept: Flags) -> None:
         """Set ``kept`` (owners,) to False where phases are not shown to keep limits."""
