@@ -48,7 +48,7 @@ from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 8
+HALVINGS = 7
 """Halvings of a cell in which a bound is decided; what is undecided then counts as broken."""
 
 BATCH = 20_000
@@ -165,15 +165,13 @@ class DronesOnClock(OnClock, Drones):
     """Spans of drones on clocks: what moves is by time, and all else as the checks have it."""
 
     @cached_property
-    def _derivatives(self) -> list[Enclosed]:
-        return self.derivatives(self.source.drones, 3)
+    def _moved(self) -> tuple[Enclosed, Enclosed]:
+        (s, slope, jerk), (v, a, j) = self.clock, self.derivatives(self.source.drones, 3)
+        return self.accelerated(v, a), s * s * s * j + s * slope * 3.0 * a + jerk * v
 
     def moved(self, order: int) -> Enclosed:
         """Return the acceleration or the jerk."""
-        (s, slope, jerk), (v, a, j) = self.clock, self._derivatives
-        if order == 2:
-            return self.accelerated(v, a)
-        return s * s * s * j + s * slope * 3.0 * a + jerk * v
+        return self._moved[order - 2]
 
     @cached_property
     def load(self) -> Enclosed:
