@@ -398,13 +398,11 @@ CABLE_CLEARANCE = CheckRule(
             shown=(hung_gap,),
         ),
     ),
-    "give the drones longer legs (a longer cable or a smaller polygon), "
-    "other leg lengths, or a smaller separation.cable",
+    "give the drones other leg lengths (of a longer cable or a smaller polygon), "
+    "or a smaller separation.cable",
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     Ease.LENGTH,
-    far_remedy="use other leg lengths, another cable length or polygon, "
-    "or a smaller separation.cable",
 )
 """Drones, and the ground, stay off cables; drones as seen from above while these lie there."""
 

@@ -453,13 +453,11 @@ SEPARATION = CheckRule(
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
     (Finder(SEPARATED, exported=True, shown=(gap, distance)),),
-    "give the drones longer legs (a longer cable or a smaller polygon), "
-    "other leg lengths, or a smaller separation.radius",
+    "give the drones other leg lengths (of a longer cable or a smaller polygon), "
+    "or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
     Ease.LENGTH,
-    far_remedy="use other leg lengths, another cable length or polygon, "
-    "or a smaller separation.radius",
 )
 """No two drones' ellipsoids meet."""
 

@@ -204,7 +204,7 @@ class Search(Generic[S]):
         self.item, self.time = -1, 0.0
         self.ceiling = -np.inf  # largest bound of the spans that are done with
         self.looked_at = 0
-        self._open: list[tuple[S, Array]] = []
+        self._open: list[tuple[S, Array, int]] = []
 
     @property
     def attained(self) -> float:
@@ -222,28 +222,26 @@ class Search(Generic[S]):
     def add(self, spans: S) -> None:
         """Bound the spans once; keep those that may hold the worst value."""
         for batch in batches(spans):
-            self._keep(batch, self._bounds(batch))
+            if (left := self._left(batch, self._bounds(batch))) is not None:
+                self._open.append((*left, 0))
 
     def finish(self) -> Extremum:
         """Halve what is open until nothing is, and return the answer."""
-        pending = [(spans, bounds, 0) for spans, bounds in self._open]
-        self._open = []
         # Deepest first: few spans are alive at a time, and the worst values come early.
-        pending.sort(key=lambda entry: float(entry[1].max()))
+        self._open.sort(key=lambda entry: float(entry[1].max()))
         enough = max(MAX_SPANS, 10 * self.looked_at) + self.looked_at
-        while pending:
-            spans, bounds, depth = pending.pop()
-            self._keep(spans, bounds)
-            if not self._open:
+        while self._open:
+            spans, bounds, depth = self._open.pop()
+            if (left := self._left(spans, bounds)) is None:
                 continue
-            spans, bounds = self._open.pop()
+            spans, bounds = left
             if depth == MAX_HALVINGS or self.looked_at > enough:
                 self.ceiling = max(self.ceiling, float(bounds.max()))
                 continue
             inherited = np.concatenate([bounds, bounds])
             for i, batch in enumerate(batches(spans.halves())):
                 given = inherited[i * BATCH : i * BATCH + len(batch)]
-                pending.append((batch, np.minimum(given, self._bounds(batch)), depth + 1))
+                self._open.append((batch, np.minimum(given, self._bounds(batch)), depth + 1))
         worst = max(self.ceiling, self.value)
         return Extremum(self.sign * worst, self.attained, self.item, self.time)
 
@@ -278,13 +276,13 @@ class Search(Generic[S]):
                     self.item, self.time = int(there.item[best]), time
         return bounds
 
-    def _keep(self, spans: S, bounds: Array) -> None:
-        """Put aside the spans whose bounds need a closer look, and settle all others."""
+    def _left(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
+        """Return the spans whose bounds need a closer look, if any, and settle all others."""
         done = bounds <= self.threshold
         self.ceiling = max(self.ceiling, float(np.max(bounds[done], initial=-np.inf)))
-        if not done.all():
-            part = (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
-            self._open.append(part)
+        if done.all():
+            return None
+        return (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
 
 
 def _sure(values: Array) -> Array:
