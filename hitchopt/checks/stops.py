@@ -97,6 +97,9 @@ class OnClock(Spans):
     clock: tuple[Enclosed, Enclosed, Enclosed]
     """The rate s and its two derivatives, by time."""
 
+    back: Flags
+    """(spans,), those that are passed from their end to their beginning."""
+
     @classmethod
     def passed(
         cls, source: Any, breaks: Array, cells: ClockPhases, piece: Indices, item: Indices
@@ -104,9 +107,9 @@ class OnClock(Spans):
         """Return what cells within pieces (spans,) pass of items (spans,)."""
         times = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
         x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
-        extent = np.clip(x, 0.0, 1.0)
+        extent = np.sort(np.clip(x, 0.0, 1.0), axis=0)
         made = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
-        made.cells, made.clock = cells, clock_of(cells)
+        made.cells, made.clock, made.back = cells, clock_of(cells), times[1] < times[0]
         return made
 
     def _on(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
@@ -140,6 +143,7 @@ class OnClock(Spans):
     def by_time(self, value: Enclosed) -> Enclosed:
         """Return the chord by time of a value by plan time, which is off its own by h² |ṡ| / 8."""
         line = value.reduced(1)
+        line = Enclosed(np.where(self.back[:, None, None], line.c[..., ::-1], line.c), line.r)
         most, off = self._passed, self.cells.duration**2 * self.clock[1].size / 8.0
         share = np.divide(off, most, out=np.ones_like(most), where=off < most)
         return line.widened(share * column_lengths(line.c[..., -1:] - line.c[..., :1])[..., 0])

@@ -48,7 +48,7 @@ def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, flo
             for jet, duration in zip(clock.jets, clock.duration, strict=True)
         ]
     )
-    jets = jets[jets[:, 0] < motion.drones.breaks[-1]]
+    jets = jets[(jets[:, 0] >= 0.0) & (jets[:, 0] < motion.drones.breaks[-1])]
     s, a, j = (jets[:, k, None, None] for k in (1, 2, 3))
     states = states_at(motion, jets[:, 0])
     d1, d2, d3 = states.velocities, states.accelerations, states.jerks
@@ -78,13 +78,24 @@ def table_of(reserve: float = 1.0) -> StopTable:
 
 
 @settings(max_examples=10, deadline=None)
-@given(start=st.floats(0.0, 1.0), duration=st.floats(0.1, 2.5), tight=st.floats(0.2, 1.0))
-def test_what_samples_break_is_never_certified(start: float, duration: float, tight: float) -> None:
-    """With all limits tightened: also thrust and tilt decide then."""
+@given(
+    start=st.floats(0.0, 1.0),
+    duration=st.floats(0.1, 2.5),
+    tight=st.floats(0.2, 1.0),
+    back=st.booleans(),
+)
+def test_what_samples_break_is_never_certified(
+    start: float, duration: float, tight: float, back: bool
+) -> None:
+    """With all limits tightened: also thrust and tilt decide then; of clocks that run back too."""
     motion = motion_of()
     limits = replace(motion.requirements.limits, tilt=tight * motion.requirements.limits.tilt)
     motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
     clock = stop_phases(np.array([start * motion.duration]), np.array([duration]))
+    if back:
+        jets = -clock.jets
+        jets[:, 0] += 2.0 * start * motion.duration
+        clock = ClockPhases(clock.owner, jets, clock.duration)
     worst = kept_of(flown(motion, clock))
     kept = bool(ClockLimits(motion).keep(clock, 1)[0])
     assert not (kept and worst > 1.0 + 1e-9)
