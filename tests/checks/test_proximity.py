@@ -80,6 +80,29 @@ def test_the_margin_is_taken_off_and_no_distance_is_negative() -> None:
     assert smallest(Moving(breaks, corners, margin=0.7)).worst == 0.0
 
 
+@pytest.mark.slow
+def test_bodies_that_fly_across_each_other_within_one_piece() -> None:
+    """Slow spacing against fast motion: 60 bodies of 1 m spacing crossing 60 others in 1 s."""
+    rng = np.random.default_rng(3)
+    breaks = np.array([0.0, 1.0])
+    grid = np.arange(60.0)
+    start, end = np.zeros((60, 3)), np.zeros((60, 3))
+    start[:, 0], end[:, 0] = grid, grid + 40.0
+    height = rng.uniform(0.2, 0.6, 60)
+    against = np.column_stack([grid[::-1], np.full(60, 0.05), height])
+    paths = np.concatenate(
+        [np.stack([start, end], axis=-1), np.stack([against, against - [40.0, 0.0, 0.0]], axis=-1)]
+    )
+    found = smallest(Moving(breaks, paths[None, :, None]))
+    times = np.linspace(0.0, 1.0, 8001)[:, None, None]
+    a, b = paths[:60], paths[60:]
+    a = a[..., 0] + times * (a[..., 1] - a[..., 0])
+    b = b[..., 0] + times * (b[..., 1] - b[..., 0])
+    best = min(float(np.min(np.linalg.norm(a - b[:, k : k + 1], axis=-1))) for k in range(60))
+    assert found.worst <= best
+    assert found.worst == pytest.approx(best, rel=5e-3)  # samples are 1 cm apart
+
+
 def test_listed_pairs_grow_in_step_with_the_drones(monkeypatch: pytest.MonkeyPatch) -> None:
     listed: list[int] = []
     boxes = Moving.gaps

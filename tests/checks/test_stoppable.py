@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.checks.drones import largest_static_thrust, largest_static_tilt
-from hitchopt.checks.stops import ClockLimits, StopTable, stop_phases, stop_table
+from hitchopt.checks.stops import ClockLimits, DronesOnClock, StopTable, stop_phases, stop_table
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import before
 from hitchopt.motion.states import states_at
+from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
 
 SQUARE = np.array([[-0.7, -0.7], [-0.7, 0.7], [0.7, 0.7], [0.7, -0.7]]) + [2.0, -1.0]
@@ -101,6 +102,26 @@ def test_what_samples_break_is_never_certified(
     assert not (kept and worst > 1.0 + 1e-9)
     if not kept:
         assert worst > 0.98  # a bound is refused only where it is nearly reached
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_accelerations_on_a_clock_lie_in_what_encloses_them(sign: float) -> None:
+    """Of a clock that runs on, and of one that runs back, all along a cell."""
+    motion = motion_of()
+    begin, end = motion.drones.breaks[2:4]
+    middle, span = 0.5 * (begin + end), 0.3 * (end - begin)
+    cell = ClockPhases(
+        np.zeros(1, int), np.array([[middle, sign, -0.5 * sign, 0.2]]), np.array([span])
+    )
+    spans = DronesOnClock.passed(motion, motion.drones.breaks, cell, np.array([2]), np.array([0]))
+    found = spans.moved(2)
+    radius = float(found.r[0])
+    assert radius < 0.2 * float(np.max(np.abs(found.c)))
+    for x in np.linspace(0.0, 1.0, 11):
+        t, s, slope, _ = advanced(cell.jets, x * span)[0]
+        here = states_at(motion, np.array([t]))
+        exact = s**2 * here.accelerations[0, 0] + slope * here.velocities[0, 0]
+        assert np.linalg.norm(bernstein.evaluate(found.c[0], x) - exact) <= radius
 
 
 @pytest.mark.slow
