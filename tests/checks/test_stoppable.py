@@ -115,7 +115,7 @@ def test_accelerations_on_a_clock_lie_in_what_encloses_them(sign: float) -> None
     )
     spans = DronesOnClock.passed(motion, motion.drones.breaks, cell, np.array([2]), np.array([0]))
     found = spans.moved(2)
-    radius = float(found.r[0])
+    radius = float(np.asarray(found.r)[0])
     assert radius < 0.2 * float(np.max(np.abs(found.c)))
     for x in np.linspace(0.0, 1.0, 11):
         t, s, slope, _ = advanced(cell.jets, x * span)[0]
