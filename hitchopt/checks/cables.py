@@ -14,13 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.drones import Drones
+from hitchopt.checks.drones import Drones, edge_sags
 from hitchopt.checks.objects import arc_lengths, wrapped_arcs
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
     bent_edges,
+    cable_names,
     leg_vectors,
     magnitude,
     once,
@@ -28,8 +29,7 @@ from hitchopt.checks.spans import (
     shared,
     without_shared_zeros,
 )
-from hitchopt.hitch import GRAVITY
-from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions, tautness
+from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
@@ -53,24 +53,10 @@ STILL = 1e-9
 """[m] What stays within this of one place rests."""
 
 
-@shared
-def sags(motion: Motion) -> dict[str, Array]:
-    """Return every cable's weight to the share that it is taut, and its tension [N].
-
-    Without the factor that both share where they rise from zero: it cancels in their ratio.
-    """
-    team = motion.team
-    weight = GRAVITY * team.cable_density * team.cable_length[:, None] * tautness(motion)
-    return without_shared_zeros({"weight": [weight], "tension": [motion.tensions.coefficients]})
-
-
 class Cables(MotionSpans):
     """Spans of cables; lengths are over the cable's own."""
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the cables' names."""
-        return [f"cable {k}" for k in range(motion.team.robots)]
+    names = staticmethod(cable_names)
 
     @cached_property
     def scale(self) -> Array:
@@ -113,21 +99,13 @@ class Cables(MotionSpans):
         found = q.norm * q.level.dot(q.level) + r.norm * r.level.dot(r.level)
         for part in edges:
             found = found + part.norm * edge.level.dot(edge.level)
-        tables = sags(self.source)
-        weight, tension = (Enclosed(self.read(tables[name])) for name in ("weight", "tension"))
-        ratio = (weight * tension.inverse).reduced(RATIO_ORDER)
+        weight, tension = self.scalars(edge_sags(self.source))
+        ratio = (weight * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
         return found * (ratio * ratio) * (1.0 / 24.0)
 
 
 def _used_up(spans: Cables) -> Bound:
-    """Return the largest relative error of a cable's length.
-
-    It is the largest of ``|leg + edge + leg - L| / L`` and of how far the plan's own ``d_k``
-    and ``e_k`` are from the distances that they stand for, over L as well. Where cables have
-    weight, legs and edges are longer than their chords by what they sag; ρ counts to the share
-    that the cable is taut. Where a rim is on the legs, their cables run level up to its edge,
-    and are shorter than straight legs by ``saved_lengths``.
-    """
+    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's own legs."""
     heavy = spans.source.team.cable_density > 0.0
     excess = spans.excess + spans.sag if heavy else spans.excess
     stored = spans.scaled(spans.source.legs.coefficients)
@@ -146,7 +124,7 @@ def _drawn_out(spans: Cables) -> Bound:
     return spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise).norm_above
 
 
-def _longest(motion: Motion) -> float:
+def _size(motion: Motion) -> float:
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
 
@@ -174,7 +152,7 @@ SPAN = CheckRule(
     "1",
     "max",
     1.0,
-    (Finder(Searched(Cables, _drawn_out, "max", _longest), FREE_STATES, exported=True),),
+    (Finder(Searched(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease=Ease.LENGTH,
 )
@@ -182,10 +160,10 @@ SPAN = CheckRule(
 
 
 @shared
-def _leg_and_edge(motion: Motion) -> dict[str, Array]:
+def _leg_and_edge(motion: Motion) -> list[Array]:
     """Return what every drone's leg pulls with, and its cable [N], without their shared factor."""
     tension = np.repeat(motion.tensions.coefficients, 2, axis=1)
-    return without_shared_zeros({"pull": [motion.pulls.coefficients], "tension": [tension]})
+    return without_shared_zeros([motion.pulls.coefficients, tension])
 
 
 class Slides(Drones):
@@ -211,13 +189,12 @@ class Slides(Drones):
 def slips(spans: Slides) -> Bound:
     """Return by how much of the tension a leg's pull is more than friction allows.
 
-    A cable that wraps an angle θ about a clasp pulls on one side with between ``e^{-μ θ}`` and
-    ``e^{μ θ}`` times what it pulls with on the other; θ is by how much it turns there, from its leg
-    to its edge. At a chain's ends it turns about nothing. A quotient of polynomials, the divisor
-    positive, lies between those of their coefficients.
+    It is between ``e^{-μ θ}`` and ``e^{μ θ}`` times the edge's. A quotient of polynomials, the
+    divisor positive, lies between those of their coefficients.
     """
-    tables = _leg_and_edge(spans.source)
-    pull, tension = same_degree(*(spans.read(tables[name])[:, 0] for name in ("pull", "tension")))
+    pull, tension = same_degree(
+        *(each.c[:, 0] for each in spans.scalars(_leg_and_edge(spans.source)))
+    )
     ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
     high, low = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
     value = np.maximum(high - spans.held, 1.0 / spans.held - low)
@@ -225,10 +202,7 @@ def slips(spans: Slides) -> Bound:
 
 
 def beyond_friction(motion: Motion) -> Finding:
-    """Return by how much of the tension a leg's pull is more than friction allows, at most.
-
-    Not positive, but for rounding, where every pull obeys that; ``where`` names the vertex.
-    """
+    """Return by how much of the tension a leg's pull is more than friction allows, at most."""
     found = worst(Slides.of(motion), slips, "max")
     point = motion.team.layout.anchors[found.item]
     return Finding(found.worst, found.time, (f"p{point}",))
@@ -237,14 +211,9 @@ def beyond_friction(motion: Motion) -> Finding:
 def _find(motion: Motion, _: float) -> Finding:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
-    While the hitch exists every cable pulls with the team's tension, but within a range that its
-    phase states (``Phase.tension``: part of the problem, as limits are), and on a ramp from 0 to
-    the team's. No file names a ramp: it is next to a span of time without a hitch, nothing moves in
-    it, and it ends where the tension comes to the team's. Legs pull with what friction makes of it.
-
-    Jumps are those at all joints of pieces. Where there is no hitch tensions and pulls count as 0,
-    whatever the plan says of them. ``where`` names the cable, or the drone whose leg or thrust it
-    is.
+    While the hitch exists every cable pulls with the team's tension, or within the range that its
+    phase states, and on a ramp from 0 to the team's; legs with what friction makes of it. Without a
+    hitch tensions and pulls count as 0, whatever the plan says of them.
     """
     found = [_jump_of_pulls(motion), _jump_of_thrusts(motion)]
     if np.any(motion.formed):
@@ -295,13 +264,7 @@ def _at_joint(values: Array, times: Array, names: Sequence[str]) -> Finding:
 def _outside(
     motion: Motion, over: type[Cables] | type[Slides], pulls: Array, ranges: Array
 ) -> Finding:
-    """Return how far pulls are outside of their ranges at most, or of what friction makes of these.
-
-    Parameters
-    ----------
-    pulls: (pieces, items, degree + 1) [N]
-    ranges: (2, pieces, items) [N], from which to which.
-    """
+    """Return how far pulls (pieces, items, …) are outside of ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
     def beyond(spans: MotionSpans) -> Bound:
@@ -322,8 +285,7 @@ def _outside(
 def _off_at_ends(motion: Motion) -> Finding:
     """Return how far tensions are from the team's where phases that state a range begin or end.
 
-    Not where an object is held before and after, as if on before and after the motion: the range is
-    that of a grasp, which its steps share.
+    Not where an object is held before and after: the range is that of a grasp, of all its steps.
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
     held = [phase.hold is not None for phase in motion.phases] or [False]
@@ -339,31 +301,23 @@ def _off_at_ends(motion: Motion) -> Finding:
 
 
 def _ramps(motion: Motion) -> Mask:
-    """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch."""
-    resting = motion.formed
+    """Return (pieces, n) where tensions rise after, or fall before, a span without a hitch.
+
+    Nothing moves meanwhile, and it ends where the team's tension is reached.
+    """
+    resting, free = motion.formed, ~motion.formed
     for part in (motion.drones, motion.vertices):
         resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= STILL)
-    c = motion.tensions.coefficients
-    full = motion.team.tension[:, None] - c[..., [0, -1]] <= TENSION_LIMIT
-    free = ~motion.formed
-    up = _rising(free, resting, full)
-    return up | _rising(free[::-1], resting[::-1], full[::-1, :, ::-1])[::-1]
-
-
-def _rising(free: Mask, resting: Mask, full: Mask) -> Mask:
-    """Return (pieces, n) the pieces at rest from one without a hitch to the team's tension.
-
-    Parameters
-    ----------
-    free, resting: (pieces,) without a hitch; with one, and nothing moves.
-    full: (pieces, n, 2), whether the team's tension is reached where a piece begins and ends.
-    """
-    found = np.zeros(full.shape[:2], dtype=np.bool_)
-    for first in (np.flatnonzero(resting[1:] & free[:-1]) + 1).tolist():
-        run = slice(first, first + int(np.argmin(np.append(resting[first:], False))))
-        over = np.logical_or.accumulate(full[run, :, 0], axis=0)
-        reached = np.logical_or.accumulate(full[run, :, 1][::-1], axis=0)[::-1]
-        found[run] = ~over & reached
+    ends = motion.tensions.coefficients[..., [0, -1]]
+    low = motion.team.tension[:, None] - ends > TENSION_LIMIT
+    found = np.zeros(low.shape[:2], dtype=np.bool_)
+    for flip in (slice(None), slice(None, None, -1)):  # forward in time, and backward
+        rests, lows = resting[flip], low[flip, :, flip]
+        for first in (np.flatnonzero(rests[1:] & free[flip][:-1]) + 1).tolist():
+            run = slice(first, first + int(np.argmin(np.append(rests[first:], False))))
+            rising = np.logical_and.accumulate(lows[run, :, 0], axis=0)
+            reached = np.any(rising & ~lows[run, :, 1], axis=0)
+            found[flip][run] |= rising & reached
     return found
 
 

@@ -99,12 +99,10 @@ class Check(OneLine):
         size: float = 1.0,
         gamma: float | None = None,
     ) -> Check:
-        """Return the check, ``holds`` following from the numbers, within the tolerance.
+        """Return the check; it holds if it is only reported, or ``within`` its limit by ``size``.
 
-        What is only reported holds. ``size`` is the largest length that enters the quantity, in its
-        unit, as ``within`` has it. What is beyond all numbers becomes the largest one, and nan the
-        worst: files hold neither. An infinity that holds is that of nothing, so there is no
-        ``worst`` and no place.
+        What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
+        An infinity that holds is that of nothing, so there is no ``worst`` and no place.
         """
         largest = sys.float_info.max
         limit = None if limit is None else float(limit)
@@ -145,8 +143,7 @@ class Check(OneLine):
     def margin(self) -> float:
         """Distance to the limit, relative to it, or in the unit where it is 0; below 0 if broken.
 
-        Infinite where there is no limit, or nothing to count: a count of 0 that is at most 0 is at
-        no distance.
+        Infinite where there is no limit, or nothing to count, as of 0 that is at most 0.
         """
         if self.limit is None or self.worst is None:
             return math.inf

@@ -31,18 +31,15 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
-from hitchopt.motion.loads import leg_tensions, lowered, object_loads, strut_shares, tautness
+from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
-from hitchopt.trajectory.search import ABSOLUTE, worst
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
+from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 LIMIT = 5e-3
 """Relative to the tension: the vertex then stands within millimetres of its place."""
-
-NEAR = 0.02 * LIMIT
-"""How close to an attained value the residual is bounded where time is short."""
 
 SIGNS = 1.0, 1.0, 1.0, -1.0
 """The last of the parts at a clasp arrives there; the others leave it."""
@@ -52,26 +49,23 @@ BACKWARD = -180.0
 
 
 @shared
-def clasp_forces(motion: Motion) -> dict[str, Array]:
-    """Return the sizes of forces at clasps, each (pieces, clasps, rows, degree + 1).
+def clasp_forces(motion: Motion) -> dict[str, list[Array]]:
+    """Return the sizes of forces at clasps, rows of (pieces, clasps, degree + 1).
 
     A factor ``x^a (1 - x)^b`` that all of them share, as where tensions rise from zero, is left
     out: it cancels in every ratio.
 
     - ``parts`` [N]: tensions of the leg and the edge ahead and of those behind; those of edges less
       what a rim takes;
-    - ``halves`` [N/m], where there is weight: half of the weight per length of the same parts, to
-      the share that they are taut, that of edges less what a rim takes;
+    - ``halves`` [N/m], where there is weight: half of the weight per length of the same parts;
     - ``tensions`` [N] of both edges;
     - ``weights`` where there is weight: of the cable ahead and of that behind, its share of the
-      load with half of its cable's weight [N], and half of the weight per length [N/m], all to the
-      share that the cable is taut;
+      load with half of its cable's weight [N], and half of the weight per length [N/m];
     - ``loads`` of objects [N], where there are any.
     """
-    team, layout = motion.team, motion.team.layout
-    ahead, behind = layout.ahead, layout.behind
-    tension, legs = edge_tensions(motion), lowered(leg_tensions(motion))
-    taut, half = lowered(tautness(motion)), 0.5 * GRAVITY * team.cable_density
+    team, ahead, behind = motion.team, motion.team.layout.ahead, motion.team.layout.behind
+    tension, legs = edge_tensions(motion), leg_tensions(motion)
+    taut, half = tautness(motion), 0.5 * GRAVITY * team.cable_density
     loads = object_loads(motion)
 
     def parts(legs: Array, edges: Array) -> list[Array]:
@@ -87,12 +81,13 @@ def clasp_forces(motion: Motion) -> dict[str, Array]:
             found["weights"] += [own[:, None] * taut[:, cable], half * taut[:, cable]]
     if loads is not None:
         found["loads"] = list(np.moveaxis(loads, 2, 0))
-    return without_shared_zeros(found)
+    rows = iter(without_shared_zeros([row for each in found.values() for row in each]))
+    return {name: [next(rows) for _ in each] for name, each in found.items()}
 
 
 def edge_tensions(motion: Motion) -> Array:
     """Return what edges pull with (pieces, n, degree + 1) [N], less what a rim takes."""
-    return _kept(motion, lowered(motion.tensions.coefficients))
+    return _kept(motion, motion.tensions.coefficients)
 
 
 def _kept(motion: Motion, values: Array) -> Array:
@@ -101,25 +96,26 @@ def _kept(motion: Motion, values: Array) -> Array:
     return values if taken is None else bernstein.multiply(1.0 - taken[:, None], values)
 
 
+def clasp_names(motion: Motion) -> Sequence[str]:
+    """Return the clasps' names."""
+    return [motion.team.point_names[k] for k in motion.team.layout.clasps]
+
+
 class Clasps(MotionSpans):
     """Spans of clasps: the forces that meet there."""
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the clasps' names."""
-        return [motion.team.point_names[k] for k in motion.team.layout.clasps]
+    names = staticmethod(clasp_names)
 
     @cached_property
-    def _sizes(self) -> dict[str, Enclosed]:
-        forces = clasp_forces(self.source)
-        return {name: Enclosed(self.read(table)) for name, table in forces.items()}
+    def _sizes(self) -> dict[str, list[Enclosed]]:
+        return {name: self.scalars(rows) for name, rows in clasp_forces(self.source).items()}
 
     @cached_property
     def pulls(self) -> list[Enclosed]:
         """The pulls along q̂_k, u_k, r̂_{k-1} and u_{k-1} [N]."""
         tensions, halves = self._sizes["parts"], self._sizes.get("halves")
         if halves is None:
-            return [tensions[i] for i in range(4)]
+            return tensions
         found = []
         for i, way in enumerate(self.ways):
             if i % 2 == 0:
@@ -131,7 +127,7 @@ class Clasps(MotionSpans):
     @cached_property
     def tensions(self) -> Enclosed:
         """The tensions of both edges [N], a component each."""
-        return self._sizes["tensions"]
+        return vector(*self._sizes["tensions"])
 
     @staticmethod
     def weighed(motion: Motion) -> bool:
@@ -194,7 +190,8 @@ class Clasps(MotionSpans):
         """[N] The force of objects on the clasp; None without any."""
         if "loads" not in self._sizes:
             return None
-        return self._sizes["loads"].widened(_load_errors(self.source)[self.piece, self.item])
+        loads = vector(*self._sizes["loads"])
+        return loads.widened(_load_errors(self.source)[self.piece, self.item])
 
     @cached_property
     def residual(self) -> Enclosed:
@@ -251,24 +248,15 @@ def _lifted(spans: Clasps) -> Bound:
     )
 
 
-def _find(motion: Motion, _: float, absolute: float = ABSOLUTE) -> Finding:
+def _find(motion: Motion, limit: float) -> Finding:
     """Return the largest force residual at a clasp over the smaller of its cables' tensions.
 
-    Legs have their cable's tension at clasps, or what friction makes of it; where cables have
-    weight, legs and edges pull along their chords by ``forces.chord_pull``. What friction cannot
-    make of a tension counts as unbalanced too: by how much a leg's lies beyond ``e^{μ θ}`` times
-    the edge's, or short of ``e^{-μ θ}`` times, for the angle θ that the cable wraps. At a chain's
-    ends it wraps none. The weight that a clasp carries is its load and what the drones do not carry
-    of its cables, ``W_k = g · load + ½ ρ g (L_k - e_k + L_{k-1} - d_{k-1})``, to the share that
-    they are taut; of objects it carries what ``hitchopt.motion.loads`` says, their inertia
-    included, and rims take a share of what edges pull with. Where there is weight cables have to
-    press on each other as well: a clasp that does not bear is infinitely far from balance.
-
-    A tension that is not positive holds nothing: the ratio is infinite there. But a factor that all
-    tensions share cancels, also where it rises from zero as a hitch is pulled tight.
+    What friction cannot make of a tension counts as unbalanced, and so does what an object lacks.
+    Where there is weight cables have to press on each other as well: a clasp that does not bear is
+    infinitely far from balance.
     """
     names = Clasps.names(motion)
-    found = worst(Clasps.of(motion), _balance, "max", absolute=absolute)
+    found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
     best = Finding(found.worst, found.time, (names[found.item],))
     if motion.leg_tensions is not None:
         beyond = beyond_friction(motion)
@@ -297,16 +285,9 @@ def spare_forces(motion: Motion) -> Array:
 FORMULAS = (_balance, Clasps.residual, _lifted, Clasps.contact, slips, lacking)
 
 
-def equilibrium_rule(absolute: float = ABSOLUTE) -> CheckRule:
-    """Return the rule, its residual bounded within ``absolute`` of an attained value."""
-    finder = Finder(
-        lambda motion, limit: _find(motion, limit, absolute), HITCHED_STATE, shown=FORMULAS
-    )
-    return CheckRule("equilibrium", "1", "max", LIMIT, (finder,))
-
-
-EQUILIBRIUM = equilibrium_rule()
-QUICK_EQUILIBRIUM = equilibrium_rule(NEAR)
+EQUILIBRIUM = CheckRule(
+    "equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE, shown=FORMULAS),)
+)
 
 
 @shared
@@ -327,7 +308,7 @@ class Corners(MotionSpans):
     @classmethod
     def names(cls, motion: Motion) -> Sequence[str]:
         """Return the corners' names."""
-        return [*Clasps.names(motion), *([] if motion.team.layout.closed else ["ends"])]
+        return [*clasp_names(motion), *([] if motion.team.layout.closed else ["ends"])]
 
 
 def _exterior(spans: Corners) -> Bound:
@@ -352,11 +333,8 @@ def _exterior(spans: Corners) -> Bound:
 def _turns(motion: Motion, _: float) -> Finding:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
-    A polygon that goes w times around its inside, w not 1, has ``360 (1 - w)`` reported if that is
-    less. The number at the start is that of all times unless an angle passes -180° in between,
-    which is worse already.
-
-    A chain has 360° less all of its turning reported if that is less; ``where`` names both ends.
+    A polygon that goes w times around its inside has ``360 (1 - w)`` reported if that is less, w
+    that of the start; a chain 360° less all of its turning, and ``where`` names both ends.
     """
     found = worst(Corners.of(motion), _exterior, "min")
     layout, points = motion.team.layout, motion.team.point_names

@@ -15,7 +15,8 @@ out of one to the nearest point of what moves, are all that ``hitchopt.checks.di
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,14 +25,14 @@ from hitchopt.checks.certificate import within
 from hitchopt.checks.distances import (
     GROUND,
     TALL,
-    Allowed,
     Flags,
     Ground,
     Moving,
+    Names,
     Nearest,
     PairSpans,
+    Shape,
     cable_ends,
-    cable_names,
     gap,
     plan_points,
     smallest,
@@ -41,15 +42,15 @@ from hitchopt.checks.objects import heading_error, seen_from
 from hitchopt.checks.rule import CheckRule, Ease, Finder
 from hitchopt.checks.spans import (
     ROUNDING,
-    UPWARD,
+    cable_names,
     cable_parts,
     magnitude,
     phase_parts,
     position_margin,
 )
-from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
+from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
@@ -66,19 +67,12 @@ HALVINGS = 25
 class Solid:
     """A slab that points, segments and other upright slabs keep off.
 
-    Of another slab, if a ``rounding`` is given, the corners of the core are known,
-    first those of its floor, then those of its ceiling. What is round about that core is added to
-    the slab that stands still.
+    Of another slab, whose ``rounding`` is given, the corners of the core are known, those of its
+    floor first; what is round about that core is added to the slab that stands still.
     """
 
     slab: Slab
     rounding: float | None = None
-
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
-        reach = self.slab.section.circumradius + (self.rounding or 0.0)
-        return np.array([[-reach, -reach, self.slab.lower], [reach, reach, self.slab.upper]])
 
     def support(self, directions: Array) -> Array:
         """Return how far it reaches (…) [m] along directions (…, 3)."""
@@ -129,98 +123,74 @@ def from_above(slab: Slab) -> Solid:
 def carried(motion: Motion) -> Iterator[Moving]:
     """Yield objects that move past the ground, and past all others.
 
-    While one goes straight up or down it may touch what it stands on before or after that, or what
-    is below it where the motion begins so: there it counts only that it does not go into that.
+    While one goes straight up from something on which it stands before or after that, or down onto
+    it, and stays above it, they may touch; likewise what is below it where the motion begins so.
     """
     if motion.poses is None:
         return
     objects, poses = motion.requirements.objects, motion.poses.coefficients
-    moving = np.ptp(poses, axis=-1)  # (pieces, objects, 5)
+    moving, floor = np.ptp(poses, axis=-1), motion.requirements.floor  # (pieces, objects, 5)
     going = np.any(moving > STILL, axis=-1)
     upright = np.max(moving[..., [0, 1, 3, 4]], axis=-1) <= TOUCH
-    breaks, size, floor = motion.drones.breaks, magnitude(motion), motion.requirements.floor
     for index, (name, each) in enumerate(objects.items()):
         if not np.any(going[:, index]):
             continue
-        _, below = surface_below(objects, poses[0, :, :, 0], name, floor)
-        base = poses[:, index, :3] + each.lower * UPWARD[:, None]
-        heights = base[:, 2] - floor
-        stands = np.any(np.abs(heights[:, [0, -1]]) <= TOUCH, axis=-1)
-        touching = _leaving(upright[:, index], stands, below is None)
-        touching &= np.min(heights, axis=-1) >= -TOUCH
-        yield Moving.past(
-            breaks,
-            base[:, None, None],
-            Ground(floor),
-            margin=ROUNDING * size,
-            counted=(going[:, index] & ~touching)[:, None],
-            names=((name,), (GROUND,)),
-        )
-        for slab in each.slabs:
-            corners = Enclosed(placed_core(poses[:, index], slab)[:, None])
-            error = float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
-            turned = error * slab.section.circumradius
-            for other, (label, obstacle) in enumerate(objects.items()):
-                if other == index:
-                    continue
-                seen = seen_from(Enclosed(poses[:, other]), corners)
-                stands = _stands_on(poses, index, each, other, obstacle)
-                leaving = _leaving(upright[:, index], stands, label == below)
-                for body in obstacle.slabs:
-                    above = np.min(seen.c[:, 0, :, 2], axis=(1, 2)) >= body.upper - TOUCH
-                    reach = size + slab.size + body.size
-                    yield Moving.past(
-                        breaks,
-                        seen.c,
-                        Solid(body, slab.section.rounding),
-                        margin=float(np.max(seen.r)) + ROUNDING * reach + turned,
-                        counted=(going[:, index] & ~(leaving & above))[:, None],
-                        names=((name,), (label,)),
-                    )
+        bottom = poses[:, index, 2] + each.lower
+        below = surface_below(objects, poses[0, :, :, 0], name, floor)[1] or GROUND
+        error = float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
+        for other, label in enumerate([*objects, GROUND]):
+            if other == index:
+                continue
+            bodies = () if label == GROUND else objects[label].slabs
+            high = poses[:, other, 2] + objects[label].upper if bodies else floor
+            gap = bottom - high
+            stands = np.any(np.abs(gap[:, [0, -1]]) <= TOUCH, axis=1)
+            for piece in np.flatnonzero(stands) if bodies else ():
+                here, there = poses[piece, [index, other], :, 0]
+                met = (
+                    sections_apart(a.section, here, b.section, there) < 0.0
+                    for a in each.slabs
+                    for b in bodies
+                    if a.lower == each.lower and b.upper == objects[label].upper
+                )
+                stands[piece] = any(met)
+            touching = _leaving(upright[:, index], stands, label == below)
+            touching &= np.min(gap, axis=1) >= -TOUCH
+            counted = (going[:, index] & ~touching)[:, None]
+            for slab in each.slabs:
+                seen = Enclosed(placed_core(poses[:, index], slab)[:, None])
+                shapes: list[Shape] = [Ground(floor)]
+                if bodies:
+                    seen = seen_from(Enclosed(poses[:, other]), seen)
+                    shapes = [Solid(body, slab.section.rounding) for body in bodies]
+                size = magnitude(motion) + slab.size + sum(body.size for body in bodies)
+                margin = ROUNDING * size + error * slab.section.circumradius
+                names = ((name,), (label,))
+                for shape in shapes:
+                    yield _seen(motion, seen, shape, names, margin, counted=counted)
 
 
 def _leaving(upright: Flags, stands: Flags, lifted: bool) -> Flags:
     """Return (pieces,) in which an object rises from something, or goes down onto it.
 
-    It moves straight up or down in them, between one at whose beginning or end it stands there and
-    each of them too; or from the beginning if it has been lifted from there.
+    It moves straight up or down in a run of pieces one of which begins or ends with it standing
+    there; or in the first run, if it has been lifted from there.
     """
     runs = np.cumsum(~upright)
     from_there = np.isin(runs, runs[stands & upright]) | ((runs == 0) & lifted)
-    found: Flags = upright & from_there
-    return found
-
-
-def _stands_on(
-    poses: Array, index: int, body: SolidObject, other: int, obstacle: SolidObject
-) -> Flags:
-    """Return (pieces,) at whose beginning or end an object stands on another one."""
-    bottom, top = poses[:, index, 2] + body.lower, poses[:, other, 2] + obstacle.upper
-    found: Flags = np.any(np.abs(bottom - top)[:, [0, -1]] <= TOUCH, axis=-1)
-    bases = [slab.section for slab in body.slabs if slab.lower == body.lower]
-    tops = [slab.section for slab in obstacle.slabs if slab.upper == obstacle.upper]
-    for piece in np.flatnonzero(found):
-        here, there = poses[piece, index, :, 0], poses[piece, other, :, 0]
-        found[piece] = any(sections_apart(a, here, b, there) < 0.0 for a in bases for b in tops)
-    return found
+    return np.asarray(upright & from_there)
 
 
 def placed_core(poses: Array, slab: Slab) -> Array:
     """Return the corners of a slab's core (pieces, 2 m, 3, degree + 1) [m], floor and ceiling.
 
-    Parameters
-    ----------
-    poses: of its object, (pieces, 5, degree + 1).
-    slab: in the object's frame.
+    Given poses of its object (pieces, 5, degree + 1).
     """
     core = slab.section.core[:, :, None]
-    c, s = poses[:, None, 3], poses[:, None, 4]
-    x = core[:, 0] * c - core[:, 1] * s + poses[:, None, 0]
-    y = core[:, 0] * s + core[:, 1] * c + poses[:, None, 1]
-    z = [
-        np.broadcast_to(poses[:, None, 2] + height, x.shape) for height in (slab.lower, slab.upper)
-    ]
-    return np.concatenate([np.stack([x, y, each], axis=2) for each in z], axis=1)
+    x, y, z, c, s = (row[:, None] for row in np.moveaxis(poses, 1, 0))
+    across, along = core[:, 0] * c - core[:, 1] * s + x, core[:, 0] * s + core[:, 1] * c + y
+    heights = [z + height + 0.0 * across for height in (slab.lower, slab.upper)]
+    return np.concatenate([np.stack([across, along, up], axis=2) for up in heights], axis=1)
 
 
 TOLERANCE = 1e-3
@@ -240,22 +210,12 @@ SHIFT = 1.12
 its shares in their level and upward parts differ by up to a half."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chains:
-    """Chains of segments that stand in for hanging cables on spans of time.
+def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
+    """Return points of chains that stand in for hanging cables, and how far these are off them.
 
-    Attributes
-    ----------
-    points: (spans, links + 1, 3, degree + 1) [m]
-    off: (spans, links) [m]: the cable is nowhere farther from that segment, at no time of the span.
+    Of cables between ends (spans, 3, degree + 1), ``length`` (spans,) [m]: (spans, links + 1, 3,
+    degree + 1) and (spans, links) [m], from each link at all times of the span.
     """
-
-    points: Array
-    off: Array
-
-
-def chains(q: Array, r: Array, length: Array) -> Chains:
-    """Return the chains of cables between ends (spans, 3, degree + 1) [m], ``length`` (spans,)."""
     offset = Enclosed(r - q)
     cable = Catenary.between(Enclosed(q).middle, Enclosed(r).middle, length)
     by_length = cable.place(np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None])
@@ -269,7 +229,7 @@ def chains(q: Array, r: Array, length: Array) -> Chains:
     sigma = steepness_of(offset, length)
     drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
     height = np.max(np.abs(offset.c[:, 2]), axis=-1)
-    return Chains(points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None])
+    return points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None]
 
 
 def _bends(cable: Catenary, mu: Array) -> Array:
@@ -303,58 +263,51 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
     return on_breaks(drones, np.append(starts, drones.breaks[-1]))
 
 
+def foreign(cables: Indices, drones: Indices) -> Flags:
+    """Return which drones do not carry a cable."""
+    apart: Flags = drones // 2 != cables
+    return apart
+
+
 def cables_and_drones(motion: Motion) -> Moving:
     """Return cables as they hang and the drones that do not carry them."""
-
-    def foreign(cables: Indices, drones: Indices) -> Flags:
-        apart: Flags = drones // 2 != cables
-        return apart
-
     points = cut(motion.drones).coefficients[:, :, None]
-    names = (cable_names(motion), motion.team.drone_names)
-    return _hung(motion, names, second=points, allowed=foreign, formula=_distance)
+    return _hung(motion, points, motion.team.drone_names, allowed=foreign)
 
 
 def cables_and_ground(motion: Motion) -> Moving:
     """Return cables as they hang above the ground."""
-    floor, names = motion.requirements.floor, (cable_names(motion), (GROUND,))
-    second = np.zeros((cut(motion.drones).pieces, 1, 1, 3, 1))
-    return _hung(motion, names, second=second, shape=Ground(floor), formula=above(floor))
+    nowhere = np.zeros((cut(motion.drones).pieces, 1, 1, 3, 1))
+    return _hung(motion, nowhere, (GROUND,), shape=Ground(motion.requirements.floor))
 
 
-def _hung(motion: Motion, names: tuple[Sequence[str], Sequence[str]], **further: Any) -> Moving:
+def _hung(motion: Motion, second: Array, names: Sequence[str], **further: Any) -> Moving:
     """Return hanging cables and what they keep off; ``further`` as in Moving."""
-    drones, margin = cut(motion.drones), position_margin(motion)
-    given: dict[str, Any] = {"lengths": motion.team.cable_length, "tolerance": TOLERANCE} | further
-    ends = cable_ends(drones.coefficients)
-    return Moving(drones.breaks, ends, margin=margin, names=names, swapped=True, **given)
+    return Moving(
+        (drones := cut(motion.drones)).breaks,
+        cable_ends(drones.coefficients),
+        second,
+        position_margin(motion),
+        lengths=motion.team.cable_length,
+        names=(cable_names(motion), names),
+        swapped=True,
+        formula=hung_gap,
+        tolerance=TOLERANCE,
+        **further,
+    )
 
 
-def _distance(spans: PairSpans) -> Bound:
-    """Return the distances of cables to points [m]."""
-    ends, point = spans.ends
-    hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
-    apart = point - hung.points  # (spans, links + 1, 3, degree + 1)
+def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
+    """Return the distances of hanging cables to points, or to what is below a height [m]."""
+    (ends, point), shape = spans.ends, shape or spans.source.shape
+    points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    apart = points - point  # (spans, links + 1, 3, degree + 1)
     here = Enclosed(apart).middle
-    along = unit(shortest_offset(np.stack([here[:, :-1], here[:, 1:]], axis=2)))
+    along = shape.towards(np.stack([here[:, :-1], here[:, 1:]], axis=2))
     first, last = (np.einsum("sld,sldi->sli", along, c) for c in (apart[:, :-1], apart[:, 1:]))
-    least = np.min(np.minimum(first, last) - hung.off[..., None], axis=1, keepdims=True)
-    found = Enclosed(least, spans.source.margin).below
+    least = np.minimum(first, last) - (off + shape.support(along))[..., None]
+    found = Enclosed(np.min(least, axis=1, keepdims=True), spans.source.margin).below
     return Bound(np.maximum(found.value, 0.0), found.x)
-
-
-def above(top: float) -> Callable[[PairSpans], Bound]:
-    """Return the formula of how far hanging cables are above a height [m]."""
-
-    def formula(spans: PairSpans) -> Bound:
-        ends, _ = spans.ends
-        hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
-        z = hung.points[:, :, 2]
-        lower = np.minimum(z[:, 1:], z[:, :-1]) - hung.off[..., None]
-        height = Enclosed(np.min(lower, axis=1, keepdims=True)) - top
-        return height.widened(spans.source.margin).below
-
-    return formula
 
 
 def above_ground(motion: Motion) -> bool:
@@ -408,26 +361,15 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
         return counted
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
-    yield _past_segments(motion, drones[:, :, None], corners, part // 3, strange)
+    names = motion.team.drone_names, [f"cable {k}" for k in part // 3]
+    yield Moving.of(motion, drones[:, :, None], corners, names, allowed=strange)
 
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:
     """Yield drones past the chords of cables not their own, as seen from above."""
-
-    def foreign(drones: Indices, cables: Indices) -> Flags:
-        apart: Flags = drones // 2 != cables
-        return apart
-
-    flat, cables = plan_points(motion), np.arange(motion.team.robots)
-    yield _past_segments(motion, flat, cable_ends(flat), cables, foreign)
-
-
-def _past_segments(
-    motion: Motion, drones: Array, segments: Array, cables: Indices, allowed: Allowed
-) -> Moving:
-    names = motion.team.drone_names, [f"cable {k}" for k in cables]
-    margin, breaks = position_margin(motion), motion.drones.breaks
-    return Moving(breaks, drones, segments, margin, allowed, names=names)
+    flat = plan_points(motion)
+    names, swapped = (cable_names(motion), motion.team.drone_names), {"swapped": True}
+    yield Moving.of(motion, cable_ends(flat), flat, names, allowed=foreign, **swapped)
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:
@@ -449,15 +391,18 @@ CABLE_CLEARANCE = CheckRule(
     (
         Finder(Nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
         Finder(Nearest(_past_chords), frozenset({CableState.GROUND}), exported=True),
-        Finder(Nearest(_past_hanging), FREE_STATES - {CableState.GROUND}, exported=True),
+        Finder(
+            Nearest(_past_hanging),
+            FREE_STATES - {CableState.GROUND},
+            exported=True,
+            shown=(hung_gap,),
+        ),
     ),
-    "give the drones longer legs (a longer cable or a smaller polygon), "
-    "other leg lengths, or a smaller separation.cable",
+    "give the drones other leg lengths (of a longer cable or a smaller polygon), "
+    "or a smaller separation.cable",
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     Ease.LENGTH,
-    far_remedy="use other leg lengths, another cable length or polygon, "
-    "or a smaller separation.cable",
 )
 """Drones, and the ground, stay off cables; drones as seen from above while these lie there."""
 
@@ -483,9 +428,17 @@ def _past(
     motion: Motion, seen: Enclosed, slab: Slab, names: Sequence[str], name: str, **further: Any
 ) -> Moving:
     """Return what moves past a slab that has a name; ``further`` as in Moving."""
-    margin = float(np.max(seen.r)) + ROUNDING * (magnitude(motion) + slab.size)
-    given: dict[str, Any] = {"margin": margin, "names": (names, (name,))} | further
-    return Moving.past(motion.drones.breaks, seen.c, Solid(slab), **given)
+    margin = ROUNDING * (magnitude(motion) + slab.size)
+    return _seen(motion, seen, Solid(slab), (names, (name,)), margin, **further)
+
+
+def _seen(
+    motion: Motion, seen: Enclosed, shape: Shape, names: Names, margin: float, **further: Any
+) -> Moving:
+    """Return what moves past a shape, as seen from that."""
+    margin += float(np.max(seen.r))
+    nowhere = np.zeros((len(seen.c), 1, 1, 3, 1))
+    return Moving.of(motion, seen.c, nowhere, names, shape=shape, margin=margin, **further)
 
 
 KEEP_OUT = CheckRule(
@@ -512,40 +465,21 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
     cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
     # No part is lower than all of its ends, and bends of what is wrapped around an object.
-    holding = np.array([phase.hold is not None for phase in motion.phases], dtype=np.bool_)
-    on = np.append(holding, False)[motion.phase_of_piece]
-    yield Moving.past(
-        motion.drones.breaks,
-        corners,
-        Ground(motion.requirements.floor - 2.0 * CONTACT),
-        counted=np.repeat(on[:, None], len(part), axis=1),
-        names=(names, (GROUND,)),
-        **contact,
-    )
+    holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
+    on = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
+    ground, margin = Ground(motion.requirements.floor - 2.0 * CONTACT), position_margin(motion)
+    yield _seen(motion, points, ground, (names, (GROUND,)), margin, counted=on, **contact)
     for name, each, pose in _placed(motion):
-        held, gripped = _holding(motion, name)
-        counted, seen = ~held[:, cables], seen_from(pose, points)
+        held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
+        touching = np.array([np.isin(cables, each) for each in [*held, ()]])
+        counted, seen = ~touching[motion.phase_of_piece], seen_from(pose, points)
         if each.stem is not None:  # what is below a flat tray is off it
+            gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # else edges stay out of it
             entering = (~gripped | (part % 3 != 1)) & ~counted
             yield _past(motion, seen, each.slabs[0], names, name, counted=entering, **contact)
         for slab in each.slabs:
             yield _past(motion, seen, slab, names, name, counted=counted)
     yield from carried(motion)
-
-
-def _holding(motion: Motion, name: str) -> tuple[Flags, Flags]:
-    """Return which cables may touch an object, since their phase holds it, (pieces, n).
-
-    And whether it is gripped, (pieces, 1): else edges stay out of it by themselves.
-    """
-    index = motion.phase_of_piece
-    held = np.zeros((motion.drones.pieces, motion.team.robots), dtype=np.bool_)
-    gripped = np.zeros((motion.drones.pieces, 1), dtype=np.bool_)
-    for i, phase in enumerate(motion.phases):
-        if phase.hold is not None and phase.hold.object == name:
-            held[np.ix_(index == i, list(phase.hold.cables))] = True
-            gripped[index == i] = phase.hold.by is HoldBy.GRIP
-    return held, gripped
 
 
 def _hanging_past(motion: Motion) -> Iterator[Moving]:
@@ -554,33 +488,23 @@ def _hanging_past(motion: Motion) -> Iterator[Moving]:
     From above, a cable is on its chord; a hanging one is above or below an object besides.
     """
     for part in phase_parts(motion):
-        drones = cut(part.motion.drones)
-        ends = Enclosed(cable_ends(drones.coefficients))
-        on_ground = part.phase.state is CableState.GROUND
-        for name, each, pose in _placed(part.motion):  # nothing moves them: check support
+        drones, here = cut(part.motion.drones), part.motion
+        ends, names = Enclosed(cable_ends(drones.coefficients)), cable_names(motion)
+        for name, each, pose in _placed(here):  # nothing moves them: check support
             seen = seen_from(Enclosed(pose.c[:1, :, :1]), ends)
             for slab in each.slabs:
-                yield Moving.past(
-                    drones.breaks,
-                    seen.c,
-                    from_above(slab),
-                    margin=float(np.max(seen.r)) + ROUNDING * (magnitude(motion) + slab.size),
-                    lengths=motion.team.cable_length,
-                    names=(cable_names(motion), (name,)),
-                    formula=gap if on_ground else over(slab.upper),
-                    tolerance=TOLERANCE,
-                )
+                lies = part.phase.state is CableState.GROUND
+                formula = gap if lies else partial(over, top=slab.upper)
+                past = _past(here, seen, slab, names, name, formula=formula, tolerance=TOLERANCE)
+                flat, lengths = from_above(slab), motion.team.cable_length
+                yield replace(past, breaks=drones.breaks, shape=flat, lengths=lengths)
 
 
-def over(top: float) -> Callable[[PairSpans], Bound]:
-    """Return the formula of how far hanging cables are off a body, aside of it or above [m]."""
-
-    def formula(spans: PairSpans) -> Bound:
-        aside, higher = gap(spans), above(top)(spans)
-        up = higher.value > aside.value
-        return Bound(np.where(up, higher.value, aside.value), np.where(up, higher.x, aside.x))
-
-    return formula
+def over(spans: PairSpans, top: float) -> Bound:
+    """Return how far hanging cables are off a body, aside of it or above [m]."""
+    aside, higher = gap(spans), hung_gap(spans, Ground(top))
+    up = higher.value > aside.value
+    return Bound(np.where(up, higher.value, aside.value), np.where(up, higher.x, aside.x))
 
 
 OBJECT_CLEARANCE = CheckRule(

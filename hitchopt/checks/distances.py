@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from hitchopt.checks.certificate import within
 from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
 from hitchopt.checks.spans import (
-    Spans,
+    UPWARD,
+    cable_names,
     cable_parts,
     clasped_pairs,
     magnitude,
@@ -40,7 +41,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound
-from hitchopt.trajectory.search import Extremum, Search
+from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
 FEW = 6000
@@ -73,12 +74,12 @@ Allowed = Callable[[Indices, Indices], Flags]
 """Which pairs (first, second) count."""
 
 
+Names = tuple[Sequence[str], Sequence[str]]
+"""Of the bodies of both groups."""
+
+
 class Shape(Protocol):
     """A convex body that stands still."""
-
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
 
     def towards(self, corners: Array) -> Array:
         """Return unit vectors (…, 3) out of it to the nearest point of hulls (…, corners, 3)."""
@@ -89,8 +90,6 @@ class Shape(Protocol):
 
 class _Origin:
     """A point at the origin: what differences of positions are told from."""
-
-    box = np.zeros((2, 3))
 
     def towards(self, corners: Array) -> Array:
         return unit(shortest_offset(corners))
@@ -114,19 +113,23 @@ class Ground:
 
     height: float
 
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
-        return np.array([[-TALL, -TALL, -TALL], [TALL, TALL, self.height]])
-
     def towards(self, corners: Array) -> Array:
         """Return the directions (…, 3) out of it."""
-        return np.broadcast_to([0.0, 0.0, 1.0], (*corners.shape[:-2], 3))
+        return np.broadcast_to(UPWARD, (*corners.shape[:-2], 3))
 
     def support(self, directions: Array) -> Array:
-        """Return how far it reaches (…) [m] along upward directions (…, 3)."""
-        reach: Array = self.height * directions[..., 2]
-        return reach
+        """Return how far it reaches (…) [m] along directions (…, 3), TALL except upward."""
+        x, y, z = np.moveaxis(directions, -1, 0)
+        return np.asarray(
+            TALL * (np.abs(x) + np.abs(y))
+            - TALL * np.minimum(z, 0.0)
+            + self.height * np.maximum(z, 0.0)
+        )
+
+
+def box_of(shape: Shape) -> Array:
+    """Return the lower and upper corner (2, 3) [m] of a box around a shape."""
+    return np.stack([-shape.support(-np.eye(3)), shape.support(np.eye(3))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,16 +161,19 @@ class Moving:
     shape: Shape = ORIGIN
     counted: Flags | None = None
     lengths: Array | None = None
-    names: tuple[Sequence[str], Sequence[str]] = ((), ())
+    names: Names = ((), ())
     swapped: bool = False
     formula: Callable[[PairSpans], Bound] | None = None
     tolerance: float | None = None
     contact: float | None = None
 
     @classmethod
-    def past(cls, breaks: Array, first: Array, shape: Shape, **further: Any) -> Moving:
-        """Return bodies that move past a shape: item ``i`` is the distance of body i to it."""
-        return cls(breaks, first, np.zeros((len(first), 1, 1, 3, 1)), shape=shape, **further)
+    def of(
+        cls, motion: Motion, first: Array, second: Array | None, names: Names, **given: Any
+    ) -> Moving:
+        """Return bodies of a motion; ``given`` as above."""
+        further = {"margin": position_margin(motion)} | given
+        return cls(motion.drones.breaks, first, second, names=names, **further)
 
     def named(self, item: int) -> tuple[str, ...]:
         """Return the names of a pair."""
@@ -215,7 +221,7 @@ class Moving:
         own, others = self.boxes
         a_lower, a_upper = own.take(pairs.first, axis=3)
         b_lower, b_upper = others.take(pairs.second, axis=3)
-        lower, upper = self.shape.box[..., None, None]
+        lower, upper = box_of(self.shape)[..., None, None]
         apart = np.maximum(a_lower - b_upper - upper, b_lower - a_upper + lower)
         np.maximum(apart, 0.0, out=apart)
         gaps: Array = np.sqrt(np.einsum("cpi,cpi->pi", apart, apart))
@@ -235,12 +241,13 @@ class Moving:
         pieces = len(self.first)
         if pieces > 1:
             return self.part(0, pieces // 2), self.part(pieces // 2, pieces)
-        middle = self.breaks.mean(keepdims=True)
-        first, others = bernstein.halve(self.first), bernstein.halve(self.others)
-        breaks = np.append(self.breaks[:1], middle), np.append(middle, self.breaks[1:])
+        (start, end), middle = self.breaks, self.breaks.mean()
+        seconds = (None, None) if self.second is None else bernstein.halve(self.second)
         one, other = (
-            replace(self, breaks=t, first=a, second=None if self.second is None else b)
-            for t, a, b in zip(breaks, first, others, strict=True)
+            replace(self, breaks=np.array(t), first=a, second=b)
+            for t, a, b in zip(
+                ((start, middle), (middle, end)), bernstein.halve(self.first), seconds, strict=True
+            )
         )
         return one, other
 
@@ -258,9 +265,7 @@ class Moving:
 def body_boxes(corners: Array, lengths: Array | None = None) -> Array:
     """Return boxes (2, 3, pieces, bodies) around corners (pieces, bodies, k, 3, degree + 1) [m].
 
-    Parameters
-    ----------
-    lengths: (bodies,) [m] of cables that hang between two corners.
+    Of cables of ``lengths`` (bodies,) [m] that hang between two of them, if given.
     """
     each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
     found = np.stack([each.min(axis=0), each.max(axis=0)])
@@ -320,9 +325,7 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
 def smallest(moving: Moving, **options: float) -> Extremum:
     """Return the smallest distance of all pairs that count; infinite, item -1, where none does.
 
-    Parameters
-    ----------
-    options: of ``Search``.
+    The ``options`` are of ``Search``.
     """
     search: Search[PairSpans] = Search(moving.formula or gap, "min", **options)
     for spans in near(moving, lambda: search.attained):
@@ -399,7 +402,7 @@ def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> It
 def _indexed(moving: Moving, attained: Callable[[], float], depth: int) -> Iterator[PairSpans]:
     """Yield the spans of pairs that a spatial index lists, of which there are not too many."""
     yield from _neighbours(moving)
-    reach = moving.cutoff(attained()) + float(np.max(np.linalg.norm(moving.shape.box, axis=-1)))
+    reach = moving.cutoff(attained()) + float(np.max(np.linalg.norm(box_of(moving.shape), axis=-1)))
     own, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
     second = None if moving.second is None else others
     single, moves = len(moving.first) == 1, np.median(own.sizes) > 0.25 * reach
@@ -419,15 +422,15 @@ def _neighbours(moving: Moving) -> Iterator[PairSpans]:
 
     middle = len(moving.first) // 2
     part = moving.part(middle, middle + 1)
-    centres = [boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes]
-    _, j = cKDTree(centres[1]).query(centres[0], k=min(NEIGHBOURS, moving.count))
-    j = np.asarray(j, dtype=np.intp).reshape(len(centres[0]), -1)
+    own, others = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
+    found = cKDTree(others).query(own, k=min(NEIGHBOURS, moving.count))[1]
+    j = np.asarray(found, dtype=np.intp).reshape(len(own), -1)
     pairs = Pairs(np.repeat(np.arange(len(j)), j.shape[1]), j.ravel())
     if moving.second is None:
         pairs = pairs.take(pairs.first < pairs.second)
     pairs = moving.chosen(pairs)
-    chosen = pairs.take(np.argsort(part.gaps(pairs)[0], kind="stable")[:SEEDS])
-    item = chosen.first * moving.count + chosen.second
+    pairs = pairs.take(np.argsort(part.gaps(pairs)[0], kind="stable")[:SEEDS])
+    item = pairs.first * moving.count + pairs.second
     yield part.spans(np.zeros_like(item), item).at(np.full(len(item), 0.5))
 
 
@@ -450,13 +453,11 @@ SEPARATION = CheckRule(
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
     (Finder(SEPARATED, exported=True, shown=(gap, distance)),),
-    "give the drones longer legs (a longer cable or a smaller polygon), "
-    "other leg lengths, or a smaller separation.radius",
+    "give the drones other leg lengths (of a longer cable or a smaller polygon), "
+    "or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
     Ease.LENGTH,
-    far_remedy="use other leg lengths, another cable length or polygon, "
-    "or a smaller separation.radius",
 )
 """No two drones' ellipsoids meet."""
 
@@ -472,16 +473,10 @@ def cable_ends(drones: Array) -> Array:
     return drones.reshape(len(drones), -1, 2, *drones.shape[-2:])
 
 
-def cable_names(motion: Motion) -> Sequence[str]:
-    """Return the cables' names."""
-    return [f"cable {k}" for k in range(motion.team.robots)]
-
-
 def _taut(motion: Motion) -> Iterator[Moving]:
     """Yield the pairs of parts that share no clasp.
 
-    The two legs of one cable count among them: they cross where both pass a star tip. All parts of
-    a chain of two cables share its one clasp: nothing is counted then.
+    The two legs of one cable count among them: they cross where both pass a star tip.
     """
     corners, part = cable_parts(motion)
     ends, names = part_points(part, motion.team.layout), [part_name(p) for p in part]
@@ -490,29 +485,19 @@ def _taut(motion: Motion) -> Iterator[Moving]:
         shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
         return ~shared
 
-    yield _apart(motion, corners, names, unclasped)
+    yield Moving.of(motion, corners, None, (names, names), allowed=unclasped)
 
 
-def _hanging(motion: Motion) -> Iterator[Moving]:
+def _hanging(motion: Motion, allowed: Allowed | None = None) -> Iterator[Moving]:
     """Yield all pairs of cables from above: there they are on their chords."""
-    yield _apart(motion, cable_ends(plan_points(motion)), cable_names(motion), None)
+    names = cable_names(motion)
+    yield Moving.of(motion, cable_ends(plan_points(motion)), None, (names, names), allowed=allowed)
 
 
 def _clasped(motion: Motion) -> Iterator[Moving]:
     """Yield the same of cables that share no clasp."""
     layout = motion.team.layout
-
-    def strangers(i: Indices, j: Indices) -> Flags:
-        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
-
-    yield from (replace(each, allowed=strangers) for each in _hanging(motion))
-
-
-def _apart(
-    motion: Motion, segments: Array, names: Sequence[str], allowed: Allowed | None
-) -> Moving:
-    margin, breaks = position_margin(motion), motion.drones.breaks
-    return Moving(breaks, segments, margin=margin, allowed=allowed, names=(names, names))
+    yield from _hanging(motion, lambda i, j: ~np.isin(pair_of(layout, i, j), clasped_pairs(layout)))
 
 
 CROSSING = CheckRule(

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Self
 
 import numpy as np
@@ -22,7 +23,6 @@ from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
     MotionSpans,
-    Spans,
     derivative_margin,
     leg_vectors,
     magnitude,
@@ -38,7 +38,7 @@ from hitchopt.motion.loads import leg_tensions, lowered, tautness
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
-from hitchopt.trajectory.search import Extremum, worst
+from hitchopt.trajectory.search import Extremum, Spans, worst
 from hitchopt.values import Array
 
 EXPORTED = -1e-4
@@ -65,13 +65,20 @@ def tensions_of_legs(motion: Motion) -> Array:
 
 
 @shared
-def leg_sags(motion: Motion) -> dict[str, Array]:
-    """Return half of the weight per length of legs [N/m] and their tension [N].
+def edge_sags(motion: Motion) -> list[Array]:
+    """Return half of the weight per length of cables [N/m] and their tension [N], (pieces, n, …).
 
     Without the factor that both share where they rise from zero: it cancels in their ratio.
     """
+    half = 0.5 * GRAVITY * motion.team.cable_density * tautness(motion)
+    return without_shared_zeros([half, motion.tensions.coefficients])
+
+
+@shared
+def leg_sags(motion: Motion) -> list[Array]:
+    """Return the same of legs (pieces, 2n, …)."""
     half = 0.5 * GRAVITY * motion.team.cable_density * taut_shares(motion)
-    return without_shared_zeros({"half": [half], "tension": [leg_tensions(motion)]})
+    return without_shared_zeros([half, leg_tensions(motion)])
 
 
 @shared
@@ -87,10 +94,7 @@ class Drones(MotionSpans):
 
     moving = True
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the drones' names."""
-        return motion.team.drone_names
+    names = staticmethod(attrgetter("team.drone_names"))
 
     def moved(self, order: int) -> Enclosed:
         """Return a derivative of the position by time."""
@@ -124,8 +128,7 @@ class Drones(MotionSpans):
     @cached_property
     def sag(self) -> Enclosed:
         """[1/m] Half of the leg's weight per length over its tension."""
-        tables = leg_sags(self.source)
-        half, tension = (Enclosed(self.read(tables[name])) for name in ("half", "tension"))
+        half, tension = self.scalars(leg_sags(self.source))
         return (half * tension.inverse).reduced(ORDER)
 
     @cached_property
@@ -189,7 +192,7 @@ class Drones(MotionSpans):
             found = found + (self.leg.norm * self.taut_weight).upward()
         if self.hangs:
             inward, downward = self.pull_terms
-            found = found - self._pulled(self.partner, inward, downward, self.slack_weight)
+            found = found - _pulled(self.partner, inward, downward, self.slack_weight)
             found = found + (self.slack_weight * self.length[:, None]).upward()
         return found
 
@@ -198,11 +201,6 @@ class Drones(MotionSpans):
         """1/σ and coth σ, which fall with σ."""
         low, high = pull_terms(self.steepness.high), pull_terms(self.steepness.low)
         return Interval(low[0], high[0]), Interval(low[1], high[1])
-
-    @staticmethod
-    def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
-        """Return ``w (k x, k y, l z)`` of an offset."""
-        return vector(offset.level * inward.enclosed, offset[2] * downward.enclosed) * w
 
     @cached_property
     def thrust(self) -> Enclosed:
@@ -259,9 +257,9 @@ class Drones(MotionSpans):
             falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
         )
         weight = self.slack_weight
-        lost = self._pulled(self.partner, inward, downward, -gained)
-        lost = lost + self._pulled(moved, inward, downward, weight)
-        lost = lost + self._pulled(self.partner, *change, weight)
+        lost = _pulled(self.partner, inward, downward, -gained)
+        lost = lost + _pulled(moved, inward, downward, weight)
+        lost = lost + _pulled(self.partner, *change, weight)
         return -lost - (gained * self.length[:, None]).upward()
 
     @cached_property
@@ -274,6 +272,11 @@ class Drones(MotionSpans):
         return found * f.inverse_norm
 
 
+def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
+    """Return ``w (k x, k y, l z)`` of an offset."""
+    return vector(offset.level * inward.enclosed, offset[2] * downward.enclosed) * w
+
+
 class Hovering(Drones):
     """Spans of drones that hover where they fly."""
 
@@ -283,10 +286,7 @@ class Hovering(Drones):
 class Points(MotionSpans):
     """Spans of the hitch's points."""
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the points' names."""
-        return motion.team.point_names
+    names = staticmethod(attrgetter("team.point_names"))
 
     def moved(self, order: int) -> Enclosed:
         """Return a derivative of the position by time."""
@@ -319,7 +319,7 @@ def tilt(spans: Drones) -> Bound:
     return Bound(np.degrees(np.arctan2(aside, rise)), most.x)
 
 
-def _turning(spans: Drones) -> Bound:
+def turning_rate(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
     found, known = spans.turning.norm_above, np.isfinite(spans.thrust.inverse_norm.r)
     return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
@@ -336,15 +336,8 @@ FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
 def _rate_rule(
     name: str, unit: str, order: int, over: type[Drones] | type[Points] = Drones
 ) -> CheckRule:
-    """Return the rule that holds the norm of a derivative against ``Limits.name``.
-
-    Of acceleration and jerk, plans use the share ``Limits.reserve``.
-    """
-
-    def limit_of(motion: Motion) -> float:
-        limit: float = getattr(motion.requirements.limits.planned, name)
-        return limit
-
+    """Return the rule that holds the norm of a derivative against ``Limits.planned.name``."""
+    limit_of = attrgetter(f"requirements.limits.planned.{name}")
     find = Searched(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
     finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
@@ -359,13 +352,13 @@ JERK = _rate_rule("jerk", "m/s³", 3)
 VERTEX_SPEED = _rate_rule("vertex_speed", "m/s", 1, Points)
 
 
-def _used(spans: Drones) -> Bound:
+def used_thrust(spans: Drones) -> Bound:
     """Return the thrust over the drone's ``max_thrust``."""
     thrust = spans.thrust.norm_above
     return Bound(thrust.value / spans.source.team.max_thrust[spans.item], thrust.x)
 
 
-USED_THRUST = Searched(Drones, _used, "max", share=lambda motion: motion.team.max_thrust)
+USED_THRUST = Searched(Drones, used_thrust, "max", share=lambda motion: motion.team.max_thrust)
 
 THRUST = CheckRule(
     "thrust",
@@ -401,7 +394,7 @@ BODY_RATE = CheckRule(
     lambda motion: (
         None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
     ),
-    (Finder(Searched(Drones, _turning, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
+    (Finder(Searched(Drones, turning_rate, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
     ease=Ease.TIME,
     derivative=3,
@@ -429,29 +422,26 @@ ARENA = CheckRule(
 )
 
 
-class Legs(Drones):
-    """Spans of the drones that hang on a leg, called by it."""
+def leg_names(motion: Motion) -> Sequence[str]:
+    """Return the legs' names."""
+    return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the legs' names."""
-        return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
+
+class Legs(MotionSpans):
+    """Spans of legs, those of a chain's ends left out."""
+
+    names = staticmethod(leg_names)
 
     @classmethod
     def spread(cls, motion: Motion) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every drone with a leg."""
+        """Yield the spans of whole pieces of every leg."""
         on = np.tile(motion.team.layout.has_leg.ravel(), (motion.drones.pieces, 1))
         return cls.all_of(motion, motion.drones.breaks, motion.team.drones, on)
 
-    @cached_property
-    def leg(self) -> Enclosed:
-        """The vector from its vertex to the drone [m]."""
-        return Enclosed(self.read(leg_vectors(self.source)), self.noise)
-
 
 def _length(spans: Legs) -> Bound:
-    """Return the leg's length [m]."""
-    return spans.leg.norm_below
+    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m]."""
+    return Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
 
 
 LEGS = CheckRule(
@@ -496,7 +486,7 @@ def largest_rate(
 
 def largest_static_thrust(motion: Motion) -> float:
     """Return the largest thrust at rest over ``max_thrust``, for all t."""
-    return worst(Hovering.of(motion), _used, "max").worst
+    return worst(Hovering.of(motion), used_thrust, "max").worst
 
 
 def largest_static_tilt(motion: Motion) -> float:

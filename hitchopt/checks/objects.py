@@ -27,7 +27,6 @@ from hitchopt.checks.spans import (
     concatenated,
     leg_vectors,
     magnitude,
-    position_margin,
     shared,
 )
 from hitchopt.geometry.vectors import unit
@@ -120,14 +119,7 @@ class Held(MotionSpans):
     @cached_property
     def pose(self) -> Enclosed:
         """x, y, z [m], cosine and sine of yaw."""
-        poses = self.source.object_poses.coefficients
-        return Enclosed(self.read(poses), position_margin(self.source))
-
-    @cached_property
-    def centre(self) -> Enclosed:
-        """The centre of mass [m]."""
-        path = centres(self.source).coefficients
-        return Enclosed(self.read(path), position_margin(self.source))
+        return Enclosed(self.read(self.source.object_poses.coefficients), self.noise)
 
     @cached_property
     def pushed(self) -> Enclosed:
@@ -161,13 +153,19 @@ class Gripped(Held):
     @cached_property
     def corners(self) -> list[Enclosed]:
         """Each of ``bends`` (spans, n) [m]."""
-        return _corners(self.of_items(bends(self.source)), position_margin(self.source))
+        return _corners(self.of_items(bends(self.source)), self.noise)
 
     @cached_property
     def ways(self) -> tuple[Enclosed, Enclosed]:
         """Straight parts of edges, before and behind the object (spans, n) [m]."""
         start, first, last, end = self.corners
         return first - start, end - last
+
+    @cached_property
+    def legs(self) -> list[Enclosed]:
+        """All q-legs and all r-legs (spans, n) [m]."""
+        legs = self.of_items(leg_vectors(self.source))
+        return [Enclosed(legs[:, i::2], self.noise) for i in (0, 1)]
 
     @cached_property
     def tension(self) -> Enclosed:
@@ -181,9 +179,8 @@ class Gripped(Held):
         if half == 0.0:
             return self.tension
         taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
-        legs = self.of_items(leg_vectors(self.source))
-        q, r = (Enclosed(legs[:, i::2], self.noise).norm for i in (0, 1))
-        edge = Enclosed(self.source.team.cable_length[:, None, None]) - q - r
+        q, r = self.legs
+        edge = Enclosed(self.source.team.cable_length[:, None, None]) - q.norm - r.norm
         found: Enclosed = chord_pull(self.tension, taut * half, edge * edge)
         return found
 
@@ -193,9 +190,7 @@ class Gripped(Held):
 
         ``T_k`` is the least pull of cable k's legs, less what friction takes where it is clasped.
         """
-        before, behind = self.ways
-        legs = self.of_items(leg_vectors(self.source))
-        q, r = (Enclosed(legs[:, i::2], self.noise) for i in (0, 1))
+        (before, behind), (q, r) = self.ways, self.legs
         clasped = np.maximum(_angles(-q, before).high, _angles(-r, -behind).high)
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         pulls = np.minimum(pulls[:, 0::2], pulls[:, 1::2])
@@ -254,9 +249,7 @@ def spare_friction(motion: Motion, index: int) -> Array:
 def _slipping(motion: Motion, limit: float) -> Finding:
     """Return the smallest ratio of slip load to load, while the load is borne.
 
-    Level forces are not held by friction but by where edges bend (check ``equilibrium``). What
-    contradicts the phases counts as minus infinity: an edge that bends where nothing is gripped, or
-    that is not on the section of what is.
+    It is minus infinity where an edge bends with nothing gripped, or is off the section of what is.
     """
     best = Finding(math.inf, 0.0)
     lost = np.any(~_straight(*_corners(bends(motion))), axis=1)
@@ -304,9 +297,8 @@ def _straight(start: Enclosed, first: Enclosed, last: Enclosed, end: Enclosed) -
 def _misplaced(spans: Gripped) -> Mask:
     """Return (spans,) which contradict that edges are wrapped around an object.
 
-    Seen from the object, every edge is straight or touches its section at both of its contacts, all
-    of the section is on its right, and it turns to the right by less than half a turn. Contacts are
-    at one height, on the body.
+    Every edge is straight or touches the section at both contacts, which are at one height, all of
+    the section is on its right, and it turns to the right by less than half a turn.
     """
     body, section = spans.body, spans.body.section
     seen = [seen_from(spans.pose, corner) for corner in spans.corners]
@@ -363,10 +355,9 @@ def unbalanced(motion: Motion) -> Finding:
 def lacking(spans: Gripped, *, stands: bool) -> Bound:
     """Return what an object lacks, over the least tension; infinite where none holds it.
 
-    Of an object off its support all of ``Σ P_k (b̂_k - â_k) - m (a + g ẑ)`` counts, and moments
-    about the vertical too; the moment that accelerates its turning there is left to friction (check
-    ``grip``). Of one that stands, in part at least, the share of its weight that is borne counts,
-    and level forces beyond what friction with its support takes.
+    Off its support all of ``Σ P_k (b̂_k - â_k) - m (a + g ẑ)`` counts, and moments about the
+    vertical. Of an object that stands the borne share of its weight counts, and level forces beyond
+    what friction with its support takes.
     """
     body = spans.body
     weight = spans.share.upward() * GRAVITY
@@ -378,7 +369,7 @@ def lacking(spans: Gripped, *, stands: bool) -> Bound:
         found = np.maximum(level, force[2].norm_above.value)
     else:
         _, first, last, _ = spans.corners
-        centre = for_each(spans.centre)
+        centre = for_each(Enclosed(spans.read(centres(spans.source).coefficients), spans.noise))
         moment = ((last - centre).cross(behind) - (first - centre).cross(before)).sum()
         turning = moment.norm_above.value / body.section.circumradius
         found = np.maximum(force.norm_above.value, turning)
@@ -420,30 +411,21 @@ def _sides(section: Section, contacts: Array) -> Array:
 def arc_lengths(rows: Array) -> Enclosed:
     """Return the lengths of arcs (…) [m], given ``wrapped_arcs`` of them (…, 5, degree + 1).
 
-    On a circle of radius R the arc over a chord s is ``2 R asin(s / 2R)``: its Taylor polynomial
-    about the middle of the range of s. Between corners of a polygon arcs are sums of its sides.
+    On a circle of radius R the arc over a chord s is ``2 R asin(s / 2R)``: its tangent at the
+    middle of the range of s. Between corners of a polygon arcs are sums of its sides.
     """
-    radius, sides = rows[..., 3, 0], rows[..., 4, 0]
-    on_circle = radius > 0.0
-    size = np.where(on_circle, 2.0 * radius, 1.0)
+    width, sides = 2.0 * rows[..., 3, 0], rows[..., 4, 0]
+    size = np.where(width > 0.0, width, 1.0)
     chord = Enclosed(rows[..., :3, :]).norm * (1.0 / size)[..., None]
-    between = chord.range
-    middle, most = (
-        np.clip(0.5 * (between.low + between.high), 0.0, 1.0),
-        np.minimum(between.high, 1),
-    )
-    with np.errstate(all="ignore"):
+    low, high = (np.clip(end, 0.0, 1.0) for end in (chord.range.low, chord.range.high))
+    middle = 0.5 * (low + high)
+    with np.errstate(divide="ignore", invalid="ignore"):
         slope = (1.0 - middle**2) ** -0.5
-        bend = 0.5 * middle * slope**3
-        third = (1.0 + 2.0 * most**2) * (1.0 - most**2) ** -2.5  # asin''' grows with its argument
-        error = size * third * (0.5 * (between.high - between.low)) ** 3 / 6.0
-    known = on_circle & np.isfinite(slope) & np.isfinite(error)
-    slope, bend, arc = (
-        np.where(known, x, 0.0)[..., None] for x in (slope, bend, np.arcsin(middle))
-    )
-    away = chord - middle[..., None]
-    found = (away * slope + away * away * bend + arc) * size[..., None] + sides[..., None]
-    return found.widened(np.where(known, error, np.where(on_circle, np.inf, 0.0)))
+        error = 0.125 * (high - low) ** 2 * high * (1.0 - high**2) ** -1.5  # asin'' grows
+    known = (width > 0.0) & np.isfinite(error)
+    slope, arc = (np.where(known, x, 0.0)[..., None] for x in (slope, np.arcsin(middle)))
+    found = ((chord - middle[..., None]) * slope + arc) * width[..., None] + sides[..., None]
+    return found.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
 
 
 SETTLED = 1e-4
@@ -493,39 +475,34 @@ def force_line(spans: Resting) -> Bound:
 def _force_lines(motion: Motion, _: float) -> Finding:
     """Return the smallest distance of a force line to the edge of its supports [m].
 
-    What contradicts the phases' holds counts as minus infinity: an object that moves, or is borne
-    in part, where nothing holds it; one off the ground that is not borne as a whole; clasps of a
-    hold that are above the rim, or not around the body; clasps that bear it and are not at the rim,
-    beside the body and at one place; an acceleration at which it would slide off them. ``where``
-    names the object.
+    It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
+    and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
     """
-    objects = motion.requirements.objects.items()
-    found = [_of_object(motion, i, name, body) for i, (name, body) in enumerate(objects)]
-    return min(found, key=lambda each: each.worst)
-
-
-def _of_object(motion: Motion, index: int, name: str, body: SolidObject) -> Finding:
-    """Return what is found of one object."""
-    pose = motion.object_poses.coefficients[:, index]
-    share = motion.object_shares.coefficients[:, index]
-    moving = np.any(np.ptp(pose, axis=-1) > STILL, axis=-1)
-    whole = np.all(share == 1.0, axis=-1)
-    carried = moving | np.any(share != 0.0, axis=-1)
-    resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-    lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
-    lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
-    lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
-    if body.rim is None or not motion.team.layout.closed:
-        lost |= resting
-    else:
-        for spans in Resting.of_object(motion, index, resting):
-            lost[spans.piece] |= _apart(spans)
-        for spans in Resting.of_object(motion, index, resting & carried):
-            lost[spans.piece] |= _out_of_place(spans)
-    if np.any(lost):
-        return Finding(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))]), (name,))
-    found = worst(Resting.of_object(motion, index, resting & carried & whole), force_line, "min")
-    return Finding(found.worst, found.time, (name,), magnitude(motion))
+    best, begins = Finding(math.inf, 0.0, size=magnitude(motion)), motion.drones.breaks
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        share = motion.object_shares.coefficients[:, index]
+        moving = np.any(np.ptp(motion.object_poses.coefficients[:, index], axis=-1) > STILL, -1)
+        whole = np.all(share == 1.0, axis=-1)
+        carried = moving | np.any(share != 0.0, axis=-1)
+        resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
+        lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
+        lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
+        lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
+        if body.rim is None or not motion.team.layout.closed:
+            lost |= resting
+        else:
+            for spans in Resting.of_object(motion, index, resting):
+                lost[spans.piece] |= _apart(spans)
+            for spans in Resting.of_object(motion, index, resting & carried):
+                lost[spans.piece] |= _out_of_place(spans)
+        if np.any(lost):
+            found = Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,))
+        else:
+            parts = Resting.of_object(motion, index, resting & carried & whole)
+            least = worst(parts, force_line, "min")
+            found = Finding(least.worst, least.time, (name,), magnitude(motion))
+        best = min(best, found, key=lambda each: each.worst)
+    return best
 
 
 def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
@@ -544,11 +521,7 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
 
 
 def _apart(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are above a rim, or not around the body.
-
-    They are around it all of a piece if they are when it begins: edges do not enter the body (check
-    ``object_clearance``).
-    """
+    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins."""
     above = Enclosed(spans.clasps.c)[2].above.value > spans.rim.height + SETTLED
     edges = np.roll(spans.places, -1, axis=1) - spans.places
     to = spans.body.section.centroid - spans.places
@@ -558,11 +531,7 @@ def _apart(spans: Resting) -> Mask:
 
 
 def _out_of_place(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are not below the rim, beside the body and at one place.
-
-    Those that bear all of it are as far below as ``rim_drop`` says, while weight passes to them or
-    back at most so far; a clasp accelerates no more than friction carries the rim along.
-    """
+    """Return (spans,) where clasps are not below the rim, by ``rim_drop``, or it slides off."""
     motion, body, rim, places = spans.source, spans.body, spans.rim, spans.places
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]

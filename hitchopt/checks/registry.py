@@ -1,18 +1,19 @@
-"""All checks, in the order in which a certificate lists them."""
+"""All checks, in the order in which a certificate lists them, and certificates made of them."""
 
 from __future__ import annotations
 
-from hitchopt.checks import (
-    cables,
-    clasps,
-    clearance,
-    distances,
-    drones,
-    objects,
-    stops,
-    tracking,
-)
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
+from hitchopt.checks.certificate import Certificate, Check, most_pressing
+from hitchopt.checks.rule import Found, ReportRule
+from hitchopt.checks.spans import shared_values
 from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
+from hitchopt.checks.tracking import GAMMA
+from hitchopt.errors import InputError
+from hitchopt.motion.motion import Motion
+from hitchopt.values import instance, not_negative, sequence
 
 RULES = (
     distances.SEPARATION,
@@ -47,3 +48,85 @@ REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
+
+
+def certify(
+    motion: Motion,
+    progress: Callable[[str], None] | None = None,
+    gamma: float = GAMMA,
+    *,
+    part: bool = False,
+    reports: Sequence[ReportRule] = REPORTS,
+) -> Certificate:
+    """Check what flies for all of its time.
+
+    No quantity passes its ``worst`` at any t; it comes within ``1e-4`` of it, relative, or ``2e-7``
+    in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin:
+    ``2**-40`` of the largest numbers that enter, and for derivatives ``derivative_margin``. A
+    motion that is degenerate somewhere (two drones at one place, a cable without tension) fails the
+    checks concerned.
+
+    Parameters
+    ----------
+    motion: the plan.
+    progress: called with the name of every check as it starts, and how many are done.
+    gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
+    part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
+    reports: that are made after the checks; others than the usual ones where time is short.
+
+    Raises
+    ------
+    InputError: a gamma that is negative or not finite.
+    """
+    instance("motion", motion, Motion)
+    gamma = not_negative("gamma", gamma)
+    for i, report in enumerate(reports := sequence("reports", reports)):
+        if not isinstance(report, ReportRule):
+            raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
+    found = dict[str, Sequence[Found]]()
+    reports = [report for report in reports if not (part and report.whole)]
+    names = [rule.name for rule in RULES if progress and rule.limit_of(motion) is not None]
+    names += [report.name for report in reports]
+
+    def tell(name: str) -> None:
+        if progress is not None and name in names:
+            progress(f"{name}, {names.index(name)} of {len(names)}")
+
+    with shared_values():
+        for rule in RULES:
+            tell(rule.name)
+            found[rule.name] = rule.findings(motion)
+        checks = [most_pressing(each.check for each in spans) for spans in found.values() if spans]
+        for report in reports:
+            tell(report.name)
+            checks.append(report.check(motion, found, gamma))
+    return Certificate(motion.duration, tuple(check for check in checks if check is not None))
+
+
+def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
+    """Return what ``certify`` says of a joined motion, given what it has said of its parts.
+
+    A bound for all of the time is the worst of the bounds for its spans: joining changes
+    coefficients by units in the last place, far less than the margins in every ``worst``. Rules of
+    the ``whole`` are applied anew; where a single part has no joints, only duration and stops.
+
+    Parameters
+    ----------
+    motion: of the parts one after the other, each from where the last one ends.
+    parts: their certificates, whatever they say of the duration.
+    """
+    begin = float(motion.drones.breaks[0])
+    found: dict[str, list[Check]] = {rule.name: [] for rule in (*RULES, *REPORTS)}
+    for part in parts:
+        for check in part.checks:
+            found[check.name].append(replace(check, time=begin + check.time))
+        begin += part.duration
+    joints = len(parts) > 1
+    checks = []
+    for rule in RULES:
+        anew = rule.whole and (joints or rule is DURATION)
+        checks.append(rule.check(motion) if anew else most_pressing(found[rule.name]))
+    for report in REPORTS:
+        known = most_pressing(found[report.name])
+        checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
+    return Certificate(motion.duration, tuple(check for check in checks if check is not None))

@@ -131,7 +131,6 @@ class CheckRule:
         nothing where the one below jumps, and slower motion eases whatever has one.
     whole: whether a joined motion has to be checked anew, its parts not telling of the joints.
     exported_limit: holds for exported curves in place of the limit.
-    far_remedy: the remedy for bodies of a hitch that share no clasp, where it differs.
     """
 
     name: str
@@ -145,7 +144,6 @@ class CheckRule:
     derivative: int = 0
     whole: bool = False
     exported_limit: float | None = None
-    far_remedy: str = ""
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None where the rule has nothing to check in it."""

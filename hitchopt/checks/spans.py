@@ -9,21 +9,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, wraps
 from math import perm
-from typing import Any, Self, TypeVar, cast
+from typing import Any, NamedTuple, Self, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.loads import lowered
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.trajectory.search import BATCH
+from hitchopt.trajectory.search import BATCH, Spans
 from hitchopt.values import Array, Indices
 
 ROUNDING = 2.0**-40
@@ -104,21 +103,16 @@ def position_margin(motion: Motion) -> float:
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     """Return the margin (pieces, items) of the norm of a derivative by time, of order 1 or more.
 
-    The k-th differences of the coefficients amplify what the first ones err by, 2^(k-1) times,
-    and N!/(N-k)! / h^k times that is the derivative.
+    It is ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference of neighbouring coefficients,
+    for the k-th of degree N on a piece of h seconds, and ``2**-40`` of the derivative itself.
     """
     c = part.coefficients
     if part.degree == 0:
         return np.zeros(c.shape[:2])
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
     size = _largest(part.differentiated(order).coefficients)
-    margin: Array = (LAST_PLACE * gain)[:, None] * _steps(part) + ROUNDING * size
+    margin: Array = (LAST_PLACE * gain)[:, None] * _largest(np.diff(c)) + ROUNDING * size
     return margin
-
-
-@shared
-def _steps(part: PiecewisePolynomial) -> Array:
-    return _largest(part.coefficients[..., 1:] - part.coefficients[..., :-1])
 
 
 def _largest(coefficients: Array) -> Array:
@@ -137,109 +131,13 @@ def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     return slope
 
 
-class Spans:
-    """Spans of time within pieces, each that of one item.
-
-    Parameters
-    ----------
-    source: what the polynomials are of.
-    breaks: (pieces + 1,) [s]
-    piece, item: (spans,)
-    extent: (2, spans), the parts of their pieces from and to which they go; None of whole pieces.
-    points: whether the spans have no length.
-    """
-
-    def __init__(
-        self,
-        source: Any,
-        breaks: Array,
-        piece: Indices,
-        item: Indices,
-        extent: Array | None = None,
-        *,
-        points: bool = False,
-    ) -> None:
-        self.source, self.breaks, self.piece, self.item = source, breaks, piece, item
-        self.whole, self.points = extent is None, points
-        self.extent = np.repeat([[0.0], [1.0]], len(item), axis=1) if extent is None else extent
-
-    def __len__(self) -> int:
-        return len(self.item)
-
-    @classmethod
-    def all_of(
-        cls, source: Any, breaks: Array, items: int, on: NDArray[np.bool_] | None = None
-    ) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every item, in batches.
-
-        Parameters
-        ----------
-        on: (pieces,) or (pieces, items), which of them; None for all.
-        """
-        here = np.ones((len(breaks) - 1, items), dtype=np.bool_)
-        if on is not None:
-            here &= on.reshape(len(here), -1)
-        piece, item = np.nonzero(here)
-        for first in range(0, len(item), BATCH):
-            part = slice(first, first + BATCH)
-            yield cls(source, breaks, piece[part], item[part])
-
-    def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
-        chosen = self.piece[index], self.item[index]
-        return type(self)(self.source, self.breaks, *chosen, extent, points=points)
-
-    def take(self, index: Indices | NDArray[np.bool_] | slice) -> Self:
-        """Return the chosen spans."""
-        extent = None if self.whole else self.extent[:, index]
-        return self._like(index, extent, points=self.points)
-
-    def halves(self) -> Self:
-        """Return all first halves, then all second halves."""
-        (lower, upper), twice = self.extent, np.tile(np.arange(len(self)), 2)
-        middle = 0.5 * (lower + upper)
-        return self._like(twice, np.concatenate([[lower, middle], [middle, upper]], axis=1))
-
-    def at(self, x: Array) -> Self:
-        """Return the points at x (spans,), from 0 to 1."""
-        place = self.extent[0] + x * (self.extent[1] - self.extent[0])
-        return self._like(slice(None), np.stack([place, place]), points=True)
-
-    def times(self, x: Array) -> Array:
-        """Return the times at x (spans,) [s]."""
-        (lower, upper), begin = self.extent, self.breaks[self.piece]
-        durations = self.breaks[self.piece + 1] - begin
-        times: Array = begin + (lower + x * (upper - lower)) * durations
-        return times
-
-    def read(self, table: Array, item: Indices | None = None) -> Array:
-        """Return polynomials (spans, …, degree + 1) on the spans.
-
-        Parameters
-        ----------
-        table: (pieces, items, …, degree + 1), coefficients on whole pieces.
-        item: (spans,) or (spans, k), whose; the spans' own by default.
-        """
-        item = self.item if item is None else item
-        c = table[self.piece if item.ndim == 1 else self.piece[:, None], item]
-        if self.whole or c.shape[-1] == 1:
-            return c
-        if self.points:
-            weights = bernstein.basis(self.extent[0], c.shape[-1] - 1)
-            values: Array = np.einsum("s...i,si->s...", c, weights)
-            return values[..., None]
-        lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
-        return bernstein.restrict(c, lower, upper)
-
-
 class MotionSpans(Spans):
     """Spans of one kind of item of a motion."""
 
     source: Motion
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the items' names."""
-        raise NotImplementedError
+    names: Callable[[Motion], Sequence[str]]
+    """The items' names."""
 
     @classmethod
     def of(cls, motion: Motion) -> Iterable[Self]:
@@ -259,10 +157,9 @@ class MotionSpans(Spans):
     def _shared(cls, motion: Motion) -> tuple[Self, ...]:
         return tuple(cls.spread(motion))
 
-    @cached_property
-    def noise(self) -> float:
-        """[m] What rounding adds to differences of positions."""
-        return position_margin(self.source)
+    def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
+        """Return scalars of tables (pieces, items, degree + 1), exact as given."""
+        return [Enclosed(self.read(table)[:, None]) for table in tables]
 
     def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
         """Return the derivative by time of points of a part, rounding included."""
@@ -270,8 +167,18 @@ class MotionSpans(Spans):
         derivative = once(part, PiecewisePolynomial.differentiated, order)
         return Enclosed(self.read(derivative.coefficients), margin)
 
+    @cached_property
+    def noise(self) -> float:
+        """[m] What rounding adds to differences of positions."""
+        return position_margin(self.source)
+
 
 PART_NAMES = ("q-leg", "edge", "r-leg")
+
+
+def cable_names(motion: Motion) -> Sequence[str]:
+    """Return the cables' names."""
+    return [f"cable {k}" for k in range(motion.team.robots)]
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
@@ -311,10 +218,9 @@ def concatenated(parts: Sequence[Array], axis: int) -> Array:
 
 
 def bent_edges(motion: Motion) -> tuple[Array, Array]:
-    """Return what edges are at both of their ends, each (pieces, n, 3, N+1) [m].
+    """Return the straight parts of edges at ``p_k`` and at ``p_{k+1}`` (pieces, n, 3, N+1) [m].
 
-    Edge k leaves ``p_k`` along the first and arrives at ``p_{k+1}`` along the second: up to where
-    it is wrapped around an object, or the whole edge where all are straight.
+    Up to where they are wrapped around an object, or the whole edge where all are straight.
     """
     if motion.contacts is None:
         edges = edge_vectors(motion)
@@ -329,8 +235,7 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
 def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     """Return the cable parts as segments (pieces, bodies, 2, 3, N+1) [m], and which each is.
 
-    They have the order of ``Layout.parts``. An edge that is wrapped around an object has three
-    segments: what is straight of it, and between the chord of its arc, which is on the object.
+    An edge that is wrapped around an object has three: its straight parts and the arc's chord.
     """
     drones, vertices = positions(motion)
     layout, kinds = motion.team.layout, [0, 1, 2]
@@ -376,30 +281,16 @@ def same_degree(*parts: Array) -> list[Array]:
     return [bernstein.elevate(part, order) for part in parts]
 
 
-def without_shared_zeros(parts: dict[str, list[Array]]) -> dict[str, Array]:
+def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:
     """Return polynomials without the factor ``x^a (1 - x)^b`` that those of an item share.
 
-    Parameters
-    ----------
-    parts: by name, rows (pieces, items, degree + 1) each.
-
-    Returns
-    -------
-    By name (pieces, items, rows, degree + 1), constants in degree 0.
+    They are (pieces, items, degree + 1) each, constants in degree 0.
     """
-    tables = {
-        name: lowered(concatenated([row[:, :, None] for row in rows], axis=2))
-        for name, rows in parts.items()
-    }
-    ends = [
-        [np.all(table[..., end] == 0.0, axis=2) for table in tables.values()] for end in (0, -1)
-    ]
-    if not np.any(np.all(ends, axis=1)):
-        return tables
-    table = concatenated(list(tables.values()), axis=2)
-    table = _divided(_divided(table)[..., ::-1])[..., ::-1]
-    lasts = np.cumsum([each.shape[2] for each in tables.values()])[:-1]
-    return dict(zip(tables, np.split(table, lasts, axis=2), strict=True))
+    rows = [lowered(row) for row in rows]
+    if not any(np.any(np.all([row[..., end] == 0.0 for row in rows], axis=0)) for end in (0, -1)):
+        return rows
+    table = _divided(_divided(np.stack(same_degree(*rows), axis=2))[..., ::-1])[..., ::-1]
+    return [lowered(table[:, :, i]) for i in range(len(rows))]
 
 
 def _divided(table: Array) -> Array:
@@ -414,8 +305,7 @@ def _divided(table: Array) -> Array:
         table = np.where(shared[..., None, None], over, table)
 
 
-@dataclass(frozen=True, eq=False)
-class PhasePart:
+class PhasePart(NamedTuple):
     """A phase, its pieces in the whole motion, and the motion on them."""
 
     phase: Phase

@@ -1,15 +1,15 @@
 """Stops of the common clock, and the report ``stoppable``: how long until all drones rest.
 
 With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock makes the acceleration
-``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``, and the thrust ``m (a + g ẑ)`` less
-the cable's force, which depends on the place alone. What is carried is pulled along by forces that
-fit the plan's own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay
-within what checks ``equilibrium``, ``support`` and ``grip`` leave of their limits.
+``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these the formulas of the checks
+``acceleration``, ``jerk``, ``thrust``, ``tilt`` and ``body_rate`` are those of the drones on that
+clock. What is carried is pulled along by forces that fit the plan's own rate:
+``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay within what checks
+``equilibrium``, ``support`` and ``grip`` leave of their limits.
 
-On a cell, a phase of constant s̈ within one piece, norms bound them: ``s² |D²x| + |ṡ| |Dx|`` and
-the like. Where that does not do, curves are taken for their chords by time, off them by an eighth
-of the square of the cell's length times ``s² |D⁴x| + |ṡ| |D³x|`` and the like; the formulas are
-enclosed, and cells halved until that decides.
+A cell is a phase of constant s̈ within one piece. Where norms on whole pieces do not show that it
+keeps all limits, the formulas are enclosed on it, s, ṡ and s̈ between their bounds, and it is halved
+until that decides.
 
 A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
 shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
@@ -18,20 +18,20 @@ running on, until a stop can begin; a plan that ends at rest has reached rest th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
-from itertools import pairwise
-from typing import TypeVar
+from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.clasps import spare_forces
-from hitchopt.checks.drones import Hovering
+from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
-from hitchopt.checks.spans import derivative_margin
+from hitchopt.checks.spans import concatenated, derivative_margin, shared, shared_values
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -42,7 +42,8 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.enclosed import Enclosed
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
+from hitchopt.trajectory.search import Spans
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
@@ -52,9 +53,6 @@ HALVINGS = 7
 
 BATCH = 20_000
 """Pairs of a cell and a drone that are looked at in one go."""
-
-ORDER = 8
-"""Degree in which forces at rest are written; what that loses is in their radius."""
 
 SLACK = 1e-9
 """Relative margin for the clock's rounding."""
@@ -84,258 +82,257 @@ def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases
     return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
 
 
-start_phases = partial(stop_phases, rate=0.0)
-"""Phases that lead from rest back to rate 1, as stops do."""
+def clock_of(cells: ClockPhases) -> tuple[Enclosed, Enclosed, Enclosed]:
+    """Return the rate s of every cell and its two derivatives, by time."""
+    (s, a, j), t = cells.jets.T[1:], cells.duration
+    each = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
+    s, a, j = (Enclosed(np.stack(c, axis=-1)[:, None]) for c in each)
+    return s, a, j
 
 
-V = TypeVar("V", Array, Enclosed)
+class OnClock(Spans):
+    """Spans of plan time that cells of clocks pass, one each."""
+
+    cells: ClockPhases
+    clock: tuple[Enclosed, Enclosed, Enclosed]
+    """The rate s and its two derivatives, by time."""
+
+    back: Flags
+    """(spans,), those that are passed from their end to their beginning."""
+
+    @classmethod
+    def passed(
+        cls, source: Any, breaks: Array, cells: ClockPhases, piece: Indices, item: Indices
+    ) -> Self:
+        """Return what cells within pieces (spans,) pass of items (spans,)."""
+        times = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
+        x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
+        extent = np.sort(np.clip(x, 0.0, 1.0), axis=0)
+        made = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
+        made.cells, made.clock, made.back = cells, clock_of(cells), times[1] < times[0]
+        return made
+
+    def _on(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
+        chosen = self.piece[index], self.item[index]
+        return self.passed(self.source, self.breaks, cells, *chosen)
+
+    def take(self, index: Flags | Indices | slice) -> Self:
+        """Return the chosen spans."""
+        return self._on(self.cells.taken(index), index)
+
+    def halves(self) -> Self:
+        """Return all first halves by time, then all second halves."""
+        half, twice = 0.5 * self.cells.duration, np.tile(np.arange(len(self)), 2)
+        jets = np.concatenate([self.cells.jets, advanced(self.cells.jets, half)])
+        return self._on(ClockPhases(self.cells.owner[twice], jets, half[twice]), twice)
+
+    def at(self, x: Array) -> Self:
+        """Return the points at x (spans,) of their time, from 0 to 1."""
+        jets = advanced(self.cells.jets, x * self.cells.duration)
+        return self._on(ClockPhases(self.cells.owner, jets, np.zeros(len(self))))
+
+    @cached_property
+    def _passed(self) -> Array:
+        """(spans,) [s] of plan time."""
+        begin = self.breaks[self.piece]
+        passed: Array = np.abs(self.extent[1] - self.extent[0]) * (
+            self.breaks[self.piece + 1] - begin
+        )
+        return passed
+
+    def by_time(self, value: Enclosed) -> Enclosed:
+        """Return the chord by time of a value by plan time, which is off its own by h² |ṡ| / 8."""
+        line = value.reduced(1)
+        line = Enclosed(np.where(self.back[:, None, None], line.c[..., ::-1], line.c), line.r)
+        most, off = self._passed, self.cells.duration**2 * self.clock[1].size / 8.0
+        share = np.divide(off, most, out=np.ones_like(most), where=off < most)
+        return line.widened(share * column_lengths(line.c[..., -1:] - line.c[..., :1])[..., 0])
+
+    def derivatives(self, part: PiecewisePolynomial, orders: int) -> list[Enclosed]:
+        """Return the first derivatives by plan time of points, by time: chords of these."""
+        at, found = (self.piece, self.item), []
+        c = derived(part, orders)
+        weights = bernstein.basis(self.extent.T, bernstein.degree(c))  # (spans, 2, degree + 1)
+        ends = np.split(c[at] @ np.swapaxes(weights, 1, 2), orders, axis=1)
+        for k, chord in enumerate(ends, 1):
+            off = self._passed**2 / 8.0 * largest(part, k + 2)[at]
+            found.append(self.by_time(Enclosed(chord, derivative_margin(part, k)[at] + off)))
+        return found
+
+    def accelerated(self, v: Enclosed, a: Enclosed) -> Enclosed:
+        """Return the acceleration, given derivatives by plan time."""
+        s, slope, _ = self.clock
+        return s * s * a + slope * v
 
 
-def _acceleration(s: V, slope: V, v: V, a: V) -> V:
-    return s * s * a + slope * v
+class DronesOnClock(OnClock, Drones):
+    """Spans of drones on clocks: what moves is by time, and all else as the checks have it."""
+
+    @cached_property
+    def _moved(self) -> tuple[Enclosed, Enclosed]:
+        (s, slope, jerk), (v, a, j) = self.clock, self.derivatives(self.source.drones, 3)
+        return self.accelerated(v, a), s * s * s * j + s * slope * 3.0 * a + jerk * v
+
+    def moved(self, order: int) -> Enclosed:
+        """Return the acceleration or the jerk."""
+        return self._moved[order - 2]
+
+    @cached_property
+    def load(self) -> Enclosed:
+        """[N] The force of the cable on the drone, its sign changed."""
+        return self.by_time(super().load)
+
+    @cached_property
+    def load_rate(self) -> Enclosed:
+        """[N/s] The derivative of the load by time."""
+        return self.by_time(super().load_rate) * self.clock[0]
 
 
-def _jerk(s: V, slope: V, jerk: V, v: V, a: V, j: V) -> V:
-    return s * s * s * j + s * slope * 3.0 * a + jerk * v
+@shared
+def derived(path: PiecewisePolynomial, orders: int) -> Array:
+    """Return the first derivatives (pieces, items, orders d, degree + 1)."""
+    return concatenated([path.differentiated(k + 1).coefficients for k in range(orders)], axis=2)
+
+
+@shared
+def largest(path: PiecewisePolynomial, order: int) -> Array:
+    """Return bounds of a derivative's norm (pieces, items)."""
+    norms = np.max(column_lengths(path.differentiated(order).coefficients), axis=-1)
+    return np.asarray((norms + derivative_margin(path, order)) * (1.0 + SLACK))
 
 
 @dataclass(frozen=True, eq=False)
-class _Spans:
-    """Cells of clocks within one piece of the plan, and an item (a drone, a path) each."""
+class Limited:
+    """Items that limit what a clock may do.
 
-    cells: ClockPhases
-    piece: Indices
-    item: Indices
+    Attributes
+    ----------
+    path: of the items, on pieces of the plan [m].
+    orders: how many derivatives count.
+    over, source: the spans on which shares of limits are bounded, and what these are of.
+    quick: whether norms of derivatives (orders, cells, items) keep limits, given the pieces
+        (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
+    used: the largest share of a limit.
+    """
 
-    def taken(self, index: Flags | Indices) -> _Spans:
-        return _Spans(self.cells.taken(index), self.piece[index], self.item[index])
-
-    def halves(self) -> _Spans:
-        half = 0.5 * self.cells.duration
-        jets = np.concatenate([self.cells.jets, advanced(self.cells.jets, half)])
-        cells = ClockPhases(np.tile(self.cells.owner, 2), jets, np.tile(half, 2))
-        return _Spans(cells, np.tile(self.piece, 2), np.tile(self.item, 2))
+    path: PiecewisePolynomial
+    orders: int
+    over: type[OnClock]
+    source: Any
+    quick: Callable[..., Flags]
+    used: Callable[[Any], Bound]
 
     @cached_property
-    def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
-        """The rate and its two derivatives."""
-        (s, a, j), t = self.cells.jets.T[1:], self.cells.duration
-        rate = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
-        s, a, j = (Enclosed(np.stack(each, axis=-1)[:, None]) for each in rate)
-        return s, a, j
+    def sizes(self) -> Array:
+        """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
+        return np.stack([largest(self.path, k) for k in range(1, self.orders + 1)])
 
-
-class _Curves:
-    """Vectors (pieces, items) that are polynomials of plan time, several of each item."""
-
-    def __init__(self, breaks: Array, vectors: Sequence[Enclosed]) -> None:
-        self.breaks = breaks
-        order, h = max(each.degree for each in vectors), np.diff(breaks)[:, None]
-        self._rows = np.cumsum([0, *(each.c.shape[2] for each in vectors)]).tolist()
-        self._c = np.concatenate([bernstein.elevate(each.c, order) for each in vectors], axis=2)
-        self._margins = np.stack([np.broadcast_to(each.r, self._c.shape[:2]) for each in vectors])
-        slopes = [Enclosed(bernstein.differentiate(each.c)) for each in vectors]
-        bends = [Enclosed(bernstein.differentiate(each.c)) for each in slopes]
-        self._slopes = np.stack([each.size / h for each in slopes])
-        self._bends = np.stack([each.size / h**2 for each in bends])
-        self.sizes = np.stack([each.size + each.r for each in vectors]) * (1.0 + SLACK)
-        """(vectors, pieces, items), bounds of norms."""
-
-    @classmethod
-    def of(cls, path: PiecewisePolynomial, count: int) -> _Curves:
-        """Return the first derivatives of paths (items, d)."""
-        each = [(path.differentiated(k), derivative_margin(path, k)) for k in range(1, count + 1)]
-        return cls(path.breaks, [Enclosed(part.coefficients, margin) for part, margin in each])
-
-    def along(self, spans: _Spans) -> list[Enclosed]:
-        """Return the vectors by time: chords, and how far curves are off them."""
-        begin, at = self.breaks[spans.piece], (spans.piece, spans.item)
-        times = np.stack([spans.cells.jets[:, 0], spans.cells.ends[:, 0]], axis=-1)
-        x = (times - begin[:, None]) / (self.breaks[spans.piece + 1] - begin)[:, None]
-        weights = bernstein.basis(np.clip(x, 0.0, 1.0), bernstein.degree(self._c))
-        ends = self._c[at] @ np.swapaxes(weights, 1, 2)
-        s, slope, eighth = *(each.size for each in spans.clock[:2]), spans.cells.duration**2 / 8.0
-        curved = s * s * self._bends[:, *at] + slope * self._slopes[:, *at]
-        off = eighth * (1.0 + SLACK) * curved + self._margins[:, *at]
-        rows = pairwise(self._rows)
-        return [Enclosed(ends[:, slice(*row)], r) for row, r in zip(rows, off, strict=True)]
-
-
-Judged = tuple[Flags, Flags]
-"""Whether limits are broken, and whether all are shown to be kept (spans,)."""
-
-
-def _within(value: Enclosed, measure: Callable[[Array], Array], limit: Array | float) -> Judged:
-    """Judge a convex measure, no more than a ball's radius larger within it than at its middle."""
-    sizes = measure(value.c)
-    broken = ~(np.maximum(sizes[:, 0], sizes[:, -1]) <= limit)
-    fine: Flags = np.max(sizes, axis=1) * (1.0 + SLACK) + value.r <= limit
-    return broken, fine
-
-
-def _turning(thrust: Enclosed, rate: Enclosed, limit: float) -> Judged:
-    """Judge the turning rate ``f × ḟ / f²``."""
-    across = thrust.cross(rate)
-    sizes, most = (column_lengths(each.c)[:, [0, -1]] for each in (thrust, across))
-    least = thrust.norm_below.value
-    fine: Flags = across.norm_above.value * (1.0 + SLACK) <= limit * least**2
-    return ~np.all(most <= limit * sizes**2, axis=1), fine
-
-
-class _Limited:
-    """Items that limit what a clock may do."""
-
-    _curves: _Curves
-
-    def _quick(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
-        """Return (cells, items) whether norms show that limits are kept."""
-        raise NotImplementedError
-
-    def _judged(self, spans: _Spans) -> Judged:
-        raise NotImplementedError
-
-    def look(self, cells: ClockPhases, piece: Indices, kept: Flags) -> None:
-        """Set ``kept`` (owners,) to False where cells, in pieces, are not shown to keep limits."""
-        count = max(1, BATCH // self._curves.sizes.shape[2])
+    def look(self, phases: ClockPhases, kept: Flags) -> None:
+        """Set ``kept`` (owners,) to False where phases are not shown to keep limits."""
+        breaks = self.path.breaks
+        cells, piece = phases.cut(breaks, 0.0)
+        flown = (piece >= 0) & (piece < len(breaks) - 1)
+        cells, piece = cells.taken(flown), piece[flown]
+        count = max(1, BATCH // self.sizes.shape[2])
         for first in range(0, len(piece), count):
             check_time()
             row = np.arange(first, min(first + count, len(piece)))
             row = row[kept[cells.owner[row]]]
-            whole = _Spans(cells.taken(row), piece[row], row)
-            s, slope, jerk = (each.size[:, None] for each in whole.clock)
-            where, item = np.nonzero(~self._quick(s, slope, jerk, piece[row]))
-            spans = _Spans(whole.cells.taken(where), piece[row[where]], item)
+            rates = [each.size[:, None] for each in clock_of(cells.taken(row))]
+            where, item = np.nonzero(~self.quick(self.sizes[:, piece[row]], piece[row], *rates))
+            row = row[where]
+            spans = self.over.passed(self.source, breaks, cells.taken(row), piece[row], item)
             for _ in range(HALVINGS + 1):
-                if not len(spans.piece):
+                if not len(spans):
                     break
-                broken, fine = self._judged(spans)
-                kept[spans.cells.owner[broken]] = False
-                spans = spans.taken(np.flatnonzero(~fine & kept[spans.cells.owner])).halves()
+                share, owner = self.used(spans), spans.cells.owner
+                left = np.flatnonzero(~(share.value * (1.0 + SLACK) <= 1.0))
+                left = left[np.argsort(-share.value[left], kind="stable")]
+                worst = left[np.unique(owner[left], return_index=True)[1]]
+                there = self.used(spans.take(worst).at(share.x[worst]))
+                kept[owner[worst[~(there.value <= 1.0)]]] = False
+                spans = spans.take(left[kept[owner[left]]]).halves()
             else:
                 kept[spans.cells.owner] = False
 
 
-class ClockLimits(_Limited):
+class ClockLimits:
     """The limits of a motion, for clocks.
 
     Attributes
     ----------
     reserved: whether the plan leaves something of them, so that stops can begin anywhere.
-    sizes: (3, pieces, drones), bounds of the derivatives' norms by plan time.
-    inertia: what is carried; None where nothing is.
+    carried: what is carried, if anything.
     """
 
     def __init__(self, motion: Motion) -> None:
-        self.motion, drones, limits = motion, motion.drones, motion.requirements.limits
-        self.breaks, self.reserved = drones.breaks, limits.reserve < 1.0
-        self._curves = _Curves.of(drones, 3)
-        self.sizes = self._curves.sizes
-        forces = [_hovering(motion, lambda spans: spans.thrust)]
-        if limits.body_rate is not None:
-            turned = motion.team.has_cables
-            rate = _hovering(motion, lambda spans: spans.load_rate) if turned else 0.0 * forces[0]
-            forces.append(rate)
-        self._forces = _Curves(self.breaks, forces)
-        team, beyond = motion.team, np.max(self._beyond(forces[0].c), axis=-1) + forces[0].r
-        self._spare = np.minimum(team.max_thrust - self._forces.sizes[0], -beyond) / team.mass
-        """(pieces, drones), acceleration that a drone can have in any direction."""
-        self.inertia = CarriedInertia.of(motion)
+        self.motion, self.reserved = motion, motion.requirements.limits.reserve < 1.0
+        self._spare = _spare(motion)
+        self.carried = [_inertia(path, slack) for path, slack in carried_paths(motion)]
+        self._drones = Limited(motion.drones, 3, DronesOnClock, motion, self._quick, self._used)
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
         """Return (owners,) whether phases of each clock, with rates from -1 to 1, keep limits."""
-        cells, piece = phases.cut(self.breaks, 0.0)
-        flown = (piece >= 0) & (piece < len(self.breaks) - 1)
-        cells, piece = cells.taken(flown), piece[flown]
         kept = np.ones(owners, dtype=np.bool_)
-        for each in (self.inertia, self):
-            if each is not None:
-                each.look(cells, piece, kept)
+        with shared_values():
+            for each in (*self.carried, self._drones):
+                each.look(phases, kept)
         return kept
 
-    def _quick(self, s: Array, slope: Array, jerk: Array, piece: Indices) -> Flags:
-        limits, (v, a, j) = self.motion.requirements.limits, self.sizes[:, piece]
-        spare = np.minimum(self._spare[piece], limits.acceleration)
-        fine: Flags = _acceleration(s, slope, v, a) <= spare
-        fine &= _jerk(s, slope, jerk, v, a, j) <= limits.jerk
+    def carries(self, begin: Array, end: Array) -> Flags:
+        """Return (m,) whether something is carried within spans of plan time (m,) [s]."""
+        spans = np.array([each.path.breaks[[0, -1]] for each in self.carried]).reshape(-1, 2)
+        within = (spans[:, 1] > begin[:, None]) & (spans[:, 0] < end[:, None])
+        return np.asarray(np.any(within, axis=1))
+
+    def _quick(self, sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
+        limits, (v, a, j) = self.motion.requirements.limits, sizes
+        fine: Flags = s * s * a + slope * v <= np.minimum(self._spare[piece], limits.acceleration)
+        fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
         return fine & (limits.body_rate is None)  # of turning no quick bound comes close
 
-    def _judged(self, spans: _Spans) -> Judged:
-        limits, team = self.motion.requirements.limits, self.motion.team
-        (s, slope, jerk), (v, a, j) = spans.clock, self._curves.along(spans)
-        acceleration, jerk = _acceleration(s, slope, v, a), _jerk(s, slope, jerk, v, a, j)
-        found = [_within(acceleration, column_lengths, limits.acceleration)]
-        found.append(_within(jerk, column_lengths, limits.jerk))
+    def _used(self, spans: DronesOnClock) -> Bound:
+        """Return the largest share of a limit, by the formulas of the checks."""
+        limits, turns = self.motion.requirements.limits, self.motion.requirements.limits.body_rate
+        acceleration, jerk = (spans.moved(order).norm_above for order in (2, 3))
+        found = [_share(acceleration, limits.acceleration), _share(jerk, limits.jerk)]
+        if turns is not None:
+            found.append(_share(turning_rate(spans), math.degrees(turns)))
         spare = self._spare[spans.piece, spans.item]
-        if limits.body_rate is not None or not np.all(acceleration.norm_above.value <= spare):
-            mass = team.mass[spans.item, None]
-            force, *rate = self._forces.along(spans)
-            thrust = acceleration * mass + force
-            found.append(_within(thrust, column_lengths, team.max_thrust[spans.item]))
-            found.append(_within(thrust, self._beyond, 0.0))
-            if limits.body_rate is not None:
-                found.append(_turning(thrust, jerk * mass + s * rate[0], limits.body_rate))
-        broken, fine = zip(*found, strict=True)
-        return np.any(broken, axis=0), np.all(fine, axis=0)
-
-    def _beyond(self, force: Array) -> Array:
-        """Return how far forces (…, 3, m) are beyond the cone of the tilt."""
-        tilt = self.motion.requirements.limits.tilt
-        level = np.hypot(force[..., 0, :], force[..., 1, :])
-        beyond: Array = level * np.cos(tilt) - force[..., 2, :] * np.sin(tilt)
-        return beyond
+        if turns is not None or not np.all(acceleration.value <= spare):
+            found += [used_thrust(spans), _share(tilt(spans), math.degrees(limits.tilt))]
+        return largest_of(found)
 
 
-def _hovering(motion: Motion, value: Callable[[Hovering], Enclosed]) -> Enclosed:
-    """Return a vector of every drone where it hovers, (pieces, drones)."""
-    found = [value(spans).reduced(ORDER) for spans in Hovering.of(motion)]
-    order, shape = max(each.degree for each in found), (motion.drones.pieces, motion.team.drones)
-    c = np.concatenate([bernstein.elevate(each.c, order) for each in found])
-    r = np.concatenate([np.broadcast_to(each.r, len(each.c)) for each in found])
-    return Enclosed(c.reshape(*shape, *c.shape[1:]), r.reshape(shape))
+def _share(found: Bound, limit: Array | float) -> Bound:
+    return Bound(found.value / limit, found.x)
 
 
-class CarriedInertia(_Limited):
-    """Paths (m, 3) whose additional accelerations a clock has to keep within a slack.
+def _spare(motion: Motion) -> Array:
+    """Return (pieces, drones) [m/s²] what drones that hover can accelerate by in any direction."""
+    spare, most = np.zeros((motion.drones.pieces, motion.team.drones)), motion.team.max_thrust
+    for spans in Hovering.of(motion):
+        left = math.degrees(motion.requirements.limits.tilt) - tilt(spans).value
+        aside = spans.thrust.norm_below.value * np.sin(np.radians(np.clip(left, -90.0, 90.0)))
+        more = most[spans.item] - spans.thrust.norm_above.value
+        spare[spans.piece, spans.item] = np.minimum(more, aside) / spans.mass[:, 0]
+    return spare * (1.0 - SLACK)
 
-    Parameters
-    ----------
-    parts: of the motion, on which something is carried, as of ``carried_paths``.
-    """
 
-    def __init__(self, motion: Motion, parts: list[tuple[slice, Array, Array]]) -> None:
-        items = max(path.shape[1] for _, path, _ in parts)
-        order = max(bernstein.degree(path) for _, path, _ in parts)
-        paths = np.zeros((motion.drones.pieces, items, 3, order + 1))
-        self.slack = np.full(paths.shape[:2], np.inf)
-        for run, path, slack in parts:
-            count, known = path.shape[1], np.all(np.isfinite(path), axis=(2, 3))
-            paths[run, :count] = np.nan_to_num(bernstein.elevate(path, order))
-            self.slack[run, :count] = np.where(known, np.maximum(slack, 0.0), 0.0)
-        self.breaks = motion.drones.breaks
-        self._curves = _Curves.of(PiecewisePolynomial(self.breaks, paths), 2)
-        self._spans = np.array([self.breaks[[run.start, run.stop]] for run, _, _ in parts])
+def _inertia(path: PiecewisePolynomial, slack: Array) -> Limited:
+    """Return what keeps additional accelerations of paths (items, 3) within (pieces, items)."""
+    slack = np.maximum(np.nan_to_num(slack), 0.0)
 
-    @classmethod
-    def of(cls, motion: Motion) -> CarriedInertia | None:
-        """Return that of a motion; None where it carries nothing."""
-        parts = list(carried_paths(motion))
-        return cls(motion, parts) if parts else None
-
-    def during(self, begin: Array, end: Array) -> Flags:
-        """Return (m,) whether something is carried within spans of plan time (m,) [s]."""
-        begins, ends = self._spans.T
-        found: Flags = np.any((ends > begin[:, None]) & (begins < end[:, None]), axis=1)
+    def quick(sizes: Array, piece: Indices, s: Array, slope: Array, _: Array) -> Flags:
+        found: Flags = np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece]
         return found
 
-    def _quick(self, s: Array, slope: Array, _: Array, piece: Indices) -> Flags:
-        v, a = self._curves.sizes[:, piece]
-        found: Flags = np.maximum(s * s, 1.0) * a + slope * v <= self.slack[piece]
-        return found
+    def used(spans: OnClock) -> Bound:
+        v, a = spans.derivatives(path, 2)
+        added = spans.accelerated(v, a) - a
+        return _share(added.norm_above, slack[spans.piece, spans.item])
 
-    def _judged(self, spans: _Spans) -> Judged:
-        (s, slope, _), (v, a) = spans.clock, self._curves.along(spans)
-        added = _acceleration(s, slope, v, a) - a
-        return _within(added, column_lengths, self.slack[spans.piece, spans.item])
+    return Limited(path, 2, OnClock, path, quick, used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,7 +385,7 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
-    carries = limits.inertia is not None
+    carries = bool(limits.carried)
     longest, ratio = SLOWEST if limits.reserved or carries else LONGEST, (RATIO, CARRIED_RATIO)
     useful = np.inf if limits.reserved else LATEST * (rest - starts)
     rungs = 1 + round(np.log(longest / SHORTEST) / np.log(ratio[carries]))
@@ -409,18 +406,16 @@ def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
 
     While something is carried, the clock can also start again from their rests.
     """
-    kept, inertia = limits.keep(stop_phases(starts, durations), len(starts)), limits.inertia
-    if inertia is not None:
-        rests = starts + 0.5 * durations
-        left = np.flatnonzero(kept & inertia.during(rests, rests))
-        kept[left] = limits.keep(start_phases(rests[left], durations[left]), len(left))
+    kept, rests = limits.keep(stop_phases(starts, durations), len(starts)), starts + 0.5 * durations
+    left = np.flatnonzero(kept & limits.carries(rests, rests))
+    kept[left] = limits.keep(stop_phases(rests[left], durations[left], 0.0), len(left))
     return kept
 
 
-def carried_paths(motion: Motion) -> Iterator[tuple[slice, Array, Array]]:
-    """Yield runs of pieces on which an object is carried, paths, and their slack [m/s²].
+def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]:
+    """Yield paths (items, 3) [m] on runs of pieces on which an object is carried, and their slack.
 
-    Paths have the shape (pieces, items, 3, degree + 1) [m].
+    The slack (pieces, items) is in m/s².
     """
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
@@ -430,14 +425,13 @@ def carried_paths(motion: Motion) -> Iterator[tuple[slice, Array, Array]]:
             on = moving & held_pieces(motion, name, by)
             edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]])))
             for first, last in edges.reshape(-1, 2).tolist():
-                run = slice(first, last)
                 if by is HoldBy.REST and body.rim is None:  # which check support refuses
                     continue
-                span = motion.taken(run, motion.overlapping(breaks[first], breaks[last]))
-                yield run, *parts(span, index, body)
+                phases = motion.overlapping(breaks[first], breaks[last])
+                yield parts(motion.taken(slice(first, last), phases), index, body)
 
 
-def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Array]:
+def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
     """Return the paths of clasps below a rim and of the centre of mass, and their slack.
 
     Clasps carry shares of the mass, and what the centre, being higher, moves from clasp to clasp;
@@ -465,10 +459,10 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Arra
     tipping = inside * pressing[:, -1] / (lean + inside)
     whole = np.minimum(tipping, np.min(bearing, axis=1))
     slack = np.column_stack([np.minimum(bearing, sliding), whole])
-    return points.coefficients, slack
+    return points, slack
 
 
-def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Array]:
+def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
     """Return the paths of the centre and the heading of an object that edges grip, and their slack.
 
     Edges push it as a whole; friction bears it and turns it with them, half of it for each.
@@ -481,7 +475,7 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[Array, Arra
     paths[:, 1, :2] = bernstein.elevate(pose[:, 3:], order)
     forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)
     slack = [np.minimum(forces, friction), friction / turning_reach(body)]
-    return paths, np.column_stack(slack) / body.mass
+    return motion.drones.alike(paths), np.column_stack(slack) / body.mass
 
 
 def _find(motion: Motion, found: Findings, gamma: float) -> Finding:

@@ -64,15 +64,10 @@ MAX_HALVINGS = 30
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """What pairs did in some time; pairs that are not listed did nothing.
+    """What pairs of cables i < j did in some time; those that are not listed did nothing.
 
-    Attributes
-    ----------
-    first, second: (pairs,), cables i < j; or a drone and the cable whose sheet it is in.
-    count: (pairs,), how often chords passed through each other, with signs.
-    certain: (pairs,), false where that could not be told: an end ran into the other chord, or the
-        time is over while they touch.
-    time: (pairs,) [s], when they last met, or when it could not be told.
+    Their chords passed through each other so often, with signs, the last time [s] about then. That
+    is not certain where an end ran into the other chord, or the time is over while they touch.
     """
 
     first: Indices
@@ -85,9 +80,8 @@ class Crossings:
 def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[Indices, Array]:
     """Return pairs, of all that may touch, and times [s] about which nothing is ever decided.
 
-    All other time is halved until it is. Where nothing is at mid time itself, nothing more is
-    learnt about such a pair: chords that overlap for a while would be halved into 2**MAX_HALVINGS
-    spans.
+    All other time is halved until it is, but for pairs of which nothing is at mid time itself:
+    chords that overlap for a while would be halved into 2**MAX_HALVINGS spans.
     """
 
     def left(spans: PairSpans) -> PairSpans:
@@ -166,28 +160,22 @@ def _across(chords: Array) -> Flags:
     return crossing
 
 
-def _sign(chords: Array) -> Indices:
+def _sign(chords: Array) -> Array:
     """Return the sign of the volume of chords (k, 4, 3) that are certainly apart, else 0."""
     qi, ri, qj, rj = np.moveaxis(chords, 1, 0)
     normal = np.cross(ri - qi, rj - qj)
     height = np.sum((qj - qi) * normal, axis=-1)
-    sure = np.abs(height) > 0.5 * APART * np.linalg.norm(normal, axis=-1)
-    return np.where(sure, np.sign(height), 0.0).astype(np.intp)
+    sign: Array = np.sign(height) * (np.abs(height) > 0.5 * APART * np.linalg.norm(normal, axis=-1))
+    return sign
 
 
-def entered(motion: Motion) -> Crossings:
-    """Return which drones fly, or may fly, inside foreign cables.
-
-    Parameters
-    ----------
-    motion: a phase without a hitch, no cable lying on the ground.
-    """
+def entered(motion: Motion) -> tuple[Indices, Indices, Array]:
+    """Return drones that fly, or may fly, inside foreign cables that hang, which, and when [s]."""
     moving = cables_and_drones(motion)
     item, time = _undecided(moving, _off)
     pairs, first = np.unique(item, return_index=True)
     cable, drone = np.divmod(pairs, moving.count)
-    none = np.zeros(len(pairs), np.intp)
-    return Crossings(drone, cable, none, none > 0, time[first])
+    return drone, cable, time[first]
 
 
 def _off(spans: PairSpans) -> Flags:
@@ -196,8 +184,8 @@ def _off(spans: PairSpans) -> Flags:
     A sheet is convex: whatever is on one side of all of its corners is off it.
     """
     ends, drone = spans.ends
-    hung = chains(ends[:, 0], ends[:, 1], spans.lengths)
-    apart = Enclosed(drone - hung.points)
+    points, off = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    apart = Enclosed(drone - points)
     # Towards the nearest side of the sheet: one of its links, or the chord.
     ring = np.concatenate([apart.middle, apart.middle[:, :1]], axis=1)
     offsets = shortest_offset(np.stack([ring[:, :-1], ring[:, 1:]], axis=2))
@@ -211,7 +199,7 @@ def _off(spans: PairSpans) -> Flags:
         along = unit(towards)
         least = np.min(apart.dot(along[:, None]).below.value, axis=1)
         # The cable is off its links upward or downward only.
-        sure |= least > APART + np.abs(along[:, 2]) * np.max(hung.off, axis=1)
+        sure |= least > APART + np.abs(along[:, 2]) * np.max(off, axis=1)
     return sure
 
 
@@ -246,9 +234,7 @@ PROBES = np.linspace(0.0, 1.0, 9)
 def _largest_jump(motion: Motion, _: float) -> Finding:
     """Return the largest jump at a joint of position [m], velocity [m/s] or acceleration [m/s²].
 
-    Drones and objects are looked at, and vertices and legs while the hitch exists; the unit is
-    given as m, whichever of the three it is. A jump of a vector is measured by its norm. ``where``
-    names the drone, the object, the vertex or the leg.
+    Of drones and objects, and of vertices and legs while the hitch exists.
     """
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.poses is not None:
@@ -292,11 +278,7 @@ DURATION = CheckRule(
 
 
 def _interlaced(motion: Motion, _: float) -> Finding:
-    """Return how many pairs of cables, or single ones, are not in the state that a phase states.
-
-    ``where`` names the first phase in which that is so, the vertex of neighbours, both cables of
-    other pairs and single cables.
-    """
+    """Return how many pairs of cables, or single ones, are not in the state that a phase states."""
     layout, wrong = motion.team.layout, dict[int, tuple[float, int]]()
     for phase, pairs, times in _wrong(motion):
         index = motion.phases.index(phase)
@@ -312,10 +294,7 @@ def _interlaced(motion: Motion, _: float) -> Finding:
 
 
 def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
-    """Yield what is wrong in a phase, and when: pairs of cables ``i * n + j`` with i <= j.
-
-    A pair of a cable with itself is that cable alone.
-    """
+    """Yield phases, cables ``i n + i`` and pairs ``i n + j`` that are wrong in them, and when."""
     layout = motion.team.layout
     clasped = np.sort(clasped_pairs(layout))
     # A hitch that is there at first has been tied with every q going up first: 1 for neighbours.
@@ -346,8 +325,8 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
             yield part.phase, pairs[here], met.time[here]
             yield part.phase, _contradicted(part.motion), float(part.motion.drones.breaks[0])
             if state is not CableState.GROUND:  # there drones keep off cables seen from above
-                inside = entered(part.motion)
-                yield part.phase, pair_of(layout, inside.first // 2, inside.second), inside.time
+                drone, cable, time = entered(part.motion)
+                yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
 def _names(layout: Layout, pair: int) -> tuple[str, ...]:
@@ -362,13 +341,9 @@ def _names(layout: Layout, pair: int) -> tuple[str, ...]:
 def _contradicted(motion: Motion) -> Indices:
     """Return the cables and pairs, in a phase without a hitch, that are not in its state.
 
-    - Not hitched: there are neither legs nor tensions.
-    - On the ground: no drone moves sideways, and some cable comes nearer to the ground than one
-      that hangs free has to keep.
-    - Clasping: drones at a clasp turn about a point that rests, and some chords meet.
-    - Being tightened: cables are slack for most of the time. Lengths are added up with the
-      cables' tensions as weights: that sum is least at the vertices where the taut cables balance,
-      so no choice of vertices hides cables that are at their full length.
+    There are neither legs nor tensions. On the ground no drone moves sideways, and some cable comes
+    nearer to it than one that hangs free may. In clasping, drones at a clasp turn about a point at
+    rest, and some chords meet. While tightened, cables are slack for most of the time.
     """
     state, n = motion.phases[0].state, motion.team.robots
     alone = np.arange(n) * (n + 1)
@@ -395,7 +370,11 @@ def _contradicted(motion: Motion) -> Indices:
 
 
 def _taut_share(motion: Motion) -> float:
-    """Return the share of time in which cables are not seen to be slack around the vertices."""
+    """Return the share of time in which cables are not seen to be slack around the vertices.
+
+    Lengths count by tensions: their sum is least where taut cables balance, so that no choice of
+    vertices hides cables that are at their full length.
+    """
     legs, edges = (
         bernstein.evaluate(vectors[None], PROBES[:, None, None, None])
         for vectors in (leg_vectors(motion), edge_vectors(motion))

@@ -18,7 +18,6 @@ higher, and hanging cables, need a look of their own.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,40 +45,36 @@ NEWTON = 12
 
 def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
     """Return the radius [m]; infinite where nothing keeps a distance."""
-    nothing = Finding(math.inf, 0.0)
-    terms = [*_distances_kept(found, gamma), *_spans(motion)]
-    least = min(terms, key=lambda term: term.worst, default=nothing)
-    for each, span in _hanging(motion, found):
-        least = _least_hanging(span, each, least)
+    most, terms = max(1.0, gamma), [Finding(math.inf, 0.0)]
+    # How far bodies come together per radius, with a hitch and without.
+    nearer = {"cable_clearance": (1.0 + most, 2.0), "crossing": (2.0 * most, 2.0)}
+    nearer |= {"legs": (1.0 + gamma, 1.0), "arena": (1.0, 1.0), "keep_out": (1.0, 1.0)}
+    for name, factors in nearer.items():
+        for each in found[name]:
+            if each.check.worst is not None and not (name == "cable_clearance" and _hangs(each)):
+                radius = _left(each) / factors[each.states != HITCHED_STATE]
+                terms.append(Finding(radius, each.check.time, each.check.where))
+    for span in motion.spans(FREE_STATES):  # half of what cables are longer than their chords
+        tightest = worst(Drones.of(span), _spare, "min")
+        cable = f"cable {tightest.item // 2}"
+        terms.append(Finding(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
+    least = min(terms, key=lambda term: term.worst)
+    hanging = [each for each in found["cable_clearance"] if _hangs(each)]
+    for each, span in zip(hanging, motion.spans(hanging[0].states) if hanging else (), strict=True):
+        if each.check.worst is not None:
+            least = _least_hanging(span, each, least)
     for each in found["separation"]:
         least = _least_pair(motion, each, least)
-    return Finding(least.worst * (1.0 - ROUNDING), least.time, least.where)
+    return replace(least, worst=least.worst * (1.0 - ROUNDING))
 
 
-def _distances_kept(found: Findings, gamma: float) -> Iterator[Finding]:
-    """Yield what distances leave whose bodies move by a known multiple of the radius."""
-    most = max(1.0, gamma)
-    hitched = {"cable_clearance": 1.0 + most, "crossing": 2.0 * most, "legs": 1.0 + gamma}
-    free = {"cable_clearance": 2.0, "crossing": 2.0}
-    for name in ("cable_clearance", "crossing", "legs", "arena", "keep_out"):
-        for each in found[name]:
-            if each.check.worst is None or (name == "cable_clearance" and _hangs(each)):
-                continue
-            moved = (hitched if each.states == HITCHED_STATE else free).get(name, 1.0)
-            left = each.check.worst - each.check.number
-            yield Finding(max(left / moved, 0.0), each.check.time, each.check.where)
+def _left(found: Found) -> float:
+    """Return what is left of a distance beyond its limit [m]."""
+    return max(found.check.bound - found.check.number, 0.0)
 
 
 def _hangs(found: Found) -> bool:
     return found.states.isdisjoint(HITCHED_STATE | {CableState.GROUND})
-
-
-def _spans(motion: Motion) -> Iterator[Finding]:
-    """Yield half of what cables are longer than their drones are apart."""
-    for span in motion.spans(FREE_STATES):
-        tightest = worst(Drones.of(span), _spare, "min")
-        radius = max(0.5 * tightest.worst, 0.0)
-        yield Finding(radius, tightest.time, (f"cable {tightest.item // 2}",))
 
 
 def _spare(spans: Drones) -> Bound:
@@ -88,24 +83,17 @@ def _spare(spans: Drones) -> Bound:
     return Bound(spans.length - found.value, found.x)
 
 
-def _hanging(motion: Motion, found: Findings) -> Iterator[tuple[Found, Motion]]:
-    """Yield each finding on hanging cables with the span of time that it is of."""
-    each = [entry for entry in found["cable_clearance"] if _hangs(entry)]
-    if each:
-        yield from zip(each, motion.spans(each[0].states), strict=True)
-
-
 def _least_hanging(span: Motion, found: Found, least: Finding) -> Finding:
     """Return the smaller of a term and what hanging cables leave."""
-    if found.check.worst is None:
-        return least
-    left = max(found.check.worst - found.check.number, 0.0)
-    low, high, needed = 0.0, min(least.worst, left), moved_by(span)
+    left, needed = _left(found), moved_by(span)
+    low, high = 0.0, min(least.worst, left)
     if needed(high) <= left:
-        return least if high == least.worst else Finding(high, found.check.time, found.check.where)
-    for _ in range(HALVINGS):
+        low = high
+    for _ in range(HALVINGS if low < high else 0):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if needed(middle) <= left else (low, middle)
+    if low == least.worst:
+        return least
     return Finding(low, found.check.time, found.check.where)
 
 
@@ -142,11 +130,6 @@ class Ellipsoid:
     """
 
     axes: Array
-
-    @property
-    def box(self) -> Array:
-        """Lower and upper corner (2, 3) [m] of a box around it."""
-        return np.stack([-self.axes, self.axes])
 
     def support(self, directions: Array) -> Array:
         """Return how far it reaches (…) [m] along directions (…, 3)."""

@@ -225,8 +225,8 @@ class Player(OneLine):
             return made
         if rate != 0.0:
             return self._run(made)
-        place, inertia = np.array([made.time]), self._known.limits.inertia
-        carried = inertia is not None and inertia.during(place, place)[0]
+        place = np.array([made.time])
+        carried = self._known.limits.carries(place, place)[0]
         return made.to(1.0, 2.0 * made.phases[-1][0]) if carried else made
 
     def _run(self, course: Course) -> Course:
@@ -249,7 +249,7 @@ class Player(OneLine):
         """Fly a change from now on; return how long it takes [s]."""
         if found is None:
             words = "no change of the clock was found that keeps all limits"
-            if self._known.limits.inertia is not None:
+            if self._known.limits.carried:
                 words += "; what is carried has inertia, rest where the plan does"
             if len(self._known.leaning):
                 words += "; legs lean against friction, and are not flown backward"

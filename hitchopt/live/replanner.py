@@ -22,8 +22,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
-from hitchopt.checks.spans import shared_values
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -321,10 +319,8 @@ class Replanner(OneLine):
 
 def _certificate(ahead: Motion) -> Certificate:
     """Return the certificate of what is ahead, with bounds that are found quickly."""
-    checked = ahead.untimed
-    with shared_values(), rough_bounds():
-        known = {QUICK_EQUILIBRIUM.name: QUICK_EQUILIBRIUM.findings(checked)}
-        return certify(checked, reports=(), known=known)
+    with rough_bounds():
+        return certify(ahead.untimed, reports=())
 
 
 def _breaks(brake: float, shift: float, finer: float) -> Array:

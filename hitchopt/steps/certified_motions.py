@@ -95,29 +95,14 @@ def infeasible(certificate: Certificate, motion: Motion, when: str = "") -> Infe
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
             words = f"at t = {check.time:.4g} s{step}"
-        found.append(
-            check.violation(_metres(check, motion) + words, _remedy(check, motion, phases))
-        )
+        found.append(check.violation(_metres(check, motion) + words, _remedy(check, phases)))
     return InfeasibleError(found)
 
 
-def _remedy(check: Check, motion: Motion, phases: Sequence[Phase]) -> str:
-    """Return what to change, of the remedies that a check has for different bodies."""
-    rule = RULE_OF[check.name]
-    if phases and not any(phase.formed for phase in phases):
-        return rule.free_remedy or rule.remedy
-    if rule.far_remedy and not _share_clasp(check.where, motion.team):
-        return rule.far_remedy
-    return rule.remedy
-
-
-def _share_clasp(where: tuple[str, ...], team: Team) -> bool:
-    """Return whether a drone stands at a clasp of another drone, or of a cable."""
-    layout, names = team.layout, team.drone_names
-    cables = {f"cable {k}": {layout.starts[k], layout.ends[k]} for k in range(team.robots)}
-    drones = {name: {layout.anchors[i]} for i, name in enumerate(names)}
-    points = [(drones | cables)[name] for name in where if name in drones or name in cables]
-    return len(points) == 2 and bool(set.intersection(*points))
+def _remedy(check: Check, phases: Sequence[Phase]) -> str:
+    """Return what to change, with a hitch or without."""
+    rule, free = RULE_OF[check.name], phases and not any(phase.formed for phase in phases)
+    return (free and rule.free_remedy) or rule.remedy
 
 
 def _metres(check: Check, motion: Motion) -> str:

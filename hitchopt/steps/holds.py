@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.clasps import QUICK_EQUILIBRIUM
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.rule import CheckRule
 from hitchopt.errors import InfeasibleError, InputError, Violation
@@ -161,10 +160,8 @@ def carried_move(task: StepTask, start: Array, to: Array, speed: float) -> Move:
         top = min(speed, limits.speed, limits.vertex_speed)
         law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
     lifted = holding_otherwise(task, borne=True)
-    rules = [RULE_OF[name] for name in ("grip", "separation", "crossing")]
-    return within_limits(
-        lifted, changed_move(lifted, law, start=start, end=to), QUICK_EQUILIBRIUM, *rules
-    )
+    rules = [RULE_OF[name] for name in ("equilibrium", "grip", "separation", "crossing")]
+    return within_limits(lifted, changed_move(lifted, law, start=start, end=to), *rules)
 
 
 def within_limits(task: StepTask, move: Move, *rules: CheckRule) -> Move:

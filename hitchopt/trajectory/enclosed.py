@@ -241,10 +241,7 @@ class Enclosed:
     @property
     def norm_above(self) -> Bound:
         """What the norm does not rise above: a norm is convex, largest at a coefficient."""
-        norms = column_lengths(self.c)
-        index = np.argmax(norms, axis=-1)
-        most = np.take_along_axis(norms, index[..., None], axis=-1)[..., 0] * (1.0 + EPS)
-        return Bound(most + self.r, index / max(1, self.degree))
+        return Enclosed((column_lengths(self.c) * (1.0 + EPS))[..., None, :], self.r).above
 
     @property
     def norm_below(self) -> Bound:

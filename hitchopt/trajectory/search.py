@@ -12,12 +12,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import check_time
+from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.values import Array, Indices
 
@@ -57,27 +58,101 @@ def rough_bounds() -> Iterator[None]:
         _ROUGH.reset(token)
 
 
-class TimeSpans(Protocol):
-    """Many spans of time, each that of one ``item`` (spans,)."""
+class Spans:
+    """Spans of time within pieces, each that of one item.
 
-    item: Indices
+    Parameters
+    ----------
+    source: what the polynomials are of.
+    breaks: (pieces + 1,) [s]
+    piece, item: (spans,)
+    extent: (2, spans), the parts of their pieces from and to which they go; None of whole pieces.
+    points: whether the spans have no length.
+    """
 
-    def __len__(self) -> int: ...
+    def __init__(
+        self,
+        source: Any,
+        breaks: Array,
+        piece: Indices,
+        item: Indices,
+        extent: Array | None = None,
+        *,
+        points: bool = False,
+    ) -> None:
+        self.source, self.breaks, self.piece, self.item = source, breaks, piece, item
+        self.whole, self.points = extent is None, points
+        self.extent = np.repeat([[0.0], [1.0]], len(item), axis=1) if extent is None else extent
+
+    def __len__(self) -> int:
+        return len(self.item)
+
+    @classmethod
+    def all_of(
+        cls, source: Any, breaks: Array, items: int, on: NDArray[np.bool_] | None = None
+    ) -> Iterator[Self]:
+        """Yield the spans of whole pieces of every item, in batches.
+
+        Parameters
+        ----------
+        on: (pieces,) or (pieces, items), which of them; None for all.
+        """
+        here = np.ones((len(breaks) - 1, items), dtype=np.bool_)
+        if on is not None:
+            here &= on.reshape(len(here), -1)
+        piece, item = np.nonzero(here)
+        for first in range(0, len(item), BATCH):
+            part = slice(first, first + BATCH)
+            yield cls(source, breaks, piece[part], item[part])
+
+    def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
+        chosen = self.piece[index], self.item[index]
+        return type(self)(self.source, self.breaks, *chosen, extent, points=points)
 
     def take(self, index: Indices | NDArray[np.bool_] | slice) -> Self:
         """Return the chosen spans."""
+        extent = None if self.whole else self.extent[:, index]
+        return self._like(index, extent, points=self.points)
 
     def halves(self) -> Self:
         """Return all first halves, then all second halves."""
+        (lower, upper), twice = self.extent, np.tile(np.arange(len(self)), 2)
+        middle = 0.5 * (lower + upper)
+        return self._like(twice, np.concatenate([[lower, middle], [middle, upper]], axis=1))
 
     def at(self, x: Array) -> Self:
         """Return the points at x (spans,), from 0 to 1."""
+        place = self.extent[0] + x * (self.extent[1] - self.extent[0])
+        return self._like(slice(None), np.stack([place, place]), points=True)
 
     def times(self, x: Array) -> Array:
         """Return the times at x (spans,) [s]."""
+        (lower, upper), begin = self.extent, self.breaks[self.piece]
+        durations = self.breaks[self.piece + 1] - begin
+        times: Array = begin + (lower + x * (upper - lower)) * durations
+        return times
+
+    def read(self, table: Array, item: Indices | None = None) -> Array:
+        """Return polynomials (spans, …, degree + 1) on the spans.
+
+        Parameters
+        ----------
+        table: (pieces, items, …, degree + 1), coefficients on whole pieces.
+        item: (spans,) or (spans, k), whose; the spans' own by default.
+        """
+        item = self.item if item is None else item
+        c = table[self.piece if item.ndim == 1 else self.piece[:, None], item]
+        if self.whole or c.shape[-1] == 1:
+            return c
+        if self.points:
+            weights = bernstein.basis(self.extent[0], c.shape[-1] - 1)
+            values: Array = np.einsum("s...i,si->s...", c, weights)
+            return values[..., None]
+        lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
+        return bernstein.restrict(c, lower, upper)
 
 
-S = TypeVar("S", bound=TimeSpans)
+S = TypeVar("S", bound=Spans)
 
 Formula = Callable[[S], Bound]
 """What a quantity does not pass on spans; its value where they are points."""
@@ -87,13 +162,9 @@ Formula = Callable[[S], Bound]
 class Extremum:
     """The smallest or largest value of a quantity.
 
-    Attributes
-    ----------
-    worst: not passed by the quantity at any time, rounding included.
-    value: an attained value, about as far out as ``worst``; a bound that keeps the target, within
-        ``rough_bounds``.
-    item: whose value it is; -1 where there was no span at all.
-    time: [s], when it is attained.
+    ``worst`` is not passed at any time, rounding included; ``value`` is attained by an ``item`` at
+    a ``time`` [s], about as far out (within ``rough_bounds`` a bound that keeps the target). The
+    item is -1 where there was no span at all.
     """
 
     worst: float
@@ -133,7 +204,7 @@ class Search(Generic[S]):
         self.item, self.time = -1, 0.0
         self.ceiling = -np.inf  # largest bound of the spans that are done with
         self.looked_at = 0
-        self._open: list[tuple[S, Array]] = []
+        self._open: list[tuple[S, Array, int]] = []
 
     @property
     def attained(self) -> float:
@@ -151,28 +222,26 @@ class Search(Generic[S]):
     def add(self, spans: S) -> None:
         """Bound the spans once; keep those that may hold the worst value."""
         for batch in batches(spans):
-            self._keep(batch, self._bounds(batch))
+            if (left := self._left(batch, self._bounds(batch))) is not None:
+                self._open.append((*left, 0))
 
     def finish(self) -> Extremum:
         """Halve what is open until nothing is, and return the answer."""
-        pending = [(spans, bounds, 0) for spans, bounds in self._open]
-        self._open = []
         # Deepest first: few spans are alive at a time, and the worst values come early.
-        pending.sort(key=lambda entry: float(entry[1].max()))
+        self._open.sort(key=lambda entry: float(entry[1].max()))
         enough = max(MAX_SPANS, 10 * self.looked_at) + self.looked_at
-        while pending:
-            spans, bounds, depth = pending.pop()
-            self._keep(spans, bounds)
-            if not self._open:
+        while self._open:
+            spans, bounds, depth = self._open.pop()
+            if (left := self._left(spans, bounds)) is None:
                 continue
-            spans, bounds = self._open.pop()
+            spans, bounds = left
             if depth == MAX_HALVINGS or self.looked_at > enough:
                 self.ceiling = max(self.ceiling, float(bounds.max()))
                 continue
             inherited = np.concatenate([bounds, bounds])
             for i, batch in enumerate(batches(spans.halves())):
                 given = inherited[i * BATCH : i * BATCH + len(batch)]
-                pending.append((batch, np.minimum(given, self._bounds(batch)), depth + 1))
+                self._open.append((batch, np.minimum(given, self._bounds(batch)), depth + 1))
         worst = max(self.ceiling, self.value)
         return Extremum(self.sign * worst, self.attained, self.item, self.time)
 
@@ -207,13 +276,13 @@ class Search(Generic[S]):
                     self.item, self.time = int(there.item[best]), time
         return bounds
 
-    def _keep(self, spans: S, bounds: Array) -> None:
-        """Put aside the spans whose bounds need a closer look, and settle all others."""
+    def _left(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
+        """Return the spans whose bounds need a closer look, if any, and settle all others."""
         done = bounds <= self.threshold
         self.ceiling = max(self.ceiling, float(np.max(bounds[done], initial=-np.inf)))
-        if not done.all():
-            part = (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
-            self._open.append(part)
+        if done.all():
+            return None
+        return (spans.take(~done), bounds[~done]) if done.any() else (spans, bounds)
 
 
 def _sure(values: Array) -> Array:

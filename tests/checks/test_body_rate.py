@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -33,18 +32,6 @@ def checked(motion: Motion, rate: float = 1.0) -> Check:
 def alone(coefficients: Array, seconds: float = 1.0) -> Motion:
     """One drone without a cable on one piece, coefficients (3, degree + 1) [m]."""
     return single(PiecewisePolynomial(np.array([0.0, seconds]), coefficients[None, None]))
-
-
-def test_a_constant_level_jerk_turns_as_the_arc_tangent_says() -> None:
-    """The tilt is ``atan(j t / g)``: it turns fastest, by j / g, where it is upright."""
-    jerk, seconds = 6.0, 1.3
-    level = [0.0, 0.0, 0.0, jerk * seconds**3 / 6.0]
-    found = checked(alone(np.array([level, [2.0] * 4, [1.0] * 4]), seconds))
-    exactly = math.degrees(jerk / GRAVITY)
-    assert exactly <= found.bound <= exactly * (1.0 + 1e-3)
-    assert found.time == pytest.approx(0.0, abs=0.02)
-    assert found.where == ("d0",)
-    assert (found.unit, found.sense, found.limit) == ("deg/s", "max", math.degrees(1.0))
 
 
 def test_rest_turns_nothing_and_free_fall_turns_without_bound() -> None:

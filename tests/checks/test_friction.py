@@ -122,19 +122,6 @@ def test_more_than_friction_gives_is_unbalanced_by_as_much(
     assert not told.holds
 
 
-def test_pulls_that_no_leg_leans_for_are_unbalanced(leaned: Motion) -> None:
-    assert leaned.leg_tensions is not None
-    c = leaned.leg_tensions.coefficients.copy()
-    c[:, 2, 1] *= 1.02
-    tampered = replace(leaned, leg_tensions=PiecewisePolynomial(leaned.drones.breaks, c))
-    found = check(tampered)
-    assert not found.holds
-    t = np.linspace(0.0, leaned.duration, 4_001)
-    assert sampled(tampered, t)["equilibrium"] <= found.bound
-    assert found.worst == pytest.approx(0.02, rel=0.3)
-    assert found.where == ("p3",)
-
-
 def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
     """Not the legs' pulls, which may be larger: of a cable that hardly pulls along its edge."""
     assert leaned.leg_tensions is not None
@@ -143,13 +130,6 @@ def test_a_weak_edge_is_what_a_residual_is_held_against(leaned: Motion) -> None:
     weak = replace(leaned, tensions=PiecewisePolynomial(leaned.tensions.breaks, c))
     worst = sampled(weak, np.linspace(0.0, leaned.duration, 20_001))["equilibrium"]
     assert worst <= check(weak).bound <= 1.001 * worst
-
-
-def test_pulls_of_another_shape_are_refused(leaned: Motion) -> None:
-    assert leaned.leg_tensions is not None
-    wrong = PiecewisePolynomial(leaned.drones.breaks, leaned.leg_tensions.coefficients[:, :3])
-    with pytest.raises(ho.InputError, match="leg_tensions"):
-        replace(leaned, leg_tensions=wrong)
 
 
 def test_what_legs_pull_over_tensions_that_rise_from_zero_is_told_by_its_limit(
@@ -206,11 +186,3 @@ def test_at_a_chains_ends_friction_makes_nothing_of_the_tension(
         assert not found.holds
         assert found.worst == pytest.approx(abs(1.0 - factor), rel=1e-3)
         assert found.where == (f"p{point}",)
-
-
-def test_setpoints_take_the_legs_pull(leaned: Motion) -> None:
-    t = np.linspace(0.0, leaned.duration, 2_001)
-    forces = ho.Plan(leaned, certify(leaned)).at(t).cable_forces
-    legs = leaned.drones.at(t) - leaned.vertices.at(t)[:, leaned.team.layout.anchors]
-    along = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
-    np.testing.assert_allclose(forces, -leaned.pulls.at(t)[..., None] * along, atol=1e-12)

@@ -90,17 +90,17 @@ def test_cables_stay_as_near_to_their_chains_as_is_said(seed: int) -> None:
     team, drones = random_flight(seed)
     c = cut(drones).coefficients
     q, r = c[:, 0::2].reshape(-1, 3, 6), c[:, 1::2].reshape(-1, 3, 6)
-    hung = chains(q, r, np.tile(team.cable_length, len(c)))
+    places, off = chains(q, r, np.tile(team.cable_length, len(c)))
     for x in (0.0, 0.2, 0.5, 0.9, 1.0):
         motionless = PiecewisePolynomial(np.array([0.0, 1.0]), c.reshape(-1, 3, 6)[None]).at(
             np.array(x)
         )
         one = Team(len(q), np.tile(team.cable_length, len(c)), topology="open")
         points = cable_points(one.cable_length, motionless)
-        links = PiecewisePolynomial(np.array([0.0, 1.0]), hung.points[None]).at(np.array(x))
+        links = PiecewisePolynomial(np.array([0.0, 1.0]), places[None]).at(np.array(x))
         for k in range(0, len(q), 5):
             gaps = np.stack([links[k, :-1], links[k, 1:]], axis=1)[None] - points[k][:, None, None]
-            to_links = np.linalg.norm(shortest_offset(gaps), axis=-1) - hung.off[k]
+            to_links = np.linalg.norm(shortest_offset(gaps), axis=-1) - off[k]
             assert np.max(np.min(to_links, axis=1)) <= 1e-9
 
 

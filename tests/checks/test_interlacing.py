@@ -232,10 +232,9 @@ def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:
     motion = replace(motion, team=Team(2, [2.4, 4.0], topology="open"))
     met = chord_crossings(motion.drones)
     assert not np.any(met.count)
-    inside = entered(motion)
-    assert inside.first.tolist() == [2]
-    assert inside.second.tolist() == [0]
-    assert inside.time == pytest.approx([2.0], abs=0.3)
+    drone, cable, time = entered(motion)
+    assert (drone.tolist(), cable.tolist()) == ([2], [0])
+    assert time == pytest.approx([2.0], abs=0.3)
     assert wrong(motion) == {"p1"}
     # Below the cable, or over the chord, nothing is caught.
     for height in (-1.5, 1.2):
@@ -243,7 +242,7 @@ def test_a_drone_that_dives_through_a_hanging_cable_is_caught() -> None:
         for places in around:
             places[2:, 2] += height
         other = replace(motion, drones=through(np.array([0.0, 4.0]), np.array(around)))
-        assert len(entered(other).first) == 0
+        assert len(entered(other)[0]) == 0
 
 
 @pytest.mark.parametrize("degree", [0, 3])

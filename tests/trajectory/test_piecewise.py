@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import BSpline, make_interp_spline
 
 from hitchopt.errors import InputError
 from hitchopt.trajectory import PiecewisePolynomial, joined
+from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
 
 BREAKS = np.array([0.5, 0.9, 2.0, 2.3])
 
@@ -177,3 +180,36 @@ def test_splines_are_the_same_functions(degree: int) -> None:
         np.testing.assert_allclose(part.at(t, order), spline(t, order), rtol=1e-9, atol=1e-9)
     inner = BSpline(np.arange(10.0), np.eye(6), 3)  # its basis is complete from 3 to 6 only
     np.testing.assert_array_equal(PiecewisePolynomial.from_spline(inner).breaks, [3, 4, 5, 6])
+
+
+@given(st.integers(0, 50), st.lists(st.floats(0.0, 1.0), max_size=8))
+def test_the_same_values_on_finer_breaks(seed: int, shares: list[float]) -> None:
+    part = some(5, seed)
+    extra = part.breaks[0] + np.array(shares, dtype=np.float64) * part.duration
+    breaks = merged_breaks([part.breaks, extra])
+    assert set(part.breaks) <= set(breaks)
+    finer = on_breaks(part, breaks)
+    # Not at breaks, where these parts jump: a time there belongs to either side.
+    t = np.sort(np.random.default_rng(seed).uniform(part.breaks[0], part.breaks[-1], 200))
+    t = t[np.min(np.abs(t[:, None] - breaks), axis=1) > 1e-6]
+    for order in range(3):
+        np.testing.assert_allclose(finer.at(t, order), part.at(t, order), rtol=1e-6, atol=1e-6)
+
+
+def test_a_span_within_the_part_and_the_same_breaks() -> None:
+    part = some(5)
+    breaks = np.array([part.breaks[1] + 0.01, part.breaks[2], part.breaks[2] + 0.02])
+    cut = on_breaks(part, breaks)
+    assert np.array_equal(cut.breaks, breaks)
+    middle = 0.5 * (breaks[1:] + breaks[:-1])
+    np.testing.assert_allclose(cut.at(middle), part.at(middle), atol=1e-13)
+    assert np.array_equal(on_breaks(part, part.breaks).coefficients, part.coefficients)
+
+
+@given(st.lists(st.floats(0.0, 10.0), min_size=2, max_size=9, unique=True))
+def test_breaks_close_to_the_first_ones_are_left_out(times: list[float]) -> None:
+    first, other = np.array([0.0, 3.0, 10.0]), np.sort(np.array(times))
+    merged = merged_breaks([first, other])
+    assert np.all(np.diff(merged) > 0.0)
+    assert all(t in first or np.min(np.abs(first - t)) > SAME_BREAK for t in merged)
+    assert all(np.min(np.abs(merged - t)) <= SAME_BREAK for t in other)

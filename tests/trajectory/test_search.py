@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hitchopt.checks.spans import Spans
 from hitchopt.trajectory import bernstein, search
 from hitchopt.trajectory.enclosed import Bound, Enclosed
-from hitchopt.trajectory.search import Extremum, Search, worst
+from hitchopt.trajectory.search import Extremum, Search, Spans, worst
 
 Array = np.ndarray
 
