@@ -116,8 +116,8 @@ def changed_piece(part: PiecewisePolynomial, piece: int, power: Array) -> Piecew
     """A part whose last entries are powers (entries, degree + 1) of the share of one piece."""
     order = max(part.degree, power.shape[-1] - 1)
     made = part.elevated(order).coefficients.copy()
-    values: Array = np.polynomial.polynomial.polyval(bernstein.nodes(order), power.T)
-    made[piece].reshape(-1, order + 1)[-len(power) :] = bernstein.interpolate(values)
+    values = np.vander(bernstein.nodes(order), power.shape[-1], increasing=True) @ power.T
+    made[piece].reshape(-1, order + 1)[-len(power) :] = bernstein.interpolate(values.T)
     return PiecewisePolynomial(part.breaks, made)
 
 
@@ -246,7 +246,7 @@ NINE = [
 
 
 def around_a_stone(mass: float, clasps: float = 0.0) -> ho.Problem:
-    stone = {"outline": NINE, "mass": mass, "friction": 1.0, "at": [0.0, 0.0, 0.0]}
+    stone: dict[str, Any] = {"outline": NINE, "mass": mass, "friction": 1.0, "at": [0.0, 0.0, 0.0]}
     given = drum(circle=None, **stone)
     given["team"] |= {"cable_density": 0.01, "cable_friction": clasps}
     polygon = 0.42 * np.array([[1.0, 0.0], [-0.5, -0.8667], [-0.5, 0.8667]])

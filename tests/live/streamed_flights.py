@@ -40,6 +40,16 @@ def tables(*, swarm: bool) -> dict[str, AbortTable]:
     return {"land": abort_table(motion, "land"), "abort": abort_table(motion, "release_and_land")}
 
 
+def check_setpoints(series: list[ho.Setpoints], limits: ho.Limits, step: float) -> None:
+    """Setpoints, a step [s] apart, keep the limits, and each follows from the one before."""
+    names = "positions", "velocities", "accelerations", "jerks"
+    p, v, a, j = (np.array([getattr(each, name) for each in series]) for name in names)
+    for values, most in ((v, limits.speed), (a, limits.acceleration), (j, limits.jerk)):
+        assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
+    led = p[:-1] + 0.5 * step * (v[1:] + v[:-1])
+    assert np.max(np.abs(p[1:] - led), initial=0.0) <= limits.jerk * step**3
+
+
 def at_once(compute: Callable[[], str]) -> Future[str]:
     """Compute now."""
     done: Future[str] = Future()
@@ -105,15 +115,7 @@ class Rig:
 
     def check(self, *, landed: bool) -> None:
         """All that was sent keeps the limits, and follows from the setpoint before."""
-        limits, step = self.plan.motion.requirements.limits, 1.0 / self.rate
         series = [flown.setpoints for flown in self.sent]
-        positions, velocities, accelerations = (
-            np.array([getattr(each, name) for each in series])
-            for name in ("positions", "velocities", "accelerations")
-        )
-        for values, most in ((velocities, limits.speed), (accelerations, limits.acceleration)):
-            assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
-        led = positions[:-1] + 0.5 * step * (velocities[1:] + velocities[:-1])
-        assert np.max(np.abs(positions[1:] - led)) <= limits.jerk * step**3
+        check_setpoints(series, self.plan.motion.requirements.limits, 1.0 / self.rate)
         assert self.flight.landed == landed
-        assert not landed or abs(np.min(positions[-1, :, 2])) <= 1e-9
+        assert not landed or abs(np.min(series[-1].positions[:, 2])) <= 1e-9

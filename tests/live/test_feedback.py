@@ -58,6 +58,18 @@ def test_vertices_that_rest_in_their_places_change_nothing() -> None:
             np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-6)
 
 
+def test_setpoints_lead_vertices_that_move_as_planned() -> None:
+    """By 0.4 s, as far as the damped response moves them: friction is to be overcome first."""
+    plan, feedback = plan_of(), ho.Feedback(plan_of(), delay=0.0)
+    for time in np.arange(4.0, 5.0, STEP).tolist():
+        feedback.step(time, STEP, plan.at(time).vertices)
+    speeds = plan.motion.vertices.at(5.0, 1).ravel()
+    ((forward, inverse),) = vertex_responses(plan.motion, 5.0, 36.0 * plan.motion.team.mass)
+    led = inverse @ (0.4 * speeds)
+    assert np.linalg.norm(feedback.offsets.ravel() - led) < 0.1 * np.linalg.norm(led)
+    assert forward @ led @ speeds > 0.0
+
+
 def test_missing_or_false_measurements_let_corrections_fade() -> None:
     plan = plan_of()
     feedback = ho.Feedback(plan, delay=0.0)

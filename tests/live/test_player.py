@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from streamed_flights import check_setpoints
 
 import hitchopt as ho
 from hitchopt.live.player import Player
@@ -27,21 +28,8 @@ def plan_of() -> ho.Plan:
 
 def ran(player: Player, seconds: float) -> list[ho.Setpoints]:
     """Setpoints over some time; each keeps the limits and follows from the one before."""
-    limits = player.motion.requirements.limits
-    found = [player.step(0.0)]
-    for _ in range(int(seconds / STEP) + 1):
-        here, last = player.step(STEP), found[-1]
-        for values, most in (
-            (here.velocities, limits.speed),
-            (here.accelerations, limits.acceleration),
-            (here.jerks, limits.jerk),
-        ):
-            assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
-        mean = 0.5 * (here.velocities + last.velocities)
-        np.testing.assert_allclose(
-            here.positions - last.positions, STEP * mean, atol=limits.jerk * STEP**3
-        )
-        found.append(here)
+    found = [player.step(0.0), *(player.step(STEP) for _ in range(int(seconds / STEP) + 1))]
+    check_setpoints(found, player.motion.requirements.limits, STEP)
     return found
 
 
