@@ -73,9 +73,8 @@ Flags = NDArray[np.bool_]
 Allowed = Callable[[Indices, Indices], Flags]
 """Which pairs (first, second) count."""
 
-
 Names = tuple[Sequence[str], Sequence[str]]
-"""Of the bodies of both groups."""
+"""Names of the bodies of both groups."""
 
 
 class Shape(Protocol):

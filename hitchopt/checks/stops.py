@@ -133,7 +133,7 @@ class OnClock(Spans):
 
     @cached_property
     def _passed(self) -> Array:
-        """(spans,) [s] of plan time."""
+        """(spans,) [s], plan time that has passed."""
         begin = self.breaks[self.piece]
         passed: Array = np.abs(self.extent[1] - self.extent[0]) * (
             self.breaks[self.piece + 1] - begin

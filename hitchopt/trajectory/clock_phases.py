@@ -60,11 +60,6 @@ class ClockPhases:
         """Return the chosen phases."""
         return ClockPhases(self.owner[index], self.jets[index], self.duration[index])
 
-    def followed_by(self, other: ClockPhases) -> ClockPhases:
-        """Return these phases and then others."""
-        mine, theirs = vars(self).values(), vars(other).values()
-        return ClockPhases(*(np.concatenate(pair) for pair in zip(mine, theirs, strict=True)))
-
     def cut(self, breaks: Array, sliver: float = SLIVER) -> tuple[ClockPhases, Indices]:
         """Return the phases cut where they pass a break, and (cells,) the pieces they lie in.
 

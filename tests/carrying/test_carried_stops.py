@@ -72,7 +72,8 @@ def test_any_commands_keep_the_balance(kind: str) -> None:
             if command == "rate" and len(clock):
                 jet = clock.ends[-1:] * [1.0, 1.0, 0.0, 0.0]
                 left = 2.0 * (motion.duration - jet[:, 0])
-                clock = clock.followed_by(ClockPhases(np.zeros(1, int), jet, left))
+                run = vars(clock).values(), (np.zeros(1, int), jet, left)
+                clock = ClockPhases(*map(np.concatenate, zip(*run, strict=True)))
             assert not len(clock) or balanced(motion, clock)
             player.step(rng.uniform(0.3, 1.0) * seconds)
     assert done > 3
