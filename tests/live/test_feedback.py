@@ -10,7 +10,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.errors import InputError, UnsupportedError
-from hitchopt.live.feedback import cells_of, vertex_responses
+from hitchopt.live.feedback import LARGEST, Cell, cells_of, vertex_responses
 from hitchopt.values import Array
 
 STEP = 0.01
@@ -197,6 +197,31 @@ def test_corrections_keep_every_distance_whatever_is_asked(*, moving: bool) -> N
     assert cable >= 0.1 - 1e-9
     assert leg >= 0.15 - 1e-9
     assert moving or cable < 0.12  # they are used
+
+
+def test_offsets_stay_within_half_spaces_that_leave_little_room() -> None:
+    """More half-spaces than alternating steps satisfy; those within are kept, as small ones are."""
+    rng, everywhere = np.random.default_rng(8), np.full(3, np.inf)
+    for _ in range(50):
+        rows = rng.normal(size=(24, 4, 3))
+        rows = (rows - rows.mean(axis=1, keepdims=True)).reshape(24, 12)
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        bounds = rng.uniform(0.0, 0.02, 24)
+        cell = Cell(rows, bounds, -everywhere, everywhere, rows, rows)
+        asked = rng.normal(0.0, 0.05, (4, 3))
+        found = cell.within(asked)
+        own = (found - found.mean(axis=0)).ravel()
+        assert np.all(rows @ own <= bounds + 1e-12)
+        assert np.linalg.norm(found - found.mean(axis=0), axis=1).max() <= LARGEST + 1e-12
+        np.testing.assert_allclose(found.mean(axis=0), asked.mean(axis=0), atol=1e-12)
+        np.testing.assert_allclose(cell.within(found), found, atol=1e-12)
+        # Of a single half-space it is the nearest place; what is far off is drawn in.
+        one = Cell(rows[:1], bounds[:1], -everywhere, everywhere, rows, rows)
+        beyond = max(float(rows[0] @ asked.ravel() - bounds[0]), 0.0)
+        nearest = asked - beyond * rows[0].reshape(4, 3)
+        np.testing.assert_allclose(one.within(asked), nearest, atol=1e-12)
+        far = one.within(100.0 * asked)
+        assert np.linalg.norm(far - far.mean(axis=0), axis=1).max() <= LARGEST + 1e-12
 
 
 def test_the_arena_limits_a_common_correction() -> None:
