@@ -159,3 +159,10 @@ def test_the_largest_of_bounds_is_told_with_its_place() -> None:
     found = largest_of([a, b], 4.5)
     assert found.value.tolist() == [4.5, 9.0]
     assert found.x.tolist() == [0.0, 1.0]
+
+
+def test_a_product_of_errors_is_enclosed() -> None:
+    """What is known to be near zero alone may be as far off as its ball reaches."""
+    ball = Enclosed(np.zeros((1, 3, 2)), np.array([0.5]))
+    for found in (ball.dot(ball), ball * ball[0], ball[0] * ball[0]):
+        assert np.all(found.r >= 0.25)
