@@ -62,7 +62,7 @@ from hitchopt.exports.recording import (
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.storage.archive import opened_zip, read_members
+from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
@@ -268,7 +268,7 @@ def read_show(path: Path) -> Show:
     ------
     FileError: no zip, no show, a trajectory that is damaged, or more than anyone flies.
     """
-    with opened_zip(path, "Skybrush show") as archive:
+    with reading(path, "Skybrush show"), zipfile.ZipFile(path) as archive:
         (content,) = read_members(path, archive, [archive.getinfo("show.json")])
         show = parsed_json(content)
         drones = show["swarm"]["drones"]
@@ -526,7 +526,7 @@ def read_zip(path: Path) -> dict[str, PiecewisePolynomial]:
     FileError: no zip, no such files, damaged ones, or more than anyone flies.
     """
     found: dict[str, PiecewisePolynomial] = {}
-    with opened_zip(path, "zip of CSV files") as archive:
+    with reading(path, "zip of CSV files"), zipfile.ZipFile(path) as archive:
         members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
         for member, data in zip(members, read_members(path, archive, members), strict=True):
             name = Path(member.filename).stem
