@@ -10,7 +10,7 @@ from typing import Any
 import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, record, say, span_text, table
+from hitchopt.cli.output import LateProgress, say, span_text, table
 from hitchopt.errors import InputError
 
 USUAL = {"cable": "0.01", "position": "0.02"}
@@ -82,8 +82,7 @@ def statics(
             ranges, settled = None, settle_motion(motion, t, conditions)
         save_statics(path.parent, settled, ranges)
     content = statics_content(settled, ranges)
-    record(directory=str(path.parent), statics=content)
-    say(_statics_tables(content))
+    say(_statics_tables(content), directory=str(path.parent), statics=content)
     for note in conditions.notes(motion.team):
         say(f"note: {note}")
     say(f"statics.json and statics.png are in {path.parent}")
@@ -126,11 +125,7 @@ def _statics_tables(content: dict[str, Any]) -> str:
         vertices.append({"vertex": each["name"], **row})
     over = "smallest to largest value over the times"
     when = f"at t = {t[0]:g} s" if len(t) == 1 else f"at {len(t)} times, {t[0]:g} to {t[-1]:g} s"
-    parts = [table(f"Cables: {over}", cables), table(f"Vertices: {over}", vertices)]
-    parts.append(
-        f"{when}; forces balance to {content['force_residual']:.1e} N, lengths to "
-        f"{content['length_residual']:.1e} m"
-    )
+    parts = [table(f"Cables: {over}", cables), table(f"Vertices: {over}", vertices), when]
     return "\n\n".join(parts)
 
 
@@ -162,12 +157,12 @@ def calibrate(
     place = None if plan is None else plan_path(plan).parent
     with LateProgress("estimating"):
         found = ho.calibrate(recording, place, density=density)
-    record(
+    say(
+        _calibration_tables(found),
         lengths=[vars(estimate) for estimate in found.lengths],
         stiffness=[vars(estimate) for estimate in found.stiffness],
         friction=vars(found.friction),
     )
-    say(_calibration_tables(found))
     if output is not None:
         save_team(output, found)
         say(f"the team is in {output}")
@@ -181,32 +176,28 @@ def _calibration_tables(found: ho.Calibration) -> str:
     from hitchopt.cli.simulating import spread_text
 
     team, compared = found.task.team, found.comparison
-    named = [
-        (f"length of cable {k} [m]", x, team.cable_length[k]) for k, x in enumerate(found.lengths)
-    ]
-    for k, estimate in enumerate(found.stiffness):
-        named.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k]))
-    named.append(("friction", found.friction, team.cable_friction))
+    names = [f"length of cable {k} [m]" for k in range(len(found.lengths))]
+    names += [f"stiffness of q{k}, r{k} [N/m]" for k in range(len(found.stiffness))]
+    planned = [*team.cable_length, *team.stiffness[::2], team.cable_friction]
     rows, remarks = [], []
-    for name, estimate, planned in named:
+    estimates = *found.lengths, *found.stiffness, found.friction
+    for name, each, plan in zip([*names, "friction"], estimates, planned, strict=True):
         cells = {"value": "not determined", "± error": ""}
-        if estimate.known:
-            cells = {"value": f"{estimate.value:.5g}", "± error": f"{estimate.error:.1g}"}
+        if each.known:
+            cells = {"value": f"{each.value:.5g}", "± error": f"{each.error:.1g}"}
         else:
-            remarks.append(f"{name}: {estimate.remark}")
-        rows.append({"quantity": name, **cells, "in the plan": float(planned)})
+            remarks.append(f"{name}: {each.remark}")
+        rows.append({"quantity": name, **cells, "in the plan": float(plan)})
     heads = ("whole flight", "plan at rest", "plan moving")
+    of_vertices, of_drones = map(compared.spreads, (compared.vertices, compared.drones))
     distances = [
         {"of": name, **dict(zip(heads, map(spread_text, spreads), strict=True))}
-        for names, columns in (
-            (team.point_names, compared.vertices),
-            (team.drone_names, compared.drones),
+        for name, spreads in zip(
+            (*team.point_names, *team.drone_names), (*of_vertices, *of_drones), strict=True
         )
-        for name, spreads in zip(names, compared.spreads(columns), strict=True)
     ]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
-    estimates = table("Estimates", rows)
-    return "\n\n".join([estimates, *remarks, table(title, distances)]) + "\n"
+    return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
 
 
 @command(
@@ -237,8 +228,6 @@ def fit(
     mass: float | None,
     by: str,
     tilt_deg: float,
-    quadrotor_mass: float,
-    max_thrust: float,
     **given: Any,
 ) -> None:
     """Fit a hitch to OUTLINE: what encloses it, what grips it, what it rests on, and how much.
@@ -251,17 +240,16 @@ def fit(
 
     if mass is not None:
         positive("--mass", mass)
-    kind = ho.Quadrotor(quadrotor_mass, max_thrust)
+    kind = ho.Quadrotor(given.pop("quadrotor_mass"), given.pop("max_thrust"))
     limits = ho.Limits(tilt_deg=tilt_deg)
     with LateProgress("fitting"):
         found = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
         content = fit_as_json(found)
-    record(fit=content)
-    say("\n\n".join([*(f"note: {note}" for note in found.notes), *_fit_tables(content)]))
+    notes = [f"note: {note}" for note in found.notes]
+    say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
         save_fit(output, found)
-        record(directory=str(output))
-        say(f"fit.json and fit.png are in {output}")
+        say(f"fit.json and fit.png are in {output}", directory=str(output))
     if mass is not None:
         found.raise_if_too_heavy(mass, by)
         say(f"{1e3 * mass:g} g are held by {by}")
