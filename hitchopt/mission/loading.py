@@ -75,7 +75,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
     try:
         return any_problem_from_dict(data, directory)
     except InputError as error:
-        raise error.located(root.place_of) from None
+        raise error.located(root.finder()) from None
 
 
 def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:

@@ -141,13 +141,21 @@ class Node:
             raise InputError(str(part), self.value, "an entry of the file", "add it before")
         return self.children[part]
 
-    def place_of(self, key: str, above: Sequence[str | int] = ()) -> Place:
-        """Return the place of a key such as ``key_path`` returns, or of the innermost around it."""
+    def finder(self) -> Callable[[str], Place]:
+        """Return what finds the place of a key, or of the innermost mapping or list around it."""
+        places = dict(self._places([]))
+
+        def place_of(key: str) -> Place:
+            while key and key not in places:
+                key = key[: max(key.rfind("."), key.rfind("["), 0)]
+            return places[key]
+
+        return place_of
+
+    def _places(self, path: list[str | int]) -> Iterator[tuple[str, Place]]:
+        yield key_path(path), self.place
         for part, child in self.children.items():
-            own = key_path([*above, part])
-            if key == own or key.startswith((f"{own}.", f"{own}[")):
-                return child.place_of(key, [*above, part])
-        return self.place
+            yield from child._places([*path, part])
 
 
 class _Reader:
