@@ -316,6 +316,9 @@ def plain(data: object) -> Plain:
 def _plain(data: object, path: list[str | int], budget: Budget) -> Plain:
     budget.spend(path, data)
     if isinstance(data, np.ndarray | np.generic):
+        if data.size > MAX_NODES:  # before a list of it is made
+            bound = f"within {MAX_NODES} values in all"
+            raise InputError(_where(path), f"{data.size} values", bound, "give less")
         data = data.tolist()
     if data is None or isinstance(data, bool | float):
         return data
