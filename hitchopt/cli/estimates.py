@@ -10,7 +10,7 @@ from typing import Any
 import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, record, say, span_text, table
+from hitchopt.cli.output import LateProgress, say, span_text, table
 from hitchopt.errors import InputError
 
 USUAL = {"cable": "0.01", "position": "0.02"}
@@ -83,8 +83,7 @@ def statics(
             ranges, settled = None, settle(motion, t, **chosen)
         save_statics(path.parent, settled, ranges)
     content = statics_content(settled, ranges)
-    record(directory=str(path.parent), statics=content)
-    say(_statics_tables(content))
+    say(_statics_tables(content), directory=str(path.parent), statics=content)
     winds, feeds = (
         conditions_of(motion.team, **chosen)[name] for name in ("integral", "feed_forward")
     )
@@ -130,11 +129,7 @@ def _statics_tables(content: dict[str, Any]) -> str:
         vertices.append({"vertex": each["name"], **row})
     over = "smallest to largest value over the times"
     when = f"at t = {t[0]:g} s" if len(t) == 1 else f"at {len(t)} times, {t[0]:g} to {t[-1]:g} s"
-    parts = [table(f"Cables: {over}", cables), table(f"Vertices: {over}", vertices)]
-    parts.append(
-        f"{when}; forces balance to {content['force_residual']:.1e} N, lengths to "
-        f"{content['length_residual']:.1e} m"
-    )
+    parts = [table(f"Cables: {over}", cables), table(f"Vertices: {over}", vertices), when]
     return "\n\n".join(parts)
 
 
@@ -166,12 +161,12 @@ def calibrate(
     place = None if plan is None else plan_path(plan).parent
     with LateProgress("estimating"):
         found = ho.calibrate(recording, place, density=density)
-    record(
+    say(
+        _calibration_tables(found),
         lengths=[vars(estimate) for estimate in found.lengths],
         stiffness=[vars(estimate) for estimate in found.stiffness],
         friction=vars(found.friction),
     )
-    say(_calibration_tables(found))
     if output is not None:
         save_team(output, found)
         say(f"the team is in {output}")
@@ -204,8 +199,7 @@ def _calibration_tables(found: ho.Calibration) -> str:
     columns += zip(team.drone_names, found.drone_errors.T, strict=True)
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
-    estimates = table("Estimates", rows)
-    return "\n\n".join([estimates, *remarks, table(title, distances)]) + "\n"
+    return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
 
 
 @command(
@@ -236,8 +230,6 @@ def fit(
     mass: float | None,
     by: str,
     tilt_deg: float,
-    quadrotor_mass: float,
-    max_thrust: float,
     **given: Any,
 ) -> None:
     """Fit a hitch to OUTLINE: what encloses it, what grips it, what it rests on, and how much.
@@ -250,17 +242,16 @@ def fit(
 
     if mass is not None:
         positive("--mass", mass)
-    kind = ho.Quadrotor(quadrotor_mass, max_thrust)
+    kind = ho.Quadrotor(given.pop("quadrotor_mass"), given.pop("max_thrust"))
     limits = ho.Limits(tilt_deg=tilt_deg)
     with LateProgress("fitting"):
         found = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
         content = fit_as_json(found)
-    record(fit=content)
-    say("\n\n".join([*(f"note: {note}" for note in found.notes), *_fit_tables(content)]))
+    notes = [f"note: {note}" for note in found.notes]
+    say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
         save_fit(output, found)
-        record(directory=str(output))
-        say(f"fit.json and fit.png are in {output}")
+        say(f"fit.json and fit.png are in {output}", directory=str(output))
     if mass is not None:
         found.raise_if_too_heavy(mass, by)
         say(f"{1e3 * mass:g} g are held by {by}")

@@ -60,9 +60,8 @@ class SafeGroup(click.Group):
                 code = end.code
             except OSError as error:  # a full disk, a directory that may not be written
                 place = f"{error.filename}: " if error.filename else ""
-                message = f"{place}{error.strerror or error}; check the path and its disk"
-                record(errors=[{"message": message}])
-                say(f"error: {message}", err=True)
+                words = f"{place}{error.strerror or error}; check the path and its disk"
+                complain(FileError(words))
                 code = WRONG
             output().finish(str(ctx.invoked_subcommand), code)
             ctx.exit(code)

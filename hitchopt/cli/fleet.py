@@ -71,19 +71,19 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
         done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
     entries = []
     for part in done:
-        verdict = part.verdict
-        position, velocity = verdict.position, verdict.velocity
+        verdict, found = part.verdict, asdict(part.verdict)
         entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
-        entry |= {"duration": verdict.duration, "position_error": vars(position)}
-        entry |= {"velocity_error": vars(velocity), "checks": [vars(c) for c in verdict.checks]}
-        entries.append({**entry, "not_carried": verdict.not_carried, "notes": part.notes})
+        entry |= {f"{name}_error": found.pop(name) for name in ("position", "velocity")}
+        entries.append({**entry, **found, "notes": part.notes})
         say(certificate_table(ho.Certificate(verdict.duration, verdict.checks)))
+        position, velocity = verdict.position, verdict.velocity
         say(
             f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
             f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
-            "from the plan, over all time"
+            f"from the plan, over all time\nnot carried: {verdict.not_carried}"
         )
-        say("\n".join([f"not carried: {verdict.not_carried}", *(f"note: {x}" for x in part.notes)]))
+        for note in part.notes:
+            say(f"note: {note}")
         say(f"certified as exported; {len(part.files)} files in {part.folder}")
     record(parts=entries)
 
@@ -141,8 +141,8 @@ def _say_report(report: Report) -> None:
         figures.append((f"jump where pieces join [{unit}]", size, None))
     frame = f", frame {report.frame}" if report.frame else ""
     title = f"{report.path}: {report.kind}, {len(facts)} drones{frame}, {flight.duration:.3f} s"
-    rows = [{"figure": name, "worst": worst, "limit": limit} for name, worst, limit in figures]
-    say(table(title, [row for row in rows if row["worst"] is not None]))
+    heads = ("figure", "worst", "limit")
+    say(table(title, [dict(zip(heads, row, strict=True)) for row in figures if row[1] is not None]))
     by_rule: dict[tuple[str, str], list[str]] = {}
     for finding in report.findings:
         by_rule.setdefault((finding.level, finding.rule), []).append(str(finding))
@@ -188,11 +188,14 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
     say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
     save_aborts(path.parent, found)
-    entries = [{"start": entry.start, "seconds": entry.seconds} for entry in found.entries]
-    longest = found.longest if entries else None
-    record(directory=str(path.parent), how=found.how, entries=entries, longest=longest)
-    record(missing=[list(span) for span in found.missing])
-    say(f"aborts.json and aborts.zip are in {path.parent}")
+    say(
+        f"aborts.json and aborts.zip are in {path.parent}",
+        directory=str(path.parent),
+        how=found.how,
+        entries=[{"start": entry.start, "seconds": entry.seconds} for entry in found.entries],
+        longest=found.longest if found.entries else None,
+        missing=[list(span) for span in found.missing],
+    )
     if found.entries:
         say(f"at rest {found.longest:.3f} s after any command at the latest")
     if found.missing:
@@ -263,11 +266,11 @@ def fly(
                 _stream(flight, 1.0 / rate)
             finally:
                 outlet.close(landed=flight.landed)
-    record(landed=flight.landed, late=flight.late)
-    if flight.late:
-        say(f"{flight.late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
-    say("landed" if flight.landed else "not landed", err=not flight.landed)
-    if not flight.landed:
+    landed, late = flight.landed, flight.late
+    if late:
+        say(f"{late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
+    say("landed" if landed else "not landed", err=not landed, landed=landed, late=late)
+    if not landed:
         unmet()
 
 
@@ -290,20 +293,15 @@ def _outlet_of(
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
         return CrazyflieOutlet(names, robots, frame)
-    places, here = _targets(targets, len(names), PORT[over]), address("--listen", listen)
+    here = address("--listen", listen)
+    places = [address("--to", each) for each in targets]
+    if not places:
+        places = [("127.0.0.1", PORT[over] + i) for i in range(len(names))]
+    if len(places) not in (1, len(names)):
+        words = f"given once, or {len(names)} times", "one for each drone"
+        raise InputError("--to", len(places), *words)
+    places *= len(names) // len(places)
     return (JsonOutlet if over == "json" else MavlinkOutlet)(names, places, frame, here)
-
-
-def _targets(given: tuple[str, ...], count: int, port: int) -> list[tuple[str, int]]:
-    """Return an address for each drone."""
-    from hitchopt.live.links import address
-
-    if not given:
-        return [("127.0.0.1", port + i) for i in range(count)]
-    if len(given) not in (1, count):
-        raise InputError("--to", len(given), f"given once, or {count} times", "one for each drone")
-    found = [address("--to", each) for each in given]
-    return found * count if len(found) == 1 else found
 
 
 def _flown_aborts(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:

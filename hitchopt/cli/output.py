@@ -64,8 +64,12 @@ def output() -> Output:
     return found
 
 
-def say(text: str, *, err: bool = False) -> None:
-    """Write a line for people: results to stdout unless they are not wanted, else to stderr."""
+def say(text: str, *, err: bool = False, **results: Any) -> None:
+    """Write a line for people, and record the ``results`` that it tells.
+
+    Lines go to stdout unless they are not wanted, or to stderr.
+    """
+    record(**results)
     if err or not (output().quiet or output().json):
         echo(text, err=err)
 
@@ -142,9 +146,9 @@ def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> Non
     """Report the phases and the certificate of a plan."""
     kept = ("name", "step", "start", "end", "remark")
     phases = [{name: getattr(phase, name) for name in kept} for phase in motion.phases]
-    record(title=title, phases=phases, certificate=certificate.to_dict())
     tables = [phase_table(motion.phases), certificate_table(certificate)]
-    say("\n\n".join(tables).join([f"{title}\n" if title else "", "\n"]))
+    said = "\n\n".join(tables).join([f"{title}\n" if title else "", "\n"])
+    say(said, title=title, phases=phases, certificate=certificate.to_dict())
 
 
 def phase_table(phases: Sequence[ho.Phase]) -> str:
@@ -153,8 +157,8 @@ def phase_table(phases: Sequence[ho.Phase]) -> str:
     for p in phases:
         times = {"start": p.start, "end": p.end, "duration": p.end - p.start}
         cells = {name: f"{t:.3f} s" for name, t in times.items()}
-        remark = {"remark": p.remark} if p.remark else {}
-        rows.append({"phase": p.name, "step": p.step, **cells, **remark})
+        rows.append({"phase": p.name, "step": p.step, **cells})
+        rows[-1] |= {"remark": p.remark} if p.remark else {}
     return table("Phases", rows)
 
 
@@ -214,8 +218,9 @@ def done_of(message: str) -> tuple[float | None, float | None]:
     if found is None:
         return None, None
     done, total, percent = found.groups()
-    count = (float(percent), 100.0) if percent else (float(done), float(total))
-    return count if count[1] > 0.0 else (None, None)
+    if percent:
+        return float(percent), 100.0
+    return (float(done), float(total)) if float(total) > 0.0 else (None, None)
 
 
 class LateProgress:

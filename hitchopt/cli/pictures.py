@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, record, say
+from hitchopt.cli.output import LateProgress, say
 from hitchopt.cli.planning import SUFFIXES
 from hitchopt.errors import FileError, HitchoptError, InputError
 
@@ -36,8 +36,7 @@ def report(directory: Path) -> None:
     place = plan_path(directory).parent
     with LateProgress("certifying and writing"):
         path = ho.load(place).report(place)
-    record(file=str(path))
-    say(f"open {path} in a browser")
+    say(f"open {path} in a browser", file=str(path))
 
 
 @command(
@@ -62,7 +61,7 @@ def view(
     .mp4 and .gif are a film (needs imageio). Of a simulated flight, DIR/simulation, the film is
     saved, and live it is the ghost of its plan.
     """
-    from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
+    from hitchopt.storage.archive import PLAN, RECORDING
 
     recording = path / RECORDING if path.is_dir() and not (path / PLAN).exists() else path
     flown = recording.name == RECORDING and recording.is_file()
@@ -78,15 +77,8 @@ def view(
         return
     from hitchopt.view.server import open_server, server_address
 
-    plan = None
-    if path.suffix in SUFFIXES:
-        plan = _planned(path)
-    else:
-        file = plan_path(path)
-        try:  # before a page is opened for it
-            read_arrays(file, ("settings", "breaks", "drones"))
-        except BROKEN as error:
-            raise FileError(f"{file}: not a plan, or a damaged one: {error}") from error
+    shown = _shown(path)  # before a page is opened for it
+    file = path if path.suffix in SUFFIXES else plan_path(path).with_name(PROBLEM)
     server = open_server(host, port)
     address = server_address(server)
     say(f"the plan is at {address}; Ctrl-C ends this")
@@ -94,7 +86,7 @@ def view(
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     close = server.stop
     try:
-        close = _serve(server, path, plan, ghost or (recording if flown else None)).close
+        close = _serve(server, shown, file, ghost or (recording if flown else None)).close
         threading.Event().wait()
     finally:
         close()
@@ -102,45 +94,48 @@ def view(
 
 def _save(file: Path, path: Path, recording: Path | None) -> None:
     """Write a plan as a page or picture, or the film of a simulated flight of it."""
-    from hitchopt.motion.plan_file import read_plan, read_title
-    from hitchopt.view.film import check_film, save_film
-    from hitchopt.view.scene import ghost_scene
+    if recording is None:
+        plan = _planned(path) if path.suffix in SUFFIXES else None
+        with LateProgress("certifying and drawing") as progress:
+            (plan or ho.load(plan_path(path).parent)).view(file, progress=progress)
+    else:
+        from hitchopt.view.film import check_film, save_film
+        from hitchopt.view.scene import ghost_scene
 
-    if recording is not None:
         check_film(file)
-        flown = plan_path(path)
-        scene, words = ghost_scene(recording, read_plan(flown)), f"{read_title(flown)} (simulated)"
+        motion, _, title, _ = _shown(path)
+        words = f"{title} (simulated)".strip()
         with LateProgress("drawing the film") as tell:
-            save_film(
-                file, scene, words.strip(), lambda done: tell(f"drawing the film, {done:.0%}")
-            )
-        record(file=str(file))
-        say(f"the film is {file}")
-        return
-    plan = _planned(path) if path.suffix in SUFFIXES else None
-    with LateProgress("certifying and drawing") as progress:
-        plan = plan or ho.load(plan_path(path).parent)
-        plan.view(file, progress=progress)
-    record(file=str(file))
-    say(f"wrote {file}")
+            scene = ghost_scene(recording, motion)
+            save_film(file, scene, words, lambda done: tell(f"drawing the film, {done:.0%}"))
+    say(f"wrote {file}", file=str(file))
 
 
-def _serve(server: Any, path: Path, plan: ho.Plan | None, ghost: Path | None) -> LiveView:
-    """Show a plan, or that in a directory, in the page of a server, to be edited there."""
+def _shown(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
+    """Return motion, certificate, title and problem's text; one in a directory is not certified."""
     from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
+
+    if path.suffix in SUFFIXES:
+        plan = _planned(path)
+        return plan.motion, plan.certificate, plan.title, plan.problem
+    file = plan_path(path)
+    return read_plan(file), None, read_title(file), read_problem_text(file)
+
+
+def _serve(
+    server: Any,
+    shown: tuple[ho.Motion, ho.Certificate | None, str, str],
+    file: Path,
+    ghost: Path | None,
+) -> LiveView:
+    """Show a plan in the page of a server, to be edited there and saved to ``file``."""
     from hitchopt.steps.certified_motions import Certified
     from hitchopt.view.editing import Editing
     from hitchopt.view.live import ASPECT, NARROW_ASPECT, LiveView
     from hitchopt.view.panel import EditingPanel
     from hitchopt.view.scene import ghost_scene
 
-    certificate = None
-    if plan is not None:
-        motion, certificate, title, text = plan.motion, plan.certificate, plan.title, plan.problem
-    else:
-        file = plan_path(path)
-        motion, title, text = read_plan(file), read_title(file), read_problem_text(file)
-        path = file.with_name(PROBLEM)
+    motion, certificate, title, text = shown
     other = None if ghost is None else ghost_scene(ghost, motion)
     aspect = NARROW_ASPECT if text and motion.team.has_cables else ASPECT
     live = LiveView(motion, certificate, title, ghost=other, server=server, aspect=aspect)
@@ -151,7 +146,7 @@ def _serve(server: Any, path: Path, plan: ho.Plan | None, ghost: Path | None) ->
             certificate = ho.certify(motion)
         live.show_certificate(certificate)
     try:
-        editing = Editing(text, path, Certified(live.motion, certificate))
+        editing = Editing(text, file, Certified(live.motion, certificate))
     except HitchoptError as error:
         say(f"it cannot be edited here: {error}")
     else:

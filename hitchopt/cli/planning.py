@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 import re
-import shlex
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -16,7 +15,7 @@ import click
 import hitchopt as ho
 from hitchopt.cli.failures import complain, exit_code, unmet
 from hitchopt.cli.options import command, completing, plan_path
-from hitchopt.cli.output import LateProgress, output, record, say, show_plan, table
+from hitchopt.cli.output import LateProgress, record, say, show_plan, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
@@ -30,6 +29,8 @@ names of problem files."""
 
 MIN_SEARCH_TIME = 1e-3
 """Time limit of the search for changes [s] if no time is left: its end is then reported."""
+
+ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
 SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="
@@ -61,14 +62,14 @@ def solve(
 
     FILE may be - for standard input. After a refusal DIR/previous has the last certified plan.
     """
-    checked_rate(rate)
-    if not math.isfinite(limit) or limit <= 0.0:
-        raise InputError("--limit", limit, "above 0 s", "600 s are usual")
-    end = time.monotonic() + limit
-    place = _output(output, file)
     from hitchopt.mission.loading import parse_problem
     from hitchopt.storage.yaml_file import read_text
+    from hitchopt.values import positive
 
+    checked_rate(rate)
+    positive("--limit", limit)
+    end = time.monotonic() + limit
+    place = _output(output, file)
     problem: AnyProblem | None = None
     try:
         text, name = read_text(file)  # once: it may be a pipe
@@ -97,8 +98,8 @@ def _output(given: Path | None, file: Path) -> Path:
 def _plan(
     problem: AnyProblem, text: str, place: Path, rate: float, limit: float, *, report: bool
 ) -> None:
-    """Plan, show and write a problem, and say what to do next."""
-    from hitchopt.exports.directory import SUMMARY, certificate_content
+    """Plan, show and write a problem."""
+    from hitchopt.exports.directory import certificate_content
     from hitchopt.storage.archive import PLAN
 
     with LateProgress("planning", limit) as progress:
@@ -112,15 +113,7 @@ def _plan(
     with LateProgress("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
     content = certificate_content(motion, plan.certificate, place / PLAN)
-    record(directory=str(place), certificate=content)
-    say(f"certified; the plan is in {place}")
-    # Edges that bend around an object need more digits than fitted polynomials keep.
-    chosen = "crazyswarm2 --stretch 1.01" if motion.contacts is None else "csv"
-    name = shlex.quote(str(place))
-    said = [f"next: look at {place / SUMMARY}"]
-    said += [f"      hitchopt simulate {name}"] if motion.team.has_cables else []
-    if not (output().quiet or output().json):
-        say("\n".join([*said, f"      hitchopt export {name} --format {chosen}"]), err=True)
+    say(f"certified; the plan is in {place}", directory=str(place), certificate=content)
 
 
 def _leave_diagnosis(
@@ -137,42 +130,37 @@ def _leave_diagnosis(
     save_diagnosis(place, error)  # the search may be interrupted
     found: tuple[ho.Suggestion, ...] = ()
     if isinstance(problem, ho.Problem) and isinstance(error, InfeasibleError):
-        error, found = report_suggestions(problem, error, left)
+        found, note = _suggestions(problem, error, left)
+        if note:
+            error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
         save_diagnosis(place, error, found)
-    record(directory=str(place), diagnosis=diagnosis_content(error, found))
     said = f"no plan; the diagnosis is in {place / DIAGNOSIS}"
     if (kept := place / PREVIOUS).is_dir():
         record(previous=str(kept))
         said += f"; the last certified plan is in {kept}"
-    say(said, err=True)
+    content = diagnosis_content(error, found)
+    say(said, err=True, directory=str(place), diagnosis=content)
     click.get_current_context().exit(exit_code(error))
 
 
-def report_suggestions(
+def _suggestions(
     problem: ho.Problem, error: InfeasibleError, left: float
-) -> tuple[InfeasibleError, tuple[ho.Suggestion, ...]]:
-    """Return the verified changes that make the problem feasible, and report them.
-
-    The error has a note if the time limit has ended the search.
-    """
+) -> tuple[tuple[ho.Suggestion, ...], str]:
+    """Report the verified changes that make the problem feasible, and what ended the search."""
     from hitchopt.errors import time_left, time_limit
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
 
     found: tuple[ho.Suggestion, ...] = ()
-    with LateProgress("searching for changes that make it feasible", left) as progress:
-        try:
-            with time_limit(left):
-                found = find_suggestions(problem, error, progress=progress)
-                ended = time_left() <= 0.0
-        except TimeLimitError:
-            ended = True
-    for line in map(str, found or (NO_CHANGE,)):
-        say(line, err=True)
-    if ended:
-        note = "the search for changes ended at the time limit (--limit)"
-        say(note, err=True)
-        error = InfeasibleError(error.violations, f"{error.note}\n{note}".strip())
-    return error, found
+    note = ENDED
+    with (
+        LateProgress("searching for changes that make it feasible", left) as progress,
+        contextlib.suppress(TimeLimitError),
+        time_limit(left),
+    ):
+        found = find_suggestions(problem, error, progress=progress)
+        note = ENDED if time_left() <= 0.0 else ""
+    say("\n".join([*map(str, found or (NO_CHANGE,)), *([note] if note else [])]), err=True)
+    return found, note
 
 
 @command(
@@ -210,8 +198,7 @@ def check(
     if closest or picture is not None:
         with LateProgress("finding the closest neighbours"):
             found = ho.closest(ho.Plan(motion, certificate), picture=picture)
-        record(closest=str(found).splitlines())
-        say(f"Closest neighbours\n{found}\n")
+        say(f"Closest neighbours\n{found}\n", closest=str(found).splitlines())
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
     certificate.raise_if_violated()
@@ -239,8 +226,8 @@ def _show_verified(path: Path) -> None:
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
         raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
-    record(verified=[row._asdict() for row in rows])
-    say("\n".join([*map(line, rows), verdict(rows)]))
+    said = "\n".join([*map(line, rows), verdict(rows)])
+    say(said, verified=[row._asdict() for row in rows])
     if any(row.verdict != "proven" for row in rows):
         unmet()
 
@@ -270,16 +257,15 @@ def init(name: str | None, example: str | None, *, listing: bool) -> None:
     files = {path.stem: path for path in example_files()}
     if listing:
         rows = [{"name": stem, "title": _title(path)} for stem, path in files.items()]
-        record(examples=rows)
-        say(table("Examples", rows))
+        say(table("Examples", rows), examples=rows)
         return
     if example is not None and example not in files:
-        words = "an example's name", "hitchopt init --list names them"
-        raise InputError("--example", example, *words)
+        raise InputError(
+            "--example", example, "an example's name", "hitchopt init --list names them"
+        )
     source = files[example] if example else PACKAGE / "mission" / "template.yaml"
     path = _write_new(name if name is not None else example or "problem", problem_text(source))
-    record(file=str(path))
-    say(f"wrote {path}; try: hitchopt solve {path}")
+    say(f"wrote {path}; try: hitchopt solve {path}", file=str(path))
 
 
 def _title(path: Path) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, quantities, record, say, span_text, table
+from hitchopt.cli.output import LateProgress, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,8 +29,13 @@ INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
 SHOWN = ("name", "placed", "tilted", "turned", "slipped", "free")
 """What is shown of objects; simulation.json has more."""
 
-OF_VERTICES = ("vertex_error", "resting", "moving", "without_sag")
-"""Figures of a run that the fast preset does not know."""
+ERRORS = {
+    "vertex_error": "vertices, sag included [cm]",
+    "resting": "  while the plan stands still",
+    "moving": "  while it moves",
+    "without_sag": "vertices without sag (level part) [cm]",
+}
+"""Figures of a flight that the fast preset does not know, and what they are called."""
 
 MOST_REASONS = 8
 """Reasons of a sweep's refusals that are listed."""
@@ -109,9 +114,10 @@ def simulate(
     with LateProgress("flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
     save_campaign(place, campaign)
-    record(directory=str(place), campaign=campaign.to_dict())
-    say(_campaign_tables(campaign))
-    say(f"results are in {place}")
+    told = campaign.to_dict()
+    say(
+        f"{_campaign_tables(campaign)}\nresults are in {place}", directory=str(place), campaign=told
+    )
 
 
 def _lost(
@@ -148,8 +154,8 @@ def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) 
     plan, title = read_plan(plan_path(directory)), read_title(plan_path(directory))
     with LateProgress("writing the results"):
         save_simulation(place, done, plan, title)
-    record(directory=str(place), simulation=summary(done))
-    say(f"{flight_tables(done)}\n\n{_verdict(done)}; results are in {place}")
+    said = f"{flight_tables(done)}\n\n{_verdict(done)}; results are in {place}"
+    say(said, directory=str(place), simulation=summary(done))
     for failure in done.outcome.failures:
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -175,23 +181,16 @@ def flight_tables(simulation: Simulation) -> str:
 
     found, known, flight = summary(simulation), simulation.figures, simulation.flight
     exact, team = simulation.settings.preset.exact, flight.task.team
-    stated = all(map(math.isfinite, team.stiffness)) or simulation.settings.stiffness is not None
     spreads = simulation.spreads
-    errors = {
-        "vertices, sag included [cm]": spreads["vertex_error"],
-        "  while the plan stands still": spreads["resting"],
-        "  while it moves": spreads["moving"],
-        "vertices without sag (level part) [cm]": spreads["without_sag"],
-    }
     figures: dict[str, object] = {}
     if exact:
-        figures = {name: spread_text(spread) for name, spread in errors.items()}
+        for name, words in ERRORS.items():
+            figures[words] = spread_text(spreads[name])
     figures |= {
         "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
         "largest tension [N]": known["peak_tension"],
         "largest thrust [N]": known["peak_thrust"],
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness, ".3g"),
-        "  stated by": "team or option" if stated else "nobody: the simulator's own",
         "ropes weigh [g/m]": 1e3 * flight.density,
         "  as the plan knows": 1e3 * team.cable_density,
         "ropes longer for their bends [mm]": f"≤ {1e3 * flight.longer:.1f}",
@@ -223,7 +222,7 @@ def _campaign_tables(campaign: Campaign) -> str:
     exact, lost, rows = campaign.settings.preset.exact, campaign.not_simulated, []
     for name in max((run.figures for run in runs), key=len):  # none where it could not begin
         known = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
-        if known and (exact or not name.startswith(OF_VERTICES)):
+        if known and (exact or not name.startswith(tuple(ERRORS))):
             row = {"mean": sum(known) / len(known), "largest": max(known)}
             rows.append({"figure": name.replace("_", " "), **row})
     parts = [
@@ -260,17 +259,10 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
         with LateProgress("starting workers") as progress:
-            ho.run_sweep(
-                study,
-                place,
-                workers=workers,
-                scheduler=scheduler,
-                progress=progress,
-            )
+            ho.run_sweep(study, place, workers=workers, scheduler=scheduler, progress=progress)
     rows = ho.load_sweep(place)
     found = summary(rows, len(read_study(place)["cases"]))
-    record(directory=str(place), summary=asdict(found))
-    say(_sweep_tables(found))
+    say(_sweep_tables(found), directory=str(place), summary=asdict(found))
     say(f"rows are in {place}; ho.load_sweep returns them for pandas")
 
 

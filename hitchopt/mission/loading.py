@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -36,7 +35,7 @@ from hitchopt.mission.problem import (
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.steps import Step
 from hitchopt.steps.step import Keys
-from hitchopt.storage.yaml_file import key_places, parse_yaml, place_of, plain, read_text
+from hitchopt.storage.yaml_file import parse_yaml, plain, read_node, read_text
 from hitchopt.values.units import seen_from
 
 T = TypeVar("T")
@@ -65,7 +64,8 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
 
     ``name`` is what messages call it, ``directory`` where outlines of objects are.
     """
-    data = parse_yaml(text, name)
+    root = read_node(text, name)
+    data = root.value
     if not isinstance(data, dict):
         kind = _KINDS.get(type(data), "a number")
         raise FileError(
@@ -75,8 +75,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> An
     try:
         return any_problem_from_dict(data, directory)
     except InputError as error:
-        places = key_places(text, name)
-        raise error.located(partial(place_of, places)) from None
+        raise error.located(root.finder()) from None
 
 
 def asked_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:

@@ -91,13 +91,6 @@ def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Ite
         raise FileError(f"{path}: is no {what}, or a damaged one: {words}") from error
 
 
-@contextlib.contextmanager
-def opened_zip(path: Path, what: str) -> Iterator[zipfile.ZipFile]:
-    """Open a zip file for the block; whatever is wrong with it within the block is a FileError."""
-    with reading(path, what), zipfile.ZipFile(path) as archive:
-        yield archive
-
-
 def read_members(
     path: Path, archive: zipfile.ZipFile, members: Sequence[zipfile.ZipInfo]
 ) -> Iterator[bytes]:

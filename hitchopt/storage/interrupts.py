@@ -14,12 +14,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
 
-INTERRUPTED, TERMINATED = 130, 143
+INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
 """Exit codes of processes that ended by SIGINT and by SIGTERM, the same as in shells."""
-
-_CODES: dict[int, int] = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED}
 
 _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] = {
     signal.SIGINT: signal.default_int_handler,
@@ -56,8 +53,8 @@ def ending_signals(*, last: bool = False) -> Iterator[None]:
     try:
         yield
     except Exception:
-        for number in _handled:  # compiled code has turned it into another error
-            _raise(number)
+        if _handled:  # compiled code has turned it into another error
+            raise SystemExit(128 + _handled[0]) from None
         raise
     finally:
         for number in changed:
@@ -69,13 +66,9 @@ def _end(number: int, frame: FrameType | None) -> None:
         again = threading.Timer(RESEND_DELAY, os.kill, (os.getpid(), number))
         again.daemon = True
         again.start()
-        return
-    _handled.append(number)
-    _raise(number)
-
-
-def _raise(number: int) -> NoReturn:
-    raise SystemExit(_CODES[number]) from None
+    else:
+        _handled.append(number)
+        raise SystemExit(128 + number) from None
 
 
 def _shielded(frame: FrameType | None) -> bool:

@@ -17,11 +17,10 @@ from dataclasses import dataclass, field
 from io import StringIO
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from ruamel.yaml import YAML, events
-from ruamel.yaml.error import MarkedYAMLError
 
 from hitchopt.errors import FileError, InputError, Place
 
@@ -77,32 +76,15 @@ def parse_yaml(text: str, name: str = "text") -> Plain:
     ------
     FileError, InputError: as ``read_yaml``.
     """
-    return _read(text, name).value
+    return read_node(text, name).value
 
 
-def _read(text: str, name: str = "text") -> Node:
+def read_node(text: str, name: str = "text") -> Node:
+    """Return what the YAML ``text`` holds with the places of its keys; errors as ``read_yaml``."""
     found = _Reader(text, name).document()
     if found is None or found.value is None:
         raise FileError(f"{name}: is empty; `hitchopt init` writes a problem file to start from")
     return found
-
-
-def key_places(text: str, name: str) -> dict[str, Place]:
-    """Return where every key and list entry of the YAML ``text`` is, by its path."""
-    return dict(_places(_read(text, name), []))
-
-
-def _places(node: Node, path: list[str | int]) -> Iterator[tuple[str, Place]]:
-    yield key_path(path), node.place
-    for name, child in zip(node.names, node.children, strict=True):
-        yield from _places(child, [*path, name])
-
-
-def place_of(places: dict[str, Place], key: str) -> Place | None:
-    """Return the place of a key, or of the innermost mapping or list around it that is there."""
-    while key and key not in places:
-        key = key[: max(key.rfind("."), key.rfind("["), 0)]
-    return places.get(key)
 
 
 def read_text(path: str | Path) -> tuple[str, str]:
@@ -125,16 +107,12 @@ def read_text(path: str | Path) -> tuple[str, str]:
         except FileNotFoundError:
             remedy = "check the path, or run `hitchopt init`"
             raise FileError(f"{name}: no such file; {remedy}") from None
-        except IsADirectoryError:
-            raise FileError(f"{name}: is a directory; give the problem file in it") from None
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             reason = getattr(error, "strerror", None) or str(error)
             raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
     if len(data) > MAX_BYTES:
         size = f"the {MAX_BYTES} bytes that a problem file may have"
         raise FileError(f"{name}: is larger than {size}")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise FileError(f"{name}: is UTF-16; save it as UTF-8")
     try:
         return data.decode("utf-8-sig"), name
     except UnicodeDecodeError as error:
@@ -155,16 +133,29 @@ class Node:
     column: int  # of the first character, from 0 on
     flow: bool = True  # whether it is in brackets, or a scalar
     head: int = 0  # where its key ends
-    children: list[Node] = field(default_factory=list)  # of a list or mapping, in order
+    children: dict[str | int, Node] = field(default_factory=dict)  # by key or index, in order
 
     def child(self, part: str | int) -> Node:
-        """Return what is at a key or index; ValueError where there is nothing."""
-        return self.children[self.names.index(part)]
+        """Return what is at a key or index; raise InputError where there is nothing."""
+        if part not in self.children:
+            raise InputError(str(part), self.value, "an entry of the file", "add it before")
+        return self.children[part]
 
-    @property
-    def names(self) -> list[Any]:
-        """Keys of a mapping, or indices of a list."""
-        return list(self.value if isinstance(self.value, dict) else range(len(self.children)))
+    def finder(self) -> Callable[[str], Place]:
+        """Return what finds the place of a key, or of the innermost mapping or list around it."""
+        places = dict(self._places([]))
+
+        def place_of(key: str) -> Place:
+            while key and key not in places:
+                key = key[: max(key.rfind("."), key.rfind("["), 0)]
+            return places[key]
+
+        return place_of
+
+    def _places(self, path: list[str | int]) -> Iterator[tuple[str, Place]]:
+        yield key_path(path), self.place
+        for part, child in self.children.items():
+            yield from child._places([*path, part])
 
 
 class _Reader:
@@ -194,49 +185,45 @@ class _Reader:
                 mark = event.start_mark
                 self.place = Place(self.name, mark.line + 1, mark.column + 1)
                 yield event
-        except MarkedYAMLError as error:
-            mark, reason = error.problem_mark or error.context_mark, error.problem or error.context
+        except Exception as error:  # the scanner trips over escapes such as "\U99999999", too
+            mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
+            reason = getattr(error, "problem", None) or repr(str(error).partition("\n")[0])
             place = "" if mark is None else f":{mark.line + 1}:{mark.column + 1}"
-            raise FileError(
-                f"{self.name}{place}: is not YAML ({reason}); correct this line"
-            ) from None
-        except Exception as error:  # whatever else the scanner trips over, such as "\U99999999"
-            reason = repr(str(error).partition("\n")[0])
-            raise FileError(f"{self.name}: is not YAML ({reason}); correct its escapes") from None
+            words = f"is not YAML ({reason}); correct this line"
+            raise FileError(f"{self.name}{place}: {words}") from None
 
     def _node(self, event: Any, path: list[str | int]) -> Node:
         self._refuse_extras(event)
-        self.budget.spend(path)
         start = event.start_mark
         node = Node(None, self.place, start.index, event.end_mark.index, start.column)
         if isinstance(event, events.ScalarEvent):
-            node.value = self.budget.checked(_scalar(event), path)
-            return self._ended(node)
-        node.flow, mapping = event.flow_style, dict[str, Plain]()
-        is_mapping = isinstance(event, events.MappingStartEvent)
-        for entry in self.events:
-            if isinstance(entry, events.CollectionEndEvent):
-                node.end = entry.end_mark.index
-                break
-            key: str | int = len(node.children)
-            place, head = self.place, entry.end_mark.index
-            if is_mapping:
-                key = self._new_key(entry, path, mapping)
-                entry = next(self.events)  # noqa: PLW2901
-            child = self._node(entry, [*path, key])
-            child.place, child.head = place, head
-            node.children.append(child)
-            mapping[str(key)] = child.value
-        node.value = mapping if is_mapping else list(mapping.values())
-        return self._ended(node)
-
-    def _ended(self, node: Node) -> Node:
-        """Let a node end with its last character: the parser goes on to what follows."""
-        if node.children and not node.flow:
-            node.end = node.children[-1].end
+            node.value = _scalar(event)
+        self.budget.spend(path, node.value)
+        if isinstance(event, events.CollectionStartEvent):
+            self._fill(node, path, is_mapping=isinstance(event, events.MappingStartEvent))
+            node.flow = event.flow_style
+        if node.children and not node.flow:  # the parser goes on to what follows
+            node.end = next(reversed(node.children.values())).end
         else:
             node.end = node.start + len(self.text[node.start : node.end].rstrip())
         return node
+
+    def _fill(self, node: Node, path: list[str | int], *, is_mapping: bool) -> None:
+        """Read the entries of a mapping or list, and its end."""
+        for entry in self.events:
+            place, head = self.place, entry.end_mark.index
+            if isinstance(entry, events.CollectionEndEvent):
+                node.end = head
+                break
+            key: str | int = len(node.children)
+            if is_mapping:
+                key = self._new_key(entry, path, node)
+                entry = next(self.events)  # noqa: PLW2901
+            child = self._node(entry, [*path, key])
+            child.place, child.head = place, head
+            node.children[key] = child
+        values = {key: child.value for key, child in node.children.items()}
+        node.value = cast("dict[str, Plain]", values) if is_mapping else list(values.values())
 
     def _refuse_extras(self, event: Any) -> None:
         """Raise FileError of what is no plain data."""
@@ -247,7 +234,7 @@ class _Reader:
         if event.ctag is not None:
             raise self._fault("tags (!) are not allowed; remove it")
 
-    def _new_key(self, event: Any, path: list[str | int], mapping: dict[str, Plain]) -> str:
+    def _new_key(self, event: Any, path: list[str | int], node: Node) -> str:
         self._refuse_extras(event)
         if not isinstance(event, events.ScalarEvent):
             raise self._fault("a key must be a word; quote it if it is meant as text")
@@ -256,7 +243,7 @@ class _Reader:
             raise InputError(_where(path), key, *TEXT_KEYS)
         if len(key) > MAX_TEXT:
             raise self._fault(f"a key must have at most {MAX_TEXT} characters; shorten it")
-        if key in mapping:
+        if key in node.children:
             where = key_path([*path, key])
             raise InputError(where, "(twice)", "given once", "remove this one, or that before")
         return key
@@ -300,24 +287,20 @@ class Budget:
     def __init__(self) -> None:
         self.nodes = 0
 
-    def spend(self, path: list[str | int]) -> None:
-        """Count one value at a path; raise InputError where it is too deep, or one too many."""
+    def spend(self, path: list[str | int], value: object) -> None:
+        """Count a value; raise InputError where it is too deep, one too many or too long a text."""
         self.nodes += 1
         if len(path) > MAX_DEPTH:
-            bound = f"nested at most {MAX_DEPTH} levels deep"
-            remedy = "no problem file needs more than six"
-            raise InputError(key_path(path), f"{len(path)} levels", bound, remedy)
-        if self.nodes > MAX_NODES:
-            bound = f"within {MAX_NODES} values in all"
-            remedy = "plan fewer steps at a time"
-            raise InputError(key_path(path), f"{self.nodes} values", bound, remedy)
-
-    def checked(self, value: Plain, path: list[str | int]) -> Plain:
-        """Return a scalar, or raise InputError where it is too long a text."""
-        if isinstance(value, str) and len(value) > MAX_TEXT:
-            bound = f"at most {MAX_TEXT} characters long"
-            raise InputError(key_path(path), value, bound, "shorten it")
-        return value
+            bound, remedy = f"nested at most {MAX_DEPTH} levels deep", "six are enough"
+            value = f"{len(path)} levels"
+        elif self.nodes > MAX_NODES:
+            bound, remedy = f"within {MAX_NODES} values in all", "plan fewer steps at a time"
+            value = f"{self.nodes} values"
+        elif isinstance(value, str) and len(value) > MAX_TEXT:
+            bound, remedy = f"at most {MAX_TEXT} characters long", "shorten it"
+        else:
+            return
+        raise InputError(key_path(path), value, bound, remedy)
 
 
 def plain(data: object) -> Plain:
@@ -331,7 +314,7 @@ def plain(data: object) -> Plain:
 
 
 def _plain(data: object, path: list[str | int], budget: Budget) -> Plain:
-    budget.spend(path)
+    budget.spend(path, data)
     if isinstance(data, np.ndarray | np.generic):
         if data.size > MAX_NODES:  # before a list of it is made
             bound = f"within {MAX_NODES} values in all"
@@ -343,7 +326,7 @@ def _plain(data: object, path: list[str | int], budget: Budget) -> Plain:
         infinite = math.inf if data > 0 else -math.inf
         return int(data) if abs(data) <= _LARGEST else infinite
     if isinstance(data, str):
-        return budget.checked(str(data), path)
+        return str(data)
     if isinstance(data, list | tuple):
         return [_plain(entry, [*path, i], budget) for i, entry in enumerate(data)]
     if not isinstance(data, Mapping):
@@ -392,13 +375,13 @@ def with_value(text: str, path: KeyPath, value: Plain) -> str:
     InputError: an index that is not there.
     FileError: the text is not YAML.
     """
-    node = _read(text)
+    node = read_node(text)
     for i, part in enumerate(path):
-        if isinstance(node.value, dict) and isinstance(part, str) and part not in node.value:
+        if isinstance(node.value, dict) and isinstance(part, str) and part not in node.children:
             for name in reversed(path[i + 1 :]):
                 value = {str(name): value}
             return _spliced(text, [_new_entry(text, node, f"{flow(part)}: {flow(value)}")])
-        node = _inner(node, part)
+        node = node.child(part)
     return _spliced(text, _differences(node, value))
 
 
@@ -408,24 +391,18 @@ def with_entries(text: str, path: KeyPath, entries: Iterable[int | dict[str, Pla
     Entries that were there are given by their index, and keep their text and the comment lines
     above it; new ones are given as mappings of one key. Errors are those of ``with_value``.
     """
-    node = _read(text)
+    node = read_node(text)
     for part in path:
-        node = _inner(node, part)
-    if node.flow or not node.children:
-        old = [text[child.start : child.end] for child in node.children]
+        node = node.child(part)
+    children = node.children.values()
+    if node.flow or not children:
+        old = [text[child.start : child.end] for child in children]
         parts = [old[e] if isinstance(e, int) else flow(e) for e in entries]
         return _spliced(text, [(node.start, node.end, f"[{', '.join(parts)}]")])
-    ends = [_line_end(text, place) for place in (node.head, *(c.end for c in node.children))]
+    ends = [_line_end(text, place) for place in (node.head, *(c.end for c in children))]
     old, dash = [text[a:b] for a, b in pairwise(ends)], f"{_line_break(text)}{' ' * node.column}- "
     body = "".join(old[e] if isinstance(e, int) else dash + flow(e)[1:-1] for e in entries)
     return _spliced(text, [(ends[0], ends[-1], body or " []")])
-
-
-def _inner(node: Node, part: str | int) -> Node:
-    try:
-        return node.child(part)
-    except ValueError:
-        raise InputError(str(part), node.value, "an entry of the file", "add it before") from None
 
 
 def _spliced(text: str, splices: Iterable[tuple[int, int, str]]) -> str:
@@ -445,14 +422,12 @@ def _differences(node: Node, value: Plain) -> Iterator[tuple[int, int, str]]:
     old = node.value
     if old == value and isinstance(old, bool) is isinstance(value, bool):
         return
-    entries: list[Plain] | None = None
-    if isinstance(old, list) and isinstance(value, list) and len(old) == len(value):
-        entries = value
-    elif isinstance(old, dict) and isinstance(value, dict) and list(old) == list(value):
-        entries = list(value.values())
-    if entries is not None:
-        for child, entry in zip(node.children, entries, strict=True):
-            yield from _differences(child, entry)
+    parts: list[Any] = list(value if isinstance(value, dict) else ())
+    if isinstance(value, list):
+        parts = list(range(len(value)))
+    if parts and parts == list(node.children):
+        for part, child in node.children.items():
+            yield from _differences(child, value_at(value, [part]))
         return
     # An entry of a block may stand in the column of its key, which another value must not.
     block = bool(node.children) and not node.flow and isinstance(old, list)
@@ -463,7 +438,7 @@ def _new_entry(text: str, node: Node, written: str) -> tuple[int, int, str]:
     """Return where to write a new key and its value in a mapping, and what."""
     if not node.children:
         return node.start + 1, node.start + 1, written
-    end = node.children[-1].end
+    end = next(reversed(node.children.values())).end
     if node.flow:
         return end, end, f", {written}"
     place = _line_end(text, end)

@@ -76,14 +76,8 @@ def test_refusals_are_objects_too(place: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_solve_says_what_to_do_next_and_nothing_if_quiet() -> None:
-    assert run("solve", TRIANGLE, "-o", "my out", "--rate", "5").stderr.splitlines() == [
-        "next: look at my out/summary.png",
-        "      hitchopt simulate 'my out'",
-        "      hitchopt export 'my out' --format crazyswarm2 --stretch 1.01",
-    ]
-    drum = run("solve", TRIANGLE.with_name("grip_drum.yaml"), "-o", "out", "--rate", "5")
-    assert drum.stderr.splitlines()[-1] == "      hitchopt export out --format csv"
+def test_a_quiet_command_says_nothing_but_errors() -> None:
+    assert run("solve", TRIANGLE, "-o", "out", "--rate", "5", "-q", code=0).output == ""
     assert run("check", "out", "-q", code=0).output == ""
     assert run("check", "nowhere", "-q").stderr.startswith("error: nowhere/plan.npz: ")
 

@@ -58,7 +58,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
             f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; give",
         ),
         ("solve nowhere.yaml", "error: nowhere.yaml: no such file"),
-        ("solve .", "is a directory"),
+        ("solve .", "Is a directory"),
         ("check nowhere", "error: nowhere/plan.npz: "),
         ("check nowhere/plan.npz", "error: nowhere/plan.npz: "),
         ("simulate .", "plan.npz: there is no such file"),

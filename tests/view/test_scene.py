@@ -231,7 +231,7 @@ def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None
 
     assert "keep the two together" in saved("flight.gif", 2)
     write_plan(tmp_path / "plan.npz", motion, title="Three")
-    assert f"the film is {tmp_path / 'flight.gif'}" in saved("flight.gif", 0)
+    assert f"wrote {tmp_path / 'flight.gif'}" in saved("flight.gif", 0)
     save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (simulated)")
     assert (tmp_path / "flight.gif").read_bytes() == (tmp_path / "own.gif").read_bytes()
     assert "such as flight.mp4" in saved("flight.png", 2)

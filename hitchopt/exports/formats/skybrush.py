@@ -56,7 +56,7 @@ from hitchopt.exports.recording import (
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.storage.archive import opened_zip, read_members, reading
+from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
@@ -219,7 +219,7 @@ class Show:
 
 def read_show(path: Path) -> Show:
     """Return the show; each file in the zip is read once, however many drones refer to it."""
-    with opened_zip(path, "Skybrush show") as archive:
+    with reading(path, "Skybrush show"), zipfile.ZipFile(path) as archive:
         (content,) = read_members(path, archive, [archive.getinfo("show.json")])
         show = parsed_json(content)
         drones = show["swarm"]["drones"]
@@ -448,7 +448,7 @@ class SkybrushCsv(Format):
         """Return the lines through the positions in a zip, or in CSV files of one drone each."""
         path = files[0]
         if path.suffix.lower() == ".zip":
-            with opened_zip(path, "zip of CSV files") as archive:
+            with reading(path, "zip of CSV files"), zipfile.ZipFile(path) as archive:
                 members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
                 contents = [
                     data.decode("utf-8-sig") for data in read_members(path, archive, members)
