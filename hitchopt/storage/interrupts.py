@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
-"""Exit codes of processes that ended by SIGINT and by SIGTERM, the same as in shells."""
+INTERRUPTED = 128 + signal.SIGINT
+"""Exit code of processes that ended by SIGINT, the same as in shells."""
 
 _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] = {
     signal.SIGINT: signal.default_int_handler,
