@@ -7,10 +7,12 @@ from concurrent.futures import Future
 
 import numpy as np
 import pytest
+from plans import planned
 from streamed_flights import PATIENCE, Rig, plan_of
 
 import hitchopt as ho
-from hitchopt.live.fly import COMMANDS
+from hitchopt.live.abort import abort_table
+from hitchopt.live.fly import COMMANDS, Course
 
 LONG = 60.0
 
@@ -155,3 +157,17 @@ def test_refusals_leave_the_flight_as_it_is() -> None:
     assert times[-1] > times[0]  # to a rest ahead
     with pytest.raises(ho.InfeasibleError, match="the landing has begun"):
         rig.course.obey("back")
+
+
+def test_the_clock_is_led_back_to_where_a_landing_begins() -> None:
+    """The last times of a stack have none: drones stand above each other."""
+    motion = planned("swarms/stack").motion
+    course = Course(motion, {"land": abort_table(motion, "land", 0.5)})
+    course.obey("resume")
+    for _ in range(300):
+        course.step(0.01)
+    assert course.obey("land").startswith("land: begins in ")
+    for _ in range(1200):
+        sent = course.step(0.01)
+    assert course.landed
+    assert np.all(sent.setpoints.positions[:, 2] <= motion.requirements.floor + 1e-6)
