@@ -38,6 +38,9 @@ SIZE, WIDTHS, HEIGHTS = (13.0, 7.2), (1.25, 1.0), (1.0, 1.25)
 """Width and height [inch], shares of left and right, and on the left of few panels and what is
 below them."""
 
+MARGINS = {"left": 0.055, "right": 0.935, "bottom": 0.15, "top": 0.9, "wspace": 0.2, "hspace": 0.1}
+"""Edges of what is drawn as shares of the figure, and its gaps as shares of the drawings."""
+
 LEGEND_GAP, LABEL_AT = 0.17, -0.1
 """Distance of the legend from a plan below panels, as a share of its height, and where the plots'
 labels stand, as a share of their width."""
@@ -131,10 +134,10 @@ def draw_summary(motion: Motion, certificate: Certificate, title: str = "") -> F
 
     The certificate's worst values are marked.
     """
-    figure = style.new_figure(SIZE)
+    figure = style.new_figure(SIZE, None)  # finding margins takes as long as drawing
     states = sampled_states(motion)
     shown = panels(motion, states)
-    grid = figure.add_gridspec(len(shown), 2, width_ratios=WIDTHS)
+    grid = figure.add_gridspec(len(shown), 2, width_ratios=WIDTHS, **MARGINS)
     _draw_left(figure, grid[:, 0], motion)
     axes = [figure.add_subplot(grid[row, 1]) for row in range(len(shown))]
     for each, panel in zip(axes, shown, strict=True):
@@ -230,7 +233,7 @@ def _draw_left(figure: Figure, place: SubplotSpec, motion: Motion) -> None:
     elif len(shots) > painter.FEW:
         painter.draw_plan_storyboard(place, motion, shots)
     else:
-        parts = place.subgridspec(2, 1, height_ratios=HEIGHTS)
+        parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.1)
         draw_plan_view(figure.add_subplot(parts[1]), motion, LEGEND_GAP)
         painter.draw_plan_storyboard(parts[0], motion, shots)
 

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -83,12 +83,14 @@ def verdict(certificate: Certificate) -> str:
     return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
 
 
-def new_figure(size: tuple[float, float]) -> Figure:
-    """Return an empty figure of a size [inch], drawn without pyplot."""
+def new_figure(
+    size: tuple[float, float], layout: Literal["constrained"] | None = "constrained"
+) -> Figure:
+    """Return an empty figure of a size [inch] and a layout of matplotlib's, without pyplot."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, dpi=RESOLUTION, layout="constrained")
+    figure = Figure(figsize=size, dpi=RESOLUTION, layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
