@@ -52,9 +52,6 @@ WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)  # how long the old plan is flown on first [s
 # shift where they are no shorter, so that a cable's length is right within 1e-6 of it; least number
 PIECE, PIECES, FEWEST = 0.3, 10, 4
 
-# Whether the slack is split anew; factors of a shift's duration, and of its pieces' lengths
-ATTEMPTS = ((False, 1.0, 1.0), (False, 1.1, 0.5), (True, 1.1, 0.5))
-
 JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, the zeroth included
 BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # durations of the brake that are tried [s]
 SHORTEST = 0.3  # shortest shift [s]
@@ -158,7 +155,7 @@ class Replanner(OneLine):
             self._limits = replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
         self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
-            self._end(self._goal.polygon, self._goal.altitude, chosen=True)
+            self._end(self._goal.polygon, self._goal.altitude)
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
 
@@ -245,50 +242,35 @@ class Replanner(OneLine):
     def _planned(
         self, outline: Outline, altitude: float, yaw: float, at: float
     ) -> tuple[Retarget, Hitch]:
-        """Return the answer of a plan that leaves the present one at a time, and its goal.
-
-        InfeasibleError says what keeps the first attempt from being certified.
-        """
+        """Return the answer of a plan that leaves the present one at a time, and its goal."""
         past = self._past(at)
         still = self._still(past)
         brake = still.brake(self._limits)
         if brake is None:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
-        refusal: InfeasibleError | None = None
-        for chosen, slower, finer in ATTEMPTS:
-            try:
-                end = self._end(outline, altitude, chosen=chosen)
-                path = RetargetPath.to(past.team, still.state, end, yaw)
-                shift = path.shortest_shift(self._limits, brake)
-                if shift is None:
-                    raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
-                phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, slower * shift))
-                breaks = _breaks(brake if path.state.moves else 0.0, slower * shift, finer)
-                flight = path.flight(breaks, brake, slower * shift)
-                fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
-                ahead = followed(recent, fresh)
-                found = _certificate(ahead)
-                if found.certified:
-                    motion = followed(past, fresh)
-                    return Retarget(True, past.duration, motion, ahead, found), end
-                raise infeasible(found, ahead)
-            except InfeasibleError as error:
-                refusal = refusal or error
-        assert refusal is not None
-        raise refusal
+        end = self._end(outline, altitude)
+        path = RetargetPath.to(past.team, still.state, end, yaw)
+        shift = path.shortest_shift(self._limits, brake)
+        if shift is None:
+            raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
+        phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
+        flight = path.flight(_breaks(brake if path.state.moves else 0.0, shift), brake, shift)
+        fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
+        ahead = followed(recent, fresh)
+        found = _certificate(ahead)
+        if not found.certified:
+            raise infeasible(found, ahead)
+        return Retarget(True, past.duration, followed(past, fresh), ahead, found), end
 
-    def _end(self, outline: Outline, altitude: float, *, chosen: bool) -> Hitch:
-        """Return the hitch of a goal: with the present split of the slack, or one within limits."""
+    def _end(self, outline: Outline, altitude: float) -> Hitch:
+        """Return the hitch of a goal, its slack split as now where limits allow that."""
         team, need = self.motion.team, self.requirements
         slack = cable_slack(team, outline)
-        q_legs = self._goal.fractions * slack
-        if chosen:
-            wanted = team.layout.q_legs_of(q_legs, slack)[None]
-            shortest = LIMIT_MARGIN * need.limits.leg
-            task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
-            q_legs = split_slack(task, first=True).q_legs[0]
-        return Hitch(team, outline, altitude, q_legs)
+        wanted = team.layout.q_legs_of(self._goal.fractions * slack, slack)[None]
+        shortest = LIMIT_MARGIN * need.limits.leg
+        task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
+        return Hitch(team, outline, altitude, split_slack(task, first=True).q_legs[0])
 
     def _past(self, at: float) -> Motion:
         """Return the present plan until a time, resting after its end."""
@@ -323,12 +305,12 @@ def _certificate(ahead: Motion) -> Certificate:
         return certify(ahead.untimed, reports=())
 
 
-def _breaks(brake: float, shift: float, finer: float) -> Array:
-    """Return the breaks: the ends [s] of brake and shift, and more, pieces by a factor shorter."""
+def _breaks(brake: float, shift: float) -> Array:
+    """Return the breaks: the ends [s] of brake and shift, and more in between."""
     least = min(PIECE, max(brake, shift) / FEWEST)
     later, parts = max(least, shift / PIECES), [np.zeros(1)]
     for start, end in pairwise([0.0, *sorted((brake, shift))]):
-        piece = finer * (least if end <= brake else later)
+        piece = least if end <= brake else later
         count = math.ceil((end - start) / piece * (1.0 - 1e-9))
         parts.append(np.linspace(start, end, count + 1)[1:])
     return np.concatenate(parts)
@@ -392,17 +374,19 @@ class RetargetPath:
         last = (goal, ((self.end - goal) @ back).ravel(), self.fractions, [self.yaw])
         return np.concatenate(first), np.concatenate(last)
 
-    def jets(self, t: Array, brake: float, shift: float | None) -> tuple[Array, DroneJets]:
+    def jets(self, t: Array, brake: float | Array, shift: float | None) -> tuple[Array, DroneJets]:
         """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
 
-        ``brake`` and ``shift`` are durations [s]; no shift leads to where the brake does.
+        ``brake``, also one a time (J,), and ``shift`` are durations [s]; no shift leads to where
+        the brake does.
         """
         team, layout = self.team, self.team.layout
         start, goal = self._ends
-        rest = start @ np.array([1.0, 0.5 * brake, brake**2 / 12.0])
-        each = _to_rest(start, rest, brake, t)
+        slowed = np.broadcast_to(brake, t.shape)
+        rest = np.stack([np.ones(len(t)), 0.5 * slowed, slowed**2 / 12.0], axis=1) @ start.T
+        each = _to_rest(start, rest, slowed, t)
         if shift is not None:
-            each += _to_rest(np.zeros(start.shape), goal - rest, shift, t)
+            each += _to_rest(np.zeros(start.shape), goal - rest, np.full(len(t), shift), t)
         centre, split = each[:, :3], each[:, 3 + 3 * layout.points : -1]
         shape = each[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
         vertices = centre[:, None] + (_turned(shape, each[:, -1]) if self.yaw != 0.0 else shape)
@@ -433,36 +417,38 @@ class RetargetPath:
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
         return Flight(drones, points, leg_curves, both.alike(pulls))
 
-    def excess(self, limits: Limits, t: Array, brake: float, shift: float | None) -> float:
+    def excess(self, limits: Limits, t: Array, brake: float | Array, shift: float | None) -> Array:
         """Return how many times slower a motion would have to be at times (J,) [s], at most.
 
         Thrust and tilt, which do not scale, count by the square root of their share of the limit.
-        At the first one, 0, only the jerk counts: the state is given.
+        At t = 0 only the jerk counts: the state is given.
         """
         points, found = self.jets(t, brake, shift)
-        squared = np.einsum("jdxk,jdxk->kjd", found.positions, found.positions)
-        moved = points[1:, ..., 1]
-        thrust = found.thrusts[1:]
-        level2, up = thrust[..., 0] ** 2 + thrust[..., 1] ** 2, thrust[..., 2]
-        ratios = (
-            math.sqrt(np.max(squared[1, 1:])) / limits.speed,
-            math.sqrt(np.max(np.einsum("jpx,jpx->jp", moved, moved))) / limits.vertex_speed,
-            np.max(squared[2, 1:]) ** 0.25 / math.sqrt(limits.acceleration),
-            math.sqrt(np.max(np.sqrt(level2 + up * up) / self.team.max_thrust)),
-            math.sqrt(np.max(np.arctan2(np.sqrt(level2), up)) / limits.tilt),
-            (np.max(squared[3]) / limits.jerk**2) ** (1.0 / 6.0),
-        )
-        most = float(max(ratios))
-        return most if math.isfinite(sum(ratios)) else math.inf
+        rates = np.einsum("jdxk,jdxk->kjd", found.positions, found.positions).max(axis=2) ** 0.5
+        moved = np.linalg.norm(points[..., 1], axis=2).max(axis=1)
+        level = np.hypot(found.thrusts[..., 0], found.thrusts[..., 1])
+        used = np.hypot(level, found.thrusts[..., 2]) / self.team.max_thrust
+        tilt = np.arctan2(level, found.thrusts[..., 2])
+        ratios = [
+            rates[1] / limits.speed,
+            moved / limits.vertex_speed,
+            np.sqrt(rates[2] / limits.acceleration),
+            np.sqrt(used.max(axis=1)),
+            np.sqrt(tilt.max(axis=1) / limits.tilt),
+        ]
+        slower = np.maximum(np.max(ratios, axis=0) * (t > 0.0), np.cbrt(rates[3] / limits.jerk))
+        most: Array = np.nan_to_num(slower, nan=math.inf, posinf=math.inf)
+        return most
 
     def brake(self, limits: Limits) -> float | None:
         """Return the duration [s] in which the state comes to rest within the limits, or None."""
         if not self.state.moves:
             return BRAKES[0]
-        for brake in BRAKES:
-            if self.excess(limits, brake * BRAKE_PLACES, brake, None) <= BRAKE_SHARE:
-                return brake
-        return None
+        times = np.outer(BRAKES, BRAKE_PLACES)
+        each = np.repeat(BRAKES, times.shape[1])
+        found = self.excess(limits, times.ravel(), each, None).reshape(times.shape).max(axis=1)
+        kept = np.flatnonzero(found <= BRAKE_SHARE)
+        return BRAKES[kept[0]] if len(kept) else None
 
     def shortest_shift(self, limits: Limits, brake: float) -> float | None:
         """Return the duration [s] of a shift that keeps all limits at samples, or None."""
@@ -470,7 +456,7 @@ class RetargetPath:
         for _ in range(ROUNDS):
             last = np.array([brake, shift]) * (1.0 - SIDE)
             times = np.concatenate([max(shift, brake) * PLACES, last])
-            found = self.excess(limits, times, brake, shift)
+            found = float(self.excess(limits, times, brake, shift).max())
             if found <= SHARE:
                 return shift
             if not math.isfinite(found):
@@ -479,14 +465,17 @@ class RetargetPath:
         return None
 
 
-def _to_rest(start: Array, rest: Array, duration: float, t: Array) -> Array:
-    """Return the jets (J, m, 4) of the quintics from a state (m, 3) to rest at a place (m,)."""
-    p, v, a = start.T
-    curves = np.stack([p, p + duration / 5.0 * v, rest, rest, rest, rest], axis=-1)
-    curves[:, 2] = p + duration * (0.4 * v + duration / 20.0 * a)
+def _to_rest(start: Array, rest: Array, duration: Array, t: Array) -> Array:
+    """Return the jets (J, m, 4) of quintics from a state (m, 3) to rest at places (J, m).
+
+    Each time t (J,) has a quintic of its own, of a duration (J,) [s].
+    """
+    (p, v, a), h = start.T, duration[:, None]
+    inner = p + h / 5.0 * v, p + h * (0.4 * v + h / 20.0 * a)
+    curves = np.stack(np.broadcast_arrays(p, *inner, rest, rest, rest), axis=-1)
     weights = bernstein.jet_basis(np.minimum(t / duration, 1.0), 5, JET)
     weights[t >= duration, :, 1:] = 0.0
-    found: Array = curves @ (weights / duration ** np.arange(JET))
+    found: Array = curves @ (weights / h[..., None] ** np.arange(JET))
     return found
 
 
