@@ -41,14 +41,11 @@ from hitchopt.storage.yaml_file import (
 from hitchopt.values import Array
 from hitchopt.view.style import drafted
 
-START = -1
-"""Index of the start, before the first step."""
-
+START = -1  # Index of the start, before the first step
+# Height of handles where no plan tells that of the hitch, and of a file without one [m]
 HEIGHT = 1.0
-"""Height of handles where no plan tells that of the hitch, and of a file without one [m]."""
-
+# Where a number is in a file, and whether it is an x, y or z: 0, 1 or 2
 Number = tuple[tuple[str | int, ...], int]
-"""Where a number is in a file, and whether it is an x, y or z: 0, 1 or 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,10 +288,6 @@ class Editing:
         steps: list[Any] = list(range(len(self.problem.mission)))
         change(steps)
         self.change(with_entries(self.text, ("mission",), steps))
-
-    def apply(self, suggestion: Suggestion) -> None:
-        """Make a suggested change; errors as of ``change``."""
-        self.put(*suggestion.change.edits)
 
     def save(self) -> Path:
         """Write the problem file at once or not at all, and return where.

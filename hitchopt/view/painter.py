@@ -23,42 +23,37 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view.scene import Moment, Scene, scene_at
-from hitchopt.view.shapes import SEGMENTS, drone_faces, normals, object_faces, split
-from hitchopt.view.style import cable_colours, draw_lines, drone_colours, object_colours, write
+from hitchopt.view.shapes import SEGMENTS, drone_parts, normals, object_faces, split
+from hitchopt.view.style import (
+    OPEN,
+    cable_colours,
+    draw_lines,
+    drone_colours,
+    object_colours,
+    write,
+)
 
+# Width of a cable with its pale edges over that without, and length by which its segments
+# overlap, in its radii: bends have no gaps
 CASING, OVERLAP = 1.8, 0.5
-"""Width of a cable with its pale edges over that without, and length by which its segments overlap,
-in its radii: bends have no gaps."""
-
-FRAME, OPEN, SHADOW = "#2b2f33", "#ffffff", "#e4e7ea"
-"""Colours of drones' frames, of hollow rotors and of cables' edges, and of shadows."""
-
+SHADOW = "#e4e7ea"  # Colour of shadows
+# Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
+# that near and far are told apart
 FEWEST, SPLITS = 4, 3
-"""Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
-that near and far are told apart."""
-
+# Direction toward the light, and the brightness of a face that is turned away from it
 LIGHT, DARKEST = unit(np.array([-0.35, -0.55, 1.0])), 0.62
-"""Direction toward the light, and the brightness of a face that is turned away from it."""
-
+# Largest number of panels; more would be too small to read. Below FEW another picture fits
 MOST, FEW = 9, 3
-"""Largest number of panels; more would be too small to read. Below FEW another picture fits."""
-
+# Step of the painter up to that number of robots: more are fewer pixels wide
 STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
-"""Step of the painter up to that number of robots: more are fewer pixels wide."""
-
+# Distance [m] that some drone is off its place in the panel before, else there is none; and one
+# beyond all that drones fly, by which some moments come before others
 STILL, LONGEST = 1e-3, 1e6
-"""Distance [m] that some drone is off its place in the panel before, else there is none; and one
-beyond all that drones fly, by which some moments come before others."""
-
-AZIMUTH, ELEVATION = -115.0, 38.0
-"""Where panels are seen from [deg]."""
-
+AZIMUTH, ELEVATION = -115.0, 38.0  # Where panels are seen from [deg]
+# Radius of a drawn cable as a share of the extent: clasps show over and under in small panels;
+# and margin around everything and least reach of a drone, as shares of a panel's height
 THICKNESS, MARGIN, SMALL = 0.011, 0.08, 0.03
-"""Radius of a drawn cable as a share of the extent: clasps show over and under in small panels; and
-margin around everything and least reach of a drone, as shares of a panel's height."""
-
-PATH_SAMPLES, PALE = 150, 0.45
-"""Number of points of a drone's path, and its opacity."""
+PATH_SAMPLES, PALE = 150, 0.45  # Number of points of a drone's path, and its opacity
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +96,10 @@ class Painter:
         self.camera, self.step, self._floor = camera, step, motion.requirements.floor
         self._width = width or scene.radius
         self.cables = to_rgba_array(cable_colours(team.robots))
-        radius = size * motion.requirements.separation.radius
-        frame, rotors, rims = drone_faces(radius, max(FEWEST, SEGMENTS // step))
-        own = to_rgba_array(drone_colours(team))
-        hollow = np.array([name[0] == "r" for name in team.drone_names])[:, None]
-        dark = np.broadcast_to(to_rgba_array(FRAME), own.shape)
-        fills = np.where(hollow, to_rgba_array(OPEN), own)
-        self._parts = ((frame, dark, True), (rotors, fills, False), (rims, own, False))
+        corners = max(FEWEST, SEGMENTS // step)
+        parts = drone_parts(motion, size, corners).items()
+        # Of frames, which are solid, only what faces the viewer is painted.
+        self._parts = [(faces, to_rgba_array(own), name == "frame") for name, (faces, own) in parts]
         bodies = motion.requirements.objects.values()
         fills = to_rgba_array(object_colours(motion))
         # Objects stand on tables, and lie on cables, which are drawn thicker than they are.

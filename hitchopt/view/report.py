@@ -36,18 +36,14 @@ from hitchopt.view.style import (
     verdict,
 )
 
+# Endings of files that a plan can be written to
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
-"""Endings of files that a plan can be written to."""
-
 PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
+# What a report states, besides hitchopt's version: of packages versions, of files digests
 DIGESTED = ("plan.npz", "setpoints.csv")
-"""What a report states, besides hitchopt's version: of packages versions, of files digests."""
-
+# Parts of the page's script
 SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
-"""Parts of the page's script."""
-
-HEADROOM, LEVELS = 1.2, 65535
-"""Height of a plot over its largest value; largest 16-bit number."""
+HEADROOM, LEVELS = 1.2, 65535  # Height of a plot over its largest value; largest 16-bit number
 
 
 def save_view(

@@ -20,7 +20,7 @@ import hitchopt as ho
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.values import Array
 from hitchopt.view.editing import Editing, Stage
-from hitchopt.view.live import NARROW_ASPECT, LiveView
+from hitchopt.view.live import LiveView, open_server
 from hitchopt.view.panel import REACH, EditingPanel
 from hitchopt.view.scene import Concerned
 
@@ -159,7 +159,7 @@ def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
     path: Path = tmp_path_factory.mktemp("edited") / "problem.yaml"
     path.write_text(TEXT)
     plan = ho.solve(path)
-    live = LiveView(plan.motion, plan.certificate, port=8261, aspect=NARROW_ASPECT)
+    live = LiveView(open_server(), plan.motion, plan.certificate)
     editing = Editing(TEXT, path, Certified(plan.motion, plan.certificate))
     yield EditingPanel(live, editing)
     editing.close()

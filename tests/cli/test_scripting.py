@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from plans import BAD, ROOT
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.cli.output import (
-    LateProgress,
+    ProgressBar,
     certificate_table,
     done_of,
     phase_table,
@@ -186,29 +185,18 @@ class Terminal(io.StringIO):
         return True
 
 
-class Timer:
-    """A timer that is over at once, unless it is to take a minute."""
-
-    def __init__(self, delay: float, call: Callable[[], None]) -> None:
-        self.start = call if delay < 60.0 else lambda: None
-        self.cancel = self.join = self.is_alive = lambda: None
-
-
-def shown_by(stream: io.StringIO, delay: float) -> str:
-    with LateProgress("planning", 600.0, stream=stream, delay=delay) as progress:
-        progress("timing [step 1]")
-    return stream.getvalue()
-
-
-def test_a_terminal_sees_a_bar_once_it_takes_long_filled_by_counts(
+def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("threading.Timer", Timer)
-    shown = shown_by(Terminal(), 2.0)
-    assert "timing [step 1]" in shown
-    assert "of at most 600 s" in shown
-    assert shown_by(Terminal(), 60.0) == ""
-    assert shown_by(io.StringIO(), 0.0) == ""  # a file sees none
+    for stream, words in (
+        (Terminal(), ("timing [step 1]", "of at most 600 s")),
+        (io.StringIO(), ()),
+    ):
+        monkeypatch.setattr("sys.stderr", stream)
+        with ProgressBar("planning", 600.0) as progress:
+            progress("timing [step 1]")
+        assert all(word in stream.getvalue() for word in words)
+        assert bool(stream.getvalue()) is bool(words)
     for message, done in (
         ("speed, 3 of 22", (3.0, 22.0)),
         ("flying, 1.5 of 12.0 s", (1.5, 12.0)),

@@ -175,7 +175,7 @@ def test_what_binds_is_told_and_a_suggestion_can_be_taken(desk: Desk) -> None:
         assert editing.status.suggestions == desk.repairs
         names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
         desk.repairs = (Suggestion(Change(*names, desk.planned[-1], (edit,)), 2.0),)
-    editing.apply(desk.repairs[0])
+    editing.put(*desk.repairs[0].change.edits)
     assert editing.wait()
     assert editing.now()[1].stage is Stage.CURRENT
     assert editing.planned.certificate.certified
