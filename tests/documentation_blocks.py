@@ -22,15 +22,13 @@ from hitchopt.cli import main
 
 FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-
-TINY = 1e-6
-"""Numbers below this are rounding, and differ between processors."""
+TINY = 1e-6  # Numbers below this are rounding, and differ between processors
 
 
 class Block(NamedTuple):
-    """A fenced block: its language, or directive, and its text."""
+    """A fenced block of a page."""
 
-    language: str
+    language: str  # or directive
     text: str
 
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import hitchopt as ho
@@ -40,8 +38,7 @@ BEGUN: dict[str, ho.Mission] = {
     **{"enclose": CRATE, "transport_object": CRATE, "grasp": ENCLOSED, "lift": HELD},
     **{"carry": HELD.lift(0.1), "set_down": HELD.lift(0.1), "loosen": HELD},
     "leave": ENCLOSED,
-}
-"""Missions in which steps are possible, where not at the start of one with a hitch."""
+}  # Missions in which steps are possible, where not at the start of one with a hitch
 
 
 def arguments(kind: type[Step]) -> dict[str, Any]:
@@ -69,10 +66,7 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
         yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given
 
 
-AFTER = -1.0
-"""A time that is refused, so that nothing is computed."""
-
-NOWHERE = "there is no such file"
+AFTER, NOWHERE = -1.0, "there is no such file"  # Refused, so that nothing is computed
 # fmt: off
 GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     *steps(),
@@ -127,15 +121,17 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (PLAYER.seek, {"time": 0.5}),
     (ho.run_sweep, {"study": NOWHERE, "directory": NOWHERE, "workers": 1, "scheduler": ""}),
     (ho.PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
+    (ho.fit, {"outline": -1.0, "robots": 3, "quadrotor": None, "limits": None, "separation": None}),
+    (PLAN.report, {"directory": NOWHERE}), (PLAN.view, {"save": NOWHERE}),
+    (PLAN.abort, {"t": AFTER, "how": "hold"}),
+    (lambda ghost: PLAN.view(ghost=ghost, browser=False), {"ghost": NOWHERE}),
+    (lambda report: PLAN.save("out", report=report), {"report": False}),
+    (lambda reports: ho.certify(PLAN.motion, reports=[reports]), {"reports": "speed"}),
 ]
 # fmt: on
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]
-
-NEVER = [object(), 1j, len]
-"""What no argument may be."""
-
-SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}
-"""Arguments whose messages name another key."""
+NEVER = [object(), 1j, len]  # What no argument may be
+SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}  # Other names
 
 
 class PlannedError(Exception):
@@ -150,45 +146,19 @@ def _no_planning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(api, "solve_problem", stop)
 
 
-def label(case: tuple[Callable[..., object], dict[str, Any], str]) -> str:
-    return f"{case[0].__qualname__}-{case[2]}"
-
-
-@pytest.mark.parametrize("case", ARGUMENTS, ids=label)
+@pytest.mark.usefixtures("place")
+@pytest.mark.parametrize(
+    ("function", "values", "name"),
+    ARGUMENTS,
+    ids=[f"{f.__qualname__}-{x}" for f, _, x in ARGUMENTS],
+)
 def test_what_no_argument_may_be_is_refused_by_its_name(
-    case: tuple[Callable[..., object], dict[str, Any], str],
+    function: Callable[..., object], values: dict[str, Any], name: str
 ) -> None:
-    function, values, name = case
     for wrong in NEVER:
         with pytest.raises(ho.InputError) as caught:
             function(**{**values, name: wrong})
         assert name in caught.value.key or SYNONYMS.get(name, "-") in caught.value.key
-
-
-def fitted(name: str) -> Callable[[Any], object]:
-    return lambda x: ho.fit(-1.0, **{"robots": 3, name: x})
-
-
-# fmt: off
-CALLS: list[tuple[Callable[[Any], object], str]] = [
-    *((fitted(name), name) for name in ("robots", "quadrotor", "limits", "separation")),
-    (PLAN.report, "directory"), (PLAN.view, "save"),
-    (lambda x: PLAN.save(Path("out"), report=x), "report"),
-    (lambda x: PLAN.view(ghost=x, browser=False), "ghost"),
-    (lambda x: PLAN.abort(0.0, x), "how"),
-    (lambda x: ho.certify(PLAN.motion, reports=x), "reports"),
-    (lambda x: ho.certify(PLAN.motion, reports=[x]), "reports[0]"),
-]
-# fmt: on
-
-
-@pytest.mark.usefixtures("place")
-def test_what_no_file_and_no_option_may_be_is_refused_by_its_name() -> None:
-    for wrong in (*NEVER, np.array(1.0)):
-        for call, name in CALLS:
-            with pytest.raises(ho.InputError) as caught:
-                call(wrong)
-            assert caught.value.key == name
 
 
 def test_polygons_are_accepted_wherever_points_are() -> None:
