@@ -11,8 +11,8 @@ from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 
+# Equal and other tensions of clasps that carry nothing; rolled legs with loads, with weight
 KINDS = ("equal", "unequal", "loaded", "heavy")
-"""Equal and other tensions of clasps that carry nothing; rolled legs with loads, with weight."""
 
 
 def random_outline(seed: int, n: int, topology: str = CLOSED) -> Outline:

@@ -9,9 +9,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib import pyplot
 
 import hitchopt as ho
 from hitchopt.api import ALONE
@@ -127,9 +127,7 @@ def test_a_saved_plan_ends_in_the_same_hitch_and_one_with_free_cables_in_none(
 
 
 def test_a_plan_is_drawn_on_axes(plan: ho.Plan) -> None:
-    mpl.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot.switch_backend("Agg")
     axes = plan.plot()
     assert axes.get_xlabel() == "x [m]"
     assert plan.plot(axes) is axes
@@ -169,9 +167,8 @@ def test_notebooks_show_cards(plan: ho.Plan) -> None:
 def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
     (part,) = ho.export(plan, "json", tmp_path / "json", rate=10.0)
     assert list(part.files) == ["setpoints.json"]
-    with pytest.raises(ho.InputError) as caught:
+    with pytest.raises(ho.InputError, match=r"perturbations\.gusts"):
         ho.simulate(plan, perturbations={"gusts": 1.0})
-    assert caught.value.key == "perturbations.gusts"
 
 
 @pytest.mark.parametrize("second", [[1.1, 0.4, 1.3], [0.1, 0.2, 2.0], [2.0, 0.2, 0.3]])
@@ -182,11 +179,8 @@ def test_a_hanging_cable_has_its_length_and_its_ends(second: list[float]) -> Non
     assert points[[0, -1]] == pytest.approx(np.array([first, second]))
     assert np.max(parts) <= length / 2000 * (1 + 1e-6)
     assert length - 2 * np.max(parts) < np.sum(parts) <= length * (1 + 1e-6)  # one at a sharp bend
-    mirrored = ho.hanging_cable(second, first, length, points=2001)[::-1]
-    assert points == pytest.approx(mirrored, abs=1e-9)
-    at_once = ho.hanging_cable(np.add(first, 5.0), np.add([second] * 2, 5.0), length, points=2001)
-    assert at_once[1] - 5.0 == pytest.approx(points, abs=1e-9)
-    with pytest.raises(ho.InputError, match=r"at least the distance of its ends"):
-        ho.hanging_cable(first, second, 1.3)
-    with pytest.raises(ho.InputError, match=r"points = 1.*: must be at most 1000000"):
-        ho.hanging_cable(first, second, length, points=10**30)
+    at_once = ho.hanging_cable(np.add([second] * 2, 5.0), np.add(first, 5.0), length, points=2001)
+    assert at_once[1, ::-1] - 5.0 == pytest.approx(points, abs=1e-9)
+    for wrong, count, told in ((1.3, 5, "the distance of its ends"), (2.3, 10**30, "at most 1000")):
+        with pytest.raises(ho.InputError, match=told):
+            ho.hanging_cable(first, second, wrong, points=count)

@@ -75,16 +75,11 @@ def test_refusals_are_objects_too(place: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_quiet_command_says_nothing_but_errors() -> None:
-    assert run("solve", TRIANGLE, "-o", "out", "--rate", "5", "-q", code=0).output == ""
-    assert run("check", "out", "-q", code=0).output == ""
+def test_standard_input_is_a_file_and_a_quiet_command_says_nothing_but_errors() -> None:
+    given = TRIANGLE.read_text(encoding="utf-8")
+    assert run("solve", "-", "--rate", "5", "-q", given=given, code=0).output == ""
+    assert run("check", "stdin", "-q", code=0).output == ""
     assert run("check", "nowhere", "-q").stderr.startswith("error: nowhere/plan.npz: ")
-
-
-@pytest.mark.slow
-def test_standard_input_is_a_file() -> None:
-    run("solve", "-", "--rate", "5", given=TRIANGLE.read_text(encoding="utf-8"), code=0)
-    assert Path("stdin/plan.npz").exists()
     faulty = run("solve", "-", given="team: {robots: 3,\n  cable_length: -2}\n", code=2)
     assert "error: <stdin>:2:3: team.cable_length = -2: must be" in faulty.stderr
     assert run("solve", "-", given="").stderr.startswith("error: <stdin>: is empty")

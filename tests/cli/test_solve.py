@@ -28,11 +28,11 @@ def diagnosis() -> Any:
     return json.loads(Path("out/diagnosis.json").read_text())
 
 
+# Problems that take longest
 LONG = {
     "carry_box", "carry_tray", "form_thirty_gon", "form_with_friction", "grip_drum",
     "past_a_star_tip", "roll_32_gon", "tie_carry_untie", "weight_form_and_carry",
 }  # fmt: skip
-"""Problems that take longest."""
 
 
 @pytest.mark.parametrize(

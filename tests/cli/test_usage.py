@@ -44,14 +44,11 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         *((words, "Usage: ") for words in ("fly", "solve", "solve a b", "check", "-x")),
         ("solve a --rate often", "'often' is not a valid float"),
         ("view a --save a.mp4 --ghost b", "--ghost = 'b': must be no ghost"),
-        *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "-1.0", "nan", "inf")),
-        (f"{SOLVE} --rate 1e300", RATE.format("1e+300")),
-        *((f"{SOLVE} --limit {x}", f"error: --limit = {x}: ") for x in ("0.0", "nan", "inf")),
+        *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "nan", "1e+300")),
+        (f"{SOLVE} --limit inf", "error: --limit = inf: "),
         (f"{SOLVE} -o ''", "error: -o = '': must be a path that is not empty; name one"),
         ("solve ''", "error: FILE = '': must be a path that is not empty"),
         ("check ''", "error: DIR = '': must be a path that is not empty"),
-        ("export out --format csv -o ''", "error: -o = '': must be a path that is not empty"),
-        ("simulate out -o ''", "error: -o = '': must be a path that is not empty"),
         (f"{SOLVE} -o /", "error: -o = '/': must be a directory of its own"),
         (
             f"solve {FAULTY}",
@@ -60,7 +57,6 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("solve nowhere.yaml", "error: nowhere.yaml: no such file"),
         ("solve .", "Is a directory"),
         ("check nowhere", "error: nowhere/plan.npz: "),
-        ("check nowhere/plan.npz", "error: nowhere/plan.npz: "),
         ("simulate .", "plan.npz: there is no such file"),
         ("init --example triangl", "hitchopt init --list names them"),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
@@ -135,49 +131,32 @@ from hitchopt.__main__ import run
 run()
 """
 
-AFTER = """
-import os, signal, sys
-from hitchopt.__main__ import run
-sys.argv = ["hitchopt", "-h"]
-try:
-    run()
-finally:
-    os.kill(os.getpid(), signal.SIGINT)
-    print("survived")
-"""
-
-SOLVED = ("solve", str(TRIANGLE), "-o", "out")
 SLOW = [pytest.mark.slow]
 
 
 @pytest.mark.parametrize(
     ("target", "within", "name", "words"),
     [
-        pytest.param("builtins.__import__", "click", "SIGINT", SOLVED, marks=SLOW),
-        pytest.param("builtins.__import__", "numpy", "SIGTERM", SOLVED, marks=SLOW),
-        ("click.Context.__init__", "", "SIGINT", ("init", "x")),
-        ("click.Context.close", "", "SIGTERM", ("init", "-h")),
+        pytest.param("builtins.__import__", "click", "SIGINT", f"{SOLVE} -o out", marks=SLOW),
+        pytest.param("builtins.__import__", "numpy", "SIGTERM", f"{SOLVE} -o out", marks=SLOW),
+        ("click.Context.__init__", "", "SIGINT", "init x"),
+        ("click.Context.close", "", "SIGTERM", "init -h"),
         pytest.param(
-            *("hitchopt.exports.directory.write_setpoints", "", "SIGTERM", SOLVED), marks=SLOW
+            *("hitchopt.exports.directory.write_setpoints", "", "SIGTERM", f"{SOLVE} -o out"),
+            marks=SLOW,
         ),
     ],
 )
 def test_signals_end_quietly_wherever_they_come(
-    target: str, within: str, name: str, words: tuple[str, ...], place: Path
+    target: str, within: str, name: str, words: str, place: Path
 ) -> None:
     needs = "" if within else "import click, hitchopt.exports.directory"
-    told = {"place": target, "within": within, "name": name, "words": words, "needs": needs}
+    told = {"place": target, "within": within, "name": name, "words": words.split(), "needs": needs}
     done = started("-c", DISTURBED.format(**told))
     assert (done.returncode, done.stderr) == ({"SIGINT": 130, "SIGTERM": 143}[name], "")
     assert [path.name for path in place.iterdir()] == ["seen"]
     written = ".hitchopt-" in (place / "seen").read_text()
     assert written is target.endswith("write_setpoints")
-
-
-def test_signals_after_the_command_end_the_process() -> None:
-    done = started("-c", AFTER)
-    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
-    assert "survived" not in done.stdout
 
 
 @pytest.mark.slow
@@ -201,13 +180,6 @@ def test_signals_wait_until_pydantic_has_built_a_model() -> None:
 
 
 VIOLATION = Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s", "slow down")
-
-
-def _interrupted_in_compiled_code() -> None:
-    try:
-        signal.raise_signal(signal.SIGINT)
-    except KeyboardInterrupt:
-        raise SystemError("returned a result with an exception set") from None
 
 
 @pytest.mark.parametrize(
@@ -234,10 +206,12 @@ def test_errors_become_exit_codes(
 
     @group.command()
     def fail() -> None:
-        if error is None:
-            _interrupted_in_compiled_code()
-        else:
+        if error is not None:
             raise error
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise SystemError("returned a result with an exception set") from None
 
     monkeypatch.setattr(interrupts, "_shielded", lambda _: False)
     result = CliRunner().invoke(group, ["fail"])

@@ -208,7 +208,11 @@ def test_a_handle_goes_where_it_is_dragged(index: int) -> None:
         assert isinstance(problem, Problem)
         return {each.name: each for each in handles(problem, parse_yaml(text), index, 1.0)}
 
-    for name, handle in found(STEPPED).items():
+    handled = found(STEPPED)
+    for name in ("edge 1", "edge 3") if "edge 3" in handled and "vertex 0" in handled else ():
+        ends = [handled[f"vertex {(int(name[-1]) + i) % 4}"].place for i in (0, 1)]
+        np.testing.assert_allclose(handled[name].place, np.mean(ends, axis=0), atol=1e-9)
+    for name, handle in handled.items():
         by = np.array([0.02, -0.03, 0.04 if handle.vertical else 0.0])
         again = found(handle.dragged(STEPPED, handle.place + by))
         np.testing.assert_allclose(again[name].place, handle.place + by, atol=1e-8)
