@@ -330,11 +330,8 @@ def _signals(add: Callable[[str], None]) -> Iterator[None]:
         add("end")
         signal.signal(number, before[number])
 
-    handlers: dict[int, Any] = {
-        signal.SIGINT: end,
-        signal.SIGTERM: end,
-        signal.SIGHUP: signal.SIG_IGN,
-    }
+    handlers: dict[int, Any] = dict.fromkeys((signal.SIGINT, signal.SIGTERM), end)
+    handlers[signal.SIGHUP] = signal.SIG_IGN
     before.update({number: signal.signal(number, each) for number, each in handlers.items()})
     try:
         yield

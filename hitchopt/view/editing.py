@@ -331,10 +331,13 @@ class Editing:
         self._worker.start()
 
     def _answer(self, version: int, problem: Problem) -> None:
+        def told(words: str) -> None:
+            self._publish(version, replace(self.status, words=words))
+
         with self._planning, suppress(_StaleError):
             self._check(version)
             try:
-                planned = solve_problem(problem, lambda words: self._tell(version, words))
+                planned = solve_problem(problem, told)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
                 self._publish(version, Status(Stage.REFUSED, words))
@@ -347,9 +350,6 @@ class Editing:
                 self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
             else:
                 self._publish(version, Status(Stage.CURRENT), planned)
-
-    def _tell(self, version: int, words: str) -> None:
-        self._publish(version, replace(self.status, words=words))
 
     def _check(self, version: int) -> None:
         if version != self._version:

@@ -81,8 +81,7 @@ class LiveScene:
         """Give everything the colours that it has now."""
         for solid in (*self._drones, *self._objects):
             solid.opacity = GHOSTLY if self._pale else None
-        colours = self._cable_colours.copy()
-        colours[:] = PALE if self._pale else colours
+        colours = np.where(self._pale, np.array(PALE, np.uint8), self._cable_colours)
         colours[list(self._marked.cables)] = MARK_COLOUR
         if len(colours):
             self._cables.colors = self._per_segment(colours, len(self._cables.points))

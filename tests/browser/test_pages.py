@@ -20,7 +20,7 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.steps.certified_motions import Certified
 from hitchopt.values import Array
-from hitchopt.view.editing import Editing
+from hitchopt.view.editing import Editing, Stage
 from hitchopt.view.live import LiveView, open_server
 from hitchopt.view.panel import REACH, EditingPanel
 from hitchopt.view.scene import Concerned
@@ -125,6 +125,11 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         page.goto(path.as_uri())
         waited(page, lambda: bool(page.evaluate("Boolean(window.hitchopt)")))
         yield page
+
+
+def planned(page: Any, editing: Editing) -> None:
+    """Wait until the newest text is planned."""
+    waited(page, lambda: editing.status.stage is Stage.CURRENT)
 
 
 @pytest.fixture(scope="module")
@@ -289,13 +294,13 @@ class TestEditing:
         settled(page)
         page.get_by_role("button", name="Plan with these values").click()
         waited(page, lambda: "1.5" in editing.text)
-        assert editing.wait()
+        planned(page, editing)
         page.get_by_text("not saved").wait_for()
         page.get_by_text("Save", exact=True).click()
         waited(page, lambda: editing.path.read_text() == TEXT.replace("1.0}\n", "1.5}\n"))
         page.get_by_text("Undo", exact=True).click()
         waited(page, lambda: editing.text == TEXT)
-        assert editing.wait()
+        planned(page, editing)
 
     def test_a_vertex_is_dragged(self, edited: Any, panel: EditingPanel) -> None:
         panel.choose(0, "vertex 0")
@@ -311,7 +316,7 @@ class TestEditing:
         settled(edited)
         edited.mouse.up()
         waited(edited, lambda: panel.editing.text != TEXT)
-        assert panel.editing.wait()
+        planned(edited, panel.editing)
         vertices = panel.editing.problem.mission[0].polygon.vertices  # type: ignore[attr-defined]
         np.testing.assert_allclose(vertices[0], [1.05, -0.3], atol=0.02)
         assert panel.editing.planned.certificate.certified
@@ -326,7 +331,7 @@ class TestEditing:
             editing.drag(0, "vertex 1", np.array([0.6 - 0.01 * k, 1.0, 1.2]))
             editing.wait(0.3 * (k % 2))
         assert editing.text != first
-        assert editing.wait()
+        planned(edited, editing)
         edited.get_by_text("the plan of this problem").wait_for()
         settled(edited)
         (head,) = edited.get_by_text("certified for all t").all()
