@@ -142,11 +142,8 @@ REAL = "--cable-length 2.39,2.41,2.4 --density 0.004 --load 0.002 --stiffness 8"
         ("--at 0.5 --friction 0.05", {"friction": 0.05}),
         (
             f"--at 0.5 {REAL} --axial-stiffness 500",
-            {
-                "cable_length": [2.39, 2.41, 2.4],
-                **{"cable_density": 0.004, "load": 0.002, "stiffness": 8.0},
-                "axial_stiffness": 500.0,
-            },
+            {"cable_length": [2.39, 2.41, 2.4], "axial_stiffness": 500.0}
+            | {"cable_density": 0.004, "load": 0.002, "stiffness": 8.0},
         ),
         pytest.param(
             "--at 0.5 --cable-error 0.01 --force-error sd:0.02",
