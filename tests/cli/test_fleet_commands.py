@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from commands import run
 
+import hitchopt as ho
 from hitchopt.exports import exporting
 from hitchopt.exports.options import HOMES
-from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan
 
@@ -34,7 +34,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a plan that goes at its limit of speed."""
     folder = tmp_path_factory.mktemp("plans") / "out"
     folder.mkdir()
-    write_plan(folder / "plan.npz", solve_problem(problem_from_dict(PROBLEM)).motion, "Carried")
+    write_plan(folder / "plan.npz", solve_problem(ho.problem_from_dict(PROBLEM)).motion, "Carried")
     return folder
 
 

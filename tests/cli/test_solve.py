@@ -13,10 +13,7 @@ from baseline import SWARMS, differences
 from commands import TRIANGLE, refused, run
 from plans import GOOD, INFEASIBLE, ROOT, header, planned
 
-from hitchopt.api import solve
-from hitchopt.checks import Certificate
-from hitchopt.checks.certificate import Check
-from hitchopt.plan import Plan
+import hitchopt as ho
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -169,9 +166,9 @@ def test_the_directory_tells_the_last_solve(place: Path) -> None:
 def test_a_certificate_that_fails_ends_with_3_and_a_diagnosis(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    plan = solve(TRIANGLE)
-    broken = Check.of("speed", 1.5, 1.0, "max", "m/s", 0.75, ("q1",))
-    failed = Plan(plan.motion, Certificate(plan.duration, (broken,)), "Too fast")
+    plan = ho.solve(TRIANGLE)
+    broken = ho.Check.of("speed", 1.5, 1.0, "max", "m/s", 0.75, ("q1",))
+    failed = ho.Plan(plan.motion, ho.Certificate(plan.duration, (broken,)), "Too fast")
     monkeypatch.setattr("hitchopt.solve", lambda *_, **__: failed)
     result = run("solve", TRIANGLE, "-o", "out", code=3)
     assert "error: speed: 1.5 m/s is above the limit of 1 m/s at q1, t = 0.75 s" in result.stderr

@@ -23,7 +23,7 @@ from plans import BAD, ROOT
 from pydantic_core import core_schema
 
 import hitchopt as ho
-from hitchopt.checks.certificate import GROUPS, CertificateError
+from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, done_of, phase_table
@@ -190,7 +190,7 @@ VIOLATION = ho.Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s",
         (ho.FileError("x: no such file"), 2, "error: x: no such file\n"),
         (ho.InfeasibleError([VIOLATION] * 2), 3, f"error: {VIOLATION}\nerror: {VIOLATION}\n"),
         (ho.UnsupportedError("not yet"), 3, "error: not yet\n"),
-        (CertificateError("speed: 2"), 3, "error: speed: 2\n"),
+        (ho.CertificateError("speed: 2"), 3, "error: speed: 2\n"),
         (ho.HitchoptError(), 3, "error: HitchoptError\n"),
         (KeyboardInterrupt(), 130, ""),
         (OSError(28, "No space left on device", "x"), 2, "error: x: No space left on device; che"),

@@ -16,8 +16,7 @@ from hitchopt.cli import main
 from hitchopt.errors import Progress
 from hitchopt.mission.keys import StepKeys
 from hitchopt.mission.loading import parse_problem
-from hitchopt.mission.problem import Problem
-from hitchopt.mission.repair import Change, Edit, Suggestion
+from hitchopt.mission.repair import Edit
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEPS
@@ -83,10 +82,10 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
 def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     editing: Editing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, seen, begun = editing.planned, list[Stage](), list[Problem]()
+    first, seen, begun = editing.planned, list[Stage](), list[ho.Problem]()
     free, entered = threading.Event(), threading.Semaphore(0)
 
-    def waiting(problem: Problem, progress: Progress) -> Certified:
+    def waiting(problem: ho.Problem, progress: Progress) -> Certified:
         begun.append(problem)
         entered.release()
         assert free.wait(30.0)
@@ -144,9 +143,11 @@ def test_what_is_no_problem_changes_nothing(editing: Editing) -> None:
 def test_what_binds_is_told_and_a_suggestion_can_be_taken(
     editing: Editing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, repairs, edit = editing.planned, list[Suggestion](), Edit("team.cable_length", 2.4)
+    first, repairs, edit = editing.planned, list[ho.Suggestion](), Edit("team.cable_length", 2.4)
 
-    def found(problem: Problem, error: ho.InfeasibleError, **_: Any) -> tuple[Suggestion, ...]:
+    def found(
+        problem: ho.Problem, error: ho.InfeasibleError, **_: Any
+    ) -> tuple[ho.Suggestion, ...]:
         assert (problem is editing.problem) is bool(error.violations) is True
         return (*repairs,)
 
@@ -158,7 +159,7 @@ def test_what_binds_is_told_and_a_suggestion_can_be_taken(
         assert (status.stage, status.suggestions, planned) == (Stage.REFUSED, (*repairs,), first)
         assert told in status.words
         names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
-        repairs.append(Suggestion(Change(*names, editing.problem, (edit,)), 2.0))
+        repairs.append(ho.Suggestion(ho.Change(*names, editing.problem, (edit,)), 2.0))
     editing.put(*repairs[0].change.edits)
     assert editing.wait()
     assert editing.status.stage is Stage.CURRENT
@@ -190,7 +191,7 @@ def test_a_handle_goes_where_it_is_dragged(index: int) -> None:
 
     def found(text: str) -> dict[str, Handle]:
         problem = parse_problem(text)
-        assert isinstance(problem, Problem)
+        assert isinstance(problem, ho.Problem)
         return {each.name: each for each in handles(problem, parse_yaml(text), index, 1.0)}
 
     handled = found(STEPPED)
@@ -207,7 +208,7 @@ def test_a_handle_goes_where_it_is_dragged(index: int) -> None:
 @pytest.mark.parametrize("kind", [step.name for step in STEPS])
 def test_a_new_step_is_one_that_a_file_may_have(kind: str) -> None:
     problem = parse_problem(STEPPED)
-    assert isinstance(problem, Problem)
+    assert isinstance(problem, ho.Problem)
     for index in (START, 0):
         StepKeys.model_validate(new_step(problem, index, kind, 1.0))
 

@@ -18,8 +18,8 @@ import pytest
 from click.testing import CliRunner
 from pictured import made_certificate, make_motion
 
+import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.plan import load
 from hitchopt.values import Array
 from hitchopt.view.live import ASPECT, Buttons, LiveView, open_server
 from hitchopt.view.report import write_report
@@ -150,7 +150,7 @@ def test_report_of_a_directory_has_problem_and_digests(tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["solve", str(problem), "-o", str(out), "--report"])
     assert done.exit_code == 0, done.output
     data, _ = parts(out / "report.html")
-    assert data["problem"] == problem.read_text("utf-8") == load(out).problem
+    assert data["problem"] == problem.read_text("utf-8") == ho.load(out).problem
     rows = dict(data["origin"])
     assert {"hitchopt", "numpy", "plan.npz, SHA-256", "problem file, SHA-256"} <= set(rows)
     first = (out / "report.html").read_bytes()

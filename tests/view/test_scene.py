@@ -16,12 +16,10 @@ from pictured import CORNERS, make_motion, with_box
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.hitch.holding import wraps_around
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import states_at
-from hitchopt.objects import Section, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.simulation.ropes import linking_matrix
 from hitchopt.view.cables import CLASPS, clasp_senses, wrapped_edges
@@ -32,7 +30,7 @@ from hitchopt.view.shapes import object_faces, split
 
 
 @pytest.fixture(scope="module")
-def tied() -> Motion:
+def tied() -> ho.Motion:
     """Return a hitch tied, held and untied."""
     team = ho.Team(robots=3, cable_length=2.4, cable_density=0.004)
     q = np.array([[-0.6, -1.2, 1.0], [-0.6, 0, 1.0], [-0.6, 1.2, 1.0]])
@@ -40,11 +38,11 @@ def tied() -> Motion:
     return ho.form(team, q, q + [1.2, 0.0, 0.0], triangle, altitude=1.5).motion
 
 
-def linking(motion: Motion, time: float) -> np.ndarray:
+def linking(motion: ho.Motion, time: float) -> np.ndarray:
     return np.abs(linking_matrix(list(scene_at(motion, np.array([time])).cables[0])))
 
 
-def test_a_scene_is_the_plan_at_its_times_and_between(tied: Motion) -> None:
+def test_a_scene_is_the_plan_at_its_times_and_between(tied: ho.Motion) -> None:
     scene = scene_of(tied)
     states = states_at(tied, scene.t)
     np.testing.assert_array_equal(scene.drones, states.positions)
@@ -57,7 +55,7 @@ def test_a_scene_is_the_plan_at_its_times_and_between(tied: Motion) -> None:
     np.testing.assert_allclose(between, tied.drones.at(times), atol=5e-3)
 
 
-def test_free_cables_are_as_long_as_they_are_and_hang(tied: Motion) -> None:
+def test_free_cables_are_as_long_as_they_are_and_hang(tied: ho.Motion) -> None:
     free = next(phase for phase in tied.phases if phase.state is CableState.FREE)
     points = scene_at(tied, np.linspace(free.start, free.end, 9)[1:-1]).cables
     length = np.sum(np.linalg.norm(np.diff(points, axis=2), axis=-1), axis=-1)
@@ -66,7 +64,7 @@ def test_free_cables_are_as_long_as_they_are_and_hang(tied: Motion) -> None:
     assert np.all(middles < np.min(ends, axis=-1) - 0.1)
 
 
-def test_neighbours_are_linked_in_the_hitch_and_not_before(tied: Motion) -> None:
+def test_neighbours_are_linked_in_the_hitch_and_not_before(tied: ho.Motion) -> None:
     assert not np.any(linking(tied, 0.5 * tied.phases[0].end))
     np.testing.assert_array_equal(linking(tied, tied.duration - 0.1), 1 - np.eye(3))
     for n in (4, 12):  # neighbours alone
@@ -79,7 +77,7 @@ def test_neighbours_are_linked_in_the_hitch_and_not_before(tied: Motion) -> None
     np.testing.assert_array_equal(found, [[0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 
-def test_turning_the_other_way_links_the_other_way(tied: Motion) -> None:
+def test_turning_the_other_way_links_the_other_way(tied: ho.Motion) -> None:
     flip = np.array([1.0, 1.0, -1.0])[:, None]
     mirrored: dict[str, Any] = {
         name: dataclasses.replace(curves, coefficients=curves.coefficients * flip)
@@ -101,7 +99,7 @@ def test_bends_are_at_the_vertices() -> None:
 def test_edges_around_a_circle_are_its_tangents_and_arc() -> None:
     angles = 0.3 - 2.0 * np.pi * np.arange(3) / 3
     flat = 0.24 * np.column_stack([np.cos(angles), np.sin(angles)])
-    wraps = wraps_around(Section(radius=0.2), flat)
+    wraps = wraps_around(ho.Section(radius=0.2), flat)
     first, contacts = (
         np.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, 1)]) for x in (flat, wraps.contacts)
     )
@@ -124,7 +122,7 @@ def test_objects_are_where_they_stand(yaw: float) -> None:
     assert np.cos(2.0 * np.arctan2(place[6], place[3]) - yaw) == pytest.approx(1.0)
 
 
-def test_what_a_check_names_is_found(tied: Motion) -> None:
+def test_what_a_check_names_is_found(tied: ho.Motion) -> None:
     found = concerned(tied, ("q1", "r2", "cable 0", "p2", "q-leg 1", "phase 3 (swap 1)", "floor"))
     assert (found.drones, found.cables, found.vertices) == ((2, 5), (0, 1), (2,))
 
@@ -169,10 +167,10 @@ def test_a_film_is_in_real_time_and_shows_the_motion(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("times", [0, 2])
-@pytest.mark.parametrize("section", [Section(CORNERS), Section(radius=0.2)])
-def test_faces_enclose_the_body(section: Section, times: int) -> None:
+@pytest.mark.parametrize("section", [ho.Section(CORNERS), ho.Section(radius=0.2)])
+def test_faces_enclose_the_body(section: ho.Section, times: int) -> None:
     """By the divergence theorem, which holds only if all faces are there and look outward."""
-    faces = split(object_faces(SolidObject(section, 0.1, 0.4)), times)
+    faces = split(object_faces(ho.SolidObject(section, 0.1, 0.4)), times)
     corners = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
     areas = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     volume = np.sum(np.linalg.det(corners)) / 6.0
@@ -206,13 +204,13 @@ def test_objects_are_painted_where_they_stand() -> None:
 def test_a_film_that_cannot_be_made_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    with pytest.raises(FileError, match="cannot be written"):
+    with pytest.raises(ho.FileError, match="cannot be written"):
         save_film(tmp_path / "missing" / "flight.gif", short_scene())
     assert list(tmp_path.iterdir()) == []
-    with pytest.raises(InputError, match="film"):
+    with pytest.raises(ho.InputError, match="film"):
         save_film(Path("flight.avi"), short_scene())
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(UnsupportedError, match=r"flight\.MP4: needs imageio_ffmpeg"):
+    with pytest.raises(ho.UnsupportedError, match=r"flight\.MP4: needs imageio_ffmpeg"):
         save_film(Path("flight.MP4"), short_scene())
 
 
