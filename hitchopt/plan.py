@@ -215,12 +215,12 @@ class Plan(OneLine):
             return None
         import webbrowser
 
-        from hitchopt.view.live import LiveView
+        from hitchopt.view.live import LiveView, open_server
         from hitchopt.view.scene import ghost_scene
 
         other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
         shown = self.motion, self.certificate, self.title
-        live = LiveView(*shown, ghost=other, host=host, port=port)
+        live = LiveView(open_server(host, port), *shown, ghost=other)
         if browser:
             webbrowser.open(live.url)
         return live

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.geometry import ConvexArc, Outline
-from hitchopt.hitch import Hitch, Team
+import hitchopt as ho
+from hitchopt.geometry import Outline
 from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 
+# Equal and other tensions of clasps that carry nothing; rolled legs with loads, with weight
 KINDS = ("equal", "unequal", "loaded", "heavy")
-"""Equal and other tensions of clasps that carry nothing; rolled legs with loads, with weight."""
 
 
 def random_outline(seed: int, n: int, topology: str = CLOSED) -> Outline:
@@ -20,15 +20,15 @@ def random_outline(seed: int, n: int, topology: str = CLOSED) -> Outline:
     rng = np.random.default_rng(seed)
     closed = topology == CLOSED
     polygon = random_convex_polygon(n if closed else n + 3, 1.2, rng).translated(rng.normal(size=2))
-    return polygon if closed else ConvexArc(polygon.vertices[: n + 1])
+    return polygon if closed else ho.ConvexArc(polygon.vertices[: n + 1])
 
 
-def random_hitch(seed: int, n: int, topology: str = CLOSED, kind: str = "unequal") -> Hitch:
+def random_hitch(seed: int, n: int, topology: str = CLOSED, kind: str = "unequal") -> ho.Hitch:
     """Return a hitch of unequal cables and legs at 0.8 m, of one of KINDS."""
     rng = np.random.default_rng([seed, 1])
     outline, plain = random_outline(seed, n, topology), kind in KINDS[:2]
     clasps = n if topology == CLOSED else n - 1
-    team = Team(
+    team = ho.Team(
         n,
         outline.edge_lengths + rng.uniform(0.7, 1.0, n),
         topology=topology,
@@ -37,9 +37,9 @@ def random_hitch(seed: int, n: int, topology: str = CLOSED, kind: str = "unequal
         load=0.0 if plain else rng.uniform(0.0, 0.008, clasps),
     )
     roll = 0.0 if plain else rng.uniform(-0.8, 0.8, clasps)
-    slack = Hitch.balanced(team, outline).slack
+    slack = ho.Hitch.balanced(team, outline).slack
     legs = team.layout.q_legs_of(slack * rng.uniform(0.3, 0.7, n), slack)
-    return Hitch(team, outline, 0.8, legs, roll)
+    return ho.Hitch(team, outline, 0.8, legs, roll)
 
 
 def clasp_residuals(

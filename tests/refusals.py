@@ -8,8 +8,8 @@ import pytest
 
 import hitchopt as ho
 
+# A call, the key that its error names, and a part of its message
 Refusal = tuple[Callable[[], object], str, str]
-"""A call, the key that its error names, and a part of its message."""
 
 
 def assert_refused(call: Callable[[], object], key: str, words: str) -> None:

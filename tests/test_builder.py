@@ -1,20 +1,24 @@
-"""Missions built step by step, and what plans do in Python: end, plot, data frame, cards."""
+"""Missions built step by step, what plans do in Python, and how records are written there."""
 
 from __future__ import annotations
 
 import ast
 import dataclasses
 import inspect
+import math
 import sys
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib import pyplot
 
 import hitchopt as ho
 from hitchopt.api import ALONE
+from hitchopt.errors import LONGEST, OneLine, broken_limit, short
 from hitchopt.steps import STEPS
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
@@ -127,9 +131,7 @@ def test_a_saved_plan_ends_in_the_same_hitch_and_one_with_free_cables_in_none(
 
 
 def test_a_plan_is_drawn_on_axes(plan: ho.Plan) -> None:
-    mpl.use("Agg")
-    from matplotlib import pyplot
-
+    pyplot.switch_backend("Agg")
     axes = plan.plot()
     assert axes.get_xlabel() == "x [m]"
     assert plan.plot(axes) is axes
@@ -155,7 +157,7 @@ def test_a_data_frame_holds_the_rows_of_setpoints_csv(
 
 def test_notebooks_show_cards(plan: ho.Plan) -> None:
     card = plan._repr_html_()
-    held = "<b>Two &lt;steps&gt;</b>: 6 drones", 'src="data:image/png;base64,', "<td>morph</td>"
+    held = "<b>Two &lt;steps&gt;</b>: 3 robots", 'src="data:image/png;base64,', "<td>morph</td>"
     names = [f"<td>{check.name}</td>" for check in plan.certificate.checks]
     for words in (*held, plan.certificate._repr_html_(), "certified for all t", *names):
         assert words in card
@@ -165,9 +167,8 @@ def test_notebooks_show_cards(plan: ho.Plan) -> None:
 def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
     (part,) = ho.export(plan, "json", tmp_path / "json", rate=10.0)
     assert list(part.files) == ["setpoints.json"]
-    with pytest.raises(ho.InputError) as caught:
+    with pytest.raises(ho.InputError, match=r"perturbations\.gusts"):
         ho.simulate(plan, perturbations={"gusts": 1.0})
-    assert caught.value.key == "perturbations.gusts"
 
 
 @pytest.mark.parametrize("second", [[1.1, 0.4, 1.3], [0.1, 0.2, 2.0], [2.0, 0.2, 0.3]])
@@ -178,11 +179,67 @@ def test_a_hanging_cable_has_its_length_and_its_ends(second: list[float]) -> Non
     assert points[[0, -1]] == pytest.approx(np.array([first, second]))
     assert np.max(parts) <= length / 2000 * (1 + 1e-6)
     assert length - 2 * np.max(parts) < np.sum(parts) <= length * (1 + 1e-6)  # one at a sharp bend
-    mirrored = ho.hanging_cable(second, first, length, points=2001)[::-1]
-    assert points == pytest.approx(mirrored, abs=1e-9)
-    at_once = ho.hanging_cable(np.add(first, 5.0), np.add([second] * 2, 5.0), length, points=2001)
-    assert at_once[1] - 5.0 == pytest.approx(points, abs=1e-9)
-    with pytest.raises(ho.InputError, match=r"at least the distance of its ends"):
-        ho.hanging_cable(first, second, 1.3)
-    with pytest.raises(ho.InputError, match=r"points = 1.*: must be at most 1000000"):
-        ho.hanging_cable(first, second, length, points=10**30)
+    at_once = ho.hanging_cable(np.add([second] * 2, 5.0), np.add(first, 5.0), length, points=2001)
+    assert at_once[1, ::-1] - 5.0 == pytest.approx(points, abs=1e-9)
+    for wrong, count, told in ((1.3, 5, "the distance of its ends"), (2.3, 10**30, "at most 1000")):
+        with pytest.raises(ho.InputError, match=told):
+            ho.hanging_cable(first, second, wrong, points=count)
+
+
+EVEN = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
+ARRAYS = [np.zeros((4, 3)), np.arange(5000.0), np.zeros(0), np.float64(2.5), object()]
+PLAIN = st.none() | st.floats() | st.text(max_size=300) | st.sampled_from(ARRAYS)
+VALUES = PLAIN | st.lists(PLAIN, max_size=12) | st.lists(st.lists(PLAIN, max_size=3), max_size=12)
+
+
+@given(st.lists(VALUES, max_size=8))
+@settings(max_examples=15)
+def test_every_public_record_is_written_on_one_line_whatever_its_values(values: list[Any]) -> None:
+    public = [getattr(ho, name) for name in ho.__all__]
+    records = [x for x in public if inspect.isclass(x) and not issubclass(x, BaseException)]
+    assert records
+    assert all(getattr(kind, "__repr__") is OneLine.__repr__ for kind in records)  # noqa: B009
+    names = [f"field_{i}" for i in range(len(values))]
+    text = repr(dataclasses.make_dataclass("Record", names, bases=(OneLine,))(*values))
+    assert len(text) <= LONGEST
+    assert len(text.splitlines()) == 1
+    assert text.startswith("Record(")
+
+
+def test_records_are_written_in_their_own_words() -> None:
+    start = ho.Hitch(TEAM, EVEN, 1.0, [0.3, 0.8, 0.25])
+    plan = ho.hold(start, 2.0)
+    polygon = "[[0, -1], [-0.4, 0.5], [0.4, 0.5]]"
+    for record, words in (
+        (ho.Limits(), "Limits()"),
+        (ho.Limits(speed=0.8), "Limits(speed=0.8)"),
+        (ho.ConvexPolygon(EVEN), f"ConvexPolygon(vertices={polygon})"),
+        (plan, "Plan(6 drones, 2 s, phases: 1, 17 of 17 checks hold)"),
+        (start, "Hitch(3 robots, closed, altitude=1, q_legs=[0.3, 0.8, 0.25], roll=0)"),
+        (plan.certificate, "Certificate(certified, 17 checks, 2 s)"),
+        (plan.certificate["speed"], "Check(speed: 0 ≤ 1 m/s, holds, t = 0 s, at q0)"),
+    ):
+        assert repr(record) == words
+    assert (short(np.full(600, 2.4)), short(np.zeros((600, 3)))) == ("2.4", "array(600, 3)")
+    assert short([[1.0] * 30] * 20) == "<20 entries>"
+    error = ho.InputError("key", "value\n" * 50, "bound", "remedy " * 50)
+    assert repr(error).startswith('InputError("key = ')
+    states = plan.at([0.0, 1.0])
+    for part in (error, plan.motion, plan.motion.drones, states, plan.phases[0], ho.closest(plan)):
+        assert len(repr(part)) <= LONGEST
+
+
+@pytest.mark.parametrize(
+    ("limit", "words"),
+    [
+        (("grip", -math.inf, 1.5, "min", "1", ("drum",)), "-inf is below the limit of 1.5 at drum"),
+        (("grip", -sys.float_info.max, 1.5, "min", "1", ()), "-inf is below the limit of 1.5"),
+        (
+            ("speed", 1.0 + 1e-11, 1.0, "max", "m/s", ()),
+            "1.00000000001 m/s is above the limit of 1 m/s",
+        ),
+    ],
+)
+def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: str) -> None:
+    """What contradicts itself is infinitely far off."""
+    assert broken_limit(*limit) == f"{limit[0]}: {words}"

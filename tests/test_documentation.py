@@ -1,25 +1,34 @@
-"""What README and documentation show is what happens, and nothing public lacks a place in them."""
+"""What README and documentation show is what happens, and nothing public lacks a place in them.
+
+Code blocks of a page are executed one after the other in one directory. Blocks of Python share
+their names; what one prints is shown in the block after it. Blocks of YAML that begin with a
+comment ``# name.yaml`` are written to files. In ``console`` blocks lines after ``$`` are commands,
+and what they print follows, unless nothing is shown.
+"""
 
 from __future__ import annotations
 
+import io
 import re
+import shlex
 import signal
+from collections.abc import Iterator
+from contextlib import redirect_stdout
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import click
 import jsonschema
 import pytest
-from documentation_blocks import Block, blocks, executed, file_name, same
+from click.testing import CliRunner
 from generators.api_pages import page_of
 from generators.check_facts import write_check_facts
 from generators.command_page import write_command_page
 from generators.gallery_page import write_gallery_page
 from generators.page_pictures import KINDS, SCREENSHOTS
 from generators.problem_collection import PICTURES, SECTIONS, caption
-from generators.readme_film import FILM, SIZE
 from generators.schema_page import problem_schema, write_schema_page
-from PIL import Image
 from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
 
@@ -31,17 +40,111 @@ from hitchopt.cli.planning import PACKAGE, problem_text
 from hitchopt.storage.interrupts import INTERRUPTED
 from hitchopt.sweeps.study import StudyKeys
 
+FENCE = re.compile(r"^( *)```([^\n]*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
+NUMBER = re.compile(r"[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+TINY = 1e-6  # Numbers below this are rounding, and differ between processors
+
+
+class Block(NamedTuple):
+    """A fenced block of a page."""
+
+    language: str  # or directive
+    text: str
+
+
+class Shown(NamedTuple):
+    """What a block or command prints, what the page shows of it, and a command's exit code."""
+
+    code: str
+    printed: str
+    shown: str
+    status: int = 0
+
+
+def blocks(text: str) -> list[Block]:
+    """Return all fenced blocks of a page, without the indentation of lists."""
+    found = []
+    for indent, language, body in FENCE.findall(text):
+        lines = [line.removeprefix(indent) for line in body.splitlines(keepends=True)]
+        found.append(Block(language.strip(), "".join(lines)))
+    return found
+
+
+def executed(text: str) -> Iterator[Shown]:
+    """Yield what the blocks of a page print, in the working directory."""
+    page, status = blocks(text), 0
+    names: dict[str, object] = {"__name__": "__main__"}
+    for block, following in zip(page, [*page[1:], Block("", "")], strict=True):
+        if block.language == "python":
+            stream = io.StringIO()
+            with redirect_stdout(stream):
+                exec(compile(block.text, "<page>", "exec"), names)
+            shown = following.text if following.language in {"", "text"} else ""
+            yield Shown(block.text, stream.getvalue(), shown)
+        elif block.language == "yaml" and (name := file_name(block)):
+            Path(name).write_text(block.text, encoding="utf-8")
+        elif block.language == "console":
+            for part in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
+                command, _, shown = part.partition("\n")
+                if command == "echo $?":
+                    yield Shown(command, f"{status}\n", shown)
+                    continue
+                status, printed = run(command)
+                yield Shown(command, printed, shown, status)
+
+
+def file_name(block: Block) -> str:
+    """Return the name in the first comment of a block of YAML, or nothing."""
+    found = re.match(r"# ([\w-]+\.yaml)\n", block.text)
+    return found[1] if found else ""
+
+
+def run(command: str) -> tuple[int, str]:
+    """Return the exit code of a command of hitchopt, and all that it prints."""
+    program, *arguments = shlex.split(command, comments=True)
+    assert program == "hitchopt", f"{command}: only hitchopt is run"
+    done = CliRunner().invoke(main, arguments, catch_exceptions=False, prog_name="hitchopt")
+    return done.exit_code, click.unstyle(done.output)
+
+
+def same(printed: str, shown: str) -> bool:
+    """Return whether two texts agree: words exactly, numbers to the last digit but one shown.
+
+    An ellipsis at the end of a line stands for the rest of it.
+    """
+    ours, theirs = printed.split("\n"), shown.split("\n")
+    return len(ours) == len(theirs) and all(map(_same_line, ours, theirs))
+
+
+def _same_line(printed: str, shown: str) -> bool:
+    if shown.endswith("…"):
+        return printed.startswith(shown.removesuffix("…").rstrip())
+    if NUMBER.sub("#", printed).split() != NUMBER.sub("#", shown).split():
+        return False
+    return all(map(_same_number, NUMBER.findall(printed), NUMBER.findall(shown)))
+
+
+def _same_number(printed: str, shown: str) -> bool:
+    a, b = printed.replace("−", "-"), shown.replace("−", "-")
+    x, y = float(a), float(b)
+    if "." not in a + b and "e" not in a + b:
+        return x == y
+    places = max(len(each.partition("e")[0].partition(".")[2]) for each in (a, b))
+    unit = 10.0 ** (float(b.partition("e")[2] or 0) - places)
+    return abs(x - y) <= 1.5 * unit or max(abs(x), abs(y)) < TINY
+
+
 DOCS = ROOT / "docs"
 CHECKS = [rule.name for rule in (*RULES, *REPORTS)]
 
+# Written pages; the gallery's index is generated, but has no code
 PAGES = [
     ROOT / "README.md",
     *(p for p in sorted(DOCS.rglob("*.md")) if not {"generated", "_build"} & set(p.parts)),
 ]
-"""Written pages. The gallery's index is generated, but has no code."""
-
+# Blocks that are executed, and not; those of YAML are checked against the schema
 RUN, SHOWN = {"python", "console"}, {"", "text", "sh", "yaml", "json"}
-"""Blocks that are executed, and not; those of YAML are checked against the schema."""
+LONG = {"carry.md", "fit.md", "look_at_a_plan.md", "sweep.md"}  # Blocks that take longest
 
 
 def text_of(page: Path) -> str:
@@ -51,9 +154,6 @@ def text_of(page: Path) -> str:
 def name_of(page: Path) -> str:
     return page.relative_to(ROOT).as_posix()
 
-
-LONG = {"carry.md", "fit.md", "look_at_a_plan.md", "sweep.md"}
-"""Pages whose blocks take longest."""
 
 CASES = [
     pytest.param(page, marks=pytest.mark.slow if page.name in LONG else (), id=name_of(page))
@@ -106,14 +206,6 @@ def test_yaml_has_keys_of_the_schema(block: Block) -> None:
     jsonschema.validate(problem, problem_schema())
 
 
-def test_the_readme_s_film_moves_and_is_small() -> None:
-    assert FILM.relative_to(ROOT).as_posix() in text_of(ROOT / "README.md")
-    assert FILM.stat().st_size < 2e6
-    with Image.open(FILM) as film:
-        assert film.n_frames > 100
-        assert film.size == SIZE
-
-
 def test_every_check_has_a_section_of_three_parts_and_its_facts() -> None:
     text = text_of(DOCS / "explanation" / "certificate.md")
     sections = dict(
@@ -146,17 +238,14 @@ def test_every_step_and_key_is_in_the_tables() -> None:
         assert f"({target})=" in page
 
 
-def command_of(name: str) -> click.Command:
-    command = main.get_command(click.Context(main), name)
-    assert command is not None
-    return command
-
-
 def test_commands_and_their_options_are_known_and_on_their_page() -> None:
-    page = write_command_page()
-    for name in main.list_commands(click.Context(main)):
+    page, context = write_command_page(), click.Context(main)
+    commands: dict[str, Any] = {
+        x: main.get_command(context, x) for x in main.list_commands(context)
+    }
+    for name, command in commands.items():
         section = page.partition(f"(command-{name})=")[2].partition("(command-")[0]
-        for parameter in command_of(name).params:
+        for parameter in command.params:
             written = parameter.opts[-1] if parameter.param_type_name == "option" else "`"
             assert written in section, f"{name} {parameter.name}"
     cells = [b for page in PAGES for b in blocks(text_of(page))]
@@ -164,8 +253,9 @@ def test_commands_and_their_options_are_known_and_on_their_page() -> None:
     calls = re.findall(r"(?:^|&& )hitchopt (\w+)([^#|&\n]*)", "\n".join(shown), re.MULTILINE)
     assert len(calls) > 10
     for name, options in calls:
-        params = command_of(name).params
-        known = {opt for each in params for opt in (*each.opts, *each.secondary_opts)}
+        known = {
+            opt for each in commands[name].params for opt in (*each.opts, *each.secondary_opts)
+        }
         assert set(re.findall(r"(?<= )--?[a-z][\w-]*", options)) <= known, (name, options)
 
 
@@ -186,8 +276,6 @@ def test_the_gallery_has_every_problem_with_a_picture_and_views_and_reports_of_t
     assert set(PICTURES.rglob("*.png")) == set(pictures.values())
     refused = [file for bad in ("bad", "swarms/bad") for file in (PROBLEMS / bad).glob("*.yaml")]
     assert page.count("\n| `bad/") + page.count("\n| `swarms/bad/") == len(refused)
-    stems = {Path(shown.file).stem for shown in SCREENSHOTS}
-    assert stems == {"carry_box", "circle_24", "form_thirty_gon"}
     for path in [shown.picture(kind) for shown in SCREENSHOTS for kind in KINDS]:
         assert path.stat().st_size > 10_000, "make screenshots takes it"
         assert f"{{figure}} {path.relative_to(PICTURES.parent).as_posix()}" in page

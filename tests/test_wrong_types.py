@@ -1,16 +1,22 @@
-"""Arguments of wrong types: an InputError that names the argument, in every public function."""
+"""Arguments of wrong types, refused by name in every public function, and of unusual units."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from refusals import Refusal, assert_refused
 
 import hitchopt as ho
 from hitchopt import api
+from hitchopt.cli import main
+from hitchopt.mission.loading import parse_problem
 from hitchopt.steps import STEPS, Step
 from hitchopt.steps.step import keys_of
 
@@ -40,8 +46,7 @@ BEGUN: dict[str, ho.Mission] = {
     **{"enclose": CRATE, "transport_object": CRATE, "grasp": ENCLOSED, "lift": HELD},
     **{"carry": HELD.lift(0.1), "set_down": HELD.lift(0.1), "loosen": HELD},
     "leave": ENCLOSED,
-}
-"""Missions in which steps are possible, where not at the start of one with a hitch."""
+}  # Missions in which steps are possible, where not at the start of one with a hitch
 
 
 def arguments(kind: type[Step]) -> dict[str, Any]:
@@ -69,10 +74,7 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
         yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given
 
 
-AFTER = -1.0
-"""A time that is refused, so that nothing is computed."""
-
-NOWHERE = "there is no such file"
+AFTER, NOWHERE = -1.0, "there is no such file"  # Refused, so that nothing is computed
 # fmt: off
 GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     *steps(),
@@ -127,22 +129,24 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (PLAYER.seek, {"time": 0.5}),
     (ho.run_sweep, {"study": NOWHERE, "directory": NOWHERE, "workers": 1, "scheduler": ""}),
     (ho.PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
+    (ho.fit, {"outline": -1.0, "robots": 3, "quadrotor": None, "limits": None, "separation": None}),
+    (PLAN.report, {"directory": NOWHERE}), (PLAN.view, {"save": NOWHERE}),
+    (PLAN.abort, {"t": AFTER, "how": "hold"}),
+    (lambda ghost: PLAN.view(ghost=ghost, browser=False), {"ghost": NOWHERE}),
+    (lambda report: PLAN.save("out", report=report), {"report": False}),
+    (lambda reports: ho.certify(PLAN.motion, reports=[reports]), {"reports": "speed"}),
 ]
 # fmt: on
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]
-
-NEVER = [object(), 1j, len]
-"""What no argument may be."""
-
-SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}
-"""Arguments whose messages name another key."""
+NEVER = [object(), 1j, len]  # What no argument may be
+SYNONYMS = {"q_legs": "legs", "breaks": "coefficients", "coefficients": "breaks"}  # Other names
 
 
 class PlannedError(Exception):
     """All arguments were accepted."""
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def _no_planning(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object, **__: object) -> None:
         raise PlannedError
@@ -150,45 +154,19 @@ def _no_planning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(api, "solve_problem", stop)
 
 
-def label(case: tuple[Callable[..., object], dict[str, Any], str]) -> str:
-    return f"{case[0].__qualname__}-{case[2]}"
-
-
-@pytest.mark.parametrize("case", ARGUMENTS, ids=label)
+@pytest.mark.usefixtures("place", "_no_planning")
+@pytest.mark.parametrize(
+    ("function", "values", "name"),
+    ARGUMENTS,
+    ids=[f"{f.__qualname__}-{x}" for f, _, x in ARGUMENTS],
+)
 def test_what_no_argument_may_be_is_refused_by_its_name(
-    case: tuple[Callable[..., object], dict[str, Any], str],
+    function: Callable[..., object], values: dict[str, Any], name: str
 ) -> None:
-    function, values, name = case
     for wrong in NEVER:
         with pytest.raises(ho.InputError) as caught:
             function(**{**values, name: wrong})
         assert name in caught.value.key or SYNONYMS.get(name, "-") in caught.value.key
-
-
-def fitted(name: str) -> Callable[[Any], object]:
-    return lambda x: ho.fit(-1.0, **{"robots": 3, name: x})
-
-
-# fmt: off
-CALLS: list[tuple[Callable[[Any], object], str]] = [
-    *((fitted(name), name) for name in ("robots", "quadrotor", "limits", "separation")),
-    (PLAN.report, "directory"), (PLAN.view, "save"),
-    (lambda x: PLAN.save(Path("out"), report=x), "report"),
-    (lambda x: PLAN.view(ghost=x, browser=False), "ghost"),
-    (lambda x: PLAN.abort(0.0, x), "how"),
-    (lambda x: ho.certify(PLAN.motion, reports=x), "reports"),
-    (lambda x: ho.certify(PLAN.motion, reports=[x]), "reports[0]"),
-]
-# fmt: on
-
-
-@pytest.mark.usefixtures("place")
-def test_what_no_file_and_no_option_may_be_is_refused_by_its_name() -> None:
-    for wrong in (*NEVER, np.array(1.0)):
-        for call, name in CALLS:
-            with pytest.raises(ho.InputError) as caught:
-                call(wrong)
-            assert caught.value.key == name
 
 
 def test_polygons_are_accepted_wherever_points_are() -> None:
@@ -197,3 +175,87 @@ def test_polygons_are_accepted_wherever_points_are() -> None:
     assert ho.Prism(polygon, 0.0, 1.0).polygon is polygon
     assert ho.Mission(TEAM, START).morph(polygon).steps[0].polygon is polygon  # type: ignore[attr-defined]
     assert ho.ConvexPolygon(polygon).vertices == pytest.approx(polygon.vertices)
+
+
+ORIGIN = np.array([0.0, 0.0, 1.0])
+FILE = """
+team: {robots: 3, cable_length: 2.4, quadrotor: {mass: MASS}}
+limits: {tilt_deg: TILT}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]]}}
+mission: [{hold: {seconds: 1}}]
+"""
+
+# fmt: off
+UNUSUAL: list[tuple[Callable[[], object], str]] = [
+    (lambda: ho.Team(3, 2400), "cable_length: 2400 m; usual are 0.05 to 100 m; if millimetres"),
+    (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* meant, 0.24"),
+    (lambda: ho.Team(3, 2.4, cable_density=5), "cable_density: 5 kg/m; .* grams per metre"),
+    (lambda: ho.Team(3, 2.4, cable_friction=20), "cable_friction: 20 .* per cent were"),
+    (lambda: ho.Quadrotor(0.004, 0.06), "mass: 0.004 kg; usual are 0.005 to 100 kg"),
+    (lambda: ho.Limits(speed=800), "speed: 800 m/s; .* if mm/s were meant, 0.8"),
+    (lambda: ho.Limits(tilt_deg=0.785), "tilt_deg: 0.785 °; .* if radians were meant, 45"),
+    (lambda: ho.Limits(body_rate=200), "body_rate: 200 rad/s; .* degrees per second"),
+    (lambda: ho.Arena([-4e3, -4, 0], [4] * 3), r"lower\[0\]: -4000 m; .* millimetres"),
+    (lambda: ho.Hold(2e5), "seconds: 200000 s; .* if milliseconds were meant, 200"),
+    (lambda: ho.Transport(ORIGIN, 30), "yaw: 30 rad, more than a turn; .* meant, 0.524"),
+]
+REFUSED: list[Refusal] = [
+    (lambda: ho.Quadrotor(34.0), "mass", "if grams were meant, 0.034"),
+    (lambda: ho.Quadrotor(0.034, 60.0), "max_thrust", "if grams of force were meant, 0.589"),
+    (lambda: ho.Team(3, 2e4), "cable_length", "from 0.001 to 10000 m; if millimetres"),
+    (lambda: ho.Limits(tilt=45), "tilt", "45 degrees are 0.785 rad"),
+    (lambda: ho.Limits(tilt_deg=95), "tilt_deg", "below 90°"),
+    (lambda: ho.Limits(tilt=0.5, tilt_deg=30), "tilt_deg", "left out where tilt is given"),
+    (lambda: ho.Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
+    (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
+]
+# fmt: on
+
+
+def written(mass: str = "0.132", tilt: str = "45") -> str:
+    return FILE.replace("MASS", mass).replace("TILT", tilt)
+
+
+@pytest.mark.parametrize(("make", "words"), UNUSUAL)
+def test_the_unusual_is_warned_of_at_the_line_that_gave_it(
+    make: Callable[[], object], words: str
+) -> None:
+    with pytest.warns(ho.UnitWarning, match=words) as caught:
+        make()
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+@pytest.mark.parametrize("refusal", REFUSED)
+def test_what_nothing_has_that_flies_is_refused(refusal: Refusal) -> None:
+    assert_refused(*refusal)
+
+
+def test_copies_warn_where_a_user_makes_them_only() -> None:
+    with pytest.warns(ho.UnitWarning, match="^speed: 800"):
+        limits = ho.Limits(speed=800)
+    start = ho.Hitch(ho.Team(3, 2.4), TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+    assert ho.hold(start, 1.0, limits=limits).certificate.certified  # which copies the limits
+    with pytest.warns(ho.UnitWarning, match="^speed: 800"):
+        replace(limits, jerk=10.0)
+
+
+def test_a_polygon_in_millimetres_says_so() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 1\.55 m"):
+        ho.Hitch.balanced(ho.Team(3, 2.4), [[1e3 * x for x in point] for point in TRIANGLE])
+
+
+def test_angles_in_degrees_are_those_in_radians() -> None:
+    limits = ho.Limits(tilt_deg=30, body_rate_deg=200)
+    assert limits == ho.Limits(tilt=math.radians(30), body_rate=math.radians(200))
+    assert limits.tilt_deg == pytest.approx(30)
+    assert ho.Limits(tilt_deg=45) == ho.Limits()
+
+
+def test_the_command_line_warns_on_stderr_once(tmp_path: Path) -> None:
+    path = tmp_path / "problem.yaml"
+    path.write_text(written(tilt="0.785"))
+    done = CliRunner().invoke(main, ["solve", str(path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 3
+    warned = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
+    words = "usual are 1.1 to 90 °; if radians were meant, 45"
+    assert warned == [f"warning: limits.tilt_deg: 0.785 °; {words}"]

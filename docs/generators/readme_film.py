@@ -12,9 +12,8 @@ from PIL import Image
 import hitchopt as ho
 from generators.problem_collection import ROOT
 from hitchopt.view.film import frames
-from hitchopt.view.painter import FRAME
 from hitchopt.view.scene import scene_of
-from hitchopt.view.style import COLOURS
+from hitchopt.view.style import COLOURS, FRAME
 
 FILM = ROOT / "problems" / "pictures" / "carry_box.gif"
 

@@ -6,6 +6,7 @@ import click
 
 from hitchopt.cli.failures import SafeGroup
 
+# Where the commands are
 MODULES = {
     "planning": ("solve", "check", "verify", "init"),
     "pictures": ("report", "view"),
@@ -13,7 +14,6 @@ MODULES = {
     "simulating": ("simulate", "sweep"),
     "estimates": ("statics", "calibrate", "fit"),
 }
-"""Where the commands are."""
 
 
 @click.group(

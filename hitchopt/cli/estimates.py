@@ -10,19 +10,14 @@ from typing import Any
 import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, say, span_text, table
+from hitchopt.cli.output import ProgressBar, say, span_text, table
 from hitchopt.errors import InputError
 
+# [m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
+# motion capture
 USUAL = {"cable": "0.01", "position": "0.02"}
-"""[m] Bounds of errors if --tolerance stands alone: cables cut to a centimetre, drones flown by
-motion capture."""
-
-KINDS = ("cable", "position", "force")
-"""Kinds of errors."""
-
-MAX_TIMES = 1000
-"""Most times that one call settles."""
-
+KINDS = ("cable", "position", "force")  # Kinds of errors
+MAX_TIMES = 1000  # Most times that one call settles
 CIRCLE = "circle:"
 
 
@@ -75,7 +70,7 @@ def statics(
         raise InputError("--samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
     motion = read_plan(path)
     t = list(times) if times else taut_times(motion, samples)
-    with LateProgress("settling"):
+    with ProgressBar("settling"):
         if parsed:
             ranges = ranges_of(motion, t, **parsed, **chosen)
             settled = ranges.settled
@@ -159,7 +154,7 @@ def calibrate(
     from hitchopt.statics.files import save_calibration_picture, save_team
 
     place = None if plan is None else plan_path(plan).parent
-    with LateProgress("estimating"):
+    with ProgressBar("estimating"):
         found = ho.calibrate(recording, place, density=density)
     say(
         _calibration_tables(found),
@@ -244,7 +239,7 @@ def fit(
         positive("--mass", mass)
     kind = ho.Quadrotor(given.pop("quadrotor_mass"), given.pop("max_thrust"))
     limits = ho.Limits(tilt_deg=tilt_deg)
-    with LateProgress("fitting"):
+    with ProgressBar("fitting"):
         found = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **given)
         content = fit_as_json(found)
     notes = [f"note: {note}" for note in found.notes]

@@ -13,9 +13,9 @@ from hitchopt.cli.output import output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import INTERRUPTED, ending_signals
 
+# Exit codes of a file or usage that is wrong in itself, and of a well-formed request that cannot
+# be met, or whose certificate fails
 WRONG, UNMET = 2, 3
-"""Exit codes of a file or usage that is wrong in itself, and of a well-formed request that cannot
-be met, or whose certificate fails."""
 
 
 class SafeGroup(click.Group):
@@ -45,7 +45,7 @@ class SafeGroup(click.Group):
             try:
                 with ending_signals(), warnings.catch_warnings():
                     warnings.simplefilter("once", UnitWarning)
-                    warnings.showwarning = _show_warning  # type: ignore[assignment]
+                    warnings.showwarning = lambda words, *_: say(f"warning: {words}", err=True)
                     super().invoke(ctx)
             except click.exceptions.Exit as end:
                 code = end.exit_code
@@ -65,10 +65,6 @@ class SafeGroup(click.Group):
                 code = WRONG
             output().finish(str(ctx.invoked_subcommand), code)
             ctx.exit(code)
-
-
-def _show_warning(message: Warning | str, *_: Any) -> None:
-    say(f"warning: {message}", err=True)
 
 
 def exit_code(error: HitchoptError) -> int:

@@ -15,23 +15,19 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, completing, plan_path
-from hitchopt.cli.output import LateProgress, certificate_table, record, say, table
+from hitchopt.cli.output import ProgressBar, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.options import HOMES
 
 if TYPE_CHECKING:
     from hitchopt.exports.lint import Report
     from hitchopt.live.abort import AbortTable
-    from hitchopt.live.fly import Flight, Outlet
+    from hitchopt.live.fly import Outlet
 
-MAX_SHOWN = 5
-"""Number of findings of one rule that are shown; the rest are counted."""
-
-HOWS = "hold|back|release_and_land|land"
-"""Aborts; a flight is ended by the last two."""
-
+MAX_SHOWN = 5  # Number of findings of one rule that are shown; the rest are counted
+HOWS = "hold|back|release_and_land|land"  # Aborts; a flight is ended by the last two
+# First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i
 PORT = {"json": 14600, "mavlink": 14580}
-"""First port where nothing else is named: PX4's simulated vehicle i listens on 14580 + i."""
 
 
 @command(
@@ -67,7 +63,7 @@ def export(directory: Path, output: Path | None, yaw_deg: float, **options: Any)
     if output is None:
         parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
         output = parent / f"{path.parent.resolve().name or 'plan'}-{chosen.format}"
-    with LateProgress("certifying") as progress:
+    with ProgressBar("certifying") as progress:
         done = export_motion(read_plan(path), read_title(path), chosen, output, progress)
     entries = []
     for part in done:
@@ -109,7 +105,7 @@ def lint(path: Path, **limits: float | None) -> None:
     given = {key: positive(f"--{key}", x) for key, x in limits.items() if x is not None}
     separation = ho.Separation(given["radius"], given["height"])
     rules = Rules(given.get("speed"), given.get("acceleration"), separation)
-    with LateProgress("reading and checking"):
+    with ProgressBar("reading and checking"):
         reports = ho.lint(path, rules)
     entries = []
     for report in reports:
@@ -176,7 +172,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     path = plan_path(directory)
     motion = read_plan(path)
     chosen = how or _usual_abort(motion)
-    with LateProgress("planning aborts") as progress:
+    with ProgressBar("planning aborts") as progress:
         found = abort_table(motion, chosen, every, progress)
     rows = []
     for entry in found.entries:
@@ -249,7 +245,7 @@ def fly(
     from hitchopt.values import positive
 
     rate, patience = positive("--rate", rate), positive("--patience", patience)
-    with LateProgress("certifying"):
+    with ProgressBar("certifying"):
         plan = ho.load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
     motion = plan.motion
@@ -262,8 +258,11 @@ def fly(
         flight = Flight(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _signals(steering.add):
+            due = time.monotonic()
             try:
-                _stream(flight, 1.0 / rate)
+                while flight.tick(time.monotonic()):
+                    due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
+                    time.sleep(max(0.0, due - time.monotonic()))
             finally:
                 outlet.close(landed=flight.landed)
     landed, late = flight.landed, flight.late
@@ -310,7 +309,7 @@ def _flown_aborts(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:
 
     chosen = how or _usual_abort(motion)
     found = {}
-    with LateProgress("planning aborts") as progress:
+    with ProgressBar("planning aborts") as progress:
         for each in dict.fromkeys(("land", chosen)):
             found[each] = abort_table(motion, each, progress=progress)
             if not found[each].entries:
@@ -325,25 +324,17 @@ def _signals(add: Callable[[str], None]) -> Iterator[None]:
 
     A terminal that is closed is a lost operator, so SIGHUP is ignored.
     """
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    handled = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in handled}
 
     def end(number: int, _: Any) -> None:
         add("end")
-        signal.signal(number, before[signal.Signals(number)])
+        signal.signal(number, before[number])
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    for number, handler in zip(handled, (end, end, signal.SIG_IGN), strict=True):
+        signal.signal(number, handler)
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _stream(flight: Flight, period: float) -> None:
-    """Tick until the flight ends."""
-    due = time.monotonic()
-    while flight.tick(time.monotonic()):
-        due = max(due + period, time.monotonic() - period)
-        time.sleep(max(0.0, due - time.monotonic()))

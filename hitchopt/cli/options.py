@@ -15,18 +15,17 @@ from hitchopt.cli import main
 from hitchopt.cli.output import output
 from hitchopt.errors import InputError
 
+# An option: ``--rate HZ (100.0): help``; in brackets its default, or its type without one
 LINE = re.compile(
     r"(?P<flags>-[^\s,:]+(?:, -[^\s,:]+)*)(?: (?P<metavar>[^(]+?))?(?: \((?P<value>.*?)\))?: "
     r"(?P<help>.*)"
 )
-"""An option: ``--rate HZ (100.0): help``; in brackets its default, or its type without one."""
-
+# Options of every command
 OUTPUT = """
 --json: Print one JSON object to stdout, all else to stderr.
 -q, --quiet: Print errors only.
 -v, --verbose: Print every message of progress to stderr.
 """
-"""Options of every command."""
 
 
 class GivenPath(click.Path):
@@ -43,8 +42,8 @@ class GivenPath(click.Path):
         return super().convert(value, param, ctx)
 
 
+# Types of options that have no default, as they are written in brackets
 TYPES: dict[str, Any] = {"path": GivenPath(), "float": float, "int": int, "text": str}
-"""Types of options that have no default, as they are written in brackets."""
 
 
 def command(

@@ -7,11 +7,10 @@ import os
 import re
 import shutil
 import sys
-import threading
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -21,21 +20,14 @@ if TYPE_CHECKING:
     from rich.progress import Progress
     from rich.text import Text
 
-KEY = "hitchopt.output"
-"""Key of a call's Output in click's contexts."""
-
+KEY = "hitchopt.output"  # Key of a call's Output in click's contexts
+# Width of tables that are not written to a terminal [characters], and number of drones, cables or
+# vertices that are shown for one check
 DEFAULT_WIDTH, MAX_NAMES = 100, 4
-"""Width of tables that are not written to a terminal [characters], and number of drones, cables or
-vertices that are shown for one check."""
-
-DELAY, LINES = 2.0, 1.0
-"""Time without a bar, and shortest time between lines of percentages [s]."""
-
-COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")
-"""Count or percentage in a message."""
-
+LINES = 1.0  # Shortest time between lines of percentages [s]
+COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
+# Beginning of a cell that is aligned to the right
 NUMBER = re.compile(r"[-+±≤≥–]? ?\d|–|-?inf|γ = |$")
-"""Beginning of a cell that is aligned to the right."""
 
 
 @dataclass
@@ -146,8 +138,8 @@ def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> Non
     """Report the phases and the certificate of a plan."""
     kept = ("name", "step", "start", "end", "remark")
     phases = [{name: getattr(phase, name) for name in kept} for phase in motion.phases]
-    tables = [phase_table(motion.phases), certificate_table(certificate)]
-    said = "\n\n".join(tables).join([f"{title}\n" if title else "", "\n"])
+    said = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
+    said = f"{title}\n{said}" if title else said
     say(said, title=title, phases=phases, certificate=certificate.to_dict())
 
 
@@ -223,69 +215,46 @@ def done_of(message: str) -> tuple[float | None, float | None]:
     return (float(done), float(total)) if float(total) > 0.0 else (None, None)
 
 
-class LateProgress:
-    """Context manager and callback: shows a bar and the last message once ``delay`` [s] is over.
+class ProgressBar:
+    """Context manager and callback: shows what is being done, on a terminal, until it is done.
 
     The bar is filled by the count in a message, such as ``speed, 4 of 18``, or by its percentage;
-    a time limit [s] is shown next to the elapsed time. A stream that is no terminal shows nothing.
+    a time limit [s] is shown next to the elapsed time. With ``--verbose`` messages are lines.
     """
 
-    def __init__(
-        self,
-        message: str,
-        limit: float | None = None,
-        *,
-        stream: TextIO | None = None,
-        delay: float = DELAY,
-    ) -> None:
-        self._stream, self._message = stream or sys.stderr, message
+    def __init__(self, message: str, limit: float | None = None) -> None:
+        self._message, self._begun = message, time.monotonic()
         self._at_most = "" if limit is None else f"of at most {limit:.0f} s"
-        self._begun = self._next_line = time.monotonic()
-        self._verbose, self._lock = output().verbose, threading.Lock()
+        self._verbose, self._next_line = output().verbose, self._begun
         self._bar: Progress | None = None
-        self._timer = threading.Timer(delay, self._show)
-        self._timer.daemon = True
 
-    def __enter__(self) -> LateProgress:
-        lines = self._verbose or output().quiet
-        if self._stream is not None and self._stream.isatty() and not lines:
-            self._timer.start()
+    def __enter__(self) -> ProgressBar:
+        terminal = sys.stderr is not None and sys.stderr.isatty()  # closed by `2>&-`
+        if terminal and not (self._verbose or output().quiet):
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+            words = TextColumn("{task.description}", markup=False)
+            at_most, console = TextColumn(self._at_most, markup=False), Console(stderr=True)
+            parts = words, BarColumn(), TimeElapsedColumn(), at_most
+            self._bar = Progress(*parts, console=console, transient=True)
+            self._bar.add_task(self._message, total=None)  # until there is a count
+            self._bar.start()
         self(self._message)
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._timer.cancel()
-        if self._timer.is_alive():
-            self._timer.join()
         if self._bar is not None:
             self._bar.stop()
 
     def __call__(self, message: str) -> None:
         """Show a message about the current work."""
-        with self._lock:
-            self._message, now = message, time.monotonic()
-            if self._verbose and not ("%" in message and now < self._next_line):
-                echo(f"{now - self._begun:6.1f} s  {message}", err=True)
-                self._next_line = now + LINES
-            self._fill()
-
-    def _fill(self) -> None:
+        now = time.monotonic()
         if self._bar is not None:
-            done, total = done_of(self._message)
-            task = self._bar.task_ids[0]
-            self._bar.update(task, description=self._message, completed=done, total=total)
-
-    def _show(self) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        words = TextColumn("{task.description}", markup=False)
-        at_most = TextColumn(self._at_most, markup=False)
-        console = Console(file=self._stream)
-        with self._lock:
-            self._bar = Progress(
-                words, BarColumn(), TimeElapsedColumn(), at_most, console=console, transient=True
+            done, total = done_of(message)
+            self._bar.update(
+                self._bar.task_ids[0], description=message, completed=done, total=total
             )
-            self._bar.add_task(self._message, total=None)  # until there is a count
-            self._fill()
-            self._bar.start()
+        elif self._verbose and not ("%" in message and now < self._next_line):
+            echo(f"{now - self._begun:6.1f} s  {message}", err=True)
+            self._next_line = now + LINES

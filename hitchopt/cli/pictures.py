@@ -5,25 +5,22 @@ from __future__ import annotations
 import threading
 import time
 import webbrowser
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, say
+from hitchopt.cli.output import ProgressBar, say
 from hitchopt.cli.planning import SUFFIXES
 from hitchopt.errors import FileError, HitchoptError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.view.live import LiveView
 
-PROBLEM = "problem.yaml"
-"""Name under which an edited problem is saved beside its plan."""
-
+PROBLEM = "problem.yaml"  # Name under which an edited problem is saved beside its plan
+# Times for which the processor is left to the browser [s]: until it has loaded the page, and
+# after that to draw the first picture, as graphics cards are not everywhere
 PATIENCE, DRAWING = 3.0, 1.5
-"""Times for which the processor is left to the browser [s]: until it has loaded the page, and after
-that to draw the first picture, as graphics cards are not everywhere."""
 
 
 @command("directory DIR")
@@ -34,7 +31,7 @@ def report(directory: Path) -> None:
     certificate, the phases, the problem file, versions and digests.
     """
     place = plan_path(directory).parent
-    with LateProgress("certifying and writing"):
+    with ProgressBar("certifying and writing"):
         path = ho.load(place).report(place)
     say(f"open {path} in a browser", file=str(path))
 
@@ -75,7 +72,7 @@ def view(
             raise InputError("--ghost", str(ghost), words, "leave --save out: it is shown live")
         _save(save, path, recording if flown else None)
         return
-    from hitchopt.view.server import open_server, server_address
+    from hitchopt.view.live import open_server, server_address
 
     shown = _shown(path)  # before a page is opened for it
     file = path if path.suffix in SUFFIXES else plan_path(path).with_name(PROBLEM)
@@ -93,20 +90,17 @@ def view(
 
 
 def _save(file: Path, path: Path, recording: Path | None) -> None:
-    """Write a plan as a page or picture, or the film of a simulated flight of it."""
-    if recording is None:
-        plan = _planned(path) if path.suffix in SUFFIXES else None
-        with LateProgress("certifying and drawing") as progress:
-            (plan or ho.load(plan_path(path).parent)).view(file, progress=progress)
-    else:
-        from hitchopt.view.film import check_film, save_film
-        from hitchopt.view.scene import ghost_scene
+    """Write a plan as a page, picture or film, or the film of a simulated flight of it."""
+    from hitchopt.view.film import save_film
+    from hitchopt.view.report import save_view
+    from hitchopt.view.scene import ghost_scene
 
-        check_film(file)
-        motion, _, title, _ = _shown(path)
-        words = f"{title} (simulated)".strip()
-        with LateProgress("drawing the film") as tell:
-            scene = ghost_scene(recording, motion)
+    motion, certificate, title, text = _shown(path)
+    with ProgressBar("certifying and drawing") as tell:
+        if recording is None:
+            save_view(file, motion, certificate or ho.certify(motion), title, text, tell)
+        else:
+            scene, words = ghost_scene(recording, motion), f"{title} (simulated)".strip()
             save_film(file, scene, words, lambda done: tell(f"drawing the film, {done:.0%}"))
     say(f"wrote {file}", file=str(file))
 
@@ -114,12 +108,15 @@ def _save(file: Path, path: Path, recording: Path | None) -> None:
 def _shown(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
     """Return motion, certificate, title and problem's text; one in a directory is not certified."""
     from hitchopt.motion.plan_file import read_plan, read_problem_text, read_title
+    from hitchopt.storage.yaml_file import read_text
 
-    if path.suffix in SUFFIXES:
-        plan = _planned(path)
-        return plan.motion, plan.certificate, plan.title, plan.problem
-    file = plan_path(path)
-    return read_plan(file), None, read_title(file), read_problem_text(file)
+    if path.suffix not in SUFFIXES:
+        file = plan_path(path)
+        return read_plan(file), None, read_title(file), read_problem_text(file)
+    problem, text = ho.read_problem(path), read_text(path)[0]
+    with ProgressBar("planning") as progress:
+        plan = ho.solve(problem, progress)
+    return plan.motion, plan.certificate, plan.title, text
 
 
 def _serve(
@@ -131,18 +128,19 @@ def _serve(
     """Show a plan in the page of a server, to be edited there and saved to ``file``."""
     from hitchopt.steps.certified_motions import Certified
     from hitchopt.view.editing import Editing
-    from hitchopt.view.live import ASPECT, NARROW_ASPECT, LiveView
+    from hitchopt.view.live import LiveView
     from hitchopt.view.panel import EditingPanel
     from hitchopt.view.scene import ghost_scene
 
     motion, certificate, title, text = shown
     other = None if ghost is None else ghost_scene(ghost, motion)
-    aspect = NARROW_ASPECT if text and motion.team.has_cables else ASPECT
-    live = LiveView(motion, certificate, title, ghost=other, server=server, aspect=aspect)
+    live = LiveView(server, motion, certificate, title, other)
     if certificate is None:
-        if live.wait_for_page(PATIENCE):
+        loaded = threading.Event()
+        server.on_client_connect(lambda _: loaded.set())
+        if loaded.wait(PATIENCE):
             time.sleep(DRAWING)
-        with LateProgress("certifying"):
+        with ProgressBar("certifying"):
             certificate = ho.certify(motion)
         live.show_certificate(certificate)
     try:
@@ -152,12 +150,3 @@ def _serve(
     else:
         EditingPanel(live, editing)
     return live
-
-
-def _planned(path: Path) -> ho.Plan:
-    """Return the plan of a problem file."""
-    from hitchopt.storage.yaml_file import read_text
-
-    problem, text = ho.read_problem(path), read_text(path)[0]
-    with LateProgress("planning") as progress:
-        return replace(ho.solve(problem, progress), problem=text)

@@ -15,7 +15,7 @@ import click
 import hitchopt as ho
 from hitchopt.cli.failures import complain, exit_code, unmet
 from hitchopt.cli.options import command, completing, plan_path
-from hitchopt.cli.output import LateProgress, record, say, show_plan, table
+from hitchopt.cli.output import ProgressBar, record, say, show_plan, table
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
 from hitchopt.exports.options import checked_rate
 
@@ -23,18 +23,14 @@ if TYPE_CHECKING:
     from hitchopt.live.lost import Lost
     from hitchopt.mission.loading import AnyProblem
 
-MAX_ROWS, SUFFIXES = 5e8, {".yaml", ".yml"}
-"""Largest number of rows of setpoints.csv, about 100 GB: more is a typing error; and endings of the
-names of problem files."""
-
+SUFFIXES = {".yaml", ".yml"}  # Endings of the names of problem files
+# Time limit of the search for changes [s] if no time is left: its end is then reported
 MIN_SEARCH_TIME = 1e-3
-"""Time limit of the search for changes [s] if no time is left: its end is then reported."""
-
 ENDED = "the search for changes ended at the time limit (--limit)"
 
 PACKAGE = Path(ho.__file__).parent
+# The schema with which editors complete and check problem files, and what names it to them
 SCHEMA, MODELINE = PACKAGE / "mission" / "problem.schema.json", "# yaml-language-server: $schema="
-"""The schema with which editors complete and check problem files, and what names it to them."""
 
 
 @command(
@@ -102,17 +98,12 @@ def _plan(
     from hitchopt.exports.directory import certificate_content
     from hitchopt.storage.archive import PLAN
 
-    with LateProgress("planning", limit) as progress:
+    with ProgressBar("planning", limit) as progress:
         plan = ho.solve(problem, progress=progress, limit=limit)
-    motion = plan.motion
-    samples = motion.duration * len(motion.team.drone_names)
-    if rate * samples > MAX_ROWS:
-        bound = f"at most {MAX_ROWS / samples:.3g} Hz for a plan of {motion.duration:g} s"
-        raise InputError("--rate", rate, bound, "lower it, or shorten the plan")
-    show_plan(plan.title, motion, plan.certificate)
-    with LateProgress("writing") as progress:
+    show_plan(plan.title, plan.motion, plan.certificate)
+    with ProgressBar("writing") as progress:
         replace(plan, problem=text).save(place, rate, progress, report=report)
-    content = certificate_content(motion, plan.certificate, place / PLAN)
+    content = certificate_content(plan.motion, plan.certificate, place / PLAN)
     say(f"certified; the plan is in {place}", directory=str(place), certificate=content)
 
 
@@ -153,7 +144,7 @@ def _suggestions(
     found: tuple[ho.Suggestion, ...] = ()
     note = ENDED
     with (
-        LateProgress("searching for changes that make it feasible", left) as progress,
+        ProgressBar("searching for changes that make it feasible", left) as progress,
         contextlib.suppress(TimeLimitError),
         time_limit(left),
     ):
@@ -181,13 +172,13 @@ def check(
 
     path = plan_path(directory)
     motion, _ = read_asked_plan(path)
-    with LateProgress("certifying") as progress:
+    with ProgressBar("certifying") as progress:
         certificate = ho.certify(motion, progress, gamma)
     without: Sequence[Lost] = ()
     if survivable:
         from hitchopt.live.lost import survivable as survived
 
-        with LateProgress("planning reactions") as progress:
+        with ProgressBar("planning reactions") as progress:
             share, without = survived(motion, progress=progress)
         certificate = replace(certificate, checks=(*certificate.checks, share))
         record(without_reaction=[asdict(lost) for lost in without])
@@ -196,7 +187,7 @@ def check(
     for lost in without:
         say(f"{lost.drone}, {lost.start:.4g} s to {lost.end:.4g} s: {lost.reason}")
     if closest or picture is not None:
-        with LateProgress("finding the closest neighbours"):
+        with ProgressBar("finding the closest neighbours"):
             found = ho.closest(ho.Plan(motion, certificate), picture=picture)
         say(f"Closest neighbours\n{found}\n", closest=str(found).splitlines())
         if picture is not None:
@@ -220,7 +211,7 @@ def _show_verified(path: Path) -> None:
 
     rows = []
     try:
-        with LateProgress("proving") as progress:
+        with ProgressBar("proving") as progress:
             for row in verify(path):
                 rows.append(row)
                 progress(f"proven or not: {row.name}")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.failures import unmet
 from hitchopt.cli.options import command, plan_path
-from hitchopt.cli.output import LateProgress, quantities, say, span_text, table
+from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,25 +20,19 @@ if TYPE_CHECKING:
     from hitchopt.sweeps.campaign import Campaign
     from hitchopt.sweeps.sweep import Summary
 
-RESULTS = "simulation"
-"""Default directory of the results, in DIR."""
-
+RESULTS = "simulation"  # Default directory of the results, in DIR
+# What stands in place of vertices' errors in flights of the fast preset
 INEXACT = "the fast preset is 1 to 2 cm off; take the accurate one"
-"""What stands in place of vertices' errors in flights of the fast preset."""
-
+# What is shown of objects; simulation.json has more
 SHOWN = ("name", "placed", "tilted", "turned", "slipped", "free")
-"""What is shown of objects; simulation.json has more."""
-
+# Figures of a flight that the fast preset does not know, and what they are called
 ERRORS = {
     "vertex_error": "vertices, sag included [cm]",
     "resting": "  while the plan stands still",
     "moving": "  while it moves",
     "without_sag": "vertices without sag (level part) [cm]",
 }
-"""Figures of a flight that the fast preset does not know, and what they are called."""
-
-MOST_REASONS = 8
-"""Reasons of a sweep's refusals that are listed."""
+MOST_REASONS = 8  # Reasons of a sweep's refusals that are listed
 
 
 @command(
@@ -101,7 +95,7 @@ def simulate(
     if lose is not None and runs is not None:
         raise InputError("--lose", lose, "of a single flight", "leave out --runs")
     settings = settings_of(**options)
-    with LateProgress("reading the plan"):
+    with ProgressBar("reading the plan"):
         task = read_task(directory)
     if lose is not None:
         settings, task = _lost(directory, settings, task, lose, react=reaction)
@@ -111,7 +105,7 @@ def simulate(
     if runs is None:
         _simulate_one(task, settings, place, directory)
         return
-    with LateProgress("flying") as progress:
+    with ProgressBar("flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
     save_campaign(place, campaign)
     told = campaign.to_dict()
@@ -132,7 +126,7 @@ def _lost(
     settings = replace(settings, lost=loss)
     if not react:
         return settings, task
-    with LateProgress("planning the reaction"):
+    with ProgressBar("planning the reaction"):
         found = Reactions(read_plan(plan_path(directory))).found(loss.drone, loss.time)
     say(
         f"reaction: tension is let go from t = {found.begins:.3f} s on, all are on the ground at "
@@ -147,32 +141,20 @@ def _simulate_one(task: Task, settings: Settings, place: Path, directory: Path) 
     from hitchopt.motion.plan_file import read_plan, read_title
     from hitchopt.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.simulation.judgement import simulate as simulated
-    from hitchopt.simulation.report import save_simulation, summary
+    from hitchopt.simulation.report import ending, save_simulation, summary
 
-    with LateProgress("building ropes") as progress:
+    with ProgressBar("building ropes") as progress:
         done = simulated(task, settings, progress)
     plan, title = read_plan(plan_path(directory)), read_title(plan_path(directory))
-    with LateProgress("writing the results"):
+    with ProgressBar("writing the results"):
         save_simulation(place, done, plan, title)
-    said = f"{flight_tables(done)}\n\n{_verdict(done)}; results are in {place}"
+    said = f"{flight_tables(done)}\n\n{ending(done)}; results are in {place}"
     say(said, directory=str(place), simulation=summary(done))
     for failure in done.outcome.failures:
         word = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{word}: t = {failure.time:.2f} s, {failure.words}", err=True)
     if not done.outcome.succeeded:
         unmet()
-
-
-def _verdict(done: Simulation) -> str:
-    """Return the verdict on a flight's hitch in words."""
-    if done.loss is not None:
-        return "no two survivors touch" if done.loss.apart else "survivors TOUCH each other"
-    if done.flight.linking is None:
-        return "not simulated to its end: nothing is known of the hitch"
-    if done.flight.task.formed[-1]:
-        held = done.outcome.hitched
-        return "hitched: every vertex is linked and held" if held else "NOT hitched"
-    return "NOT untied" if done.flight.linking.any() else "untied: no two cables are linked"
 
 
 def flight_tables(simulation: Simulation) -> str:
@@ -199,8 +181,7 @@ def flight_tables(simulation: Simulation) -> str:
     if found["clasps"]:
         parts.append(table("Vertices after the flight [N, m]", map(dict, found["clasps"])))
     if loss := found.get("loss"):
-        for name in ("among", "others"):
-            loss[name] = [" and ".join(pair) for pair in loss[name]]
+        loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
     if found["objects"]:
         rows = [{name: each[name] for name in SHOWN} for each in found["objects"]]
@@ -258,7 +239,7 @@ def sweep(study: Path, output: Path | None, workers: int | None, scheduler: str 
 
     place = study if study.is_dir() else Path(study.stem) if output is None else output
     if not study.is_dir():
-        with LateProgress("starting workers") as progress:
+        with ProgressBar("starting workers") as progress:
             ho.run_sweep(study, place, workers=workers, scheduler=scheduler, progress=progress)
     rows = ho.load_sweep(place)
     found = summary(rows, len(read_study(place)["cases"]))

@@ -161,7 +161,7 @@ def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Fig
         drawn = replace(scene, radius=float(np.clip(wide, scene.radius, THICKEST)))
         draw_storyboard(grid[:, 0], drawn, shots, (scene.t, scene.drones))
     _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
-    style.headline(figure, title, f"{style.facts(motion)}, simulated: {_ending(simulation)}")
+    style.headline(figure, title, f"{style.facts(motion)}, simulated: {ending(simulation)}")
     return figure
 
 
@@ -208,9 +208,11 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
     bottom.set_xlabel("t [s]; hatched: rest and pull test")
 
 
-def _ending(simulation: Simulation) -> str:
+def ending(simulation: Simulation) -> str:
     """Return in words how a flight ended; a plan that releases its hitch is to end untied."""
-    flight = simulation.flight
+    flight, loss = simulation.flight, simulation.loss
+    if loss is not None:
+        return "no two survivors touch" if loss.apart else "survivors TOUCH each other"
     if flight.linking is None:
         return "not simulated to its end"
     if flight.task.formed[-1]:

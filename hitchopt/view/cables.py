@@ -23,30 +23,19 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
-LEG, BEND, EDGE = 6, 9, 9
-"""Number of points of a leg, a bend and an edge."""
-
-POINTS = 2 * LEG + 2 * BEND + EDGE
-"""Number of points of a cable, from q to r."""
-
+LEG, BEND, EDGE = 6, 9, 9  # Number of points of a leg, a bend and an edge
+POINTS = 2 * LEG + 2 * BEND + EDGE  # Number of points of a cable, from q to r
+# The two points of a cable in the middles of its bends, nearest to the vertices
 CLASPS = (LEG + BEND // 2, LEG + BEND + EDGE + BEND // 2)
-"""The two points of a cable in the middles of its bends, nearest to the vertices."""
-
+# Radius of a drawn cable as a share of the scene's extent, and its bounds [m]
 THICKNESS, THINNEST, THICKEST = 0.0035, 0.004, 0.03
-"""Radius of a drawn cable as a share of the scene's extent, and its bounds [m]."""
-
+# Radius of a bend in radii of the drawn cable: neighbours then clear each other; distance from a
+# vertex, in bends' radii, from which on a cable is straight; and largest radius of a bend as a
+# share of the shortest leg or edge
 BEND_RADIUS, REACH, LEG_SHARE = 2.2, 3.0, 0.2
-"""Radius of a bend in radii of the drawn cable: neighbours then clear each other; distance from a
-vertex, in bends' radii, from which on a cable is straight; and largest radius of a bend as a share
-of the shortest leg or edge."""
-
+# Share of its length by which a weightless cable may exceed its parts and still be straight
 NO_SLACK = 1e-4
-"""Share of its length by which a weightless cable may exceed its parts and still be straight."""
-
-SHORTEST, NO_TURN = 1e-9, 1e-6
-"""Least length of a span [m], as a chain's ends have legs of none, and angle [rad] by which edges
-around an object turn at least: others are straight."""
-
+SHORTEST = 1e-9  # Least length of a span [m], as a chain's ends have legs of none
 HOOKED = frozenset({CableState.TIGHTENING, CableState.HITCHED})
 
 
@@ -113,15 +102,16 @@ def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Ar
     """
     start, end = contacts[..., 0, :], contacts[..., 1, :]
     ahead, chord = unit(start - first), end - start
-    half = 0.5 * np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))[..., None]
-    turns, share = half > NO_TURN, np.linspace(0.0, 1.0, EDGE - 2)
-    sine, done = np.where(turns, np.sin(half), 1.0), share * half
-    # The chord from an arc's start to a point on it, turned by ``done`` from the tangent.
-    size = np.where(turns, np.sin(done) / sine, share) * length(chord)[..., None]
-    side = unit(chord - dot(chord, ahead)[..., None] * ahead)[..., None, :]
-    toward = np.cos(done)[..., None] * ahead[..., None, :] + np.sin(done)[..., None] * side
-    arc = start[..., None, :] + size[..., None] * toward
-    bow = length(chord) * np.where(turns, half / sine, 1.0)[..., 0]
+    half = 0.5 * np.arccos(np.clip(dot(ahead, unit(last - end)), -1.0, 1.0))
+    # A circle's arc is a rational curve; its middle control point, where the ends' tangents meet,
+    # has the weight cos(half).
+    s, weight = np.linspace(0.0, 1.0, EDGE - 2)[:, None], np.cos(half)[..., None]
+    meeting = weight * start + 0.5 * length(chord)[..., None] * ahead
+    ends = (1.0 - s) ** 2 * start[..., None, :] + s**2 * end[..., None, :]
+    rest = 2.0 * s * (1.0 - s)
+    shares = (1.0 - s) ** 2 + s**2 + rest * weight[..., None]
+    arc = (ends + rest * meeting[..., None, :]) / shares
+    bow = length(chord) / np.sinc(half / np.pi)
     total = length(start - first) + bow + length(last - end)
     return total, np.concatenate([first[..., None, :], arc, last[..., None, :]], axis=-2)
 

@@ -41,14 +41,11 @@ from hitchopt.storage.yaml_file import (
 from hitchopt.values import Array
 from hitchopt.view.style import drafted
 
-START = -1
-"""Index of the start, before the first step."""
-
+START = -1  # Index of the start, before the first step
+# Height of handles where no plan tells that of the hitch, and of a file without one [m]
 HEIGHT = 1.0
-"""Height of handles where no plan tells that of the hitch, and of a file without one [m]."""
-
+# Where a number is in a file, and whether it is an x, y or z: 0, 1 or 2
 Number = tuple[tuple[str | int, ...], int]
-"""Where a number is in a file, and whether it is an x, y or z: 0, 1 or 2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,10 +289,6 @@ class Editing:
         change(steps)
         self.change(with_entries(self.text, ("mission",), steps))
 
-    def apply(self, suggestion: Suggestion) -> None:
-        """Make a suggested change; errors as of ``change``."""
-        self.put(*suggestion.change.edits)
-
     def save(self) -> Path:
         """Write the problem file at once or not at all, and return where.
 
@@ -338,10 +331,13 @@ class Editing:
         self._worker.start()
 
     def _answer(self, version: int, problem: Problem) -> None:
+        def told(words: str) -> None:
+            self._publish(version, replace(self.status, words=words))
+
         with self._planning, suppress(_StaleError):
             self._check(version)
             try:
-                planned = solve_problem(problem, lambda words: self._tell(version, words))
+                planned = solve_problem(problem, told)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
                 self._publish(version, Status(Stage.REFUSED, words))
@@ -354,9 +350,6 @@ class Editing:
                 self._publish(version, Status(Stage.REFUSED, f"internal error: {error!r}"))
             else:
                 self._publish(version, Status(Stage.CURRENT), planned)
-
-    def _tell(self, version: int, words: str) -> None:
-        self._publish(version, replace(self.status, words=words))
 
     def _check(self, version: int) -> None:
         if version != self._version:

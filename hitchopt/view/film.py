@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +17,13 @@ from hitchopt.view.painter import Camera, Painter, draw_painting
 from hitchopt.view.scene import Scene
 from hitchopt.view.style import drafted, draw_lines, facts
 
-SIZE, DOTS = (12.8, 7.2), 100
-"""Size of a frame [in], and its resolution [1/in]."""
-
+SIZE, DOTS = (12.8, 7.2), 100  # Size of a frame [in], and its resolution [1/in]
+# Frames a second [Hz]; a gif counts in hundredths of a second, and is large
 RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
-"""Frames a second [Hz]; a gif counts in hundredths of a second, and is large."""
-
-AZIMUTH, ELEVATION = -115.0, 32.0
-"""Where a film is seen from [deg]."""
-
+AZIMUTH, ELEVATION = -115.0, 32.0  # Where a film is seen from [deg]
+# Margin around everything [m]; as shares of a frame's height, the part above it for words, the
+# least half width of a cable, and the least reach of a drone
 MARGIN, HEAD, THIN, SMALL = 0.3, 0.09, 0.0022, 0.012
-"""Margin around everything [m]; as shares of a frame's height, the part above it for words, the
-least half width of a cable, and the least reach of a drone."""
 
 
 def save_film(
@@ -37,13 +31,21 @@ def save_film(
 ) -> None:
     """Write the film of a scene, 1280 × 720, with a title above it.
 
-    ``path`` ends in .gif or .mp4; ``progress`` is called with the fraction that is done. Errors are
-    those of ``check_film``, and a FileError where it cannot be written.
+    ``path`` ends in .gif or .mp4, or there is an InputError; ``progress`` is called with the
+    fraction that is done. UnsupportedError says what is not installed, FileError that the file
+    cannot be written.
     """
-    check_film(path)
-    import imageio.v2 as imageio
-
     kind = path.suffix.lower()
+    if kind not in RATES:
+        raise InputError("film", str(path), "a name in .gif or .mp4", "such as flight.mp4")
+    try:
+        import imageio.v2 as imageio
+
+        if kind == ".mp4":
+            import imageio_ffmpeg  # noqa: F401
+    except ImportError as error:
+        words = f"needs {error.name}, which is not installed; pip install 'hitchopt[view]'"
+        raise UnsupportedError(f"{path}: {words}") from error
     rate = RATES[kind]
     options: dict[str, Any] = {"fps": rate, "macro_block_size": 8}
     if kind == ".gif":
@@ -56,23 +58,6 @@ def save_film(
                 writer.append_data(frame)
                 if progress is not None:
                     progress((i + 1) / len(times))
-
-
-def check_film(path: Path) -> None:
-    """Check that a film can be written under a name.
-
-    Raises
-    ------
-    InputError: another ending than .gif or .mp4.
-    UnsupportedError: a required package is not installed.
-    """
-    kind = path.suffix.lower()
-    if kind not in RATES:
-        raise InputError("film", str(path), "a name in .gif or .mp4", "such as flight.mp4")
-    for name in ("imageio", "imageio_ffmpeg") if kind == ".mp4" else ("imageio",):
-        if find_spec(name) is None:
-            words = f"{path}: needs {name}, which is not installed; pip install 'hitchopt[view]'"
-            raise UnsupportedError(words)
 
 
 def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]]:

@@ -1,4 +1,7 @@
-"""The live view: a plan in the browser, with playback, phases and certificate."""
+"""The live view: a plan in the browser, with playback, phases and certificate.
+
+``open_server`` serves an empty page, which browsers load while the plan is read.
+"""
 
 from __future__ import annotations
 
@@ -11,56 +14,87 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.errors import UnsupportedError
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.scene import Concerned, Scene, concerned, scene_of
-from hitchopt.view.server import FIELD, HOST, PORT, open_server, server_address
 from hitchopt.view.style import facts, verdict
 
+# Where the server listens unless told otherwise: this machine alone; if the port is taken, the
+# next free one
+HOST, PORT = "127.0.0.1", 8080
+WIDTH, FIELD = 380, 0.6  # Width of the panel [pixels], and vertical field of view [rad]
+# Colours of the light from above and from below, and its intensity
+SKY, GROUND, BRIGHTNESS = (255, 255, 255), (190, 190, 205), 1.8
+# Attitude that turns the y axis, along which viser has the sky, to the z axis
+Z_FROM_Y = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
+# Direction that a lamp shines from, so that the sides of boxes differ, and its intensity
+SIDE, SIDE_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
+# Time between two frames [s]; step of the time's slider [s], and its decimals
 FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
-"""Time between two frames [s]; step of the time's slider [s], and its decimals."""
-
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
-QUIET = "gray"
-"""Colour of buttons, but for those of checks that do not hold."""
-
+QUIET = "gray"  # Colour of buttons, but for those of checks that do not hold
+# Direction and shortest distance [m] from which the scene is seen at first
 FROM, NEAREST = np.array([-0.35, -0.8, 0.5]), 1.5
-"""Direction and shortest distance [m] from which the scene is seen at first."""
+ASPECT = 0.7  # Width over height of what the panels leave of a small window
 
-ASPECT, NARROW_ASPECT = 1.1, 0.62
-"""Width over height of what the panel leaves of a small window, and of what that for editing leaves
-as well."""
+
+def open_server(host: str = HOST, port: int = PORT) -> Any:
+    """Return a viser server that serves an empty page; without viser, raise UnsupportedError.
+
+    Its light comes from the sky, the ground and one side, without shadows, in place of viser's
+    photograph: where graphics are drawn by software, preparing that takes a browser seconds.
+    """
+    try:
+        import viser
+    except ImportError:
+        words = "the live view needs viser, which is not installed; pip install 'hitchopt[view]'"
+        raise UnsupportedError(words) from None
+    server: Any = viser.ViserServer(host, port, label="hitchopt", verbose=False)
+    scene, gui = server.scene, server.gui
+    scene.set_up_direction("+z")
+    scene.configure_environment_map(None)
+    scene.configure_default_lights(cast_shadow=False)
+    scene.add_light_hemisphere(
+        "/light/sky", sky_color=SKY, ground_color=GROUND, intensity=BRIGHTNESS, wxyz=Z_FROM_Y
+    )
+    scene.add_light_directional("/light/side", intensity=SIDE_BRIGHTNESS, position=SIDE)
+    # Without the button that shares the page through a server elsewhere.
+    gui.configure_theme(show_logo=False, show_share_button=False)
+    gui.main_panel.dock_right()
+    gui.main_panel.set_width(WIDTH)
+    server.initial_camera.fov = FIELD
+    return server
+
+
+def server_address(server: Any) -> str:
+    """Return the address of the page that a server serves."""
+    return f"http://{server.get_host()}:{server.get_port()}"
 
 
 class LiveView:
-    """A plan in the browser, served until it is closed; UnsupportedError where viser is missing.
+    """A plan in the browser, served until it is closed.
 
     Parameters
     ----------
+    server: of ``open_server``; browsers may have opened its page already.
     motion, certificate, title: the plan; no certificate while it is being computed.
     ghost: another scene that is shown beside it, pale.
-    host, port: where the server listens; if the port is taken the next free one.
-    server: of ``open_server``, which browsers may have opened already, in place of another one.
-    aspect: width over height of where the scene is seen; NARROW_ASPECT where it is edited.
     """
 
     def __init__(
         self,
+        server: Any,
         motion: Motion,
         certificate: Certificate | None,
         title: str = "",
-        *,
         ghost: Scene | None = None,
-        host: str = HOST,
-        port: int = PORT,
-        server: Any = None,
-        aspect: float = ASPECT,
     ) -> None:
-        self.server = open_server(host, port) if server is None else server
+        self.server = server
         self.time, self.playing, self.speed = 0.0, False, 1.0
         self.motion, self.certificate = motion, certificate
-        self._note, self._title, self._aspect = "", title, aspect
+        self._note, self._title = "", title
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
         with self.server.atomic():  # pages that are open show all of it at once
@@ -78,12 +112,6 @@ class LiveView:
     def url(self) -> str:
         """Address of the page."""
         return server_address(self.server)
-
-    def wait_for_page(self, seconds: float) -> bool:
-        """Wait until a browser has loaded the page; return whether one has in that time [s]."""
-        loaded = threading.Event()
-        self.server.on_client_connect(lambda _: loaded.set())
-        return loaded.wait(seconds)
 
     def close(self) -> None:
         """Stop serving."""
@@ -167,7 +195,7 @@ class LiveView:
         drones = self.live.scene.drones.reshape(-1, 3)
         centre = 0.5 * (np.min(drones, axis=0) + np.max(drones, axis=0))
         reach = float(np.max(np.linalg.norm(drones - centre, axis=1)))
-        half = np.arctan(np.tan(0.5 * FIELD) * min(1.0, self._aspect))
+        half = np.arctan(np.tan(0.5 * FIELD) * ASPECT)
         away = max(reach / np.sin(half), NEAREST)
         position = centre + away * FROM / np.linalg.norm(FROM)
         self.server.initial_camera.position = tuple(position)
@@ -262,24 +290,19 @@ class Buttons:
 
     def __init__(self, gui: Any, place: Any, clicked: Callable[[int], None]) -> None:
         self._gui, self._place, self._clicked = gui, place, clicked
-        self._all: list[Any] = []
+        self.buttons: list[Any] = []
 
     def show(self, labels: Sequence[str], colours: Sequence[str]) -> None:
         """Show one button a label, in these colours."""
         for i, (label, colour) in enumerate(zip(labels, colours, strict=True)):
-            if i == len(self._all):
+            if i == len(self.buttons):
                 with self._place:
-                    self._all.append(self._gui.add_button(label, color=colour))
-                self._all[i].on_click(lambda _, i=i: self._clicked(i))
-            button = self._all[i]
+                    self.buttons.append(self._gui.add_button(label, color=colour))
+                self.buttons[i].on_click(lambda _, i=i: self._clicked(i))
+            button = self.buttons[i]
             button.label, button.color, button.visible = label, colour, True
-        for button in self._all[len(labels) :]:
+        for button in self.buttons[len(labels) :]:
             button.visible = False
-
-    @property
-    def labels(self) -> list[str]:
-        """Labels of the buttons that are shown."""
-        return [button.label for button in self._all if button.visible]
 
 
 def _words(check: Check) -> str:

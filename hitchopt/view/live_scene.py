@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,31 +11,19 @@ from numpy.typing import NDArray
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import Concerned, Scene
-from hitchopt.view.shapes import SPAN, drone_faces, mesh, object_faces, slab_faces, sphere_faces
+from hitchopt.view.shapes import SPAN, drone_parts, mesh, object_faces, slab_faces, sphere_faces
 from hitchopt.view.style import MARK_COLOUR, cable_colours, drone_colours, object_colours
 
-Server = Any
-"""A viser server; viser is imported only where it is used."""
-
-NEWTON = 0.2
-"""Length of an arrow of 1 N [m]."""
-
-MOST_NAMED = 40
-"""Number of drones up to which all are named at first: more names hide the scene."""
-
+Server = Any  # A viser server; viser is imported only where it is used
+NEWTON = 0.2  # Length of an arrow of 1 N [m]
+MOST_NAMED = 40  # Number of drones up to which all are named at first: more names hide the scene
+# Colour of a ghost and of an old plan's cables, and opacity of their drones and objects
 PALE, GHOSTLY = (150, 156, 162), 0.4
-"""Colour of a ghost, and opacity of its objects, or of an old plan's."""
-
-FADED, COLOUR_LEFT = (205, 208, 211), 0.2
-"""Grey that old plans tend to, and the share of their own colour that is left."""
-
+# Time between the corners of drawn paths [s]: they are off by the acceleration times its square
+# over 8, some millimetres. Browsers that draw by software are slow with more segments
 PATH_STEP, MOST_SEGMENTS = 0.1, 4000
-"""Time between the corners of drawn paths [s]: they are off by the acceleration times its square
-over 8, some millimetres. Browsers that draw by software are slow with more segments."""
-
+# Width of a path [pixels], as thinner ones have gaps, and of the arena's edges [m]
 PATH_WIDTH, EDGE = 1.2, 0.006
-"""Width of a path [pixels], as thinner ones have gaps, and of the arena's edges [m]."""
-
 ARENA_COLOUR, KEEP_OUT_COLOUR = (203, 203, 203), (179, 38, 30)
 
 SWITCHES = ("paths", "downwash ellipsoids", "forces", "thrusts", "names")
@@ -58,7 +47,6 @@ class LiveScene:
         cables = _segments(self._moment.cables)
         self._cables = self._lines("cables", cables, self._cable_colours, 2.0 * scene.radius)
         self._drones, self._objects = self._add_drones(), self._add_objects()
-        self._bright = [np.array(batch.batched_colors) for batch in self._drones]
         if not ghost:
             self._add_switched()
             self._add_surroundings()
@@ -91,16 +79,9 @@ class LiveScene:
 
     def _paint(self) -> None:
         """Give everything the colours that it has now."""
-        left = COLOUR_LEFT if self._pale else 1.0
-
-        def mixed(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
-            return np.rint(left * colours + (1.0 - left) * np.array(FADED)).astype(np.uint8)
-
-        for batch, colours in zip(self._drones, self._bright, strict=True):
-            batch.batched_colors = mixed(colours)
-        for solid in self._objects:
+        for solid in (*self._drones, *self._objects):
             solid.opacity = GHOSTLY if self._pale else None
-        colours = mixed(self._cable_colours)
+        colours = np.where(self._pale, np.array(PALE, np.uint8), self._cable_colours)
         colours[list(self._marked.cables)] = MARK_COLOUR
         if len(colours):
             self._cables.colors = self._per_segment(colours, len(self._cables.points))
@@ -144,18 +125,12 @@ class LiveScene:
             self._marks.batched_wxyzs = _upright(len(balls))
 
     def _add_drones(self) -> list[Any]:
-        motion = self.scene.motion
-        frame, rotors, rims = drone_faces(motion.requirements.separation.radius)
-        if self._ghost:
-            parts = (frame, rotors)
-            return [self._batch(f"drones/{i}", part, PALE, 0.5) for i, part in enumerate(parts)]
-        colours = _in_linear_light(_as_bytes(drone_colours(motion.team)))
-        hollow = np.array([name[0] == "r" for name in motion.team.drone_names])[:, None]
-        return [
-            self._batch("drones/frame", frame, (43, 47, 51)),
-            self._batch("drones/rotors", rotors, np.where(hollow, np.uint8(255), colours)),
-            self._batch("drones/rims", rims, colours),
-        ]
+        batches = []
+        for name, (faces, own) in drone_parts(self.scene.motion).items():
+            colours = PALE if self._ghost else _in_linear_light(_as_bytes(own))
+            opacity = GHOSTLY if self._ghost else None
+            batches.append(self._batch(f"drones/{name}", faces, colours, opacity))
+        return batches
 
     def _add_objects(self) -> list[Any]:
         bodies = self.scene.motion.requirements.objects
@@ -264,7 +239,7 @@ def _segments(curves: Array) -> NDArray[np.float32]:
     return _single(np.stack([curves[:, :-1], curves[:, 1:]], axis=2).reshape(-1, 2, 3))
 
 
-def _as_bytes(colours: tuple[str, ...]) -> NDArray[np.uint8]:
+def _as_bytes(colours: Iterable[str]) -> NDArray[np.uint8]:
     """Return colours such as #0b3c5d as bytes (…, 3)."""
     return np.array([list(bytes.fromhex(each[1:])) for each in colours], np.uint8).reshape(-1, 3)
 

@@ -22,43 +22,31 @@ from scipy.spatial.transform import Rotation
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
+from hitchopt.view import style
 from hitchopt.view.scene import Moment, Scene, scene_at
-from hitchopt.view.shapes import SEGMENTS, drone_faces, normals, object_faces, split
-from hitchopt.view.style import cable_colours, draw_lines, drone_colours, object_colours, write
+from hitchopt.view.shapes import SEGMENTS, drone_parts, normals, object_faces, split
 
+# Width of a cable with its pale edges over that without, and length by which its segments
+# overlap, in its radii: bends have no gaps
 CASING, OVERLAP = 1.8, 0.5
-"""Width of a cable with its pale edges over that without, and length by which its segments overlap,
-in its radii: bends have no gaps."""
-
-FRAME, OPEN, SHADOW = "#2b2f33", "#ffffff", "#e4e7ea"
-"""Colours of drones' frames, of hollow rotors and of cables' edges, and of shadows."""
-
+SHADOW = "#e4e7ea"  # Colour of shadows
+# Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
+# that near and far are told apart
 FEWEST, SPLITS = 4, 3
-"""Least number of a rotor's corners, and how often the sides of an object's faces are halved, so
-that near and far are told apart."""
-
+# Direction toward the light, and the brightness of a face that is turned away from it
 LIGHT, DARKEST = unit(np.array([-0.35, -0.55, 1.0])), 0.62
-"""Direction toward the light, and the brightness of a face that is turned away from it."""
-
+# Largest number of panels; more would be too small to read. Below FEW another picture fits
 MOST, FEW = 9, 3
-"""Largest number of panels; more would be too small to read. Below FEW another picture fits."""
-
+# Step of the painter up to that number of robots: more are fewer pixels wide
 STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
-"""Step of the painter up to that number of robots: more are fewer pixels wide."""
-
+# Distance [m] that some drone is off its place in the panel before, else there is none; and one
+# beyond all that drones fly, by which some moments come before others
 STILL, LONGEST = 1e-3, 1e6
-"""Distance [m] that some drone is off its place in the panel before, else there is none; and one
-beyond all that drones fly, by which some moments come before others."""
-
-AZIMUTH, ELEVATION = -115.0, 38.0
-"""Where panels are seen from [deg]."""
-
+AZIMUTH, ELEVATION = -115.0, 38.0  # Where panels are seen from [deg]
+# Radius of a drawn cable as a share of the extent: clasps show over and under in small panels;
+# and margin around everything and least reach of a drone, as shares of a panel's height
 THICKNESS, MARGIN, SMALL = 0.011, 0.08, 0.03
-"""Radius of a drawn cable as a share of the extent: clasps show over and under in small panels; and
-margin around everything and least reach of a drone, as shares of a panel's height."""
-
-PATH_SAMPLES, PALE = 150, 0.45
-"""Number of points of a drone's path, and its opacity."""
+PATH_SAMPLES, PALE = 150, 0.45  # Number of points of a drone's path, and its opacity
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +88,13 @@ class Painter:
         motion, team = scene.motion, scene.motion.team
         self.camera, self.step, self._floor = camera, step, motion.requirements.floor
         self._width = width or scene.radius
-        self.cables = to_rgba_array(cable_colours(team.robots))
-        radius = size * motion.requirements.separation.radius
-        frame, rotors, rims = drone_faces(radius, max(FEWEST, SEGMENTS // step))
-        own = to_rgba_array(drone_colours(team))
-        hollow = np.array([name[0] == "r" for name in team.drone_names])[:, None]
-        dark = np.broadcast_to(to_rgba_array(FRAME), own.shape)
-        fills = np.where(hollow, to_rgba_array(OPEN), own)
-        self._parts = ((frame, dark, True), (rotors, fills, False), (rims, own, False))
+        self.cables = to_rgba_array(style.cable_colours(team.robots))
+        corners = max(FEWEST, SEGMENTS // step)
+        parts = drone_parts(motion, size, corners).items()
+        # Of frames, which are solid, only what faces the viewer is painted.
+        self._parts = [(faces, to_rgba_array(own), name == "frame") for name, (faces, own) in parts]
         bodies = motion.requirements.objects.values()
-        fills = to_rgba_array(object_colours(motion))
+        fills = to_rgba_array(style.object_colours(motion))
         # Objects stand on tables, and lie on cables, which are drawn thicker than they are.
         backs = (
             body.circumradius / 2**SPLITS if body.fixed else -2.0 * self._width for body in bodies
@@ -122,7 +107,7 @@ class Painter:
         layers = [*self._drones(moment), *self._bodies(moment)]
         cables = moment.cables[:, :: self.step]
         shades = np.repeat(self.cables, cables.shape[1] - 1, axis=0)
-        casing = np.broadcast_to(to_rgba_array(OPEN), shades.shape)
+        casing = np.broadcast_to(to_rgba_array(style.OPEN), shades.shape)
         longer = OVERLAP * self._width
         layers += [
             (self._strips(cables, CASING * self._width, 0.0), casing, self._width),
@@ -245,7 +230,7 @@ def draw_storyboard(
     for k, (shot, i, middle) in enumerate(zip(shots, moments, middles, strict=True)):
         axes: Axes = grid.figure.add_subplot(grid[k // columns, k % columns])
         lines = np.moveaxis(paths[reached[max(k - 1, 0)] : reached[k] + 1], 1, 0)
-        draw_lines(axes, lines, drone_colours(team), 0.6, 1, alpha=PALE)
+        style.draw_lines(axes, lines, style.drone_colours(team), 0.6, 1, alpha=PALE)
         draw_painting(axes, painter.painted(scene.at(float(scene.t[i]))))
         (left, low), (right, high) = middle - half, middle + half
         axes.set(aspect="equal", xlim=(left, right), ylim=(low, high), xticks=[], yticks=[])
@@ -263,8 +248,8 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     """Draw a painting; edges of the faces' colour close the seams between them."""
     polygons: Any = painting.polygons
     colours: Any = painting.colours
-    style: Any = {"facecolors": colours, "edgecolors": "face", "linewidths": 0.2, "zorder": 2}
-    shapes = PolyCollection(polygons, **style)
+    look: Any = {"facecolors": colours, "edgecolors": "face", "linewidths": 0.2, "zorder": 2}
+    shapes = PolyCollection(polygons, **look)
     axes.add_collection(shapes, autolim=False)
     return shapes
 
@@ -275,4 +260,4 @@ def _draw_scale(axes: Axes, corner: Array, half: Array) -> None:
     right, up = corner - 0.06 * half[0] * np.array([1.0, -1.0])
     axes.plot([right - length, right], [up, up], color="0.3", linewidth=1.6, zorder=3)
     middle = (right - 0.5 * length, up)
-    write(axes, f"{length:g} m", middle, (0, 3), fontsize="x-small", zorder=3)
+    style.write(axes, f"{length:g} m", middle, (0, 3), fontsize="x-small", zorder=3)

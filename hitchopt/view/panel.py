@@ -8,26 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError
-from hitchopt.mission.keys import STEP_KINDS
+from hitchopt.errors import HitchoptError
+from hitchopt.mission.keys import STEP_KINDS, step_model
 from hitchopt.mission.repair import Edit
 from hitchopt.storage.yaml_file import Plain, flow, parse_yaml, split_key, value_at
 from hitchopt.view.editing import START, Editing, Handle, Stage, Status, step_key
 from hitchopt.view.live import LiveView, plain_words
 from hitchopt.view.style import MARK_COLOUR
 
-WIDTH = 330
-"""Width of the panel [pixels]."""
-
+WIDTH = 330  # Width of the panel [pixels]
+# Radius of a handle, and length of the arrows of the one that is chosen [m]
 SIZE, REACH = 0.04, 0.35
-"""Radius of a handle, and length of the arrows of the one that is chosen [m]."""
-
-IDLE_COLOUR = (90, 96, 102)
-"""Colour of handles that are not chosen."""
-
+IDLE_COLOUR = (90, 96, 102)  # Colour of handles that are not chosen
+# Number of handles of a step up to which all are drawn, while a list has all of them; and
+# decimals of what one is dragged by [m]: nobody drags more finely
 MOST, DECIMALS = 80, 4
-"""Number of handles of a step up to which all are drawn, while a list has all of them; and decimals
-of what one is dragged by [m]: nobody drags more finely."""
 
 
 class EditingPanel:
@@ -90,10 +85,11 @@ class EditingPanel:
             self._offered = status.suggestions
             for button in self._buttons:
                 button.remove()
-            add, apply = self._button, self.editing.apply
             with self._tab:
-                offered = [(str(each.change), each) for each in status.suggestions]
-                self._buttons = [add(name, apply, each, hint=str(each)) for name, each in offered]
+                self._buttons = [
+                    self._button(str(x.change), self.editing.put, *x.change.edits, hint=str(x))
+                    for x in status.suggestions
+                ]
 
     def _build(self) -> None:
         """Build what depends on the text and the step."""
@@ -136,12 +132,11 @@ class EditingPanel:
             chosen.on_update(lambda event: self._do(self.choose, self.step, event.target.value))
             here = tuple(map(float, by_name[self.handle].place))
             place = gui.add_vector3("x, y, z [m]", here, step=0.05)
-        fields = {
-            name: gui.add_text(name, flow(value))
-            for name, value in value_at(data, split_key(key)).items()
-        }
-        typed = {name: field.value for name, field in fields.items()}
-        further = gui.add_text("further key: value", "")
+        given = value_at(data, split_key(key))
+        kind = STEP_KINDS.get(key.rpartition(".")[2]) if self.step != START else None
+        known = given if kind is None else step_model(kind).model_fields
+        typed = {name: flow(given[name]) if name in given else "" for name in known}
+        fields = {name: gui.add_text(name, value) for name, value in typed.items()}
 
         def plan() -> None:
             edits = [
@@ -149,10 +144,6 @@ class EditingPanel:
                 for name, field in fields.items()
                 if field.value != typed[name]
             ]
-            more = parse_yaml(further.value, "further key") if further.value.strip() else {}
-            if not isinstance(more, dict):
-                raise InputError("further key", further.value, "key: value", "write blend: true")
-            edits += [Edit(f"{key}.{name}", value) for name, value in more.items()]
             if edits:
                 self.editing.put(*edits)
             elif place is not None:

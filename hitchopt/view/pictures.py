@@ -34,48 +34,36 @@ from hitchopt.view.painter import PALE
 from hitchopt.view.scene import scene_at
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
+# Width and height [inch], shares of left and right, and on the left of few panels and what is
+# below them
 SIZE, WIDTHS, HEIGHTS = (13.0, 7.2), (1.25, 1.0), (1.0, 1.25)
-"""Width and height [inch], shares of left and right, and on the left of few panels and what is
-below them."""
-
+# Edges of what is drawn as shares of the figure, and its gaps as shares of the drawings
 MARGINS = {"left": 0.055, "right": 0.935, "bottom": 0.15, "top": 0.9, "wspace": 0.2, "hspace": 0.1}
-"""Edges of what is drawn as shares of the figure, and its gaps as shares of the drawings."""
-
+# Distance of the legend from a plan below panels, as a share of its height, and where the plots'
+# labels stand, as a share of their width
 LEGEND_GAP, LABEL_AT = 0.17, -0.1
-"""Distance of the legend from a plan below panels, as a share of its height, and where the plots'
-labels stand, as a share of their width."""
-
-CARD_RESOLUTION = 65
-"""Resolution of a notebook's picture [dots per inch]: 850 pixels wide."""
-
+CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
+# Number of drone positions that a picture is drawn from, and bounds on that of times: more are
+# finer than a picture's pixels
 POINTS, SAMPLES = 150_000, (60, 600)
-"""Number of drone positions that a picture is drawn from, and bounds on that of times: more are
-finer than a picture's pixels."""
-
 FORBIDDEN: Any = {"facecolor": "none", "edgecolor": "0.8", "hatch": "////", "linewidth": 0}
 
+# Width of a curve, height of a line of small text, and approximately of a plot [points]
 CURVE, LINE, HEIGHT = 1.4, 11.0, 110.0
-"""Width of a curve, height of a line of small text, and approximately of a plot [points]."""
-
+# Largest worst value that is drawn: larger ones say that nothing was counted or bounded
 ENDLESS = 1e9
-"""Largest worst value that is drawn: larger ones say that nothing was counted or bounded."""
-
-CHARACTER = 0.013
-"""Width of a character of a phase's name as a share of the axes' width."""
-
+CHARACTER = 0.013  # Width of a character of a phase's name as a share of the axes' width
+# Figure of the closest neighbours: width and height [inch], points of a curve, and the largest
+# separation that is shown; larger ones are of no concern
 CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
-"""Figure of the closest neighbours: width and height [inch], points of a curve, and the largest
-separation that is shown; larger ones are of no concern."""
-
 START_COLOUR = "0.62"
 
+# Number of vertices or single drones up to which they are named: more names hide the drawing; and
+# distance of a vertex's name from it [points]
 MAX_NAMED, BESIDE = 30, 18.0
-"""Number of vertices or single drones up to which they are named: more names hide the drawing; and
-distance of a vertex's name from it [points]."""
-
 DASHED = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
+# Colour and line style of every pair that is drawn, the closest first; they differ in grey too
 STYLES = tuple(zip((*COLOURS, "#6a4c93", "0.45"), DASHED, strict=True))
-"""Colour and line style of every pair that is drawn, the closest first; they differ in grey too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +154,8 @@ def plan_card(motion: Motion, certificate: Certificate, title: str) -> str:
     phases = [
         (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in motion.phases
     ]
-    drones = f"{len(motion.team.drone_names)} drones, {motion.duration:.4g} s"
     return (
-        f"<p><b>{escape(title or 'Plan')}</b>: {drones}</p>"
+        f"<p><b>{escape(title or 'Plan')}</b>: {style.facts(motion)}</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
         f"{html_table(heads, phases)}{certificate._repr_html_()}"
     )

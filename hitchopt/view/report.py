@@ -23,31 +23,20 @@ from hitchopt.errors import InputError, Progress
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
+from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, HOOKED, POINTS
 from hitchopt.view.pictures import draw_summary, panels, sampled_states
 from hitchopt.view.scene import Scene, concerned, scene_of
 from hitchopt.view.shapes import mesh, object_faces
-from hitchopt.view.style import (
-    drafted,
-    drone_colours,
-    facts,
-    object_colours,
-    save_figure,
-    verdict,
-)
 
+# Endings of files that a plan can be written to
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
-"""Endings of files that a plan can be written to."""
-
 PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
+# What a report states, besides hitchopt's version: of packages versions, of files digests
 DIGESTED = ("plan.npz", "setpoints.csv")
-"""What a report states, besides hitchopt's version: of packages versions, of files digests."""
-
+# Parts of the page's script
 SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
-"""Parts of the page's script."""
-
-HEADROOM, LEVELS = 1.2, 65535
-"""Height of a plot over its largest value; largest 16-bit number."""
+HEADROOM, LEVELS = 1.2, 65535  # Height of a plot over its largest value; largest 16-bit number
 
 
 def save_view(
@@ -74,11 +63,11 @@ def save_view(
     if kind not in (*PICTURES, PAGE):
         bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
         raise InputError("--save", str(path), bound, "such as plan.html")
-    with drafted(path) as draft:
+    with style.drafted(path) as draft:
         if kind == PAGE:
             write_report(draft, motion, certificate, title, problem, path.parent)
         else:
-            save_figure(draw_summary(motion, certificate, title), draft)
+            style.save_figure(draw_summary(motion, certificate, title), draft)
 
 
 def write_report(
@@ -107,8 +96,8 @@ def write_report(
         check["concerned"] = concerned(motion, check["where"])._asdict()
     data = {
         "title": name,
-        "facts": facts(motion),
-        "verdict": verdict(certificate),
+        "facts": style.facts(motion),
+        "verdict": style.verdict(certificate),
         "certified": certificate.certified,
         "arrays": entries,
         "plots": list(_plots(motion, certificate)),
@@ -161,7 +150,7 @@ def _described(scene: Scene) -> dict[str, Any]:
     requirements, layout = motion.requirements, scene.motion.team.layout
     arena, separation = requirements.arena, requirements.separation
     bodies = [mesh(object_faces(body)) for body in requirements.objects.values()]
-    solids = zip(object_colours(motion), bodies, strict=True)
+    solids = zip(style.object_colours(motion), bodies, strict=True)
     clasps = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
     return {
         "t": np.round(scene.t, 6).tolist(),
@@ -175,7 +164,7 @@ def _described(scene: Scene) -> dict[str, Any]:
             for phase in motion.phases
         ],
         "names": list(team.drone_names),
-        "colours": list(drone_colours(team)),
+        "colours": list(style.drone_colours(team)),
         "cables": team.robots,
         "points": POINTS,
         "radius": scene.radius,

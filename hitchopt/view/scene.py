@@ -23,15 +23,12 @@ from hitchopt.storage.archive import BROKEN, PLAN, RECORDING, read_arrays
 from hitchopt.values import Array
 from hitchopt.view.cables import POINTS, THICKNESS, cable_curves
 
+# Largest number of coordinates of drones and cables in a scene; least number of times, besides
+# the ends of its phases, whatever that comes to; and most times a second [Hz]
 SAMPLES, FEWEST, RATE = 1_000_000, 48, 30.0
-"""Largest number of coordinates of drones and cables in a scene; least number of times, besides the
-ends of its phases, whatever that comes to; and most times a second [Hz]."""
-
-PER_DRONE = 11
-"""Numbers that a scene has of a drone at a time."""
-
+PER_DRONE = 11  # Numbers that a scene has of a drone at a time
+# Beginnings of names in ``where`` of a check that concern a cable
 OF_CABLES = ("cable ", "edge ", "c", "q-leg ", "r-leg ")
-"""Beginnings of names in ``where`` of a check that concern a cable."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,17 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.geometry.vectors import unit
+from hitchopt.motion.motion import Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.values import Array
+from hitchopt.view.style import FRAME, OPEN, drone_colours
 
-SPAN = 0.8
-"""Reach of a drone's rotors as a share of its ellipsoid's radius."""
-
-SEGMENTS, ROUND = 16, 32
-"""Corners of a rotor, an even number, and of a drawn circle."""
-
-PLATE = 0.012
-"""Thickness of a drawn rim [m], below its height."""
+SPAN = 0.8  # Reach of a drone's rotors as a share of its ellipsoid's radius
+SEGMENTS, ROUND = 16, 32  # Corners of a rotor, an even number, and of a drawn circle
+PLATE = 0.012  # Thickness of a drawn rim [m], below its height
 
 
 def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, Array]:
@@ -42,6 +39,20 @@ def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, 
     rim = np.stack([ring, ring[after], 1.18 * ring[after], 1.18 * ring], axis=1)
     rotors, rims = (np.concatenate([part + at for at in centres]) for part in (disc, rim))
     return np.concatenate(boxes), rotors, rims
+
+
+def drone_parts(
+    motion: Motion, size: float = 1.0, segments: int = SEGMENTS
+) -> dict[str, tuple[Array, list[str]]]:
+    """Return faces and a colour for every drone of drones drawn ``size`` times as large.
+
+    Rotors of drones q are filled, and those of drones r are open.
+    """
+    names, own = motion.team.drone_names, drone_colours(motion.team)
+    fills = [OPEN if name[0] == "r" else colour for name, colour in zip(names, own, strict=True)]
+    colours = [FRAME] * len(own), fills, list(own)
+    faces = drone_faces(size * motion.requirements.separation.radius, segments)
+    return dict(zip(("frame", "rotors", "rims"), zip(faces, colours, strict=True), strict=True))
 
 
 def object_faces(body: SolidObject) -> Array:

@@ -26,25 +26,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
+# Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70
+# per cent); the last one, of 45 per cent, stands only between the first and the third
 COLOURS = ("#0b3c5d", "#2a8c82", "#e0a526", "#c8414f")
-"""Colours of cables and drones. The first three differ in grey as well (luminance 20, 45 and 70 per
-cent); the last one, of 45 per cent, stands only between the first and the third."""
-
+# Colours of objects that never move, and of those that can be carried
 TABLE_COLOUR, OBJECT_COLOUR = "#d3d8dd", "#e8d3a8"
-"""Colours of objects that never move, and of those that can be carried."""
-
-MARK_COLOUR = (232, 89, 12)
-"""Colour of what a check concerns, as red, green and blue."""
-
+# Colours of drones' frames, and of hollow rotors and of cables' edges
+FRAME, OPEN = "#2b2f33", "#ffffff"
+MARK_COLOUR = (232, 89, 12)  # Colour of what a check concerns, as red, green and blue
+# Colours of curves and of limits, which are dashed and differ from curves in grey as well
 INK, LIMIT_COLOUR, DASHES = "0.1", "#b3261e", (0, (6, 2))
-"""Colours of curves and of limits, which are dashed and differ from curves in grey as well."""
-
+# Kinds of drawings, and what would make their bytes depend on more than their content
 UNDATED: dict[str, dict[str, str | None]] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-"""Kinds of drawings, and what would make their bytes depend on more than their content."""
-
+# Resolution of every picture [dots per inch], and level of zlib: files are 5 to 12 % larger than
+# with 6, in half to two thirds of the time
 RESOLUTION, COMPRESSION = 120, 1
-"""Resolution of every picture [dots per inch], and level of zlib: files are 5 to 12 % larger than
-with 6, in half to two thirds of the time."""
 
 
 def cable_colours(n: int) -> tuple[str, ...]:

@@ -16,27 +16,21 @@ from plans import GOOD, ROOT
 
 FILE = Path(__file__).with_name("baseline.json")
 
-SLOW = ("circle_64", "circle_200")
-"""Problems that take longer to plan than a test should."""
-
+SLOW = ("circle_64", "circle_200")  # Problems that take longer to plan than a test should
 SWARMS = [
     path for path in sorted((ROOT / "problems" / "swarms").glob("*.yaml")) if path.stem not in SLOW
 ]
 
+# Largest difference of a figure, relative to it, and in its unit; the larger counts. Bounds come
+# that close to what is attained, and where a search stops depends on rounding and on its formula
 RELATIVE, ABSOLUTE = 1e-4, 2e-7
-"""Largest difference of a figure, relative to it, and in its unit; the larger counts. Bounds come
-that close to what is attained, and where a search stops depends on rounding and on its formula."""
-
-DURATION = 1e-6
-"""The same of durations, relative."""
-
+DURATION = 1e-6  # The same of durations, relative
+# Largest difference of ``stoppable``, relative: whether a duration that is tried keeps a limit
+# may depend on rounding, and with it which of two neighbouring ones, a quarter apart, is found
 SEARCHED = 0.25
-"""Largest difference of ``stoppable``, relative: whether a duration that is tried keeps a limit may
-depend on rounding, and with it which of two neighbouring ones, a quarter apart, is found."""
-
+# [m] Largest difference of ``continuity``, which is rounding alone and differs between
+# processors: a thousandth of its limit
 ROUNDING = 1e-9
-"""[m] Largest difference of ``continuity``, which is rounding alone and differs between processors:
-a thousandth of its limit."""
 
 
 def figures_of(certificate: Any) -> dict[str, Any]:

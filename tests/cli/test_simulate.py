@@ -47,7 +47,7 @@ def read(path: Path) -> Any:
 def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None:
     result = run("simulate", solved, code=0)
     for words in (
-        "hitched: every vertex is linked and held",
+        "every vertex holds; results are in",
         "the fast preset is 1 to 2 cm off; take the accurate one",
         r"p0 +-?1 +0\.\d+ +0\.15 .*yes +yes",
         r"position loops \[N/m\] +4.75\n",
@@ -85,12 +85,12 @@ def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
     [
         pytest.param(
             *("judgement.HELD", 1e-4),  # every vertex moves more
-            *("failed: t = .*under the pull test", "NOT hitched"),
+            *("failed: t = .*under the pull test", "not hitched"),
             marks=pytest.mark.slow,
         ),
         (
             *("world.MOST_STRAIN", -1.0),  # every strain exceeds it
-            *("not simulated: t = -2.50 s, simulation: strain of", "nothing is known of the hitch"),
+            *("not simulated: t = -2.50 s, simulation: strain of", "not simulated to its end"),
         ),
     ],
 )
@@ -112,17 +112,14 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --preset fine", "'fine' is not one of 'fast', 'accurate'"),
         ("simulate --preste fast", "No such option"),
         ("simulate --noise -1", "noise = -1.0: must be at least 0"),
-        ("simulate --stiffness 0", "stiffness = 0.0: must be"),
         ("simulate --stiffness 60", "oscillates more and more; lower it"),
         ("simulate --density 0.0001", "time_step = 0.001: must be at most"),
         ("simulate --runs 0", "runs = 0: must be a whole number, at least 1"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
-        ("simulate --seed -3", "seed = -3: must be a whole number"),
         ("statics --at -1", "t = "),
         ("statics --samples 0", "--samples = 0: must be from 1 to 1000"),
         ("statics --cable-error 1cm", "--cable-error = '1cm': must be a number, or sd:number"),
         ("statics --cable-length 2.4,x", "--cable-length = '2.4,x'"),
-        ("statics --cable-length 2.4,2.4", "cable_length = "),
         ("statics --stiffness -1", "stiffness = -1.0"),
     ],
 )
@@ -145,11 +142,8 @@ REAL = "--cable-length 2.39,2.41,2.4 --density 0.004 --load 0.002 --stiffness 8"
         ("--at 0.5 --friction 0.05", {"friction": 0.05}),
         (
             f"--at 0.5 {REAL} --axial-stiffness 500",
-            {
-                "cable_length": [2.39, 2.41, 2.4],
-                **{"cable_density": 0.004, "load": 0.002, "stiffness": 8.0},
-                "axial_stiffness": 500.0,
-            },
+            {"cable_length": [2.39, 2.41, 2.4], "axial_stiffness": 500.0}
+            | {"cable_density": 0.004, "load": 0.002, "stiffness": 8.0},
         ),
         pytest.param(
             "--at 0.5 --cable-error 0.01 --force-error sd:0.02",

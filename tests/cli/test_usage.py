@@ -1,38 +1,39 @@
-"""Everything that ends before a plan is made, and how errors and signals end a command."""
+"""What people and scripts see: usage, errors, signals, JSON, examples, tables and progress."""
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import click
 import pydantic
 import pytest
 from click.testing import CliRunner
-from commands import TRIANGLE, refused, run, started
-from plans import BAD
+from commands import TRIANGLE, refused, run, started, strict
+from plans import BAD, ROOT
 from pydantic_core import core_schema
 
-from hitchopt.checks.certificate import CertificateError
+import hitchopt as ho
+from hitchopt.checks.certificate import GROUPS
+from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
-from hitchopt.errors import (
-    FileError,
-    HitchoptError,
-    InfeasibleError,
-    InputError,
-    UnsupportedError,
-    Violation,
-)
-from hitchopt.mission.loading import load_problem
+from hitchopt.cli.output import ProgressBar, certificate_table, done_of, phase_table
+from hitchopt.cli.planning import MODELINE, SCHEMA, example_files
+from hitchopt.exports.options import HOMES
 from hitchopt.storage import interrupts
 
 pytestmark = pytest.mark.usefixtures("place")
 
+IMPOSSIBLE = ROOT / "problems" / "infeasible" / "edge_longer_than_cable.yaml"
 SOLVE = f"solve {TRIANGLE}"
 FAULTY = next(path for path in BAD if path.stem == "several_faults")
 RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
@@ -44,14 +45,11 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         *((words, "Usage: ") for words in ("fly", "solve", "solve a b", "check", "-x")),
         ("solve a --rate often", "'often' is not a valid float"),
         ("view a --save a.mp4 --ghost b", "--ghost = 'b': must be no ghost"),
-        *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "-1.0", "nan", "inf")),
-        (f"{SOLVE} --rate 1e300", RATE.format("1e+300")),
-        *((f"{SOLVE} --limit {x}", f"error: --limit = {x}: ") for x in ("0.0", "nan", "inf")),
+        *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "nan", "1e+300")),
+        (f"{SOLVE} --limit inf", "error: --limit = inf: "),
         (f"{SOLVE} -o ''", "error: -o = '': must be a path that is not empty; name one"),
         ("solve ''", "error: FILE = '': must be a path that is not empty"),
         ("check ''", "error: DIR = '': must be a path that is not empty"),
-        ("export out --format csv -o ''", "error: -o = '': must be a path that is not empty"),
-        ("simulate out -o ''", "error: -o = '': must be a path that is not empty"),
         (f"{SOLVE} -o /", "error: -o = '/': must be a directory of its own"),
         (
             f"solve {FAULTY}",
@@ -60,7 +58,6 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("solve nowhere.yaml", "error: nowhere.yaml: no such file"),
         ("solve .", "Is a directory"),
         ("check nowhere", "error: nowhere/plan.npz: "),
-        ("check nowhere/plan.npz", "error: nowhere/plan.npz: "),
         ("simulate .", "plan.npz: there is no such file"),
         ("init --example triangl", "hitchopt init --list names them"),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
@@ -135,49 +132,32 @@ from hitchopt.__main__ import run
 run()
 """
 
-AFTER = """
-import os, signal, sys
-from hitchopt.__main__ import run
-sys.argv = ["hitchopt", "-h"]
-try:
-    run()
-finally:
-    os.kill(os.getpid(), signal.SIGINT)
-    print("survived")
-"""
-
-SOLVED = ("solve", str(TRIANGLE), "-o", "out")
 SLOW = [pytest.mark.slow]
 
 
 @pytest.mark.parametrize(
     ("target", "within", "name", "words"),
     [
-        pytest.param("builtins.__import__", "click", "SIGINT", SOLVED, marks=SLOW),
-        pytest.param("builtins.__import__", "numpy", "SIGTERM", SOLVED, marks=SLOW),
-        ("click.Context.__init__", "", "SIGINT", ("init", "x")),
-        ("click.Context.close", "", "SIGTERM", ("init", "-h")),
+        pytest.param("builtins.__import__", "click", "SIGINT", f"{SOLVE} -o out", marks=SLOW),
+        pytest.param("builtins.__import__", "numpy", "SIGTERM", f"{SOLVE} -o out", marks=SLOW),
+        ("click.Context.__init__", "", "SIGINT", "init x"),
+        ("click.Context.close", "", "SIGTERM", "init -h"),
         pytest.param(
-            *("hitchopt.exports.directory.write_setpoints", "", "SIGTERM", SOLVED), marks=SLOW
+            *("hitchopt.exports.directory.write_setpoints", "", "SIGTERM", f"{SOLVE} -o out"),
+            marks=SLOW,
         ),
     ],
 )
 def test_signals_end_quietly_wherever_they_come(
-    target: str, within: str, name: str, words: tuple[str, ...], place: Path
+    target: str, within: str, name: str, words: str, place: Path
 ) -> None:
     needs = "" if within else "import click, hitchopt.exports.directory"
-    told = {"place": target, "within": within, "name": name, "words": words, "needs": needs}
+    told = {"place": target, "within": within, "name": name, "words": words.split(), "needs": needs}
     done = started("-c", DISTURBED.format(**told))
     assert (done.returncode, done.stderr) == ({"SIGINT": 130, "SIGTERM": 143}[name], "")
     assert [path.name for path in place.iterdir()] == ["seen"]
     written = ".hitchopt-" in (place / "seen").read_text()
     assert written is target.endswith("write_setpoints")
-
-
-def test_signals_after_the_command_end_the_process() -> None:
-    done = started("-c", AFTER)
-    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
-    assert "survived" not in done.stdout
 
 
 @pytest.mark.slow
@@ -200,25 +180,18 @@ def test_signals_wait_until_pydantic_has_built_a_model() -> None:
     assert (end.value.code, len(built)) == (130, 1)
 
 
-VIOLATION = Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s", "slow down")
-
-
-def _interrupted_in_compiled_code() -> None:
-    try:
-        signal.raise_signal(signal.SIGINT)
-    except KeyboardInterrupt:
-        raise SystemError("returned a result with an exception set") from None
+VIOLATION = ho.Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s", "slow down")
 
 
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (InputError("a.b", 1, "2", "write 2"), 2, "error: a.b = 1: must be 2; write 2\n"),
-        (FileError("x: no such file"), 2, "error: x: no such file\n"),
-        (InfeasibleError([VIOLATION] * 2), 3, f"error: {VIOLATION}\nerror: {VIOLATION}\n"),
-        (UnsupportedError("not yet"), 3, "error: not yet\n"),
-        (CertificateError("speed: 2"), 3, "error: speed: 2\n"),
-        (HitchoptError(), 3, "error: HitchoptError\n"),
+        (ho.InputError("a.b", 1, "2", "write 2"), 2, "error: a.b = 1: must be 2; write 2\n"),
+        (ho.FileError("x: no such file"), 2, "error: x: no such file\n"),
+        (ho.InfeasibleError([VIOLATION] * 2), 3, f"error: {VIOLATION}\nerror: {VIOLATION}\n"),
+        (ho.UnsupportedError("not yet"), 3, "error: not yet\n"),
+        (ho.CertificateError("speed: 2"), 3, "error: speed: 2\n"),
+        (ho.HitchoptError(), 3, "error: HitchoptError\n"),
         (KeyboardInterrupt(), 130, ""),
         (OSError(28, "No space left on device", "x"), 2, "error: x: No space left on device; che"),
         (ZeroDivisionError(), 1, ""),  # a bug stays a bug
@@ -234,10 +207,12 @@ def test_errors_become_exit_codes(
 
     @group.command()
     def fail() -> None:
-        if error is None:
-            _interrupted_in_compiled_code()
-        else:
+        if error is not None:
             raise error
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise SystemError("returned a result with an exception set") from None
 
     monkeypatch.setattr(interrupts, "_shielded", lambda _: False)
     result = CliRunner().invoke(group, ["fail"])
@@ -252,7 +227,7 @@ def test_errors_become_exit_codes(
 def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> None:
     said = run("init", code=0).stdout
     assert said.splitlines() == ["wrote problem.yaml; try: hitchopt solve problem.yaml"]
-    assert load_problem("problem.yaml").team.robots == 3
+    assert ho.load_problem("problem.yaml").team.robots == 3
     for name, file in (("a", "a.yaml"), ("b.yml", "b.yml"), ("c.d", "c.d.yaml"), ("ü", "ü.yaml")):
         run("init", name, code=0)
         assert (place / file).exists()
@@ -274,3 +249,172 @@ def test_a_reader_that_has_left_changes_nothing(place: Path) -> None:
         )
     assert (done.returncode, done.stderr) == (0, b"")
     assert (place / "x.yaml").exists()
+
+
+@pytest.mark.slow
+def test_results_are_one_object_and_what_may_take_long_reports_progress() -> None:
+    def object_of(words: str) -> Any:
+        done = run(*words.split(), "--json", "-v")
+        assert " s  " in done.stderr, words
+        return json.loads(done.stdout)
+
+    def written(name: str) -> Any:
+        return json.loads(Path(name).read_text())
+
+    solved = object_of(f"solve {TRIANGLE} -o out --rate 100")
+    assert (solved["command"], solved["exit_code"], solved["directory"]) == ("solve", 0, "out")
+    assert solved["certificate"] == written("out/certificate.json")
+    assert [phase["name"] for phase in solved["phases"]] == ["morph", "hold"]
+    assert object_of("check out --closest")["certificate"] == solved["certificate"]
+    assert {row["verdict"] for row in object_of("verify out")["verified"]} == {"proven"}
+    exported = object_of("export out --format csv --rate 5")
+    assert exported["parts"][0]["files"] == ["setpoints_enu.csv"]
+    assert object_of("lint out-csv")["reports"][0]["sound"] is True
+    assert object_of("report out")["file"] == "out/report.html"
+    assert object_of("view out --save plan.png")["file"] == "plan.png"
+    aborts = object_of("abort out --how hold")
+    assert (aborts["how"], aborts["missing"], aborts["directory"]) == ("hold", [], "out")
+    assert len(aborts["entries"]) == len(written("out/aborts.json")["entries"])
+    fitted = object_of("fit circle:0.15 --robots 3 -o fit")
+    assert fitted["fit"] == written("fit/fit.json")
+    assert object_of("statics out --samples 1")["statics"] == written("out/statics.json")
+    flown, saved = object_of("simulate out --seed 3"), written("out/simulation/simulation.json")
+    assert flown["simulation"]["succeeded"] is saved["succeeded"]
+    assert len(object_of("calibrate out/simulation --plan out")["lengths"]) == 3
+
+
+def test_refusals_are_objects_too(place: Path) -> None:
+    told = strict("solve", IMPOSSIBLE, "-o", "out", "--no-repair")
+    assert told["exit_code"] == 3
+    assert told["diagnosis"] == json.loads(Path("out/diagnosis.json").read_text())
+    assert told["errors"][0]["message"] in told["diagnosis"]["message"]
+    assert "previous" not in told
+    told = strict("solve", next(path for path in BAD if path.stem == "several_faults"))
+    assert told["exit_code"] == 2
+    assert told["errors"][1]["key"] == "limits.jerk"
+    assert (told["errors"][1]["line"], told["errors"][1]["column"]) == (8, 23)
+    assert sorted(path.name for path in place.iterdir()) == ["out"]
+
+
+@pytest.mark.slow
+def test_standard_input_is_a_file_and_a_quiet_command_says_nothing_but_errors() -> None:
+    given = TRIANGLE.read_text(encoding="utf-8")
+    assert run("solve", "-", "--rate", "5", "-q", given=given, code=0).output == ""
+    assert run("check", "stdin", "-q", code=0).output == ""
+    assert run("check", "nowhere", "-q").stderr.startswith("error: nowhere/plan.npz: ")
+    faulty = run("solve", "-", given="team: {robots: 3,\n  cable_length: -2}\n", code=2)
+    assert "error: <stdin>:2:3: team.cable_length = -2: must be" in faulty.stderr
+    assert run("solve", "-", given="").stderr.startswith("error: <stdin>: is empty")
+
+
+def test_every_example_is_listed_and_written() -> None:
+    listed = strict("init", "--list")["examples"]
+    assert [entry["name"] for entry in listed] == [path.stem for path in example_files()]
+    assert len({entry["name"] for entry in listed}) == len(listed) > 30
+    for path, entry in zip(example_files(), listed, strict=True):
+        first = path.read_text(encoding="utf-8").splitlines()[0]
+        assert first.startswith(MODELINE)
+        assert (path.parent / first.removeprefix(MODELINE)).resolve() == SCHEMA
+        run("init", "--example", path.stem, code=0)
+        written = Path(f"{path.stem}.yaml")
+        assert written.read_text(encoding="utf-8").splitlines()[0] == f"{MODELINE}{SCHEMA}"
+        assert ho.read_problem(written).title == entry["title"]
+    run("init", "mine", "--example", "triangle", code=0)
+    assert ho.read_problem("mine.yaml").title == ho.read_problem(TRIANGLE).title
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("hitchopt export out --format ", list(HOMES)),
+        ("hitchopt export out --format sky", ["skybrush", "skybrush_csv"]),
+        ("hitchopt init --example tie_", ["tie_carry_untie"]),
+        ("hitchopt sim", ["simulate"]),
+    ],
+)
+def test_names_complete_in_the_shell(words: str, expected: list[str]) -> None:
+    count = str(len(words.split(" ")) - 1)
+    asked = {"_HITCHOPT_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": count}
+    done = started("-c", "from hitchopt.__main__ import run; run()", **asked)
+    assert [line.split(",")[1] for line in done.stdout.splitlines()] == expected, done.stderr
+
+
+CERTIFICATE = ho.Certificate(
+    12.5,
+    (
+        ho.Check.of("speed", 0.95, 1.0, "max", "m/s", 1.0, ("q0",)),
+        ho.Check.of("thrust", 1.3, 2.6, "max", "N", 1.0, ("q0",)),
+        ho.Check.of("separation", 1.0625, 1.0, "min", "ratio", 3.25, ("q11", "r3")),
+        ho.Check.of("cable_clearance", 0.0875, 0.1, "min", "m", 4.5, ("q11", "cable 10")),
+        ho.Check.of("crossing", float("inf"), 0.05, "min", "m", 0.0, ()),
+        ho.Check.of("tracking_radius", 0.0125, None, "min", "m", 3.5, ("q0", "r1"), gamma=1.5),
+        ho.Check.of("span", 0.9, 1.0, "max", "ratio", 1.5, tuple(f"cable {k}" for k in range(99))),
+        ho.Check.of("interlacing", 0, 0, "max", "1", 1.5, ()),
+        ho.Check.of("wobble", 1.0, 9.0, "max", "1", 1.5, ()),
+    ),
+)
+
+
+def cells(text: str) -> list[str]:
+    return ["|".join(re.split(r"  +", line.strip())) for line in text.splitlines()]
+
+
+def test_phases_and_checks_are_shown_and_the_closest_three_are_marked() -> None:
+    rows = cells(
+        phase_table((ho.Phase("morph", 0, 0.0, 1.25), ho.Phase("hold [b]", 1, 1.25, 12.5)))
+    )
+    assert rows[-2:] == [
+        "morph|0|0.000 s|1.250 s|1.250 s",
+        "hold [b]|1|1.250 s|12.500 s|11.250 s",
+    ]
+    shown = certificate_table(CERTIFICATE)
+    rows = cells(shown)
+    for row in (
+        "check|worst|limit|unit|where|when|holds",
+        "separation|1.0625|≥ 1|ratio|q11, r3|3.250 s|yes|◂",
+        "cable_clearance|0.0875|≥ 0.1|m|q11, cable 10|4.500 s|NO|◂",
+        "crossing|–|≥ 0.05|m|yes",
+        "tracking_radius|0.0125|γ = 1.5|m|q0, r1|3.500 s|yes",
+    ):
+        assert row in rows
+    assert "and 95 more" in shown
+    checks = {check.name for check in CERTIFICATE.checks}
+    named = [row.split("|")[0] for row in rows[4:]]
+    assert " ".join(name for name in named if name.endswith(":") or name in checks) == (
+        "distances: separation cable_clearance crossing tracking_radius motion: speed "
+        "forces: thrust cables: span interlacing other: wobble"
+    )
+    marked = [row.split("|")[0] for row in rows if row.endswith("|◂")]
+    assert marked == ["separation", "cable_clearance", "speed"]  # 6 %, broken, 5 % of the limit
+    # A pipe gets neither colours nor cuts.
+    assert not {"\x1b", "…"} & set(shown)
+    assert all(len(line) <= 100 and line == line.rstrip() for line in shown.splitlines())
+
+
+def test_every_check_has_a_heading() -> None:
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted({*(r.name for r in (*RULES, *REPORTS)), "survivable"})
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr("sys.stderr", stream)
+        with ProgressBar("planning", 600.0) as progress:
+            progress("timing [step 1]")
+        for words in ("timing [step 1]", "of at most 600 s"):
+            assert (words in stream.getvalue()) is stream.isatty()
+    for message, done in (
+        ("speed, 3 of 22", (3.0, 22.0)),
+        ("flying, 1.5 of 12.0 s", (1.5, 12.0)),
+        ("writing setpoints, 40%", (40.0, 100.0)),
+        ("splitting the slack", (None, None)),
+        ("0 of 0 done", (None, None)),
+    ):
+        assert done_of(message) == done
