@@ -331,10 +331,11 @@ def _signals(add: Callable[[str], None]) -> Iterator[None]:
         add("end")
         signal.signal(number, before[number])
 
-    for number, handler in zip(handled, (end, end, signal.SIG_IGN), strict=True):
-        signal.signal(number, handler)
+    for number in handled[:2]:
+        signal.signal(number, end)
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for each, handler in before.items():
+            signal.signal(each, handler)
