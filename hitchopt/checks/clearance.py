@@ -15,8 +15,9 @@ out of one to the nearest point of what moves, are all that ``hitchopt.checks.di
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,31 +29,23 @@ from hitchopt.checks.distances import (
     Flags,
     Ground,
     Moving,
-    Names,
-    Nearest,
     PairSpans,
     Shape,
     cable_ends,
     gap,
+    nearest,
     plan_points,
     smallest,
 )
 from hitchopt.checks.drones import steepness_of
-from hitchopt.checks.objects import heading_error, seen_from
+from hitchopt.checks.objects import placed, seen_from
 from hitchopt.checks.rule import CheckRule, Ease, Finder
-from hitchopt.checks.spans import (
-    ROUNDING,
-    cable_names,
-    cable_parts,
-    magnitude,
-    phase_parts,
-    position_margin,
-)
-from hitchopt.geometry.vectors import unit
+from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, magnitude, phase_parts
+from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
-from hitchopt.objects import Slab, SolidObject
+from hitchopt.objects import Section, Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -64,7 +57,7 @@ HALVINGS = 25
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class Solid(Shape):
     """A slab that points, segments and other upright slabs keep off.
 
     Of another slab, whose ``rounding`` is given, the corners of the core are known, those of its
@@ -86,18 +79,14 @@ class Solid:
         if self.rounding is not None:
             return self._beside(corners, self.rounding)
         first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
-        if corners.shape[-2] == 1:
-            return self.slab.clearance(first).normals
-
-        def out(share: Array) -> Array:
-            return self.slab.clearance(first + share[..., None] * along).normals
-
         lower, upper = np.zeros(first.shape[:-1]), np.ones(first.shape[:-1])
-        for _ in range(HALVINGS):  # the distance to a convex body is convex along a segment
+        # The distance to a convex body is convex along a segment.
+        for _ in range(HALVINGS if corners.shape[-2] > 1 else 0):
             middle = 0.5 * (lower + upper)
-            rising = np.einsum("...d,...d->...", out(middle), along) > 0.0
+            rising = dot(self.slab.clearance(first + middle[..., None] * along).normals, along) > 0
             lower, upper = np.where(rising, lower, middle), np.where(rising, middle, upper)
-        return out(np.where(lower == 0.0, 0.0, upper))
+        share = np.where(lower == 0.0, 0.0, upper)
+        return self.slab.clearance(first + share[..., None] * along).normals
 
     def _beside(self, corners: Array, rounding: float) -> Array:
         """Return the same of upright slabs; level ones are those in which a side is nearest."""
@@ -120,77 +109,88 @@ def from_above(slab: Slab) -> Solid:
     return Solid(Slab(slab.section, -TALL, TALL))
 
 
+def past(
+    motion: Motion,
+    points: Enclosed,
+    names: Sequence[str],
+    label: str,
+    shape: Shape,
+    pose: Enclosed | None = None,
+    **further: Any,
+) -> Moving:
+    """Return what moves past a shape that has a name; ``further`` as in Moving.
+
+    The shape is that of an object as seen from its pose, if there is one.
+    """
+    seen = points if pose is None else seen_from(pose, points)
+    slabs = [slab for body in motion.requirements.objects.values() for slab in body.slabs]
+    slabs += [prism.slab for prism in motion.requirements.keep_out]
+    margin = ROUNDING * (magnitude(motion) + sum(slab.size for slab in slabs))
+    nowhere = np.zeros((len(seen.c), 1, 1, 3, 1))
+    own = {"shape": shape, "margin": margin + float(np.max(seen.r))}
+    return Moving.of(motion, seen.c, nowhere, (names, (label,)), **(own | further))
+
+
+def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
+    """Yield the names of objects, these, and their poses (pieces,)."""
+    poses = motion.object_poses.coefficients
+    for index, (name, each) in enumerate(motion.requirements.objects.items()):
+        yield name, each, Enclosed(poses[:, index])
+
+
 def carried(motion: Motion) -> Iterator[Moving]:
-    """Yield objects that move past the ground, and past all others.
-
-    While one goes straight up from something on which it stands before or after that, or down onto
-    it, and stays above it, they may touch; likewise what is below it where the motion begins so.
-    """
-    if motion.poses is None:
-        return
-    objects, poses = motion.requirements.objects, motion.poses.coefficients
-    moving, floor = np.ptp(poses, axis=-1), motion.requirements.floor  # (pieces, objects, 5)
-    going = np.any(moving > STILL, axis=-1)
-    upright = np.max(moving[..., [0, 1, 3, 4]], axis=-1) <= TOUCH
-    for index, (name, each) in enumerate(objects.items()):
-        if not np.any(going[:, index]):
-            continue
-        bottom = poses[:, index, 2] + each.lower
-        below = surface_below(objects, poses[0, :, :, 0], name, floor)[1] or GROUND
-        error = float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
-        for other, label in enumerate([*objects, GROUND]):
-            if other == index:
+    """Yield objects that move past the ground, and past all others that they do not stand on."""
+    others = [*_placed(motion), (GROUND, None, None)]
+    for index, (name, body, pose) in enumerate(_placed(motion)):
+        going = np.any(np.ptp(pose.c, axis=-1) > STILL, axis=-1)
+        for i, (label, other, there) in enumerate(others if np.any(going) else ()):
+            if i == index:
                 continue
-            bodies = () if label == GROUND else objects[label].slabs
-            high = poses[:, other, 2] + objects[label].upper if bodies else floor
-            gap = bottom - high
-            stands = np.any(np.abs(gap[:, [0, -1]]) <= TOUCH, axis=1)
-            for piece in np.flatnonzero(stands) if bodies else ():
-                here, there = poses[piece, [index, other], :, 0]
-                met = (
-                    sections_apart(a.section, here, b.section, there) < 0.0
-                    for a in each.slabs
-                    for b in bodies
-                    if a.lower == each.lower and b.upper == objects[label].upper
-                )
-                stands[piece] = any(met)
-            touching = _leaving(upright[:, index], stands, label == below)
-            touching &= np.min(gap, axis=1) >= -TOUCH
-            counted = (going[:, index] & ~touching)[:, None]
-            for slab in each.slabs:
-                seen = Enclosed(placed_core(poses[:, index], slab)[:, None])
-                shapes: list[Shape] = [Ground(floor)]
-                if bodies:
-                    seen = seen_from(Enclosed(poses[:, other]), seen)
-                    shapes = [Solid(body, slab.section.rounding) for body in bodies]
-                size = magnitude(motion) + slab.size + sum(body.size for body in bodies)
-                margin = ROUNDING * size + error * slab.section.circumradius
-                names = ((name,), (label,))
+            counted = (going & ~_touching(motion, index, i))[:, None]
+            for slab in body.slabs:
+                seen = placed(pose, corners_of(slab))
+                seen = Enclosed(seen.c[:, None], np.asarray(seen.r)[:, None])
+                rounding = slab.section.rounding
+                shapes: list[Shape] = [Ground(motion.requirements.floor)]
+                if other is not None:
+                    shapes = [Solid(each, rounding) for each in other.slabs]
                 for shape in shapes:
-                    yield _seen(motion, seen, shape, names, margin, counted=counted)
+                    yield past(motion, seen, (name,), label, shape, there, counted=counted)
 
 
-def _leaving(upright: Flags, stands: Flags, lifted: bool) -> Flags:
-    """Return (pieces,) in which an object rises from something, or goes down onto it.
+def corners_of(slab: Slab) -> Array:
+    """Return the corners of a slab's core (2 m, 3) [m], floor and ceiling."""
+    core = slab.section.core
+    ends = [np.full((len(core), 1), height) for height in (slab.lower, slab.upper)]
+    return np.concatenate([np.concatenate([core, height], axis=1) for height in ends])
 
-    It moves straight up or down in a run of pieces one of which begins or ends with it standing
-    there; or in the first run, if it has been lifted from there.
+
+def _touching(motion: Motion, index: int, other: int) -> Flags:
+    """Return (pieces,) in which an object rises from another one, or goes down onto it.
+
+    It moves straight up or down, and stays above, in a run of pieces one of which begins or ends
+    with it standing there; or in the first run, if that is below it as the motion begins. Beyond
+    the last one is the ground.
     """
+    objects, poses = motion.requirements.objects, motion.object_poses.coefficients
+    floor, names = motion.requirements.floor, [*objects, GROUND]
+    body, below = objects[names[index]], objects.get(names[other])
+    upright = np.max(np.ptp(poses[:, index], axis=-1)[:, [0, 1, 3, 4]], axis=-1) <= TOUCH
+    base = [slab.section for slab in body.slabs if slab.lower == body.lower]
+    gap, top = poses[:, index, 2] + body.lower - floor, list[Section]()
+    if below is not None:
+        gap = gap + floor - below.upper - poses[:, other, 2]
+        top = [slab.section for slab in below.slabs if slab.upper == below.upper]
+    stands = np.any(np.abs(gap[:, [0, -1]]) <= TOUCH, axis=1)
+    for piece in np.flatnonzero(stands) if top else ():
+        here, there = poses[piece, [index, other], :, 0]
+        apart = [sections_apart(a, here, b, there) for a, b in product(base, top)]
+        stands[piece] = min(apart) < 0.0
+    first = surface_below(objects, poses[0, :, :, 0], names[index], floor)[1] or GROUND
     runs = np.cumsum(~upright)
-    from_there = np.isin(runs, runs[stands & upright]) | ((runs == 0) & lifted)
-    return np.asarray(upright & from_there)
-
-
-def placed_core(poses: Array, slab: Slab) -> Array:
-    """Return the corners of a slab's core (pieces, 2 m, 3, degree + 1) [m], floor and ceiling.
-
-    Given poses of its object (pieces, 5, degree + 1).
-    """
-    core = slab.section.core[:, :, None]
-    x, y, z, c, s = (row[:, None] for row in np.moveaxis(poses, 1, 0))
-    across, along = core[:, 0] * c - core[:, 1] * s + x, core[:, 0] * s + core[:, 1] * c + y
-    heights = [z + height + 0.0 * across for height in (slab.lower, slab.upper)]
-    return np.concatenate([np.stack([across, along, up], axis=2) for up in heights], axis=1)
+    there = np.isin(runs, runs[stands & upright]) | ((runs == 0) & (first == names[other]))
+    touching: Flags = upright & there & (np.min(gap, axis=1) >= -TOUCH)
+    return touching
 
 
 TOLERANCE = 1e-3
@@ -257,9 +257,8 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
     counts = np.maximum(1, np.ceil(reach / FARTHEST)).astype(np.intp)
     if np.all(counts == 1):
         return drones
-    piece = np.repeat(np.arange(drones.pieces), counts)
-    first = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
-    starts = drones.breaks[piece] + first / counts[piece] * drones.durations[piece]
+    runs = zip(drones.breaks[:-1], drones.breaks[1:], counts, strict=True)
+    starts = np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in runs])
     return on_breaks(drones, np.append(starts, drones.breaks[-1]))
 
 
@@ -283,18 +282,14 @@ def cables_and_ground(motion: Motion) -> Moving:
 
 def _hung(motion: Motion, second: Array, names: Sequence[str], **further: Any) -> Moving:
     """Return hanging cables and what they keep off; ``further`` as in Moving."""
-    return Moving(
-        (drones := cut(motion.drones)).breaks,
-        cable_ends(drones.coefficients),
-        second,
-        position_margin(motion),
-        lengths=motion.team.cable_length,
-        names=(cable_names(motion), names),
-        swapped=True,
-        formula=hung_gap,
-        tolerance=TOLERANCE,
-        **further,
-    )
+    ends, both = cable_ends(cut(motion.drones).coefficients), (cable_names(motion), names)
+    return Moving.of(motion, ends, second, both, formula=hung_gap, **_hanging(motion), **further)
+
+
+def _hanging(motion: Motion) -> dict[str, Any]:
+    """Return what all hanging cables have in common."""
+    breaks, lengths = cut(motion.drones).breaks, motion.team.cable_length
+    return {"breaks": breaks, "lengths": lengths, "tolerance": TOLERANCE}
 
 
 def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
@@ -348,6 +343,12 @@ CONTACT = 2e-5
 """[m] Cables that hold an object and are no closer to its body enter it."""
 
 
+def entering(spans: PairSpans) -> Bound:
+    """Return zero where bodies come closer than CONTACT, else infinity."""
+    found = gap(spans)
+    return Bound(np.where(found.value < CONTACT, 0.0, np.inf), found.x)
+
+
 def _past_taut(motion: Motion) -> Iterator[Moving]:
     """Yield drones past all parts of foreign cables, and past their own edge.
 
@@ -367,9 +368,8 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:
     """Yield drones past the chords of cables not their own, as seen from above."""
-    flat = plan_points(motion)
-    names, swapped = (cable_names(motion), motion.team.drone_names), {"swapped": True}
-    yield Moving.of(motion, cable_ends(flat), flat, names, allowed=foreign, **swapped)
+    flat, names = plan_points(motion), (motion.team.drone_names, cable_names(motion))
+    yield Moving.of(motion, flat, cable_ends(flat), names, allowed=lambda i, k: foreign(k, i))
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:
@@ -389,10 +389,10 @@ CABLE_CLEARANCE = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.cable,
     (
-        Finder(Nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(Nearest(_past_chords), frozenset({CableState.GROUND}), exported=True),
+        Finder(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
+        Finder(nearest(_past_chords), frozenset({CableState.GROUND}), exported=True),
         Finder(
-            Nearest(_past_hanging),
+            nearest(_past_hanging),
             FREE_STATES - {CableState.GROUND},
             exported=True,
             shown=(hung_gap,),
@@ -411,34 +411,9 @@ def _drones_past(motion: Motion) -> Iterator[Moving]:
     """Yield drones past prisms and objects, which have names."""
     points, names = Enclosed(motion.drones.coefficients[:, :, None]), motion.team.drone_names
     for prism in motion.requirements.keep_out:
-        yield _past(motion, points, prism.slab, names, "")
+        yield past(motion, points, names, "", Solid(prism.slab))
     for name, each, pose in _placed(motion):
-        seen = seen_from(pose, points)
-        yield from (_past(motion, seen, slab, names, name) for slab in each.slabs)
-
-
-def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
-    """Yield the names of objects, these, and their poses (pieces,)."""
-    poses = motion.object_poses.coefficients
-    for index, (name, each) in enumerate(motion.requirements.objects.items()):
-        yield name, each, Enclosed(poses[:, index])
-
-
-def _past(
-    motion: Motion, seen: Enclosed, slab: Slab, names: Sequence[str], name: str, **further: Any
-) -> Moving:
-    """Return what moves past a slab that has a name; ``further`` as in Moving."""
-    margin = ROUNDING * (magnitude(motion) + slab.size)
-    return _seen(motion, seen, Solid(slab), (names, (name,)), margin, **further)
-
-
-def _seen(
-    motion: Motion, seen: Enclosed, shape: Shape, names: Names, margin: float, **further: Any
-) -> Moving:
-    """Return what moves past a shape, as seen from that."""
-    margin += float(np.max(seen.r))
-    nowhere = np.zeros((len(seen.c), 1, 1, 3, 1))
-    return Moving.of(motion, seen.c, nowhere, names, shape=shape, margin=margin, **further)
+        yield from (past(motion, points, names, name, Solid(slab), pose) for slab in each.slabs)
 
 
 KEEP_OUT = CheckRule(
@@ -450,7 +425,7 @@ KEEP_OUT = CheckRule(
         if motion.requirements.keep_out or motion.requirements.objects
         else None
     ),
-    (Finder(Nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
+    (Finder(nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )
 """Drones stay off prisms and objects, by the radius of their ellipsoids."""
@@ -461,43 +436,42 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
 
     The distance is zero where a cable enters what it holds, or the ground.
     """
-    (corners, part), contact = cable_parts(motion), {"contact": CONTACT}
+    corners, part = cable_parts(motion)
     cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
     # No part is lower than all of its ends, and bends of what is wrapped around an object.
-    holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
-    on = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
-    ground, margin = Ground(motion.requirements.floor - 2.0 * CONTACT), position_margin(motion)
-    yield _seen(motion, points, ground, (names, (GROUND,)), margin, counted=on, **contact)
+    ground = Ground(motion.requirements.floor - 2.0 * CONTACT)
+    yield past(motion, points, names, GROUND, ground, formula=entering)
     for name, each, pose in _placed(motion):
         held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
         touching = np.array([np.isin(cables, each) for each in [*held, ()]])
-        counted, seen = ~touching[motion.phase_of_piece], seen_from(pose, points)
+        counted = ~touching[motion.phase_of_piece]
         if each.stem is not None:  # what is below a flat tray is off it
             gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # else edges stay out of it
-            entering = (~gripped | (part % 3 != 1)) & ~counted
-            yield _past(motion, seen, each.slabs[0], names, name, counted=entering, **contact)
+            inner = (~gripped | (part % 3 != 1)) & ~counted
+            body = Solid(each.slabs[0])
+            yield past(motion, points, names, name, body, pose, counted=inner, formula=entering)
         for slab in each.slabs:
-            yield _past(motion, seen, slab, names, name, counted=counted)
+            yield past(motion, points, names, name, Solid(slab), pose, counted=counted)
     yield from carried(motion)
 
 
 def _hanging_past(motion: Motion) -> Iterator[Moving]:
-    """Yield cables that hang, or lie on the ground, past objects.
+    """Yield cables that hang, or lie on the ground, past objects, which nothing moves.
 
     From above, a cable is on its chord; a hanging one is above or below an object besides.
     """
     for part in phase_parts(motion):
-        drones, here = cut(part.motion.drones), part.motion
-        ends, names = Enclosed(cable_ends(drones.coefficients)), cable_names(motion)
-        for name, each, pose in _placed(here):  # nothing moves them: check support
-            seen = seen_from(Enclosed(pose.c[:1, :, :1]), ends)
+        lies, names = part.phase.state is CableState.GROUND, cable_names(motion)
+        ends, given = (
+            Enclosed(cable_ends(cut(part.motion.drones).coefficients)),
+            _hanging(part.motion),
+        )
+        for name, each, pose in _placed(part.motion):
+            still = Enclosed(pose.c[:1, :, :1])
             for slab in each.slabs:
-                lies = part.phase.state is CableState.GROUND
-                formula = gap if lies else partial(over, top=slab.upper)
-                past = _past(here, seen, slab, names, name, formula=formula, tolerance=TOLERANCE)
-                flat, lengths = from_above(slab), motion.team.cable_length
-                yield replace(past, breaks=drones.breaks, shape=flat, lengths=lengths)
+                given["formula"] = gap if lies else partial(over, top=slab.upper)
+                yield past(part.motion, ends, names, name, from_above(slab), still, **given)
 
 
 def over(spans: PairSpans, top: float) -> Bound:
@@ -513,8 +487,8 @@ OBJECT_CLEARANCE = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.object if motion.requirements.objects else None,
     (
-        Finder(Nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(Nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
+        Finder(nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
+        Finder(nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",
