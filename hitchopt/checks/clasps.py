@@ -16,7 +16,7 @@ import numpy as np
 
 from hitchopt.checks.cables import beyond_friction, slips
 from hitchopt.checks.certificate import within
-from hitchopt.checks.objects import lacking, unbalanced
+from hitchopt.checks.objects import chosen, lacking, unbalanced
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -172,16 +172,16 @@ class Clasps(MotionSpans):
     @cached_property
     def pressed(self) -> Enclosed:
         """[N] The force of objects on the clasp."""
-        loads = self.read(clasp_sizes(self.source)["loads"])
-        return Enclosed(loads, _load_errors(self.source)[self.piece, self.item])
+        motion, loads = self.source, self.read(clasp_sizes(self.source)["loads"])
+        mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
+        clasps = motion.team.layout.clasps[self.item]
+        error = mass * derivative_margin(motion.vertices, 2)[self.piece, clasps]
+        return Enclosed(loads, np.where(np.any(loads != 0.0, axis=(1, 2)), error, 0.0))
 
     @cached_property
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and what objects add."""
-        found = self.forces.sum()
-        if self.weighed(self.source):
-            found = found - self.carried.sum().upward() + self.pressed
-        return found
+        return self.forces.sum() - self.carried.sum().upward() + self.pressed
 
     @cached_property
     def contact(self) -> Enclosed:
@@ -189,23 +189,8 @@ class Clasps(MotionSpans):
 
         ``W^k`` is the weight on itself and half of the clasp's load.
         """
-        own = _of(self.carried, 0).upward() - _of(self.forces, 0)
+        own = chosen(self.carried, 0).upward() - chosen(self.forces, 0)
         return own - 0.5 * self.pressed
-
-
-def _of(both: Enclosed, cable: int) -> Enclosed:
-    """Return what is of the cable ahead, 0, or of that behind, 1."""
-    r = np.broadcast_to(both.r, both.c.shape[:-2])
-    return Enclosed(both.c[:, cable], r[:, cable])
-
-
-@shared
-def _load_errors(motion: Motion) -> Array:
-    """Return by how much objects' forces on clasps may be off (pieces, clasps) [N]."""
-    mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
-    error = mass * derivative_margin(motion.vertices, 2)[:, motion.team.layout.clasps]
-    loads = object_loads(motion)
-    return error if loads is None else np.where(np.any(loads != 0.0, axis=(2, 3)), error, 0.0)
 
 
 def _over(force: Enclosed, spans: Clasps) -> Bound:
@@ -230,8 +215,8 @@ def _lifted(spans: Clasps) -> Bound:
 
     The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
     """
-    along = [_of(way, cable) * sign for cable, sign in ((0, 1.0), (1, -1.0)) for way in spans.along]
-    return largest_of([_over(spans.contact.dot(each), spans) for each in along])
+    each = [chosen(way, i) * sign for i, sign in ((0, 1.0), (1, -1.0)) for way in spans.along]
+    return largest_of([_over(spans.contact.dot(along), spans) for along in each])
 
 
 def _find(motion: Motion, limit: float) -> Finding:
@@ -261,9 +246,8 @@ def spare_forces(motion: Motion) -> Array:
     spare = LIMIT - _find(motion, LIMIT).worst
     if Clasps.weighed(motion):
         spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
-    weakest = np.min(edge_tensions(motion), axis=-1)[:, both_cables(motion)]
-    least: Array = spare * np.min(weakest, axis=-1)
-    return least
+    weakest: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
+    return spare * weakest
 
 
 FORMULAS = (_balance, Clasps.residual, _lifted, Clasps.contact, slips, lacking)
