@@ -15,7 +15,7 @@ out of one to the nearest point of what moves, are all that ``hitchopt.checks.di
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from typing import Any
@@ -262,34 +262,27 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
     return on_breaks(drones, np.append(starts, drones.breaks[-1]))
 
 
-def foreign(cables: Indices, drones: Indices) -> Flags:
-    """Return which drones do not carry a cable."""
-    apart: Flags = drones // 2 != cables
-    return apart
-
-
 def cables_and_drones(motion: Motion) -> Moving:
     """Return cables as they hang and the drones that do not carry them."""
-    points = cut(motion.drones).coefficients[:, :, None]
-    return _hung(motion, points, motion.team.drone_names, allowed=foreign)
+    drones, names = cut(motion.drones), (cable_names(motion), motion.team.drone_names)
+    return Moving.of(
+        motion,
+        cable_ends(drones.coefficients),
+        drones.coefficients[:, :, None],
+        names,
+        breaks=drones.breaks,
+        allowed=lambda cables, drones: drones // 2 != cables,
+        lengths=motion.team.cable_length,
+        formula=hung_gap,
+        tolerance=TOLERANCE,
+    )
 
 
 def cables_and_ground(motion: Motion) -> Moving:
     """Return cables as they hang above the ground."""
-    nowhere = np.zeros((cut(motion.drones).pieces, 1, 1, 3, 1))
-    return _hung(motion, nowhere, (GROUND,), shape=Ground(motion.requirements.floor))
-
-
-def _hung(motion: Motion, second: Array, names: Sequence[str], **further: Any) -> Moving:
-    """Return hanging cables and what they keep off; ``further`` as in Moving."""
-    ends, both = cable_ends(cut(motion.drones).coefficients), (cable_names(motion), names)
-    return Moving.of(motion, ends, second, both, formula=hung_gap, **_hanging(motion), **further)
-
-
-def _hanging(motion: Motion) -> dict[str, Any]:
-    """Return what all hanging cables have in common."""
-    breaks, lengths = cut(motion.drones).breaks, motion.team.cable_length
-    return {"breaks": breaks, "lengths": lengths, "tolerance": TOLERANCE}
+    cables, ground = cables_and_drones(motion), Ground(motion.requirements.floor)
+    nowhere, names = np.zeros((len(cables.first), 1, 1, 3, 1)), (cables.names[0], (GROUND,))
+    return replace(cables, second=nowhere, names=names, allowed=None, shape=ground)
 
 
 def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
@@ -369,7 +362,7 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 def _past_chords(motion: Motion) -> Iterator[Moving]:
     """Yield drones past the chords of cables not their own, as seen from above."""
     flat, names = plan_points(motion), (motion.team.drone_names, cable_names(motion))
-    yield Moving.of(motion, flat, cable_ends(flat), names, allowed=lambda i, k: foreign(k, i))
+    yield Moving.of(motion, flat, cable_ends(flat), names, allowed=lambda i, k: i // 2 != k)
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:
@@ -462,16 +455,15 @@ def _hanging_past(motion: Motion) -> Iterator[Moving]:
     From above, a cable is on its chord; a hanging one is above or below an object besides.
     """
     for part in phase_parts(motion):
-        lies, names = part.phase.state is CableState.GROUND, cable_names(motion)
-        ends, given = (
-            Enclosed(cable_ends(cut(part.motion.drones).coefficients)),
-            _hanging(part.motion),
-        )
+        hung, lies = cables_and_drones(part.motion), part.phase.state is CableState.GROUND
+        given = {"breaks": hung.breaks, "lengths": hung.lengths, "tolerance": TOLERANCE}
         for name, each, pose in _placed(part.motion):
-            still = Enclosed(pose.c[:1, :, :1])
+            still, ends = Enclosed(pose.c[:1, :, :1]), Enclosed(hung.first)
             for slab in each.slabs:
-                given["formula"] = gap if lies else partial(over, top=slab.upper)
-                yield past(part.motion, ends, names, name, from_above(slab), still, **given)
+                aside, formula = from_above(slab), gap if lies else partial(over, top=slab.upper)
+                yield past(
+                    part.motion, ends, hung.names[0], name, aside, still, formula=formula, **given
+                )
 
 
 def over(spans: PairSpans, top: float) -> Bound:

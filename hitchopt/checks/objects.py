@@ -34,7 +34,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import centre_path, held_pieces, lowered, rim_drop, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, HoldBy, Motion
-from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.objects import Section, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, in_frame, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
@@ -51,9 +51,6 @@ CONTACT = 2e-5
 
 NO_ARC = 1e-9
 """[m] Chords that are shorter by far than a circle's radius: such arcs are their chords."""
-
-MIRROR = np.array([[1.0], [-1.0]])
-"""Makes of a heading, cosine and sine, that of the opposite turn."""
 
 SIGNS = np.array([[1.0], [-1.0]])
 """An edge runs towards what it holds before it, and away behind it."""
@@ -87,7 +84,7 @@ def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
 def placed(pose: Enclosed, points: Array) -> Enclosed:
     """Return points (m, 3) [m] in the frames of objects (…) as seen from the world (…, m)."""
     pose = for_each(pose)
-    level = turned_back(Enclosed.of(points[:, :2]), Enclosed(pose.c[..., 3:, :] * MIRROR))
+    level = turned_back(Enclosed.of(points[:, :2]), Enclosed(pose.c[..., 3:, :] * SIGNS))
     return vector(level, Enclosed.of(points[:, 2:])) + Enclosed(pose.c[..., :3, :], pose.r)
 
 
@@ -276,32 +273,29 @@ def _slipping(motion: Motion, limit: float) -> Finding:
 
     It is minus infinity where an edge bends with nothing gripped, or is off the section of what is.
     """
-    best, gripped = Finding(math.inf, 0.0), gripping(motion)
     lost = np.any(~_straight(Enclosed(bends(motion))), axis=1)
-    for index, name, on in gripped:
-        parts = Gripped.of_object(motion, index, on)
-        found = worst(parts, slip_ratio, "min", target=within(limit, "min"))
-        if found.worst < best.worst:
-            best = Finding(found.worst, found.time, (name,))
-        lost &= ~on
+    found = [Finding(math.inf, 0.0)]
+    for index, name, on in gripping(motion):
+        parts, lost = Gripped.of_object(motion, index, on), lost & ~on
+        least = worst(parts, slip_ratio, "min", target=within(limit, "min"))
+        found.append(Finding(least.worst, least.time, (name,)))
     if np.any(lost):
-        return Finding(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))]))
-    return best
+        found.append(Finding(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
+    return min(found, key=lambda each: each.worst)
 
-
-def _limit(motion: Motion) -> float | None:
-    by_grip = any(phase.hold and phase.hold.by is HoldBy.GRIP for phase in motion.phases)
-    return LIMIT if by_grip or motion.contacts is not None else None
-
-
-SHOWN = (slip_ratio, Gripped.slip_load, Gripped.load)
 
 GRIP = CheckRule(
     "grip",
     "1",
     "min",
-    _limit,
-    (Finder(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
+    lambda motion: LIMIT if gripping(motion) or motion.contacts is not None else None,
+    (
+        Finder(
+            _slipping,
+            HITCHED_STATE | FREE_STATES,
+            shown=(slip_ratio, Gripped.slip_load, Gripped.load),
+        ),
+    ),
     "lower the object's mass, raise the tension, or use rougher cables",
 )
 
@@ -351,12 +345,11 @@ def _misplaced(spans: Gripped) -> Mask:
 
 def unbalanced(motion: Motion) -> Finding:
     """Return the largest force, or moment over its size, that an object lacks, over the tension."""
-    most = Finding(0.0, 0.0)
+    found = [Finding(0.0, 0.0)]
     for index, name, on in gripping(motion):
-        found = worst(Gripped.of_object(motion, index, on), lacking, "max")
-        if found.worst > most.worst:
-            most = Finding(found.worst, found.time, (name,))
-    return most
+        most = worst(Gripped.of_object(motion, index, on), lacking, "max")
+        found.append(Finding(most.worst, most.time, (name,)))
+    return max(found, key=lambda each: each.worst)
 
 
 def lacking(spans: Gripped) -> Bound:
@@ -435,12 +428,6 @@ SETTLED = 1e-4
 class Resting(Held):
     """Spans of an object with a rim that rests on all clasps."""
 
-    @property
-    def rim(self) -> Rim:
-        """The rim."""
-        assert self.body.rim is not None
-        return self.body.rim
-
     @cached_property
     def clasps(self) -> Enclosed:
         """Clasps (spans, n) [m] as seen from the object."""
@@ -457,14 +444,15 @@ class Resting(Held):
 
 def force_line(spans: Resting) -> Bound:
     """Return how far from the edges of the clasps' polygon the force line meets its plane [m]."""
-    places, body, rim = spans.places, spans.body, spans.rim
+    places, body = spans.places, spans.body
+    assert body.rim is not None
     centre = body.centre_of_mass
     edges = unit(np.roll(places, -1, axis=1) - places)
     inward = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)  # of clockwise edges
     apart = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
     level = for_each(turned_back(spans.pushed.level, heading))
-    lean = level.dot(inward) * (centre[2] - rim.height)
+    lean = level.dot(inward) * (centre[2] - body.rim.height)
     pressing = for_each(spans.pushed[2] + GRAVITY).range
     margin = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
     least = np.where(pressing.low > 0.0, apart - (lean.range * pressing.inverse).high, -np.inf)
@@ -478,7 +466,8 @@ def _force_lines(motion: Motion, _: float) -> Finding:
     It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
     and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
     """
-    best, begins = Finding(math.inf, 0.0, size=magnitude(motion)), motion.drones.breaks
+    size, begins = magnitude(motion), motion.drones.breaks
+    each = [Finding(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         share = motion.object_shares.coefficients[:, index]
         moving = np.any(np.ptp(motion.object_poses.coefficients[:, index], axis=-1) > STILL, -1)
@@ -490,19 +479,14 @@ def _force_lines(motion: Motion, _: float) -> Finding:
         lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
         if body.rim is None or not motion.team.layout.closed:
             lost |= resting
-        else:
-            for spans in Resting.of_object(motion, index, resting):
-                lost[spans.piece] |= _apart(spans)
-            for spans in Resting.of_object(motion, index, resting & carried):
-                lost[spans.piece] |= _out_of_place(spans)
+        for spans in Resting.of_object(motion, index, resting & ~lost):
+            lost[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
+        parts = Resting.of_object(motion, index, resting & carried & whole & ~lost)
+        least = worst(parts, force_line, "min")
+        each.append(Finding(least.worst, least.time, (name,), size))
         if np.any(lost):
-            found = Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,))
-        else:
-            parts = Resting.of_object(motion, index, resting & carried & whole)
-            least = worst(parts, force_line, "min")
-            found = Finding(least.worst, least.time, (name,), magnitude(motion))
-        best = min(best, found, key=lambda each: each.worst)
-    return best
+            each.append(Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,)))
+    return min(each, key=lambda found: found.worst)
 
 
 def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
@@ -520,19 +504,17 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
     return still & ~stands[which.ravel()]
 
 
-def _apart(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins."""
-    above = Enclosed(spans.clasps.c)[2].above.value > spans.rim.height + SETTLED
-    edges = np.roll(spans.places, -1, axis=1) - spans.places
-    to = spans.body.section.centroid - spans.places
-    right = edges[..., 1] * to[..., 0] - edges[..., 0] * to[..., 1]
-    found: Mask = np.any(above | (right <= 0.0), axis=1)
-    return found
+def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
+    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins.
 
-
-def _out_of_place(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are not below the rim, by ``rim_drop``, or it slides off."""
-    motion, body, rim, places = spans.source, spans.body, spans.rim, spans.places
+    And, of what is ``carried``, not below the rim by ``rim_drop``, or it slides off.
+    """
+    motion, body, rim, places = spans.source, spans.body, spans.body.rim, spans.places
+    assert rim is not None
+    following, to = np.roll(places, -1, axis=1), body.section.centroid - places
+    edges = following - places
+    wrong = edges[..., 1] * to[..., 0] - edges[..., 0] * to[..., 1] <= 0.0
+    wrong |= Enclosed(spans.clasps.c)[2].above.value > rim.height + SETTLED
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]
     whole = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
@@ -542,10 +524,10 @@ def _out_of_place(spans: Resting) -> Mask:
     off = np.maximum(off, heights.high - rim.height + np.where(whole, drop, 0.0))
     found = (off > SETTLED) | (rim.section.clearance(places)[0] >= -SETTLED)
     if body.stem is not None:
-        found |= body.stem.segment_distance(places, np.roll(places, -1, axis=1)) <= SETTLED
+        found |= body.stem.segment_distance(places, following) <= SETTLED
     pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
     found |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
-    lost: Mask = np.any(found, axis=1)
+    lost: Mask = np.any(wrong | (found & carried[:, None]), axis=1)
     return lost
 
 
