@@ -40,12 +40,19 @@ from hitchopt.checks.distances import (
 from hitchopt.checks.drones import steepness_of
 from hitchopt.checks.objects import placed, seen_from
 from hitchopt.checks.rule import CheckRule, Ease, Finder
-from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, magnitude, phase_parts
+from hitchopt.checks.spans import (
+    ROUNDING,
+    cable_names,
+    cable_parts,
+    magnitude,
+    phase_parts,
+    position_margin,
+)
 from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
-from hitchopt.objects import Section, Slab, SolidObject
+from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound, Enclosed
@@ -123,12 +130,17 @@ def past(
     The shape is that of an object as seen from its pose, if there is one.
     """
     seen = points if pose is None else seen_from(pose, points)
-    slabs = [slab for body in motion.requirements.objects.values() for slab in body.slabs]
-    slabs += [prism.slab for prism in motion.requirements.keep_out]
-    margin = ROUNDING * (magnitude(motion) + sum(slab.size for slab in slabs))
-    nowhere = np.zeros((len(seen.c), 1, 1, 3, 1))
-    own = {"shape": shape, "margin": margin + float(np.max(seen.r))}
-    return Moving.of(motion, seen.c, nowhere, (names, (label,)), **(own | further))
+    size = magnitude(motion) + sum(slab.size for slab in _obstacles(motion))
+    margin = ROUNDING * size + float(np.max(seen.r))
+    breaks, nowhere = motion.drones.breaks, np.zeros((len(seen.c), 1, 1, 3, 1))
+    given: dict[str, Any] = {"breaks": breaks, "names": (names, (label,))} | further
+    return Moving(first=seen.c, second=nowhere, margin=margin, shape=shape, **given)
+
+
+def _obstacles(motion: Motion) -> list[Slab]:
+    """Return all prisms and the parts of all objects."""
+    prisms, objects = motion.requirements.keep_out, motion.requirements.objects.values()
+    return [prism.slab for prism in prisms] + [slab for each in objects for slab in each.slabs]
 
 
 def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
@@ -139,58 +151,41 @@ def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
 
 
 def carried(motion: Motion) -> Iterator[Moving]:
-    """Yield objects that move past the ground, and past all others that they do not stand on."""
-    others = [*_placed(motion), (GROUND, None, None)]
-    for index, (name, body, pose) in enumerate(_placed(motion)):
-        going = np.any(np.ptp(pose.c, axis=-1) > STILL, axis=-1)
-        for i, (label, other, there) in enumerate(others if np.any(going) else ()):
-            if i == index:
-                continue
-            counted = (going & ~_touching(motion, index, i))[:, None]
-            for slab in body.slabs:
-                seen = placed(pose, corners_of(slab))
-                seen = Enclosed(seen.c[:, None], np.asarray(seen.r)[:, None])
-                rounding = slab.section.rounding
-                shapes: list[Shape] = [Ground(motion.requirements.floor)]
-                if other is not None:
-                    shapes = [Solid(each, rounding) for each in other.slabs]
-                for shape in shapes:
-                    yield past(motion, seen, (name,), label, shape, there, counted=counted)
+    """Yield objects that move past the ground, and past all others.
 
-
-def corners_of(slab: Slab) -> Array:
-    """Return the corners of a slab's core (2 m, 3) [m], floor and ceiling."""
-    core = slab.section.core
-    ends = [np.full((len(core), 1), height) for height in (slab.lower, slab.upper)]
-    return np.concatenate([np.concatenate([core, height], axis=1) for height in ends])
-
-
-def _touching(motion: Motion, index: int, other: int) -> Flags:
-    """Return (pieces,) in which an object rises from another one, or goes down onto it.
-
-    It moves straight up or down, and stays above, in a run of pieces one of which begins or ends
-    with it standing there; or in the first run, if that is below it as the motion begins. Beyond
-    the last one is the ground.
+    One may touch what it rises from, straight up, or goes down onto, and stays above: in a run of
+    such pieces one of which begins or ends with it standing there, and in the first run what is
+    below it as the motion begins.
     """
-    objects, poses = motion.requirements.objects, motion.object_poses.coefficients
-    floor, names = motion.requirements.floor, [*objects, GROUND]
-    body, below = objects[names[index]], objects.get(names[other])
-    upright = np.max(np.ptp(poses[:, index], axis=-1)[:, [0, 1, 3, 4]], axis=-1) <= TOUCH
-    base = [slab.section for slab in body.slabs if slab.lower == body.lower]
-    gap, top = poses[:, index, 2] + body.lower - floor, list[Section]()
-    if below is not None:
-        gap = gap + floor - below.upper - poses[:, other, 2]
-        top = [slab.section for slab in below.slabs if slab.upper == below.upper]
-    stands = np.any(np.abs(gap[:, [0, -1]]) <= TOUCH, axis=1)
-    for piece in np.flatnonzero(stands) if top else ():
-        here, there = poses[piece, [index, other], :, 0]
-        apart = [sections_apart(a, here, b, there) for a, b in product(base, top)]
-        stands[piece] = min(apart) < 0.0
-    first = surface_below(objects, poses[0, :, :, 0], names[index], floor)[1] or GROUND
-    runs = np.cumsum(~upright)
-    there = np.isin(runs, runs[stands & upright]) | ((runs == 0) & (first == names[other]))
-    touching: Flags = upright & there & (np.min(gap, axis=1) >= -TOUCH)
-    return touching
+    objects, floor = motion.requirements.objects, motion.requirements.floor
+    places, everything = motion.object_poses.coefficients[0, :, :, 0], [*_placed(motion)]
+    for (name, body, pose), (label, other, there) in product(
+        everything, [*everything, (GROUND, None, Enclosed(np.zeros((1, 5, 1))))]
+    ):
+        moved = np.ptp(pose.c, axis=-1)
+        going = np.any(moved > STILL, axis=-1)
+        if name == label or not np.any(going):
+            continue
+        upright = np.max(moved[:, [0, 1, 3, 4]], axis=-1) <= TOUCH
+        height = pose.c[:, 2] + body.lower - there.c[:, 2] - (other.upper if other else floor)
+        stands = upright & np.any(np.abs(height[:, [0, -1]]) <= TOUCH, axis=1)
+        base = [slab.section for slab in body.slabs if slab.lower == body.lower]
+        top = [slab.section for slab in other.slabs if slab.upper == other.upper] if other else []
+        for piece in np.flatnonzero(stands) if top else ():
+            ends = pose.c[piece, :, 0], there.c[piece, :, 0]
+            apart = [sections_apart(a, ends[0], b, ends[1]) for a, b in product(base, top)]
+            stands[piece] = min(apart) < 0.0
+        below, runs = surface_below(objects, places, name, floor)[1] or GROUND, np.cumsum(~upright)
+        touching = np.isin(runs, runs[stands]) | ((runs == 0) & (label == below))
+        touching &= upright & (np.min(height, axis=1) >= -TOUCH)
+        counted = (going & ~touching)[:, None]
+        for slab in body.slabs:
+            seen, shapes = placed(pose, slab), list[Shape]([Ground(floor)])
+            if other:
+                shapes = [Solid(each, slab.section.rounding) for each in other.slabs]
+            for shape in shapes:
+                frame = there if other else None
+                yield past(motion, seen, (name,), label, shape, frame, counted=counted)
 
 
 TOLERANCE = 1e-3
@@ -264,15 +259,15 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
 
 def cables_and_drones(motion: Motion) -> Moving:
     """Return cables as they hang and the drones that do not carry them."""
-    drones, names = cut(motion.drones), (cable_names(motion), motion.team.drone_names)
-    return Moving.of(
-        motion,
+    drones = cut(motion.drones)
+    return Moving(
+        drones.breaks,
         cable_ends(drones.coefficients),
         drones.coefficients[:, :, None],
-        names,
-        breaks=drones.breaks,
-        allowed=lambda cables, drones: drones // 2 != cables,
+        position_margin(motion),
+        lambda cables, drones: drones // 2 != cables,
         lengths=motion.team.cable_length,
+        names=(cable_names(motion), motion.team.drone_names),
         formula=hung_gap,
         tolerance=TOLERANCE,
     )
@@ -356,13 +351,15 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
     names = motion.team.drone_names, [f"cable {k}" for k in part // 3]
-    yield Moving.of(motion, drones[:, :, None], corners, names, allowed=strange)
+    breaks, margin = motion.drones.breaks, position_margin(motion)
+    yield Moving(breaks, drones[:, :, None], corners, margin, strange, names=names)
 
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:
     """Yield drones past the chords of cables not their own, as seen from above."""
     flat, names = plan_points(motion), (motion.team.drone_names, cable_names(motion))
-    yield Moving.of(motion, flat, cable_ends(flat), names, allowed=lambda i, k: i // 2 != k)
+    breaks, margin = motion.drones.breaks, position_margin(motion)
+    yield Moving(breaks, flat, cable_ends(flat), margin, lambda i, k: i // 2 != k, names=names)
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:
@@ -376,6 +373,8 @@ def _past_hanging(motion: Motion) -> Iterator[Moving]:
         yield cables_and_ground(part.motion)
 
 
+LYING = frozenset({CableState.GROUND})
+
 CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
     "m",
@@ -383,13 +382,8 @@ CABLE_CLEARANCE = CheckRule(
     lambda motion: motion.requirements.separation.cable,
     (
         Finder(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(nearest(_past_chords), frozenset({CableState.GROUND}), exported=True),
-        Finder(
-            nearest(_past_hanging),
-            FREE_STATES - {CableState.GROUND},
-            exported=True,
-            shown=(hung_gap,),
-        ),
+        Finder(nearest(_past_chords), LYING, exported=True),
+        Finder(nearest(_past_hanging), FREE_STATES - LYING, exported=True, shown=(hung_gap,)),
     ),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
     "or a smaller separation.cable",
@@ -413,11 +407,7 @@ KEEP_OUT = CheckRule(
     "keep_out",
     "m",
     "min",
-    lambda motion: (
-        motion.requirements.separation.radius
-        if motion.requirements.keep_out or motion.requirements.objects
-        else None
-    ),
+    lambda motion: motion.requirements.separation.radius if _obstacles(motion) else None,
     (Finder(nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )

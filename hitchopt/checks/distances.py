@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,43 +45,24 @@ from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
-FEW = 8000
-"""Pairs in all, up to which an index costs more than it saves."""
+FEW, GROUP = 8000, 32_768
+"""Pairs up to which an index costs more than it saves; pairs times pieces compared at a time."""
 
-GROUP = 32_768
-"""Pairs times pieces whose boxes are compared at a time."""
+SEEDS, NEIGHBOURS = 256, 8
+"""Pairs whose boxes are nearest: their distances at mid span tell which others matter. Where there
+are many, they are sought among so many neighbours of every body."""
 
-SEEDS = 256
-"""Pairs whose boxes are nearest: their distances at mid span tell which others matter."""
+MOST, MAX_DEPTH = 12, 8
+"""Pairs per body above which a span is halved, if motion is to blame, and how often at most."""
 
-NEIGHBOURS = 8
-"""How many of a body's neighbours are tried for that where there are many."""
+TIE, SLACK = 1e-6, 1e-9
+"""Relative: distances that tie differ by less; boxes, and what they are held against, by more."""
 
-MOST = 12
-"""Pairs per body above which a span is halved, if motion is to blame."""
-
-MAX_DEPTH = 8
-"""Pieces are halved this often at most."""
-
-TIE = 1e-6
-"""Relative difference of distances that tie."""
-
-SLACK = 1e-9
-"""Relative: boxes are rounded, and so is the distance that they are compared with."""
-
-GROUND = "ground"
-"""Stands for the ground where two objects, or a drone and a cable, are named."""
-
-TALL = 1e3
-"""[m] Half of the size of what stands for the ground, or for an object as seen from above."""
+GROUND, TALL = "ground", 1e3
+"""Name of the ground, and half of the size [m] of what stands for it, or for an object as seen from
+above."""
 
 Flags = NDArray[np.bool_]
-
-Allowed = Callable[[Indices, Indices], Flags]
-"""Which pairs (first, second) count."""
-
-Names = tuple[Sequence[str], Sequence[str]]
-"""Names of the bodies of both groups."""
 
 
 class Shape(Protocol):
@@ -158,7 +139,7 @@ class Moving:
     first: (pieces, bodies, corners, 3, degree + 1) [m]
     second: the same of others; None where pairs i < j within the first group are meant.
     margin: taken off distances to cover rounding [m].
-    allowed: which pairs count; None for all.
+    allowed: which pairs (first, second) count; None for all.
     shape: what the difference of two positions keeps its distance from.
     counted: (pieces, bodies), on which pieces the first group counts; None for all.
     lengths: (bodies,) [m] of cables that hang between both corners of the first group.
@@ -171,30 +152,19 @@ class Moving:
     first: Array
     second: Array | None = None
     margin: float = 0.0
-    allowed: Allowed | None = None
+    allowed: Callable[[Indices, Indices], Flags] | None = None
     shape: Shape = ORIGIN
     counted: Flags | None = None
     lengths: Array | None = None
-    names: Names = ((), ())
+    names: tuple[Sequence[str], Sequence[str]] = ((), ())
     formula: Callable[[PairSpans], Bound] = gap
     tolerance: float | None = None
 
-    @classmethod
-    def of(
-        cls, motion: Motion, first: Array, second: Array | None, names: Names, **given: Any
-    ) -> Moving:
-        """Return bodies of a motion; ``given`` as above."""
-        given.setdefault("breaks", motion.drones.breaks)
-        given.setdefault("margin", position_margin(motion))
-        return cls(first=first, second=second, names=names, **given)
-
     def named(self, item: int) -> tuple[str, ...]:
         """Return the names of a pair."""
-        first, second = (
-            each[i] for each, i in zip(self.names, divmod(item, self.count), strict=True)
-        )
-        pair = (first, second) if self.lengths is None else (second, first)
-        return tuple(filter(None, pair))
+        i, j = divmod(item, self.count)
+        pair = self.names[0][i], self.names[1][j]
+        return tuple(filter(None, pair if self.lengths is None else pair[::-1]))
 
     @property
     def others(self) -> Array:
@@ -218,10 +188,6 @@ class Moving:
         if self.allowed is not None:
             on &= self.allowed(first, second)
         return Pairs(first[on], second[on])
-
-    def cutoff(self, attained: float) -> float:
-        """Return the distance of boxes from which on pairs are no closer than what is attained."""
-        return (attained + self.margin) * (1.0 + SLACK)
 
     @cached_property
     def boxes(self) -> tuple[Array, Array]:
@@ -313,12 +279,15 @@ def near(moving: Moving, attained: Callable[[], float], depth: int = 0) -> Itera
     split = pieces > 1 and pieces * (bodies if pairs is None else len(pairs)) > GROUP
     if pairs is None and not split:
         yield from _neighbours(moving, attained)
-        reach = moving.cutoff(attained()) + float(np.max(np.linalg.norm(moving.extent, axis=-1)))
+        reach = (attained() + moving.margin) * (1.0 + SLACK)
+        reach += float(np.max(np.linalg.norm(moving.extent, axis=-1)))
         own, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
         moves = np.median(own.sizes) > 0.25 * reach
         last = pieces == 1 and (depth == MAX_DEPTH or not moves)
         second = None if moving.second is None else others
-        close = few_close_pairs(own, second, reach, np.inf if last else MOST * bodies)
+        close = few_close_pairs(
+            own, second, float(reach) * (1.0 + SLACK), np.inf if last else MOST * bodies
+        )
         pairs = None if close is None else moving.chosen(close.first, close.second)
     if split or pairs is None:
         for half in moving.halves():
@@ -334,7 +303,7 @@ def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> It
         nearest = np.sort(np.argpartition(gaps, SEEDS, axis=None)[:SEEDS])
         piece, pair = np.divmod(nearest[gaps.flat[nearest] < np.inf], len(pairs))
         yield PairSpans(moving, moving.breaks, piece, item[pair]).at(np.array(0.5))
-    cutoff = min(moving.cutoff(attained()), np.finfo(np.float64).max)
+    cutoff = min((attained() + moving.margin) * (1.0 + SLACK), np.finfo(np.float64).max)
     piece, pair = np.nonzero(~(gaps > cutoff))  # what is no number rules nothing out
     yield PairSpans(moving, moving.breaks, piece, item[pair])
 
@@ -394,18 +363,14 @@ def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
     return Moving(drones.breaks, points, margin=margin, names=(names, names))
 
 
-SEPARATED = Finder(
-    nearest(lambda motion: [scaled_drones(motion, motion.drones)]),
-    exported=True,
-    shown=(gap, distance),
-)
+_SEPARATED = nearest(lambda motion: [scaled_drones(motion, motion.drones)])
 
 SEPARATION = CheckRule(
     "separation",
     "ratio",
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
-    (SEPARATED,),
+    (Finder(_SEPARATED, exported=True, shown=(gap, distance)),),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
     "or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
@@ -438,7 +403,8 @@ def _taut(motion: Motion) -> Iterator[Moving]:
         shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
         return ~shared
 
-    yield Moving.of(motion, corners, None, (names, names), allowed=unclasped)
+    breaks, margin = motion.drones.breaks, position_margin(motion)
+    yield Moving(breaks, corners, None, margin, unclasped, names=(names, names))
 
 
 def _hanging(motion: Motion) -> Iterator[Moving]:
@@ -447,15 +413,15 @@ def _hanging(motion: Motion) -> Iterator[Moving]:
     Neighbours that are being clasped, or let go, are free to touch.
     """
     names, layout = cable_names(motion), motion.team.layout
+
+    def unclasped(i: Indices, j: Indices) -> Flags:
+        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
+
     for part in phase_parts(motion):
         clasped = part.phase.state in (CableState.CLASPING, CableState.TIGHTENING)
-        touching = clasped_pairs(layout) if clasped else np.zeros(0, dtype=np.intp)
-
-        def apart(i: Indices, j: Indices, touching: Indices = touching) -> Flags:
-            return ~np.isin(pair_of(layout, i, j), touching)
-
-        ends = cable_ends(plan_points(part.motion))
-        yield Moving.of(part.motion, ends, None, (names, names), allowed=apart)
+        ends, margin = cable_ends(plan_points(part.motion)), position_margin(part.motion)
+        allowed, breaks = unclasped if clasped else None, part.motion.drones.breaks
+        yield Moving(breaks, ends, None, margin, allowed, names=(names, names))
 
 
 CROSSING = CheckRule(

@@ -34,7 +34,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import centre_path, held_pieces, lowered, rim_drop, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, HoldBy, Motion
-from hitchopt.objects import Section, SolidObject
+from hitchopt.objects import Section, Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, in_frame, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
@@ -81,11 +81,13 @@ def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
     return vector(turned_back(away.level, Enclosed(pose.c[..., 3:, :])), away[2])
 
 
-def placed(pose: Enclosed, points: Array) -> Enclosed:
-    """Return points (m, 3) [m] in the frames of objects (…) as seen from the world (…, m)."""
-    pose = for_each(pose)
-    level = turned_back(Enclosed.of(points[:, :2]), Enclosed(pose.c[..., 3:, :] * SIGNS))
-    return vector(level, Enclosed.of(points[:, 2:])) + Enclosed(pose.c[..., :3, :], pose.r)
+def placed(pose: Enclosed, slab: Slab) -> Enclosed:
+    """Return corners (…, 1, 2 m) [m] of the core of an object's slab, those of its floor first."""
+    core, pose = slab.section.core, for_each(for_each(pose))
+    heights = np.repeat([slab.lower, slab.upper], len(core))[:, None]
+    heading = Enclosed(pose.c[..., 3:, :] * SIGNS)
+    level = turned_back(Enclosed.of(np.tile(core, (2, 1))), heading)
+    return vector(level, Enclosed.of(heights)) + Enclosed(pose.c[..., :3, :], pose.r)
 
 
 def turned_back(level: Enclosed, heading: Enclosed) -> Enclosed:
