@@ -224,26 +224,15 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
     sigma = steepness_of(offset, length)
     drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
     height = np.max(np.abs(offset.c[:, 2]), axis=-1)
-    return points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None]
-
-
-def _bends(cable: Catenary, mu: Array) -> Array:
-    """Return (spans, links) [m] how far each cable sags below its links, between points μ, midway.
-
-    Measured in Λ / 2 sinh σ the cable is a hyperbolic cosine, farthest below its chord where it is
-    parallel to it.
-    """
-    sigma = np.maximum(cable.sigma, SERIES)
-    y = mu * sigma + np.arcsinh(cable.tilt)
-    first, last = y[:-1], y[1:]
-    width = np.maximum(last - first, 1e-12)
-    slope = (np.cosh(last) - np.cosh(first)) / width
-    touching = np.clip(np.arcsinh(slope), first, last)
-    gap = np.cosh(first) + slope * (touching - first) - np.cosh(touching)
-    unit = 0.5 * level_length(cable.rise, cable.length) / np.sinh(sigma)
-    rounding = 2.0**-40 * cable.length
-    bends: Array = (unit * np.maximum(gap, 0.0) + rounding).T
-    return bends
+    # In units of Λ / 2 sinh σ it is a hyperbolic cosine, farthest off a link where parallel to it.
+    x = np.maximum(cable.sigma, SERIES)
+    y = mu * x + np.arcsinh(cable.tilt)
+    slope = np.diff(np.cosh(y), axis=0) / np.maximum(np.diff(y, axis=0), 1e-12)
+    parallel = np.clip(np.arcsinh(slope), y[:-1], y[1:])
+    bend = np.cosh(y[:-1]) + slope * (parallel - y[:-1]) - np.cosh(parallel)
+    bend *= 0.5 * level_length(cable.rise, length) / np.sinh(x)
+    off = np.maximum(bend, 0.0) + ROUNDING * length + 0.25 * (length + height) * drift
+    return points, off.T
 
 
 def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
