@@ -181,7 +181,10 @@ class Clasps(MotionSpans):
     @cached_property
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and what objects add."""
-        return self.forces.sum() - self.carried.sum().upward() + self.pressed
+        found = self.forces.sum()
+        if self.weighed(self.source):
+            found = found - self.carried.sum().upward() + self.pressed
+        return found
 
     @cached_property
     def contact(self) -> Enclosed:

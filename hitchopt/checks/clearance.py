@@ -35,7 +35,6 @@ from hitchopt.checks.distances import (
     gap,
     nearest,
     plan_points,
-    smallest,
 )
 from hitchopt.checks.drones import steepness_of
 from hitchopt.checks.objects import placed, seen_from
@@ -55,7 +54,7 @@ from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldB
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, Indices
 
@@ -285,8 +284,8 @@ def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
 def above_ground(motion: Motion) -> bool:
     """Return whether cables, if all hung free, would keep ``separation.cable`` off the ground."""
     limit = motion.requirements.separation.cable
-    least = smallest(cables_and_ground(motion), relative=TOLERANCE, absolute=TOLERANCE)
-    return least.worst >= within(limit, "min", magnitude(motion))
+    found = nearest(lambda motion: [cables_and_ground(motion)])(motion, limit)
+    return found.worst >= within(limit, "min", found.size)
 
 
 def moved_by(motion: Motion) -> Callable[[float], float]:
@@ -434,22 +433,24 @@ def _hanging_past(motion: Motion) -> Iterator[Moving]:
     From above, a cable is on its chord; a hanging one is above or below an object besides.
     """
     for part in phase_parts(motion):
-        hung, lies = cables_and_drones(part.motion), part.phase.state is CableState.GROUND
-        given = {"breaks": hung.breaks, "lengths": hung.lengths, "tolerance": TOLERANCE}
-        for name, each, pose in _placed(part.motion):
-            still, ends = Enclosed(pose.c[:1, :, :1]), Enclosed(hung.first)
+        here, hung = part.motion, cables_and_drones(part.motion)
+        ends, names = Enclosed(hung.first), hung.names[0]
+        given: dict[str, Any] = {
+            "breaks": hung.breaks,
+            "lengths": hung.lengths,
+            "tolerance": TOLERANCE,
+        }
+        for name, each, pose in _placed(here):
+            still = Enclosed(pose.c[:1, :, :1])
             for slab in each.slabs:
-                aside, formula = from_above(slab), gap if lies else partial(over, top=slab.upper)
-                yield past(
-                    part.motion, ends, hung.names[0], name, aside, still, formula=formula, **given
-                )
+                lies = part.phase.state is CableState.GROUND
+                given["formula"] = gap if lies else partial(over, top=slab.upper)
+                yield past(here, ends, names, name, from_above(slab), still, **given)
 
 
 def over(spans: PairSpans, top: float) -> Bound:
     """Return how far hanging cables are off a body, aside of it or above [m]."""
-    aside, higher = gap(spans), hung_gap(spans, Ground(top))
-    up = higher.value > aside.value
-    return Bound(np.where(up, higher.value, aside.value), np.where(up, higher.x, aside.x))
+    return largest_of([gap(spans), hung_gap(spans, Ground(top))])
 
 
 OBJECT_CLEARANCE = CheckRule(

@@ -70,10 +70,7 @@ def chosen(value: Enclosed, items: int | list[int]) -> Enclosed:
 def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
     """Return points (…, 3 components) [m] in the frames of objects.
 
-    Parameters
-    ----------
-    pose: (…, 5 components), x, y, z [m], cosine and sine of yaw; the same for all items of axes of
-        the points that it does not have.
+    Their poses are x, y, z [m], cosine and sine of yaw, the same along axes that they do not have.
     """
     while pose.c.ndim < points.c.ndim:
         pose = for_each(pose)
@@ -195,11 +192,8 @@ class Gripped(Held):
         """
         team, pull = self.source.team, self.tension
         if team.cable_density > 0.0:
-            half = Enclosed(
-                self.of_items(0.5 * GRAVITY * team.cable_density * tautness(self.source))[
-                    :, :, None
-                ]
-            )
+            taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
+            half = taut * (0.5 * GRAVITY * team.cable_density)
             edge = Enclosed(team.cable_length[:, None, None]) - self.legs.norm.sum()
             pull = chord_pull(pull, half, edge * edge)
         return self.ways.direction * for_each(pull) * -SIGNS
@@ -286,18 +280,14 @@ def _slipping(motion: Motion, limit: float) -> Finding:
     return min(found, key=lambda each: each.worst)
 
 
+SHOWN = (slip_ratio, Gripped.slip_load, Gripped.load)
+
 GRIP = CheckRule(
     "grip",
     "1",
     "min",
     lambda motion: LIMIT if gripping(motion) or motion.contacts is not None else None,
-    (
-        Finder(
-            _slipping,
-            HITCHED_STATE | FREE_STATES,
-            shown=(slip_ratio, Gripped.slip_load, Gripped.load),
-        ),
-    ),
+    (Finder(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
     "lower the object's mass, raise the tension, or use rougher cables",
 )
 
@@ -476,7 +466,9 @@ def _force_lines(motion: Motion, _: float) -> Finding:
         whole = np.all(share == 1.0, axis=-1)
         carried = moving | np.any(share != 0.0, axis=-1)
         resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-        lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
+        lost = moving & ~whole
+        if not body.fixed:
+            lost |= _floating(motion, index, name, ~whole & ~moving)
         lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
         lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
         if body.rim is None or not motion.team.layout.closed:
@@ -494,8 +486,6 @@ def _force_lines(motion: Motion, _: float) -> Finding:
 def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
     """Return (pieces,) where an object that is not borne as a whole stands on nothing."""
     objects = motion.requirements.objects
-    if objects[name].fixed:
-        return np.zeros_like(still)
     poses = np.round(motion.object_poses.coefficients[..., 0] / STILL) * STILL
     places, which = np.unique(poses, axis=0, return_inverse=True)
     stands = np.zeros(len(places), dtype=np.bool_)
