@@ -48,7 +48,7 @@ TURN = 1e-6
 """[deg] Rounding of the sum of all angles, which of a polygon are whole turns."""
 
 OWN = np.array([0, 1])
-"""Of the cables ahead and behind, which of their legs is at the clasp."""
+"""Legs that are at the clasp: q of the cable ahead, r of that behind."""
 
 
 def both_cables(motion: Motion) -> Indices:

@@ -18,9 +18,10 @@ SPANS, MOST_PAIRS = 48, 12
 
 @dataclass(frozen=True)
 class Closest(OneLine):
-    """From ``start`` to ``end`` [s] no separation (ratio) is smaller than ``bound``.
+    """No separation (ratio) is smaller than ``bound`` from ``start`` to ``end`` [s].
 
-    Of any pair, or of this one over the whole plan: its own has about that ``value`` at ``time``.
+    That holds for any pair, or for this one over the whole plan; its own is about ``value`` at
+    ``time``.
     """
 
     start: float
