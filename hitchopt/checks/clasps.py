@@ -16,7 +16,7 @@ import numpy as np
 
 from hitchopt.checks.cables import beyond_friction, slips
 from hitchopt.checks.certificate import within
-from hitchopt.checks.objects import lacking, unbalanced
+from hitchopt.checks.objects import chosen, lacking, unbalanced
 from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -34,55 +34,55 @@ from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of, vector
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 LIMIT = 5e-3
 """Relative to the tension: the vertex then stands within millimetres of its place."""
 
-SIGNS = 1.0, 1.0, 1.0, -1.0
-"""The last of the parts at a clasp arrives there; the others leave it."""
-
 BACKWARD = -180.0
 """[deg] The smallest angle there is; also that of an edge without direction."""
 
+TURN = 1e-6
+"""[deg] Rounding of the sum of all angles, which of a polygon are whole turns."""
+
+OWN = np.array([0, 1])
+"""Legs that are at the clasp: q of the cable ahead, r of that behind."""
+
+
+def both_cables(motion: Motion) -> Indices:
+    """Return the cables that hold each other at clasps (clasps, 2): that ahead, that behind."""
+    return np.stack([motion.team.layout.ahead, motion.team.layout.behind], axis=1)
+
 
 @shared
-def clasp_forces(motion: Motion) -> dict[str, list[Array]]:
-    """Return the sizes of forces at clasps, rows of (pieces, clasps, degree + 1).
+def clasp_sizes(motion: Motion) -> dict[str, Array]:
+    """Return the sizes of forces at clasps, (pieces, clasps, 2, degree + 1) of both cables.
 
     A factor ``x^a (1 - x)^b`` that all of them share, as where tensions rise from zero, is left
     out: it cancels in every ratio.
 
-    - ``parts`` [N]: tensions of the leg and the edge ahead and of those behind; those of edges less
-      what a rim takes;
-    - ``halves`` [N/m], where there is weight: half of the weight per length of the same parts;
-    - ``tensions`` [N] of both edges;
-    - ``weights`` where there is weight: of the cable ahead and of that behind, its share of the
-      load with half of its cable's weight [N], and half of the weight per length [N/m];
-    - ``loads`` of objects [N], where there are any.
+    - ``legs``, ``edges`` [N]: their tensions; those of edges less what a rim takes;
+    - ``leg_halves``, ``edge_halves`` [N/m]: half of their weight per length;
+    - ``weights`` [N]: half of the cable's, and its share of the load;
+    - ``loads`` (pieces, clasps, 3, degree + 1) [N] of objects.
     """
-    team, ahead, behind = motion.team, motion.team.layout.ahead, motion.team.layout.behind
-    tension, legs = edge_tensions(motion), leg_tensions(motion)
-    taut, half = tautness(motion), 0.5 * GRAVITY * team.cable_density
-    loads = object_loads(motion)
-
-    def parts(legs: Array, edges: Array) -> list[Array]:
-        return [legs[:, 2 * ahead], edges[:, ahead], legs[:, 2 * behind + 1], edges[:, behind]]
-
-    found = {"parts": parts(legs, tension), "tensions": [tension[:, ahead], tension[:, behind]]}
-    if half > 0.0:
-        found["halves"] = parts(half * np.repeat(taut, 2, axis=1), half * _kept(motion, taut))
-    if team.loaded or loads is not None:
-        found["weights"] = []
-        for cable in (ahead, behind):
-            own = 0.5 * GRAVITY * team.load + half * team.cable_length[cable]
-            found["weights"] += [own[:, None] * taut[:, cable], half * taut[:, cable]]
-    if loads is not None:
-        found["loads"] = list(np.moveaxis(loads, 2, 0))
-    rows = iter(without_shared_zeros([row for each in found.values() for row in each]))
-    return {name: [next(rows) for _ in each] for name, each in found.items()}
+    team, cables, taut = motion.team, both_cables(motion), tautness(motion)
+    half, loads = 0.5 * GRAVITY * team.cable_density, object_loads(motion)
+    own = 0.5 * GRAVITY * team.load[:, None] + half * team.cable_length[cables]
+    found = {
+        "legs": leg_tensions(motion)[:, 2 * cables + OWN],
+        "edges": edge_tensions(motion)[:, cables],
+        "leg_halves": half * taut[:, cables],
+        "edge_halves": _kept(motion, half * taut)[:, cables],
+        "weights": own[..., None] * taut[:, cables],
+        "loads": np.zeros((len(taut), len(cables), 3, 1)) if loads is None else loads,
+    }
+    rows = [row for table in found.values() for row in np.moveaxis(table, 2, 0)]
+    left = iter(without_shared_zeros(rows))
+    each = {name: [next(left) for _ in range(found[name].shape[2])] for name in found}
+    return {name: np.stack(same_degree(*rows), axis=2) for name, rows in each.items()}
 
 
 def edge_tensions(motion: Motion) -> Array:
@@ -102,104 +102,89 @@ def clasp_names(motion: Motion) -> Sequence[str]:
 
 
 class Clasps(MotionSpans):
-    """Spans of clasps: the forces that meet there."""
+    """Spans of clasps: the forces that meet there, (spans, 2) of the cables ahead and behind."""
 
     names = staticmethod(clasp_names)
 
     @cached_property
-    def _sizes(self) -> dict[str, list[Enclosed]]:
-        return {name: self.scalars(rows) for name, rows in clasp_forces(self.source).items()}
+    def cables(self) -> Indices:
+        """(spans, 2) Both cables."""
+        return both_cables(self.source)[self.item]
+
+    def size(self, name: str) -> Enclosed:
+        """Return one of ``clasp_sizes``."""
+        return Enclosed(self.read(clasp_sizes(self.source)[name])[..., None, :])
 
     @cached_property
-    def pulls(self) -> list[Enclosed]:
-        """The pulls along q̂_k, u_k, r̂_{k-1} and u_{k-1} [N]."""
-        tensions, halves = self._sizes["parts"], self._sizes.get("halves")
-        if halves is None:
-            return tensions
-        found = []
-        for i, way in enumerate(self.ways):
-            if i % 2 == 0:
-                found.append(chord_pull(tensions[i], halves[i], way.level.dot(way.level), way[2]))
-            else:
-                found.append(chord_pull(tensions[i], halves[i], self.edge_squares[i // 2]))
-        return found
+    def ways(self) -> tuple[Enclosed, Enclosed]:
+        """Chords of legs and of edges, from the clasp [m]."""
+        leaving, arriving = bent_edges(self.source)
+        ahead, behind = self.cables.T
+        edges = np.stack([self.read(leaving, ahead), -self.read(arriving, behind)], axis=1)
+        legs = self.read(leg_vectors(self.source), 2 * self.cables + OWN)
+        return Enclosed(legs, self.noise), Enclosed(edges, self.noise)
 
     @cached_property
-    def tensions(self) -> Enclosed:
-        """The tensions of both edges [N], a component each."""
-        return vector(*self._sizes["tensions"])
+    def others(self) -> Enclosed:
+        """Lengths of the cables' other legs [m]."""
+        # A drone at a chain's end has no leg, wherever a plan has it.
+        legs = leg_vectors(self.source) * self.source.team.layout.has_leg.reshape(-1, 1, 1)
+        return Enclosed(self.read(legs, 2 * self.cables + 1 - OWN), self.noise).norm
+
+    @cached_property
+    def along(self) -> tuple[Enclosed, Enclosed]:
+        """Directions of legs, q̂_k and r̂_{k-1}, and of edges, u_k and -u_{k-1}."""
+        return self.ways[0].direction, self.ways[1].direction
+
+    @cached_property
+    def pulls(self) -> tuple[Enclosed, Enclosed]:
+        """What legs and edges pull with along their chords [N].
+
+        An edge that is wrapped around something counts whole: what legs leave of its cable.
+        """
+        (leg, edge), team = self.ways, self.source.team
+        if team.cable_density == 0.0:
+            return self.size("legs"), self.size("edges")
+        squared = edge.level.dot(edge.level)
+        if self.source.contacts is not None:
+            whole = Enclosed(team.cable_length[self.cables][..., None, None])
+            wrapped = whole - leg.norm - self.others
+            squared = wrapped * wrapped
+        flat = leg.level.dot(leg.level)
+        pulled = chord_pull(self.size("legs"), self.size("leg_halves"), flat, leg[2])
+        return pulled, chord_pull(self.size("edges"), self.size("edge_halves"), squared)
+
+    @cached_property
+    def forces(self) -> Enclosed:
+        """Both cables' forces [N]: ``P_q q̂_k + P_k u_k``, ``P_r r̂_{k-1} - P_{k-1} u_{k-1}``."""
+        return self.along[0] * self.pulls[0] + self.along[1] * self.pulls[1]
+
+    @cached_property
+    def carried(self) -> Enclosed:
+        """[N] What the clasp carries of both cables."""
+        return self.size("weights") - self.size("leg_halves") * self.others
 
     @staticmethod
     def weighed(motion: Motion) -> bool:
         """Return whether clasps carry anything."""
-        return "weights" in clasp_forces(motion)
+        return any(np.any(clasp_sizes(motion)[name]) for name in ("weights", "loads"))
 
     @cached_property
-    def ways(self) -> tuple[Enclosed, ...]:
-        """Chords of the leg and the edge ahead and of those behind [m]; the last one arrives."""
-        motion, layout = self.source, self.source.team.layout
-        ahead, behind = layout.ahead[self.item], layout.behind[self.item]
-        legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
-        each = (legs, 2 * ahead), (leaving, ahead), (legs, 2 * behind + 1), (arriving, behind)
-        return tuple(Enclosed(self.read(*part), self.noise) for part in each)
-
-    @cached_property
-    def others(self) -> list[Enclosed]:
-        """Lengths of the other legs of the cables ahead and behind [m]."""
-        layout = self.source.team.layout
-        # A drone at a chain's end has no leg, wherever a plan has it.
-        legs = leg_vectors(self.source) * layout.has_leg.reshape(-1, 1, 1)
-        others = 2 * layout.ahead[self.item] + 1, 2 * layout.behind[self.item]
-        return [Enclosed(self.read(legs, other), self.noise).norm for other in others]
-
-    @cached_property
-    def edge_squares(self) -> list[Enclosed]:
-        """Squared lengths of the edges ahead and behind as seen from above [m²].
-
-        One that is wrapped around something counts whole: what legs leave of its cable.
-        """
-        team = self.source.team
-        if self.source.contacts is None:
-            return [edge.level.dot(edge.level) for edge in (self.ways[1], self.ways[3])]
-        found = []
-        for i, cable in enumerate((team.layout.ahead, team.layout.behind)):
-            whole = Enclosed(team.cable_length[cable[self.item]][:, None, None])
-            edge = whole - self.ways[2 * i].norm - self.others[i]
-            found.append(edge * edge)
-        return found
-
-    @cached_property
-    def along(self) -> tuple[Enclosed, ...]:
-        """Directions q̂_k, u_k, r̂_{k-1} and u_{k-1}."""
-        return tuple(way.direction for way in self.ways)
-
-    @cached_property
-    def forces(self) -> tuple[Enclosed, ...]:
-        """Forces [N] of leg and edge ahead and of those behind; the last edge leads backward."""
-        each = zip(self.along, self.pulls, SIGNS, strict=True)
-        return tuple(along * (sign * pull) for along, pull, sign in each)
-
-    @cached_property
-    def carried(self) -> tuple[Enclosed, Enclosed]:
-        """[N] What the clasp carries of the cable ahead and of that behind."""
-        rows, sizes = self._sizes["weights"], self.others
-        return rows[0] - rows[1] * sizes[0], rows[2] - rows[3] * sizes[1]
-
-    @cached_property
-    def pressed(self) -> Enclosed | None:
-        """[N] The force of objects on the clasp; None without any."""
-        if "loads" not in self._sizes:
-            return None
-        loads = vector(*self._sizes["loads"])
-        return loads.widened(_load_errors(self.source)[self.piece, self.item])
+    def pressed(self) -> Enclosed:
+        """[N] The force of objects on the clasp."""
+        motion, loads = self.source, self.read(clasp_sizes(self.source)["loads"])
+        mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
+        clasps = motion.team.layout.clasps[self.item]
+        error = mass * derivative_margin(motion.vertices, 2)[self.piece, clasps]
+        return Enclosed(loads, np.where(np.any(loads != 0.0, axis=(1, 2)), error, 0.0))
 
     @cached_property
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and what objects add."""
-        found = self.forces[0] + self.forces[1] + self.forces[2] + self.forces[3]
+        found = self.forces.sum()
         if self.weighed(self.source):
-            found = found - (self.carried[0] + self.carried[1]).upward()
-        return found if self.pressed is None else found + self.pressed
+            found = found - self.carried.sum().upward() + self.pressed
+        return found
 
     @cached_property
     def contact(self) -> Enclosed:
@@ -207,34 +192,25 @@ class Clasps(MotionSpans):
 
         ``W^k`` is the weight on itself and half of the clasp's load.
         """
-        found = self.carried[0].upward() - (self.forces[0] + self.forces[1])
-        return found if self.pressed is None else found - 0.5 * self.pressed
+        own = chosen(self.carried, 0).upward() - chosen(self.forces, 0)
+        return own - 0.5 * self.pressed
 
 
-@shared
-def _load_errors(motion: Motion) -> Array:
-    """Return by how much objects' forces on clasps may be off (pieces, clasps) [N]."""
-    mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
-    error = mass * derivative_margin(motion.vertices, 2)[:, motion.team.layout.clasps]
-    loads = object_loads(motion)
-    return error if loads is None else np.where(np.any(loads != 0.0, axis=(2, 3)), error, 0.0)
-
-
-def over(force: Enclosed, tensions: Enclosed) -> Bound:
-    """Return what a force's size over the smallest of tensions does not rise above.
+def _over(force: Enclosed, spans: Clasps) -> Bound:
+    """Return what a force, or its size, over the smaller tension does not rise above.
 
     Infinite where a tension is not positive.
     """
-    c, pulls = same_degree(force.c, tensions.c)
-    sizes, least = c[..., 0, :] if c.shape[-2] == 1 else column_lengths(c), np.min(pulls, axis=-2)
-    sizes = sizes + np.broadcast_to(force.r, sizes.shape[:-1])[..., None]
+    c, tensions = same_degree(force.c, spans.size("edges").c)
+    sizes = c if c.shape[1] == 1 else column_lengths(c)[:, None]
+    sizes, least = sizes + np.asarray(force.r)[..., None, None], np.min(tensions, axis=1)
     ratio = np.divide(sizes, least, out=np.full_like(sizes, np.inf), where=least > 0.0)
-    return Enclosed(ratio[..., None, :]).above
+    return Enclosed(ratio).above
 
 
 def _balance(spans: Clasps) -> Bound:
     """Return the size of the residual over the smaller tension."""
-    return over(spans.residual, spans.tensions)
+    return _over(spans.residual, spans)
 
 
 def _lifted(spans: Clasps) -> Bound:
@@ -242,10 +218,8 @@ def _lifted(spans: Clasps) -> Bound:
 
     The clasp bears where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
     """
-    pressed = zip(spans.along, (1.0, 1.0, -1.0, 1.0), strict=True)
-    return largest_of(
-        [over(spans.contact.dot(along) * sign, spans.tensions) for along, sign in pressed]
-    )
+    each = [chosen(way, i) * sign for i, sign in ((0, 1.0), (1, -1.0)) for way in spans.along]
+    return largest_of([_over(spans.contact.dot(along), spans) for along in each])
 
 
 def _find(motion: Motion, limit: float) -> Finding:
@@ -257,16 +231,14 @@ def _find(motion: Motion, limit: float) -> Finding:
     """
     names = Clasps.names(motion)
     found = worst(Clasps.of(motion), _balance, "max", target=within(limit, "max"))
-    best = Finding(found.worst, found.time, (names[found.item],))
+    each = [Finding(found.worst, found.time, (names[found.item],)), unbalanced(motion)]
     if motion.leg_tensions is not None:
-        beyond = beyond_friction(motion)
-        best = beyond if beyond.worst > best.worst else best
+        each.append(beyond_friction(motion))
     if Clasps.weighed(motion):
         lifted = worst(Clasps.of(motion), _lifted, "max", target=within(0.0, "max"))
         if lifted.worst >= 0.0:
-            best = Finding(math.inf, lifted.time, (names[lifted.item],))
-    gripped = unbalanced(motion)
-    return gripped if gripped.worst > best.worst else best
+            each.append(Finding(math.inf, lifted.time, (names[lifted.item],)))
+    return max(each, key=lambda finding: finding.worst)
 
 
 def spare_forces(motion: Motion) -> Array:
@@ -277,13 +249,11 @@ def spare_forces(motion: Motion) -> Array:
     spare = LIMIT - _find(motion, LIMIT).worst
     if Clasps.weighed(motion):
         spare = min(spare, -2.0 * worst(Clasps.of(motion), _lifted, "max").worst)
-    weakest: Array = np.min(edge_tensions(motion), axis=-1)
-    layout = motion.team.layout
-    return spare * np.minimum(weakest[:, layout.ahead], weakest[:, layout.behind])
+    weakest: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
+    return spare * weakest
 
 
 FORMULAS = (_balance, Clasps.residual, _lifted, Clasps.contact, slips, lacking)
-
 
 EQUILIBRIUM = CheckRule(
     "equilibrium", "1", "max", LIMIT, (Finder(_find, HITCHED_STATE, shown=FORMULAS),)
@@ -308,7 +278,7 @@ class Corners(MotionSpans):
     @classmethod
     def names(cls, motion: Motion) -> Sequence[str]:
         """Return the corners' names."""
-        return [*clasp_names(motion), *([] if motion.team.layout.closed else ["ends"])]
+        return [*clasp_names(motion), *(() if motion.team.layout.closed else ("ends",))]
 
 
 def _exterior(spans: Corners) -> Bound:
@@ -333,21 +303,19 @@ def _exterior(spans: Corners) -> Bound:
 def _turns(motion: Motion, _: float) -> Finding:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
-    A polygon that goes w times around its inside has ``360 (1 - w)`` reported if that is less, w
-    that of the start; a chain 360° less all of its turning, and ``where`` names both ends.
+    Or 360° less all turning at the start where that is negative: of a polygon that goes around its
+    inside more than once, or of a chain, whose ends ``where`` names.
     """
-    found = worst(Corners.of(motion), _exterior, "min")
+    found, start = worst(Corners.of(motion), _exterior, "min"), motion.vertices.breaks[0]
     layout, points = motion.team.layout, motion.team.point_names
-    ends = (points[0], points[-1])
-    clasped = found.item < len(layout.clasps)
-    where = (Corners.names(motion)[found.item],) if clasped else ends
-    behind, ahead = np.moveaxis(_corners(motion)[0, : len(layout.clasps), :, :, 0], 1, 0)
+    clasps, ends = np.arange(len(layout.clasps)), () if layout.closed else (points[0], points[-1])
+    where = (points[layout.clasps[found.item]],) if found.item < len(clasps) else ends
+    behind, ahead = np.moveaxis(_corners(motion)[0, clasps, :, :, 0], 1, 0)
     right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
-    total = float(np.sum(np.degrees(np.arctan2(right, np.sum(behind * ahead, axis=-1)))))
-    room = 360.0 * (1 - round(total / 360.0)) if layout.closed else 360.0 - total
+    room = 360.0 - float(np.sum(np.degrees(np.arctan2(right, np.sum(behind * ahead, axis=-1)))))
     lowest = max(found.worst, BACKWARD)
-    if lowest > BACKWARD and room < min(lowest, 0.0):
-        return Finding(room, float(motion.vertices.breaks[0]), () if layout.closed else ends)
+    if lowest > BACKWARD and room < min(lowest, -TURN):
+        return Finding(room, float(start), ends)
     return Finding(lowest, found.time, where)
 
 

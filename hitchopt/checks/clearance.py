@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,17 +29,15 @@ from hitchopt.checks.distances import (
     Flags,
     Ground,
     Moving,
-    Names,
-    Nearest,
     PairSpans,
     Shape,
     cable_ends,
     gap,
+    nearest,
     plan_points,
-    smallest,
 )
 from hitchopt.checks.drones import steepness_of
-from hitchopt.checks.objects import heading_error, seen_from
+from hitchopt.checks.objects import placed, seen_from
 from hitchopt.checks.rule import CheckRule, Ease, Finder
 from hitchopt.checks.spans import (
     ROUNDING,
@@ -48,14 +47,14 @@ from hitchopt.checks.spans import (
     phase_parts,
     position_margin,
 )
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import dot, unit
 from hitchopt.hitch.catenary import SERIES, Catenary, depth_terms, level_length, steepness
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, HoldBy, Motion
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, sections_apart, surface_below
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, Indices
 
@@ -64,7 +63,7 @@ HALVINGS = 25
 
 
 @dataclass(frozen=True, eq=False)
-class Solid:
+class Solid(Shape):
     """A slab that points, segments and other upright slabs keep off.
 
     Of another slab, whose ``rounding`` is given, the corners of the core are known, those of its
@@ -86,18 +85,14 @@ class Solid:
         if self.rounding is not None:
             return self._beside(corners, self.rounding)
         first, along = corners[..., 0, :], corners[..., -1, :] - corners[..., 0, :]
-        if corners.shape[-2] == 1:
-            return self.slab.clearance(first).normals
-
-        def out(share: Array) -> Array:
-            return self.slab.clearance(first + share[..., None] * along).normals
-
         lower, upper = np.zeros(first.shape[:-1]), np.ones(first.shape[:-1])
-        for _ in range(HALVINGS):  # the distance to a convex body is convex along a segment
+        # The distance to a convex body is convex along a segment.
+        for _ in range(HALVINGS if corners.shape[-2] > 1 else 0):
             middle = 0.5 * (lower + upper)
-            rising = np.einsum("...d,...d->...", out(middle), along) > 0.0
+            rising = dot(self.slab.clearance(first + middle[..., None] * along).normals, along) > 0
             lower, upper = np.where(rising, lower, middle), np.where(rising, middle, upper)
-        return out(np.where(lower == 0.0, 0.0, upper))
+        share = np.where(lower == 0.0, 0.0, upper)
+        return self.slab.clearance(first + share[..., None] * along).normals
 
     def _beside(self, corners: Array, rounding: float) -> Array:
         """Return the same of upright slabs; level ones are those in which a side is nearest."""
@@ -120,77 +115,76 @@ def from_above(slab: Slab) -> Solid:
     return Solid(Slab(slab.section, -TALL, TALL))
 
 
+def past(
+    motion: Motion,
+    points: Enclosed,
+    names: Sequence[str],
+    label: str,
+    shape: Shape,
+    pose: Enclosed | None = None,
+    **further: Any,
+) -> Moving:
+    """Return what moves past a shape that has a name; ``further`` as in Moving.
+
+    The shape is that of an object as seen from its pose, if there is one.
+    """
+    seen = points if pose is None else seen_from(pose, points)
+    size = magnitude(motion) + sum(slab.size for slab in _obstacles(motion))
+    margin = ROUNDING * size + float(np.max(seen.r))
+    breaks, nowhere = motion.drones.breaks, np.zeros((len(seen.c), 1, 1, 3, 1))
+    given: dict[str, Any] = {"breaks": breaks, "names": (names, (label,))} | further
+    return Moving(first=seen.c, second=nowhere, margin=margin, shape=shape, **given)
+
+
+def _obstacles(motion: Motion) -> list[Slab]:
+    """Return all prisms and the parts of all objects."""
+    prisms, objects = motion.requirements.keep_out, motion.requirements.objects.values()
+    return [prism.slab for prism in prisms] + [slab for each in objects for slab in each.slabs]
+
+
+def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
+    """Yield the names of objects, these, and their poses (pieces,)."""
+    poses = motion.object_poses.coefficients
+    for index, (name, each) in enumerate(motion.requirements.objects.items()):
+        yield name, each, Enclosed(poses[:, index])
+
+
 def carried(motion: Motion) -> Iterator[Moving]:
     """Yield objects that move past the ground, and past all others.
 
-    While one goes straight up from something on which it stands before or after that, or down onto
-    it, and stays above it, they may touch; likewise what is below it where the motion begins so.
+    One may touch what it rises from, straight up, or goes down onto, and stays above: in a run of
+    such pieces one of which begins or ends with it standing there, and in the first run what is
+    below it as the motion begins.
     """
-    if motion.poses is None:
-        return
-    objects, poses = motion.requirements.objects, motion.poses.coefficients
-    moving, floor = np.ptp(poses, axis=-1), motion.requirements.floor  # (pieces, objects, 5)
-    going = np.any(moving > STILL, axis=-1)
-    upright = np.max(moving[..., [0, 1, 3, 4]], axis=-1) <= TOUCH
-    for index, (name, each) in enumerate(objects.items()):
-        if not np.any(going[:, index]):
+    objects, floor = motion.requirements.objects, motion.requirements.floor
+    places, everything = motion.object_poses.coefficients[0, :, :, 0], [*_placed(motion)]
+    for (name, body, pose), (label, other, there) in product(
+        everything, [*everything, (GROUND, None, Enclosed(np.zeros((1, 5, 1))))]
+    ):
+        moved = np.ptp(pose.c, axis=-1)
+        going = np.any(moved > STILL, axis=-1)
+        if name == label or not np.any(going):
             continue
-        bottom = poses[:, index, 2] + each.lower
-        below = surface_below(objects, poses[0, :, :, 0], name, floor)[1] or GROUND
-        error = float(np.max(heading_error(Enclosed(poses[:, index, 3:]))))
-        for other, label in enumerate([*objects, GROUND]):
-            if other == index:
-                continue
-            bodies = () if label == GROUND else objects[label].slabs
-            high = poses[:, other, 2] + objects[label].upper if bodies else floor
-            gap = bottom - high
-            stands = np.any(np.abs(gap[:, [0, -1]]) <= TOUCH, axis=1)
-            for piece in np.flatnonzero(stands) if bodies else ():
-                here, there = poses[piece, [index, other], :, 0]
-                met = (
-                    sections_apart(a.section, here, b.section, there) < 0.0
-                    for a in each.slabs
-                    for b in bodies
-                    if a.lower == each.lower and b.upper == objects[label].upper
-                )
-                stands[piece] = any(met)
-            touching = _leaving(upright[:, index], stands, label == below)
-            touching &= np.min(gap, axis=1) >= -TOUCH
-            counted = (going[:, index] & ~touching)[:, None]
-            for slab in each.slabs:
-                seen = Enclosed(placed_core(poses[:, index], slab)[:, None])
-                shapes: list[Shape] = [Ground(floor)]
-                if bodies:
-                    seen = seen_from(Enclosed(poses[:, other]), seen)
-                    shapes = [Solid(body, slab.section.rounding) for body in bodies]
-                size = magnitude(motion) + slab.size + sum(body.size for body in bodies)
-                margin = ROUNDING * size + error * slab.section.circumradius
-                names = ((name,), (label,))
-                for shape in shapes:
-                    yield _seen(motion, seen, shape, names, margin, counted=counted)
-
-
-def _leaving(upright: Flags, stands: Flags, lifted: bool) -> Flags:
-    """Return (pieces,) in which an object rises from something, or goes down onto it.
-
-    It moves straight up or down in a run of pieces one of which begins or ends with it standing
-    there; or in the first run, if it has been lifted from there.
-    """
-    runs = np.cumsum(~upright)
-    from_there = np.isin(runs, runs[stands & upright]) | ((runs == 0) & lifted)
-    return np.asarray(upright & from_there)
-
-
-def placed_core(poses: Array, slab: Slab) -> Array:
-    """Return the corners of a slab's core (pieces, 2 m, 3, degree + 1) [m], floor and ceiling.
-
-    Given poses of its object (pieces, 5, degree + 1).
-    """
-    core = slab.section.core[:, :, None]
-    x, y, z, c, s = (row[:, None] for row in np.moveaxis(poses, 1, 0))
-    across, along = core[:, 0] * c - core[:, 1] * s + x, core[:, 0] * s + core[:, 1] * c + y
-    heights = [z + height + 0.0 * across for height in (slab.lower, slab.upper)]
-    return np.concatenate([np.stack([across, along, up], axis=2) for up in heights], axis=1)
+        upright = np.max(moved[:, [0, 1, 3, 4]], axis=-1) <= TOUCH
+        height = pose.c[:, 2] + body.lower - there.c[:, 2] - (other.upper if other else floor)
+        stands = upright & np.any(np.abs(height[:, [0, -1]]) <= TOUCH, axis=1)
+        base = [slab.section for slab in body.slabs if slab.lower == body.lower]
+        top = [slab.section for slab in other.slabs if slab.upper == other.upper] if other else []
+        for piece in np.flatnonzero(stands) if top else ():
+            ends = pose.c[piece, :, 0], there.c[piece, :, 0]
+            apart = [sections_apart(a, ends[0], b, ends[1]) for a, b in product(base, top)]
+            stands[piece] = min(apart) < 0.0
+        below, runs = surface_below(objects, places, name, floor)[1] or GROUND, np.cumsum(~upright)
+        touching = np.isin(runs, runs[stands]) | ((runs == 0) & (label == below))
+        touching &= upright & (np.min(height, axis=1) >= -TOUCH)
+        counted = (going & ~touching)[:, None]
+        for slab in body.slabs:
+            seen, shapes = placed(pose, slab), list[Shape]([Ground(floor)])
+            if other:
+                shapes = [Solid(each, slab.section.rounding) for each in other.slabs]
+            for shape in shapes:
+                frame = there if other else None
+                yield past(motion, seen, (name,), label, shape, frame, counted=counted)
 
 
 TOLERANCE = 1e-3
@@ -229,26 +223,15 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
     sigma = steepness_of(offset, length)
     drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
     height = np.max(np.abs(offset.c[:, 2]), axis=-1)
-    return points, _bends(cable, mu) + (0.25 * (length + height) * drift)[:, None]
-
-
-def _bends(cable: Catenary, mu: Array) -> Array:
-    """Return (spans, links) [m] how far each cable sags below its links, between points μ, midway.
-
-    Measured in Λ / 2 sinh σ the cable is a hyperbolic cosine, farthest below its chord where it is
-    parallel to it.
-    """
-    sigma = np.maximum(cable.sigma, SERIES)
-    y = mu * sigma + np.arcsinh(cable.tilt)
-    first, last = y[:-1], y[1:]
-    width = np.maximum(last - first, 1e-12)
-    slope = (np.cosh(last) - np.cosh(first)) / width
-    touching = np.clip(np.arcsinh(slope), first, last)
-    gap = np.cosh(first) + slope * (touching - first) - np.cosh(touching)
-    unit = 0.5 * level_length(cable.rise, cable.length) / np.sinh(sigma)
-    rounding = 2.0**-40 * cable.length
-    bends: Array = (unit * np.maximum(gap, 0.0) + rounding).T
-    return bends
+    # In units of Λ / 2 sinh σ it is a hyperbolic cosine, farthest off a link where parallel to it.
+    x = np.maximum(cable.sigma, SERIES)
+    y = mu * x + np.arcsinh(cable.tilt)
+    slope = np.diff(np.cosh(y), axis=0) / np.maximum(np.diff(y, axis=0), 1e-12)
+    parallel = np.clip(np.arcsinh(slope), y[:-1], y[1:])
+    bend = np.cosh(y[:-1]) + slope * (parallel - y[:-1]) - np.cosh(parallel)
+    bend *= 0.5 * level_length(cable.rise, length) / np.sinh(x)
+    off = np.maximum(bend, 0.0) + ROUNDING * length + 0.25 * (length + height) * drift
+    return points, off.T
 
 
 def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
@@ -257,44 +240,32 @@ def cut(drones: PiecewisePolynomial) -> PiecewisePolynomial:
     counts = np.maximum(1, np.ceil(reach / FARTHEST)).astype(np.intp)
     if np.all(counts == 1):
         return drones
-    piece = np.repeat(np.arange(drones.pieces), counts)
-    first = np.arange(len(piece)) - np.repeat(np.cumsum(counts) - counts, counts)
-    starts = drones.breaks[piece] + first / counts[piece] * drones.durations[piece]
+    runs = zip(drones.breaks[:-1], drones.breaks[1:], counts, strict=True)
+    starts = np.concatenate([np.linspace(a, b, k, endpoint=False) for a, b, k in runs])
     return on_breaks(drones, np.append(starts, drones.breaks[-1]))
-
-
-def foreign(cables: Indices, drones: Indices) -> Flags:
-    """Return which drones do not carry a cable."""
-    apart: Flags = drones // 2 != cables
-    return apart
 
 
 def cables_and_drones(motion: Motion) -> Moving:
     """Return cables as they hang and the drones that do not carry them."""
-    points = cut(motion.drones).coefficients[:, :, None]
-    return _hung(motion, points, motion.team.drone_names, allowed=foreign)
+    drones = cut(motion.drones)
+    return Moving(
+        drones.breaks,
+        cable_ends(drones.coefficients),
+        drones.coefficients[:, :, None],
+        position_margin(motion),
+        lambda cables, drones: drones // 2 != cables,
+        lengths=motion.team.cable_length,
+        names=(cable_names(motion), motion.team.drone_names),
+        formula=hung_gap,
+        tolerance=TOLERANCE,
+    )
 
 
 def cables_and_ground(motion: Motion) -> Moving:
     """Return cables as they hang above the ground."""
-    nowhere = np.zeros((cut(motion.drones).pieces, 1, 1, 3, 1))
-    return _hung(motion, nowhere, (GROUND,), shape=Ground(motion.requirements.floor))
-
-
-def _hung(motion: Motion, second: Array, names: Sequence[str], **further: Any) -> Moving:
-    """Return hanging cables and what they keep off; ``further`` as in Moving."""
-    return Moving(
-        (drones := cut(motion.drones)).breaks,
-        cable_ends(drones.coefficients),
-        second,
-        position_margin(motion),
-        lengths=motion.team.cable_length,
-        names=(cable_names(motion), names),
-        swapped=True,
-        formula=hung_gap,
-        tolerance=TOLERANCE,
-        **further,
-    )
+    cables, ground = cables_and_drones(motion), Ground(motion.requirements.floor)
+    nowhere, names = np.zeros((len(cables.first), 1, 1, 3, 1)), (cables.names[0], (GROUND,))
+    return replace(cables, second=nowhere, names=names, allowed=None, shape=ground)
 
 
 def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
@@ -313,8 +284,8 @@ def hung_gap(spans: PairSpans, shape: Shape | None = None) -> Bound:
 def above_ground(motion: Motion) -> bool:
     """Return whether cables, if all hung free, would keep ``separation.cable`` off the ground."""
     limit = motion.requirements.separation.cable
-    least = smallest(cables_and_ground(motion), relative=TOLERANCE, absolute=TOLERANCE)
-    return least.worst >= within(limit, "min", magnitude(motion))
+    found = nearest(lambda motion: [cables_and_ground(motion)])(motion, limit)
+    return found.worst >= within(limit, "min", found.size)
 
 
 def moved_by(motion: Motion) -> Callable[[float], float]:
@@ -348,6 +319,12 @@ CONTACT = 2e-5
 """[m] Cables that hold an object and are no closer to its body enter it."""
 
 
+def entering(spans: PairSpans) -> Bound:
+    """Return zero where bodies come closer than CONTACT, else infinity."""
+    found = gap(spans)
+    return Bound(np.where(found.value < CONTACT, 0.0, np.inf), found.x)
+
+
 def _past_taut(motion: Motion) -> Iterator[Moving]:
     """Yield drones past all parts of foreign cables, and past their own edge.
 
@@ -362,14 +339,15 @@ def _past_taut(motion: Motion) -> Iterator[Moving]:
 
     drones = motion.drones.elevated(bernstein.degree(corners)).coefficients
     names = motion.team.drone_names, [f"cable {k}" for k in part // 3]
-    yield Moving.of(motion, drones[:, :, None], corners, names, allowed=strange)
+    breaks, margin = motion.drones.breaks, position_margin(motion)
+    yield Moving(breaks, drones[:, :, None], corners, margin, strange, names=names)
 
 
 def _past_chords(motion: Motion) -> Iterator[Moving]:
     """Yield drones past the chords of cables not their own, as seen from above."""
-    flat = plan_points(motion)
-    names, swapped = (cable_names(motion), motion.team.drone_names), {"swapped": True}
-    yield Moving.of(motion, cable_ends(flat), flat, names, allowed=foreign, **swapped)
+    flat, names = plan_points(motion), (motion.team.drone_names, cable_names(motion))
+    breaks, margin = motion.drones.breaks, position_margin(motion)
+    yield Moving(breaks, flat, cable_ends(flat), margin, lambda i, k: i // 2 != k, names=names)
 
 
 def _past_hanging(motion: Motion) -> Iterator[Moving]:
@@ -383,20 +361,17 @@ def _past_hanging(motion: Motion) -> Iterator[Moving]:
         yield cables_and_ground(part.motion)
 
 
+LYING = frozenset({CableState.GROUND})
+
 CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
     "m",
     "min",
     lambda motion: motion.requirements.separation.cable,
     (
-        Finder(Nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(Nearest(_past_chords), frozenset({CableState.GROUND}), exported=True),
-        Finder(
-            Nearest(_past_hanging),
-            FREE_STATES - {CableState.GROUND},
-            exported=True,
-            shown=(hung_gap,),
-        ),
+        Finder(nearest(_past_taut), HITCHED_STATE, exported=True, shown=(gap,)),
+        Finder(nearest(_past_chords), LYING, exported=True),
+        Finder(nearest(_past_hanging), FREE_STATES - LYING, exported=True, shown=(hung_gap,)),
     ),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
     "or a smaller separation.cable",
@@ -411,46 +386,17 @@ def _drones_past(motion: Motion) -> Iterator[Moving]:
     """Yield drones past prisms and objects, which have names."""
     points, names = Enclosed(motion.drones.coefficients[:, :, None]), motion.team.drone_names
     for prism in motion.requirements.keep_out:
-        yield _past(motion, points, prism.slab, names, "")
+        yield past(motion, points, names, "", Solid(prism.slab))
     for name, each, pose in _placed(motion):
-        seen = seen_from(pose, points)
-        yield from (_past(motion, seen, slab, names, name) for slab in each.slabs)
-
-
-def _placed(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:
-    """Yield the names of objects, these, and their poses (pieces,)."""
-    poses = motion.object_poses.coefficients
-    for index, (name, each) in enumerate(motion.requirements.objects.items()):
-        yield name, each, Enclosed(poses[:, index])
-
-
-def _past(
-    motion: Motion, seen: Enclosed, slab: Slab, names: Sequence[str], name: str, **further: Any
-) -> Moving:
-    """Return what moves past a slab that has a name; ``further`` as in Moving."""
-    margin = ROUNDING * (magnitude(motion) + slab.size)
-    return _seen(motion, seen, Solid(slab), (names, (name,)), margin, **further)
-
-
-def _seen(
-    motion: Motion, seen: Enclosed, shape: Shape, names: Names, margin: float, **further: Any
-) -> Moving:
-    """Return what moves past a shape, as seen from that."""
-    margin += float(np.max(seen.r))
-    nowhere = np.zeros((len(seen.c), 1, 1, 3, 1))
-    return Moving.of(motion, seen.c, nowhere, names, shape=shape, margin=margin, **further)
+        yield from (past(motion, points, names, name, Solid(slab), pose) for slab in each.slabs)
 
 
 KEEP_OUT = CheckRule(
     "keep_out",
     "m",
     "min",
-    lambda motion: (
-        motion.requirements.separation.radius
-        if motion.requirements.keep_out or motion.requirements.objects
-        else None
-    ),
-    (Finder(Nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
+    lambda motion: motion.requirements.separation.radius if _obstacles(motion) else None,
+    (Finder(nearest(_drones_past), exported=True, shown=(gap, Solid.towards)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
 )
 """Drones stay off prisms and objects, by the radius of their ellipsoids."""
@@ -461,50 +407,50 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
 
     The distance is zero where a cable enters what it holds, or the ground.
     """
-    (corners, part), contact = cable_parts(motion), {"contact": CONTACT}
+    corners, part = cable_parts(motion)
     cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
     # No part is lower than all of its ends, and bends of what is wrapped around an object.
-    holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
-    on = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
-    ground, margin = Ground(motion.requirements.floor - 2.0 * CONTACT), position_margin(motion)
-    yield _seen(motion, points, ground, (names, (GROUND,)), margin, counted=on, **contact)
+    ground = Ground(motion.requirements.floor - 2.0 * CONTACT)
+    yield past(motion, points, names, GROUND, ground, formula=entering)
     for name, each, pose in _placed(motion):
         held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
         touching = np.array([np.isin(cables, each) for each in [*held, ()]])
-        counted, seen = ~touching[motion.phase_of_piece], seen_from(pose, points)
+        counted = ~touching[motion.phase_of_piece]
         if each.stem is not None:  # what is below a flat tray is off it
             gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # else edges stay out of it
-            entering = (~gripped | (part % 3 != 1)) & ~counted
-            yield _past(motion, seen, each.slabs[0], names, name, counted=entering, **contact)
+            inner = (~gripped | (part % 3 != 1)) & ~counted
+            body = Solid(each.slabs[0])
+            yield past(motion, points, names, name, body, pose, counted=inner, formula=entering)
         for slab in each.slabs:
-            yield _past(motion, seen, slab, names, name, counted=counted)
+            yield past(motion, points, names, name, Solid(slab), pose, counted=counted)
     yield from carried(motion)
 
 
 def _hanging_past(motion: Motion) -> Iterator[Moving]:
-    """Yield cables that hang, or lie on the ground, past objects.
+    """Yield cables that hang, or lie on the ground, past objects, which nothing moves.
 
     From above, a cable is on its chord; a hanging one is above or below an object besides.
     """
     for part in phase_parts(motion):
-        drones, here = cut(part.motion.drones), part.motion
-        ends, names = Enclosed(cable_ends(drones.coefficients)), cable_names(motion)
-        for name, each, pose in _placed(here):  # nothing moves them: check support
-            seen = seen_from(Enclosed(pose.c[:1, :, :1]), ends)
+        here, hung = part.motion, cables_and_drones(part.motion)
+        ends, names = Enclosed(hung.first), hung.names[0]
+        given: dict[str, Any] = {
+            "breaks": hung.breaks,
+            "lengths": hung.lengths,
+            "tolerance": TOLERANCE,
+        }
+        for name, each, pose in _placed(here):
+            still = Enclosed(pose.c[:1, :, :1])
             for slab in each.slabs:
                 lies = part.phase.state is CableState.GROUND
-                formula = gap if lies else partial(over, top=slab.upper)
-                past = _past(here, seen, slab, names, name, formula=formula, tolerance=TOLERANCE)
-                flat, lengths = from_above(slab), motion.team.cable_length
-                yield replace(past, breaks=drones.breaks, shape=flat, lengths=lengths)
+                given["formula"] = gap if lies else partial(over, top=slab.upper)
+                yield past(here, ends, names, name, from_above(slab), still, **given)
 
 
 def over(spans: PairSpans, top: float) -> Bound:
     """Return how far hanging cables are off a body, aside of it or above [m]."""
-    aside, higher = gap(spans), hung_gap(spans, Ground(top))
-    up = higher.value > aside.value
-    return Bound(np.where(up, higher.value, aside.value), np.where(up, higher.x, aside.x))
+    return largest_of([gap(spans), hung_gap(spans, Ground(top))])
 
 
 OBJECT_CLEARANCE = CheckRule(
@@ -513,8 +459,8 @@ OBJECT_CLEARANCE = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.object if motion.requirements.objects else None,
     (
-        Finder(Nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
-        Finder(Nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
+        Finder(nearest(_cables_past), HITCHED_STATE, exported=True, shown=(gap,)),
+        Finder(nearest(_hanging_past), FREE_STATES, exported=True, shown=(over,)),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,81 +33,56 @@ from hitchopt.checks.spans import (
     pair_of,
     part_name,
     part_points,
+    phase_parts,
     position_margin,
 )
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
-FEW = 6000
-"""Pairs in all, up to which an index costs more than it saves."""
+FEW, GROUP = 8000, 32_768
+"""Pairs up to which an index costs more than it saves; pairs times pieces compared at a time."""
 
-GROUP = 32_768
-"""Pairs times pieces whose boxes are compared at a time."""
+SEEDS, NEIGHBOURS = 256, 8
+"""Pairs whose boxes are nearest: their distances at mid span tell which others matter. Where there
+are many, they are sought among so many neighbours of every body."""
 
-SEEDS = 256
-"""Pairs whose boxes are nearest: their distances at mid span tell which others matter."""
+MOST, MAX_DEPTH = 12, 8
+"""Pairs per body above which a span is halved, if motion is to blame, and how often at most."""
 
-NEIGHBOURS = 8
-"""How many of a body's neighbours are tried for that where there are many."""
+TIE, SLACK = 1e-6, 1e-9
+"""Relative: distances that tie differ by less; boxes, and what they are held against, by more."""
 
-MOST = 12
-"""Pairs per body above which a span is halved, if motion is to blame."""
-
-MAX_DEPTH = 8
-"""Pieces are halved this often at most."""
-
-TIE = 1e-6
-"""Relative difference of distances that tie."""
-
-SLACK = 1e-9
-"""Relative: boxes are rounded, and so is the distance that they are compared with."""
+GROUND, TALL = "ground", 1e3
+"""Name of the ground, and half of the size [m] of what stands for it, or for an object as seen from
+above."""
 
 Flags = NDArray[np.bool_]
 
-Allowed = Callable[[Indices, Indices], Flags]
-"""Which pairs (first, second) count."""
-
-Names = tuple[Sequence[str], Sequence[str]]
-"""Names of the bodies of both groups."""
-
 
 class Shape(Protocol):
-    """A convex body that stands still."""
+    """A convex body that stands still: the origin, where it does not say otherwise."""
 
     def towards(self, corners: Array) -> Array:
         """Return unit vectors (…, 3) out of it to the nearest point of hulls (…, corners, 3)."""
-
-    def support(self, directions: Array) -> Array:
-        """Return how far it reaches (…) [m] along directions (…, 3)."""
-
-
-class _Origin:
-    """A point at the origin: what differences of positions are told from."""
-
-    def towards(self, corners: Array) -> Array:
         return unit(shortest_offset(corners))
 
     def support(self, directions: Array) -> Array:
+        """Return how far it reaches (…) [m] along directions (…, 3)."""
         return np.zeros(directions.shape[:-1])
 
 
-ORIGIN = _Origin()
-
-GROUND = "ground"
-"""Stands for the ground where two objects, or a drone and a cable, are named."""
-
-TALL = 1e3
-"""[m] Half of the size of what stands for the ground, or for an object as seen from above."""
+class Origin(Shape):
+    """A point: what differences of positions are told from."""
 
 
 @dataclass(frozen=True)
-class Ground:
+class Ground(Shape):
     """All that is below a height [m]."""
 
     height: float
@@ -119,184 +94,11 @@ class Ground:
     def support(self, directions: Array) -> Array:
         """Return how far it reaches (…) [m] along directions (…, 3), TALL except upward."""
         x, y, z = np.moveaxis(directions, -1, 0)
-        return np.asarray(
-            TALL * (np.abs(x) + np.abs(y))
-            - TALL * np.minimum(z, 0.0)
-            + self.height * np.maximum(z, 0.0)
-        )
+        down, up = np.maximum(-z, 0.0), np.maximum(z, 0.0)
+        return np.asarray(TALL * (np.abs(x) + np.abs(y) + down) + self.height * up)
 
 
-def box_of(shape: Shape) -> Array:
-    """Return the lower and upper corner (2, 3) [m] of a box around a shape."""
-    return np.stack([-shape.support(-np.eye(3)), shape.support(np.eye(3))])
-
-
-@dataclass(frozen=True, eq=False)
-class Moving:
-    """Bodies in motion, hulls of corners, and which pairs of them count.
-
-    Attributes
-    ----------
-    breaks: (pieces + 1,) [s]
-    first: (pieces, bodies, corners, 3, degree + 1) [m]
-    second: the same of others; None where pairs i < j within the first group are meant.
-    margin: taken off distances to cover rounding [m].
-    allowed: which pairs count; None for all.
-    shape: what the difference of two positions keeps its distance from.
-    counted: (pieces, bodies), on which pieces the first group counts; None for all.
-    lengths: (bodies,) [m] of cables that hang between both corners of the first group.
-    names: of the bodies of both groups; empty ones are not named.
-    swapped: whether the second group is named first.
-    formula: bounds the distance of pairs; ``gap`` by default.
-    tolerance: how closely distances are bounded; None as closely as a limit asks for [m].
-    contact: where given, bodies may come as close as they like, but not so much closer [m].
-    """
-
-    breaks: Array
-    first: Array
-    second: Array | None = None
-    margin: float = 0.0
-    allowed: Allowed | None = None
-    shape: Shape = ORIGIN
-    counted: Flags | None = None
-    lengths: Array | None = None
-    names: Names = ((), ())
-    swapped: bool = False
-    formula: Callable[[PairSpans], Bound] | None = None
-    tolerance: float | None = None
-    contact: float | None = None
-
-    @classmethod
-    def of(
-        cls, motion: Motion, first: Array, second: Array | None, names: Names, **given: Any
-    ) -> Moving:
-        """Return bodies of a motion; ``given`` as above."""
-        further = {"margin": position_margin(motion)} | given
-        return cls(motion.drones.breaks, first, second, names=names, **further)
-
-    def named(self, item: int) -> tuple[str, ...]:
-        """Return the names of a pair."""
-        pair = zip(divmod(item, self.count), self.names, strict=True)
-        named = tuple(name for i, names in pair if (name := names[i]))
-        return named[::-1] if self.swapped else named
-
-    @property
-    def others(self) -> Array:
-        """The second group."""
-        return self.first if self.second is None else self.second
-
-    @property
-    def count(self) -> int:
-        """Number of the second group: item ``i * count + j`` is a pair."""
-        return int(self.others.shape[1])
-
-    @property
-    def pairs(self) -> Pairs | None:
-        """All pairs that count, unless there are too many to list."""
-        bodies = self.first.shape[1]
-        total = bodies * (bodies - 1) // 2 if self.second is None else bodies * self.count
-        if total > FEW:
-            return None
-        if self.second is None:
-            return self.chosen(Pairs(*np.triu_indices(bodies, 1)))
-        return self.chosen(Pairs(*np.divmod(np.arange(total), self.count)))
-
-    def cutoff(self, attained: float) -> float:
-        """Return the distance of boxes from which on pairs are no closer than what is attained."""
-        return (attained + self.margin) * (1.0 + SLACK)
-
-    @cached_property
-    def boxes(self) -> tuple[Array, Array]:
-        """Boxes (2, 3, pieces, bodies) that the bodies of each group stay in.
-
-        As seen from their mean place: what all do together changes no distance.
-        """
-        drift = np.mean(self.first, axis=(1, 2), keepdims=True)
-        own = body_boxes(self.first - drift, self.lengths)
-        return own, own if self.second is None else body_boxes(self.second - drift)
-
-    def gaps(self, pairs: Pairs) -> Array:
-        """Return distances (pieces, pairs) [m] that the boxes of pairs leave at least."""
-        own, others = self.boxes
-        a_lower, a_upper = own.take(pairs.first, axis=3)
-        b_lower, b_upper = others.take(pairs.second, axis=3)
-        lower, upper = box_of(self.shape)[..., None, None]
-        apart = np.maximum(a_lower - b_upper - upper, b_lower - a_upper + lower)
-        np.maximum(apart, 0.0, out=apart)
-        gaps: Array = np.sqrt(np.einsum("cpi,cpi->pi", apart, apart))
-        if self.counted is not None:
-            gaps[~self.counted[:, pairs.first]] = np.inf
-        return gaps
-
-    def part(self, start: int, stop: int) -> Moving:
-        """Return the same on a run of pieces."""
-        breaks, cut = self.breaks[start : stop + 1], slice(start, stop)
-        second = None if self.second is None else self.second[cut]
-        counted = None if self.counted is None else self.counted[cut]
-        return replace(self, breaks=breaks, first=self.first[cut], second=second, counted=counted)
-
-    def halves(self) -> tuple[Moving, Moving]:
-        """Return both halves of the pieces, or of the only one."""
-        pieces = len(self.first)
-        if pieces > 1:
-            return self.part(0, pieces // 2), self.part(pieces // 2, pieces)
-        (start, end), middle = self.breaks, self.breaks.mean()
-        seconds = (None, None) if self.second is None else bernstein.halve(self.second)
-        one, other = (
-            replace(self, breaks=np.array(t), first=a, second=b)
-            for t, a, b in zip(
-                ((start, middle), (middle, end)), bernstein.halve(self.first), seconds, strict=True
-            )
-        )
-        return one, other
-
-    def chosen(self, pairs: Pairs) -> Pairs:
-        """Return the pairs that count."""
-        if self.allowed is None:
-            return pairs
-        return pairs.take(self.allowed(pairs.first, pairs.second))
-
-    def spans(self, piece: Indices, item: Indices) -> PairSpans:
-        """Return the spans of whole pieces of pairs."""
-        return PairSpans(self, self.breaks, piece, item)
-
-
-def body_boxes(corners: Array, lengths: Array | None = None) -> Array:
-    """Return boxes (2, 3, pieces, bodies) around corners (pieces, bodies, k, 3, degree + 1) [m].
-
-    Of cables of ``lengths`` (bodies,) [m] that hang between two of them, if given.
-    """
-    each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
-    found = np.stack([each.min(axis=0), each.max(axis=0)])
-    if lengths is not None:
-        # Down one drone and up to the other one along its length, no cable comes deeper.
-        ends = np.sum(np.min(corners[:, :, :, 2], axis=-1), axis=-1)
-        found[0, 2] = np.minimum(found[0, 2], 0.5 * (ends - lengths))
-    return found
-
-
-class PairSpans(Spans):
-    """Spans of pairs of moving bodies."""
-
-    source: Moving
-
-    @cached_property
-    def ends(self) -> tuple[Array, Array]:
-        """Corners (spans, corners, 3, degree + 1) [m] of both bodies."""
-        i, j = np.divmod(self.item, self.source.count)
-        return self.read(self.source.first, i), self.read(self.source.others, j)
-
-    @property
-    def lengths(self) -> Array:
-        """Lengths (spans,) [m] of hanging cables."""
-        assert self.source.lengths is not None
-        return self.source.lengths[self.item // self.source.count]
-
-
-def gap(spans: PairSpans) -> Bound:
-    """Return the distances of the bodies [m], zero where they meet."""
-    found = distance(*spans.ends, spans.source.shape)
-    return Bound(np.maximum(found.value - spans.source.margin, 0.0), found.x)
+ORIGIN = Origin()
 
 
 def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
@@ -321,12 +123,209 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
     return Bound(found, np.where(start, 0.0, np.where(end, 1.0, inside)))
 
 
+def gap(spans: PairSpans) -> Bound:
+    """Return the distances of the bodies [m], zero where they meet."""
+    found = distance(*spans.ends, spans.source.shape)
+    return Bound(np.maximum(found.value - spans.source.margin, 0.0), found.x)
+
+
+@dataclass(frozen=True, eq=False)
+class Moving:
+    """Bodies in motion, hulls of corners, and which pairs of them count.
+
+    Attributes
+    ----------
+    breaks: (pieces + 1,) [s]
+    first: (pieces, bodies, corners, 3, degree + 1) [m]
+    second: the same of others; None where pairs i < j within the first group are meant.
+    margin: taken off distances to cover rounding [m].
+    allowed: which pairs (first, second) count; None for all.
+    shape: what the difference of two positions keeps its distance from.
+    counted: (pieces, bodies), on which pieces the first group counts; None for all.
+    lengths: (bodies,) [m] of cables that hang between both corners of the first group.
+    names: of the bodies of both groups; empty ones are not named, hanging cables are named last.
+    formula: bounds the distance of pairs.
+    tolerance: how closely distances are bounded; None as closely as a limit asks for [m].
+    """
+
+    breaks: Array
+    first: Array
+    second: Array | None = None
+    margin: float = 0.0
+    allowed: Callable[[Indices, Indices], Flags] | None = None
+    shape: Shape = ORIGIN
+    counted: Flags | None = None
+    lengths: Array | None = None
+    names: tuple[Sequence[str], Sequence[str]] = ((), ())
+    formula: Callable[[PairSpans], Bound] = gap
+    tolerance: float | None = None
+
+    def named(self, item: int) -> tuple[str, ...]:
+        """Return the names of a pair."""
+        i, j = divmod(item, self.count)
+        pair = self.names[0][i], self.names[1][j]
+        return tuple(filter(None, pair if self.lengths is None else pair[::-1]))
+
+    @property
+    def others(self) -> Array:
+        """The second group."""
+        return self.first if self.second is None else self.second
+
+    @property
+    def count(self) -> int:
+        """Number of the second group: item ``i * count + j`` is a pair."""
+        return int(self.others.shape[1])
+
+    @property
+    def pairs(self) -> Pairs | None:
+        """All pairs that count, unless there are too many to list."""
+        total = self.first.shape[1] * self.count
+        return None if total > FEW else self.chosen(*np.divmod(np.arange(total), self.count))
+
+    def chosen(self, first: Indices, second: Indices) -> Pairs:
+        """Return the pairs that count."""
+        on = first < second if self.second is None else np.ones(len(first), dtype=np.bool_)
+        if self.allowed is not None:
+            on &= self.allowed(first, second)
+        return Pairs(first[on], second[on])
+
+    @cached_property
+    def boxes(self) -> tuple[Array, Array]:
+        """Boxes (2, 3, pieces, bodies) that the bodies of each group stay in.
+
+        As seen from their mean place: what all do together changes no distance.
+        """
+        drift = np.mean(self.first, axis=(1, 2), keepdims=True)
+        own = _boxes(self.first - drift)
+        if self.lengths is not None:
+            # Down one drone and up to the other one along its length, no cable comes deeper.
+            ends = np.sum(np.min((self.first - drift)[:, :, :, 2], axis=-1), axis=-1)
+            own[0, 2] = np.minimum(own[0, 2], 0.5 * (ends - self.lengths))
+        return own, own if self.second is None else _boxes(self.second - drift)
+
+    @property
+    def extent(self) -> Array:
+        """The lower and upper corner (2, 3) [m] of a box around the shape."""
+        return np.stack([-self.shape.support(-np.eye(3)), self.shape.support(np.eye(3))])
+
+    def gaps(self, pairs: Pairs) -> Array:
+        """Return distances (pieces, pairs) [m] that the boxes of pairs leave at least."""
+        own, others = self.boxes
+        a_lower, a_upper = own.take(pairs.first, axis=3)
+        b_lower, b_upper = others.take(pairs.second, axis=3)
+        lower, upper = self.extent[..., None, None]
+        apart = np.maximum(a_lower - b_upper - upper, b_lower - a_upper + lower)
+        np.maximum(apart, 0.0, out=apart)
+        gaps: Array = np.sqrt(np.einsum("cpi,cpi->pi", apart, apart))
+        if self.counted is not None:
+            gaps[~self.counted[:, pairs.first]] = np.inf
+        return gaps
+
+    def part(self, start: int, stop: int) -> Moving:
+        """Return the same on a run of pieces."""
+        breaks, cut = self.breaks[start : stop + 1], slice(start, stop)
+        second = None if self.second is None else self.second[cut]
+        counted = None if self.counted is None else self.counted[cut]
+        return replace(self, breaks=breaks, first=self.first[cut], second=second, counted=counted)
+
+    def halves(self) -> tuple[Moving, Moving]:
+        """Return both halves of the pieces, or of the only one."""
+        pieces = len(self.first)
+        if pieces > 1:
+            return self.part(0, pieces // 2), self.part(pieces // 2, pieces)
+        start, end = self.breaks
+        times = np.array([start, 0.5 * (start + end), end])
+        seconds = (None, None) if self.second is None else bernstein.halve(self.second)
+        firsts = bernstein.halve(self.first)
+        one, other = (
+            replace(self, breaks=times[i : i + 2], first=firsts[i], second=seconds[i])
+            for i in (0, 1)
+        )
+        return one, other
+
+
+def _boxes(corners: Array) -> Array:
+    """Return boxes (2, 3, pieces, bodies) around corners (pieces, bodies, k, 3, degree + 1) [m]."""
+    each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
+    return np.stack([each.min(axis=0), each.max(axis=0)])
+
+
+class PairSpans(Spans):
+    """Spans of pairs of moving bodies."""
+
+    source: Moving
+
+    @cached_property
+    def ends(self) -> tuple[Array, Array]:
+        """Corners (spans, corners, 3, degree + 1) [m] of both bodies."""
+        i, j = np.divmod(self.item, self.source.count)
+        return self.read(self.source.first, i), self.read(self.source.others, j)
+
+    @property
+    def lengths(self) -> Array:
+        """Lengths (spans,) [m] of hanging cables."""
+        assert self.source.lengths is not None
+        return self.source.lengths[self.item // self.source.count]
+
+
+def near(moving: Moving, attained: Callable[[], float], depth: int = 0) -> Iterator[PairSpans]:
+    """Yield spans of all pairs that may be closer than what is attained.
+
+    That is asked for again after every yield. Points at which some pairs are near come first. A
+    single piece is halved, to a ``depth``, where the index lists many pairs for all that moves.
+    """
+    pairs, pieces = moving.pairs, len(moving.first)
+    bodies = moving.first.shape[1] + moving.count
+    split = pieces > 1 and pieces * (bodies if pairs is None else len(pairs)) > GROUP
+    if pairs is None and not split:
+        yield from _neighbours(moving, attained)
+        reach = (attained() + moving.margin) * (1.0 + SLACK)
+        reach += float(np.max(np.linalg.norm(moving.extent, axis=-1)))
+        own, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
+        moves = np.median(own.sizes) > 0.25 * reach
+        last = pieces == 1 and (depth == MAX_DEPTH or not moves)
+        second = None if moving.second is None else others
+        close = few_close_pairs(
+            own, second, float(reach) * (1.0 + SLACK), np.inf if last else MOST * bodies
+        )
+        pairs = None if close is None else moving.chosen(close.first, close.second)
+    if split or pairs is None:
+        for half in moving.halves():
+            yield from near(half, attained, depth + (pieces == 1))
+    else:
+        yield from _compared(moving, attained, pairs)
+
+
+def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> Iterator[PairSpans]:
+    """Yield the spans of given pairs whose boxes are near, the nearest ones at mid span first."""
+    gaps, item = moving.gaps(pairs), pairs.first * moving.count + pairs.second
+    if gaps.size > SEEDS:
+        nearest = np.sort(np.argpartition(gaps, SEEDS, axis=None)[:SEEDS])
+        piece, pair = np.divmod(nearest[gaps.flat[nearest] < np.inf], len(pairs))
+        yield PairSpans(moving, moving.breaks, piece, item[pair]).at(np.array(0.5))
+    cutoff = min((attained() + moving.margin) * (1.0 + SLACK), np.finfo(np.float64).max)
+    piece, pair = np.nonzero(~(gaps > cutoff))  # what is no number rules nothing out
+    yield PairSpans(moving, moving.breaks, piece, item[pair])
+
+
+def _neighbours(moving: Moving, attained: Callable[[], float]) -> Iterator[PairSpans]:
+    """Yield some of the nearest pairs of many bodies on the middle one of their pieces."""
+    from scipy.spatial import cKDTree
+
+    middle = len(moving.first) // 2
+    part = moving.part(middle, middle + 1)
+    own, others = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
+    second = cKDTree(others).query(own, k=min(NEIGHBOURS, moving.count))[1].reshape(len(own), -1)
+    first = np.repeat(np.arange(len(own)), second.shape[1])
+    yield from _compared(part, attained, moving.chosen(first, second.ravel()))
+
+
 def smallest(moving: Moving, **options: float) -> Extremum:
     """Return the smallest distance of all pairs that count; infinite, item -1, where none does.
 
     The ``options`` are of ``Search``.
     """
-    search: Search[PairSpans] = Search(moving.formula or gap, "min", **options)
+    search: Search[PairSpans] = Search(moving.formula, "min", **options)
     for spans in near(moving, lambda: search.attained):
         search.add(spans)
         if search.attained <= search.absolute:  # they touch: no other pair can do worse
@@ -334,33 +333,18 @@ def smallest(moving: Moving, **options: float) -> Extremum:
     return search.finish()
 
 
-@dataclass(frozen=True, eq=False)
-class Nearest:
-    """A finder of the smallest distance of all pairs; ``where`` names the two bodies.
+def nearest(cases: Callable[[Motion], Iterable[Moving]]) -> Callable[[Motion, float], Finding]:
+    """Return a finder of the smallest distance in all cases of what moves past what."""
 
-    Attributes
-    ----------
-    cases: what moves past what.
-    scale: what distances are multiplied by.
-    """
-
-    cases: Callable[[Motion], Iterable[Moving]]
-    scale: Callable[[Motion], float] = lambda _: 1.0
-
-    def __call__(self, motion: Motion, limit: float) -> Finding:
-        """Return the smallest distance, to be held against a limit."""
-        size = self.scale(motion) * magnitude(motion)
+    def find(motion: Motion, limit: float) -> Finding:
+        size = magnitude(motion)
         aim, best = within(limit, "min", size, 0.5), Finding(math.inf, 0.0, size=size)
-        for moving in self.cases(motion):
-            if moving.contact is not None:
-                found = smallest(moving, target=2.0 * moving.contact)
-                if found.worst < moving.contact < best.worst:
-                    best = Finding(0.0, found.time, moving.named(found.item), size)
-                continue
-            if moving.tolerance is None:
+        for moving in cases(motion):
+            tolerance = moving.tolerance
+            if tolerance is None:
                 found = smallest(moving, target=aim, known=best.worst)
             else:  # what is found depends on the span of time, and on nothing else
-                found = smallest(moving, relative=moving.tolerance, absolute=moving.tolerance)
+                found = smallest(moving, relative=tolerance, absolute=tolerance)
             least = max(found.worst, 0.0)
             if least < best.worst and found.item < 0:  # nothing is known to be nearer
                 best = replace(best, worst=least)
@@ -368,69 +352,7 @@ class Nearest:
                 best = Finding(least, found.time, moving.named(found.item), size)
         return best
 
-
-def near(moving: Moving, attained: Callable[[], float]) -> Iterator[PairSpans]:
-    """Yield spans of all pairs that may be closer than what is attained.
-
-    That is asked for again after every yield. Points at which some pairs are near come first.
-    """
-    pairs = moving.pairs
-    bodies = moving.first.shape[1] + moving.count
-    size = max(1, GROUP // max(1, bodies if pairs is None else len(pairs)))
-    for start in range(0, len(moving.first), size):
-        part = moving.part(start, start + size)
-        if pairs is None:
-            yield from _indexed(part, attained, 0)
-        else:
-            yield from _compared(part, attained, pairs)
-
-
-def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> Iterator[PairSpans]:
-    """Yield the spans of given pairs."""
-    gaps = moving.gaps(pairs)
-    item = pairs.first * moving.count + pairs.second
-    if gaps.size > SEEDS:
-        nearest = np.sort(np.argpartition(gaps, SEEDS, axis=None)[:SEEDS])
-        piece, pair = np.divmod(nearest[gaps.flat[nearest] < np.inf], len(pairs))
-        yield moving.spans(piece, item[pair]).at(np.full(len(piece), 0.5))
-    cutoff = min(moving.cutoff(attained()), np.finfo(np.float64).max)
-    piece, pair = np.nonzero(~(gaps > cutoff))  # what is no number rules nothing out
-    yield moving.spans(piece, item[pair])
-
-
-def _indexed(moving: Moving, attained: Callable[[], float], depth: int) -> Iterator[PairSpans]:
-    """Yield the spans of pairs that a spatial index lists, of which there are not too many."""
-    yield from _neighbours(moving)
-    reach = moving.cutoff(attained()) + float(np.max(np.linalg.norm(box_of(moving.shape), axis=-1)))
-    own, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
-    second = None if moving.second is None else others
-    single, moves = len(moving.first) == 1, np.median(own.sizes) > 0.25 * reach
-    last = single and (depth == MAX_DEPTH or not moves)
-    most = np.inf if last else MOST * (len(own) + len(others))
-    pairs = few_close_pairs(own, second, reach, most)
-    if pairs is not None:
-        yield from _compared(moving, attained, moving.chosen(pairs))
-        return
-    for half in moving.halves():
-        yield from _indexed(half, attained, depth + single)
-
-
-def _neighbours(moving: Moving) -> Iterator[PairSpans]:
-    """Yield some of the nearest pairs of many bodies on the middle one of their pieces."""
-    from scipy.spatial import cKDTree
-
-    middle = len(moving.first) // 2
-    part = moving.part(middle, middle + 1)
-    own, others = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
-    found = cKDTree(others).query(own, k=min(NEIGHBOURS, moving.count))[1]
-    j = np.asarray(found, dtype=np.intp).reshape(len(own), -1)
-    pairs = Pairs(np.repeat(np.arange(len(j)), j.shape[1]), j.ravel())
-    if moving.second is None:
-        pairs = pairs.take(pairs.first < pairs.second)
-    pairs = moving.chosen(pairs)
-    pairs = pairs.take(np.argsort(part.gaps(pairs)[0], kind="stable")[:SEEDS])
-    item = pairs.first * moving.count + pairs.second
-    yield part.spans(np.zeros_like(item), item).at(np.full(len(item), 0.5))
+    return find
 
 
 def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
@@ -441,17 +363,14 @@ def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
     return Moving(drones.breaks, points, margin=margin, names=(names, names))
 
 
-SEPARATED = Nearest(
-    lambda motion: [scaled_drones(motion, motion.drones)],
-    lambda motion: float(np.max(motion.requirements.separation.scale)),
-)
+_SEPARATED = nearest(lambda motion: [scaled_drones(motion, motion.drones)])
 
 SEPARATION = CheckRule(
     "separation",
     "ratio",
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
-    (Finder(SEPARATED, exported=True, shown=(gap, distance)),),
+    (Finder(_SEPARATED, exported=True, shown=(gap, distance)),),
     "give the drones other leg lengths (of a longer cable or a smaller polygon), "
     "or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
@@ -484,19 +403,25 @@ def _taut(motion: Motion) -> Iterator[Moving]:
         shared: Flags = np.any([a[i] == b[j] for a in ends for b in ends], axis=0)
         return ~shared
 
-    yield Moving.of(motion, corners, None, (names, names), allowed=unclasped)
+    breaks, margin = motion.drones.breaks, position_margin(motion)
+    yield Moving(breaks, corners, None, margin, unclasped, names=(names, names))
 
 
-def _hanging(motion: Motion, allowed: Allowed | None = None) -> Iterator[Moving]:
-    """Yield all pairs of cables from above: there they are on their chords."""
-    names = cable_names(motion)
-    yield Moving.of(motion, cable_ends(plan_points(motion)), None, (names, names), allowed=allowed)
+def _hanging(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of cables from above: there they are on their chords.
 
+    Neighbours that are being clasped, or let go, are free to touch.
+    """
+    names, layout = cable_names(motion), motion.team.layout
 
-def _clasped(motion: Motion) -> Iterator[Moving]:
-    """Yield the same of cables that share no clasp."""
-    layout = motion.team.layout
-    yield from _hanging(motion, lambda i, j: ~np.isin(pair_of(layout, i, j), clasped_pairs(layout)))
+    def unclasped(i: Indices, j: Indices) -> Flags:
+        return ~np.isin(pair_of(layout, i, j), clasped_pairs(layout))
+
+    for part in phase_parts(motion):
+        clasped = part.phase.state in (CableState.CLASPING, CableState.TIGHTENING)
+        ends, margin = cable_ends(plan_points(part.motion)), position_margin(part.motion)
+        allowed, breaks = unclasped if clasped else None, part.motion.drones.breaks
+        yield Moving(breaks, ends, None, margin, allowed, names=(names, names))
 
 
 CROSSING = CheckRule(
@@ -505,13 +430,8 @@ CROSSING = CheckRule(
     "min",
     lambda motion: motion.requirements.separation.crossing,
     (
-        Finder(Nearest(_taut), HITCHED_STATE, shown=(gap,)),
-        Finder(Nearest(_hanging), frozenset({CableState.GROUND, CableState.FREE}), exported=True),
-        Finder(
-            Nearest(_clasped),
-            frozenset({CableState.CLASPING, CableState.TIGHTENING}),
-            exported=True,
-        ),
+        Finder(nearest(_taut), HITCHED_STATE, shown=(gap,)),
+        Finder(nearest(_hanging), FREE_STATES, exported=True),
     ),
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",
@@ -520,5 +440,5 @@ CROSSING = CheckRule(
 """Cable parts that share no clasp stay apart.
 
 Hanging cables keep off each other as seen from above, where they are straight lines: in space they
-are no closer. Neighbours that are being clasped, or let go, are free to touch.
+are no closer.
 """

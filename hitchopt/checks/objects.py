@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -32,9 +32,9 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
-from hitchopt.motion.loads import centre_path, held_pieces, rim_drop, tautness
+from hitchopt.motion.loads import centre_path, held_pieces, lowered, rim_drop, tautness
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, HoldBy, Motion
-from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.objects import Section, Slab, SolidObject
 from hitchopt.objects.placing import STILL, TOUCH, in_frame, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
@@ -52,19 +52,25 @@ CONTACT = 2e-5
 NO_ARC = 1e-9
 """[m] Chords that are shorter by far than a circle's radius: such arcs are their chords."""
 
+SIGNS = np.array([[1.0], [-1.0]])
+"""An edge runs towards what it holds before it, and away behind it."""
+
 
 def for_each(value: Enclosed) -> Enclosed:
     """Return a value (…) for all items of a new last leading axis (…, 1)."""
     return Enclosed(value.c[..., None, :, :], np.asarray(value.r)[..., None])
 
 
+def chosen(value: Enclosed, items: int | list[int]) -> Enclosed:
+    """Return items of the last leading axis."""
+    r = np.broadcast_to(value.r, value.c.shape[:-2])
+    return Enclosed(value.c[..., items, :, :], r[..., items])
+
+
 def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
     """Return points (…, 3 components) [m] in the frames of objects.
 
-    Parameters
-    ----------
-    pose: (…, 5 components), x, y, z [m], cosine and sine of yaw; the same for all items of axes of
-        the points that it does not have.
+    Their poses are x, y, z [m], cosine and sine of yaw, the same along axes that they do not have.
     """
     while pose.c.ndim < points.c.ndim:
         pose = for_each(pose)
@@ -72,13 +78,21 @@ def seen_from(pose: Enclosed, points: Enclosed) -> Enclosed:
     return vector(turned_back(away.level, Enclosed(pose.c[..., 3:, :])), away[2])
 
 
+def placed(pose: Enclosed, slab: Slab) -> Enclosed:
+    """Return corners (…, 1, 2 m) [m] of the core of an object's slab, those of its floor first."""
+    core, pose = slab.section.core, for_each(for_each(pose))
+    heights = np.repeat([slab.lower, slab.upper], len(core))[:, None]
+    heading = Enclosed(pose.c[..., 3:, :] * SIGNS)
+    level = turned_back(Enclosed.of(np.tile(core, (2, 1))), heading)
+    return vector(level, Enclosed.of(heights)) + Enclosed(pose.c[..., :3, :], pose.r)
+
+
 def turned_back(level: Enclosed, heading: Enclosed) -> Enclosed:
     """Return level vectors (…, 2 components) as seen from bodies with headings (…, 2 components).
 
     A heading of polynomials is no unit vector: by how much it is not goes to the ball.
     """
-    if np.all(heading.c == heading.c[..., :1]):
-        heading = Enclosed(heading.c[..., :1], heading.r)
+    heading = Enclosed(lowered(heading.c), heading.r)
     seen = vector(level.dot(heading), heading.cross(level))
     return seen.widened(heading_error(heading) * (level.size + level.r))
 
@@ -102,14 +116,13 @@ class Held(MotionSpans):
     @classmethod
     def of_object(cls, motion: Motion, index: int, on: Mask) -> Iterator[Self]:
         """Yield the spans of whole pieces ``on`` (pieces,) of an object."""
-        chosen = np.arange(len(motion.requirements.objects)) == index
-        return cls.all_of(motion, motion.drones.breaks, len(chosen), on[:, None] & chosen)
+        own = np.arange(len(motion.requirements.objects)) == index
+        return cls.all_of(motion, motion.drones.breaks, len(own), on[:, None] & own)
 
     @cached_property
     def body(self) -> SolidObject:
         """The object."""
-        bodies = tuple(self.source.requirements.objects.values())
-        return bodies[int(self.item[0])]
+        return tuple(self.source.requirements.objects.values())[int(self.item[0])]
 
     def of_items(self, table: Array) -> Array:
         """Return the polynomials (spans, items, …, degree + 1) of all items of a table."""
@@ -151,21 +164,20 @@ class Gripped(Held):
     """Spans of an object that edges are wrapped around."""
 
     @cached_property
-    def corners(self) -> list[Enclosed]:
-        """Each of ``bends`` (spans, n) [m]."""
-        return _corners(self.of_items(bends(self.source)), self.noise)
+    def corners(self) -> Enclosed:
+        """Each of ``bends`` (spans, n, 4) [m]."""
+        return Enclosed(self.of_items(bends(self.source)), self.noise)
 
     @cached_property
-    def ways(self) -> tuple[Enclosed, Enclosed]:
-        """Straight parts of edges, before and behind the object (spans, n) [m]."""
-        start, first, last, end = self.corners
-        return first - start, end - last
+    def ways(self) -> Enclosed:
+        """Straight parts of edges, before and behind the object (spans, n, 2) [m]."""
+        return _straight_parts(self.corners)
 
     @cached_property
-    def legs(self) -> list[Enclosed]:
-        """All q-legs and all r-legs (spans, n) [m]."""
+    def legs(self) -> Enclosed:
+        """Legs of cables (spans, n, 2) [m]."""
         legs = self.of_items(leg_vectors(self.source))
-        return [Enclosed(legs[:, i::2], self.noise) for i in (0, 1)]
+        return Enclosed(legs.reshape(len(self), -1, 2, *legs.shape[2:]), self.noise)
 
     @cached_property
     def tension(self) -> Enclosed:
@@ -173,16 +185,18 @@ class Gripped(Held):
         return Enclosed(self.of_items(self.source.tensions.coefficients)[:, :, None])
 
     @cached_property
-    def pull(self) -> Enclosed:
-        """What edges pull with along their straight parts, by their whole length (spans, n) [N]."""
-        half = 0.5 * GRAVITY * self.source.team.cable_density
-        if half == 0.0:
-            return self.tension
-        taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
-        q, r = self.legs
-        edge = Enclosed(self.source.team.cable_length[:, None, None]) - q.norm - r.norm
-        found: Enclosed = chord_pull(self.tension, taut * half, edge * edge)
-        return found
+    def pulls(self) -> Enclosed:
+        """What edges pull the object with, before and behind it (spans, n, 2) [N].
+
+        Along their straight parts, by their whole length.
+        """
+        team, pull = self.source.team, self.tension
+        if team.cable_density > 0.0:
+            taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
+            half = taut * (0.5 * GRAVITY * team.cable_density)
+            edge = Enclosed(team.cable_length[:, None, None]) - self.legs.norm.sum()
+            pull = chord_pull(pull, half, edge * edge)
+        return self.ways.direction * for_each(pull) * -SIGNS
 
     @cached_property
     def slip_load(self) -> Array:
@@ -190,13 +204,12 @@ class Gripped(Held):
 
         ``T_k`` is the least pull of cable k's legs, less what friction takes where it is clasped.
         """
-        (before, behind), (q, r) = self.ways, self.legs
-        clasped = np.maximum(_angles(-q, before).high, _angles(-r, -behind).high)
+        clasped = np.max(_angles(-self.legs, self.ways * SIGNS).high, axis=-1)
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
-        pulls = np.minimum(pulls[:, 0::2], pulls[:, 1::2])
+        pulls = np.min(pulls.reshape(len(self), -1, 2), axis=-1)
         pulls = pulls * np.exp(-self.source.team.cable_friction * clasped)
-        turned = _angles(before.level, behind.level).low
-        slip: Array = self.body.friction * np.sum(pulls * turned, axis=-1)
+        before, behind = (chosen(self.ways, i).level for i in (0, 1))
+        slip: Array = self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1)
         return slip
 
     @cached_property
@@ -209,8 +222,9 @@ class Gripped(Held):
         return load
 
 
-def _corners(points: Array, margin: float = 0.0) -> list[Enclosed]:
-    return [Enclosed(points[:, :, i], margin) for i in range(points.shape[2])]
+def _straight_parts(corners: Enclosed) -> Enclosed:
+    """Return the straight parts (…, 2) [m] of edges that bend at corners (…, 4)."""
+    return chosen(corners, [1, 3]) - chosen(corners, [0, 2])
 
 
 def _angles(a: Enclosed, b: Enclosed) -> Interval:
@@ -225,13 +239,17 @@ def turning_reach(body: SolidObject) -> float:
     section = body.section
     away = np.linalg.norm(section.core - section.centroid, axis=-1)
     arm = section.rounding or float(np.min(away))
-    reach = float(np.max(away)) + section.rounding
-    return reach**2 / arm
+    return (float(np.max(away)) + section.rounding) ** 2 / arm
 
 
 def slip_ratio(spans: Gripped) -> Bound:
-    """Return slip load over load; infinite where nothing is borne."""
-    return _ratio(spans.slip_load, spans.load * (1.0 + ROUNDING))
+    """Return slip load over load while that is borne, else infinity.
+
+    It is minus infinity where edges are not wrapped around the object.
+    """
+    borne = np.any(spans.share.c > 0.0, axis=(1, 2))
+    ratio = _ratio(spans.slip_load, np.where(borne, spans.load * (1.0 + ROUNDING), 0.0))
+    return Bound(np.where(_misplaced(spans), -math.inf, ratio.value), ratio.x)
 
 
 def _ratio(a: Array, b: Array) -> Bound:
@@ -247,30 +265,19 @@ def spare_friction(motion: Motion, index: int) -> Array:
 
 
 def _slipping(motion: Motion, limit: float) -> Finding:
-    """Return the smallest ratio of slip load to load, while the load is borne.
+    """Return the smallest ratio of slip load to load.
 
     It is minus infinity where an edge bends with nothing gripped, or is off the section of what is.
     """
-    best = Finding(math.inf, 0.0)
-    lost = np.any(~_straight(*_corners(bends(motion))), axis=1)
-    gripped = gripping(motion)
-    for index, name, on in gripped:
-        for spans in Gripped.of_object(motion, index, on):
-            lost[spans.piece] = _misplaced(spans)
-        borne = np.any(motion.object_shares.coefficients[:, index] > 0.0, axis=-1)
-        parts = Gripped.of_object(motion, index, on & borne)
-        found = worst(parts, slip_ratio, "min", target=within(limit, "min"))
-        if found.worst < best.worst:
-            best = Finding(found.worst, found.time, (name,))
+    lost = np.any(~_straight(Enclosed(bends(motion))), axis=1)
+    found = [Finding(math.inf, 0.0)]
+    for index, name, on in gripping(motion):
+        parts, lost = Gripped.of_object(motion, index, on), lost & ~on
+        least = worst(parts, slip_ratio, "min", target=within(limit, "min"))
+        found.append(Finding(least.worst, least.time, (name,)))
     if np.any(lost):
-        time = float(motion.drones.breaks[int(np.argmax(lost))])
-        return Finding(-math.inf, time, tuple(name for _, name, _ in gripped))
-    return best
-
-
-def _limit(motion: Motion) -> float | None:
-    by_grip = any(phase.hold and phase.hold.by is HoldBy.GRIP for phase in motion.phases)
-    return LIMIT if by_grip or motion.contacts is not None else None
+        found.append(Finding(-math.inf, float(motion.drones.breaks[int(np.argmax(lost))])))
+    return min(found, key=lambda each: each.worst)
 
 
 SHOWN = (slip_ratio, Gripped.slip_load, Gripped.load)
@@ -279,18 +286,18 @@ GRIP = CheckRule(
     "grip",
     "1",
     "min",
-    _limit,
+    lambda motion: LIMIT if gripping(motion) or motion.contacts is not None else None,
     (Finder(_slipping, HITCHED_STATE | FREE_STATES, shown=SHOWN),),
     "lower the object's mass, raise the tension, or use rougher cables",
 )
 
 
-def _straight(start: Enclosed, first: Enclosed, last: Enclosed, end: Enclosed) -> Mask:
+def _straight(corners: Enclosed) -> Mask:
     """Return (pieces, edges) where contacts are one point, on the line between both ends."""
+    start, first, last, end = (chosen(corners, i) for i in range(4))
     aside = (first - start).cross(end - last).norm_above.value
-    size = (end - start).norm_above.value
     one_point = (last - first).norm_above.value <= CONTACT
-    straight: Mask = (aside <= CONTACT * (size + CONTACT)) & one_point
+    straight: Mask = one_point & (aside <= CONTACT * ((end - start).norm_above.value + CONTACT))
     return straight
 
 
@@ -301,78 +308,56 @@ def _misplaced(spans: Gripped) -> Mask:
     the section is on its right, and it turns to the right by less than half a turn.
     """
     body, section = spans.body, spans.body.section
-    seen = [seen_from(spans.pose, corner) for corner in spans.corners]
-    slack = CONTACT + np.max([np.asarray(each.r) for each in seen], axis=0)
-    start, first, last, end = (Enclosed(each.c) for each in seen)
-    touching = (_off(section, first) <= slack) & (_off(section, last) <= slack)
-    wrong = ~(_straight(start, first, last, end) | touching)
-    wrong |= _before(section, start, first, slack) | _before(section, last, end, slack)
-    before, behind = (first - start).level, (end - last).level
-    right, along = behind.cross(before).range, before.dot(behind).range
-    wrong |= right.low < -slack * np.maximum(along.high, -along.low)
-    wrong |= (along.low <= 0.0) & (right.low <= 0.0)
-    for height in (first[2], last[2]):
-        wrong |= (height - first.c[..., 2, :1]).norm_above.value > slack
-        wrong |= (height.below.value < body.lower) | (height.above.value > body.upper)
-    found: Mask = np.any(wrong, axis=1)
-    return found
-
-
-def _off(section: Section, point: Enclosed) -> Array:
-    """Return (spans, edges) how far a point is off a circle, or off a polygon's corners [m]."""
-    away = for_each(point.level) - section.core
+    seen = seen_from(spans.pose, spans.corners)
+    slack = CONTACT + np.max(seen.r, axis=-1)
+    exact = Enclosed(seen.c)
+    ways, contacts = _straight_parts(exact).level, chosen(exact, [1, 2])
+    # Contacts are at corners of a polygon, or on a circle.
+    away = for_each(contacts.level) - section.core
     off = away.norm_above.value
     if section.outline is None:
         off = (away.dot(away) - section.rounding**2).norm_above.value / section.rounding
-    nearest: Array = np.min(off, axis=-1)
-    return nearest
-
-
-def _before(section: Section, start: Enclosed, end: Enclosed, slack: Array) -> Mask:
-    """Return (spans, edges) where a part of the section is on the left of a straight part."""
-    along = (end - start).level
-    left = for_each(along).cross(for_each(-start.level) + section.core)
-    reach = (left + for_each(along.norm) * section.rounding).above.value
-    size = along.norm_range
-    # A part without length says nothing: the other part of its edge does.
-    found: Mask = (np.max(reach, axis=-1) > slack * size.low) & (size.high > CONTACT)
+    touching = np.all(np.min(off, axis=-1) <= slack[..., None], axis=-1)
+    # No part of the section is on the left; a part without length says nothing.
+    left = for_each(ways).cross(section.core - for_each(chosen(exact, [0, 2]).level))
+    reach = np.max((left + for_each(ways.norm) * section.rounding).above.value, axis=-1)
+    size = ways.norm_range
+    before = (reach > slack[..., None] * size.low) & (size.high > CONTACT)
+    right = chosen(ways, 1).cross(chosen(ways, 0)).range
+    along = chosen(ways, 0).dot(chosen(ways, 1)).range
+    turned = right.low < -slack * np.maximum(along.high, -along.low)
+    turned |= (along.low <= 0.0) & (right.low <= 0.0)
+    heights = contacts[2].range
+    level = (contacts[2] - exact.c[..., 1:2, 2, :1]).norm_above.value <= slack[..., None]
+    level &= (heights.low >= body.lower) & (heights.high <= body.upper)
+    wrong = turned | np.any(before | ~level, axis=-1) | ~(_straight(exact) | touching)
+    found: Mask = np.any(wrong, axis=1)
     return found
 
 
 def unbalanced(motion: Motion) -> Finding:
     """Return the largest force, or moment over its size, that an object lacks, over the tension."""
-    most = Finding(0.0, 0.0)
+    found = [Finding(0.0, 0.0)]
     for index, name, on in gripping(motion):
-        lifted = np.all(motion.object_shares.coefficients[:, index] == 1.0, axis=-1)
-        for stands, chosen in ((True, on & ~lifted), (False, on & lifted)):
-            spans = Gripped.of_object(motion, index, chosen)
-            found = worst(spans, partial(lacking, stands=stands), "max")
-            if found.worst > most.worst:
-                most = Finding(found.worst, found.time, (name,))
-    return most
+        most = worst(Gripped.of_object(motion, index, on), lacking, "max")
+        found.append(Finding(most.worst, most.time, (name,)))
+    return max(found, key=lambda each: each.worst)
 
 
-def lacking(spans: Gripped, *, stands: bool) -> Bound:
+def lacking(spans: Gripped) -> Bound:
     """Return what an object lacks, over the least tension; infinite where none holds it.
 
-    Off its support all of ``Σ P_k (b̂_k - â_k) - m (a + g ẑ)`` counts, and moments about the
-    vertical. Of an object that stands the borne share of its weight counts, and level forces beyond
-    what friction with its support takes.
+    That is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the share of its weight that is borne, and
+    moments about its centre. Of both, friction with its support takes what it can.
     """
-    body = spans.body
-    weight = spans.share.upward() * GRAVITY
-    before, behind = (way.direction * spans.pull for way in spans.ways)
-    force = (behind - before).sum() - (weight if stands else weight + spans.pushed) * body.mass
-    if stands:
-        friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.above.value)
-        level = np.maximum(force.level.norm_above.value - friction, 0.0)
-        found = np.maximum(level, force[2].norm_above.value)
-    else:
-        _, first, last, _ = spans.corners
-        centre = for_each(Enclosed(spans.read(centres(spans.source).coefficients), spans.noise))
-        moment = ((last - centre).cross(behind) - (first - centre).cross(before)).sum()
-        turning = moment.norm_above.value / body.section.circumradius
-        found = np.maximum(force.norm_above.value, turning)
+    body, pulls = spans.body, spans.pulls
+    force = pulls.sum().sum() - (spans.share.upward() * GRAVITY + spans.pushed) * body.mass
+    centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
+    arms = chosen(spans.corners, [1, 2]) - for_each(for_each(centre))
+    moment = arms.cross(pulls).sum().sum().norm_above.value / body.section.circumradius
+    friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.above.value)
+    level = np.maximum(force.level.norm_above.value, moment) - friction
+    found = np.hypot(np.maximum(level, 0.0), force[2].norm_above.value)
     return _ratio(found, np.min(spans.tension.below.value, axis=-1))
 
 
@@ -435,12 +420,6 @@ SETTLED = 1e-4
 class Resting(Held):
     """Spans of an object with a rim that rests on all clasps."""
 
-    @property
-    def rim(self) -> Rim:
-        """The rim."""
-        assert self.body.rim is not None
-        return self.body.rim
-
     @cached_property
     def clasps(self) -> Enclosed:
         """Clasps (spans, n) [m] as seen from the object."""
@@ -457,14 +436,15 @@ class Resting(Held):
 
 def force_line(spans: Resting) -> Bound:
     """Return how far from the edges of the clasps' polygon the force line meets its plane [m]."""
-    places, body, rim = spans.places, spans.body, spans.rim
+    places, body = spans.places, spans.body
+    assert body.rim is not None
     centre = body.centre_of_mass
     edges = unit(np.roll(places, -1, axis=1) - places)
     inward = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)  # of clockwise edges
     apart = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
     level = for_each(turned_back(spans.pushed.level, heading))
-    lean = level.dot(inward) * (centre[2] - rim.height)
+    lean = level.dot(inward) * (centre[2] - body.rim.height)
     pressing = for_each(spans.pushed[2] + GRAVITY).range
     margin = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
     least = np.where(pressing.low > 0.0, apart - (lean.range * pressing.inverse).high, -np.inf)
@@ -478,38 +458,34 @@ def _force_lines(motion: Motion, _: float) -> Finding:
     It is minus infinity where an object moves, or is borne, and nothing holds it; where it floats;
     and where clasps of a hold are not around it, or not where they bear it, or it would slide off.
     """
-    best, begins = Finding(math.inf, 0.0, size=magnitude(motion)), motion.drones.breaks
+    size, begins = magnitude(motion), motion.drones.breaks
+    each = [Finding(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         share = motion.object_shares.coefficients[:, index]
         moving = np.any(np.ptp(motion.object_poses.coefficients[:, index], axis=-1) > STILL, -1)
         whole = np.all(share == 1.0, axis=-1)
         carried = moving | np.any(share != 0.0, axis=-1)
         resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-        lost = _floating(motion, index, name, ~whole & ~moving) | (moving & ~whole)
+        lost = moving & ~whole
+        if not body.fixed:
+            lost |= _floating(motion, index, name, ~whole & ~moving)
         lost |= np.any((share < 0.0) | (share > 1.0), axis=-1)
         lost |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
         if body.rim is None or not motion.team.layout.closed:
             lost |= resting
-        else:
-            for spans in Resting.of_object(motion, index, resting):
-                lost[spans.piece] |= _apart(spans)
-            for spans in Resting.of_object(motion, index, resting & carried):
-                lost[spans.piece] |= _out_of_place(spans)
+        for spans in Resting.of_object(motion, index, resting & ~lost):
+            lost[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
+        parts = Resting.of_object(motion, index, resting & carried & whole & ~lost)
+        least = worst(parts, force_line, "min")
+        each.append(Finding(least.worst, least.time, (name,), size))
         if np.any(lost):
-            found = Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,))
-        else:
-            parts = Resting.of_object(motion, index, resting & carried & whole)
-            least = worst(parts, force_line, "min")
-            found = Finding(least.worst, least.time, (name,), magnitude(motion))
-        best = min(best, found, key=lambda each: each.worst)
-    return best
+            each.append(Finding(-math.inf, float(begins[int(np.argmax(lost))]), (name,)))
+    return min(each, key=lambda found: found.worst)
 
 
 def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
     """Return (pieces,) where an object that is not borne as a whole stands on nothing."""
     objects = motion.requirements.objects
-    if objects[name].fixed:
-        return np.zeros_like(still)
     poses = np.round(motion.object_poses.coefficients[..., 0] / STILL) * STILL
     places, which = np.unique(poses, axis=0, return_inverse=True)
     stands = np.zeros(len(places), dtype=np.bool_)
@@ -520,19 +496,17 @@ def _floating(motion: Motion, index: int, name: str, still: Mask) -> Mask:
     return still & ~stands[which.ravel()]
 
 
-def _apart(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins."""
-    above = Enclosed(spans.clasps.c)[2].above.value > spans.rim.height + SETTLED
-    edges = np.roll(spans.places, -1, axis=1) - spans.places
-    to = spans.body.section.centroid - spans.places
-    right = edges[..., 1] * to[..., 0] - edges[..., 0] * to[..., 1]
-    found: Mask = np.any(above | (right <= 0.0), axis=1)
-    return found
+def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
+    """Return (spans,) where clasps are above a rim, or not around the body as the piece begins.
 
-
-def _out_of_place(spans: Resting) -> Mask:
-    """Return (spans,) where clasps are not below the rim, by ``rim_drop``, or it slides off."""
-    motion, body, rim, places = spans.source, spans.body, spans.rim, spans.places
+    And, of what is ``carried``, not below the rim by ``rim_drop``, or it slides off.
+    """
+    motion, body, rim, places = spans.source, spans.body, spans.body.rim, spans.places
+    assert rim is not None
+    following, to = np.roll(places, -1, axis=1), body.section.centroid - places
+    edges = following - places
+    wrong = edges[..., 1] * to[..., 0] - edges[..., 0] * to[..., 1] <= 0.0
+    wrong |= Enclosed(spans.clasps.c)[2].above.value > rim.height + SETTLED
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]
     whole = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
@@ -542,10 +516,10 @@ def _out_of_place(spans: Resting) -> Mask:
     off = np.maximum(off, heights.high - rim.height + np.where(whole, drop, 0.0))
     found = (off > SETTLED) | (rim.section.clearance(places)[0] >= -SETTLED)
     if body.stem is not None:
-        found |= body.stem.segment_distance(places, np.roll(places, -1, axis=1)) <= SETTLED
+        found |= body.stem.segment_distance(places, following) <= SETTLED
     pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
     found |= pushed.level.norm_above.value > body.friction * (GRAVITY + pushed[2].below.value)
-    lost: Mask = np.any(found, axis=1)
+    lost: Mask = np.any(wrong | (found & carried[:, None]), axis=1)
     return lost
 
 
