@@ -177,7 +177,6 @@ CALLS: list[tuple[Callable[[Any], object], str]] = [
     (lambda x: PLAN.view(ghost=x, browser=False), "ghost"),
     (lambda x: PLAN.abort(0.0, x), "how"),
     (lambda x: ho.certify(PLAN.motion, reports=x), "reports"),
-    (lambda x: ho.certify(PLAN.motion, reports=[x]), "reports[0]"),
 ]
 # fmt: on
 

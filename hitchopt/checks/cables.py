@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
 from hitchopt.checks.objects import arc_lengths, wrapped_arcs
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
+from hitchopt.checks.rule import CheckRule, Finder, Finding, Searched
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -142,7 +142,7 @@ CABLE_LENGTH = CheckRule(
         Finder(Searched(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
     ),
     free_remedy="use a longer cable, or a smaller polygon",
-    ease=Ease.LENGTH,
+    ease="length",
     exported_limit=EXPORTED,
 )
 """How far cables are from being used up; while drawn out, by how much they are too short."""
@@ -154,7 +154,7 @@ SPAN = CheckRule(
     1.0,
     (Finder(Searched(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
-    ease=Ease.LENGTH,
+    ease="length",
 )
 """The largest distance of a free cable's drones over its length: a longer one hangs."""
 

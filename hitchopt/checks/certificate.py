@@ -13,15 +13,11 @@ from hitchopt.errors import HitchoptError, InputError, OneLine, Violation, broke
 
 FORMAT = "hitchopt-certificate/1"
 
-
 TOLERANCE = 1e-9
 """Relative to a limit, or to the largest length that enters: checks hold within that."""
 
 TIE = 1e-9
 """Share by which a check's pressure is larger if it is, not by rounding."""
-
-MAX_ROWS = 40
-"""Most rows of a table in a notebook; the others are counted."""
 
 
 GROUPS = {
@@ -104,8 +100,7 @@ class Check(OneLine):
         What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
         An infinity that holds is that of nothing, so there is no ``worst`` and no place.
         """
-        largest = sys.float_info.max
-        limit = None if limit is None else float(limit)
+        largest, limit = sys.float_info.max, None if limit is None else float(limit)
         if worst == _nothing(sense):
             return cls(name, True, None, limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
@@ -114,11 +109,15 @@ class Check(OneLine):
         holds = bool(worst >= edge if sense == "min" else worst <= edge)
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
+    @property
+    def relation(self) -> str:
+        """The limit and on which side of it values hold, such as ``≤ 1``; empty without one."""
+        sign = "≥" if self.sense == "min" else "≤"
+        return "" if self.limit is None else f"{sign} {self.limit:.6g}"
+
     def _parts(self) -> Iterator[str]:
-        relation = "≥" if self.sense == "min" else "≤"
-        limit = "" if self.limit is None else f" {relation} {self.limit:.6g}"
-        worst = "nothing counted" if self.worst is None else f"{self.worst:.6g}{limit} {self.unit}"
-        yield f"{self.name}: {worst}"
+        told = (f"{self.worst:.6g}", self.relation, self.unit) if self.worst is not None else ()
+        yield f"{self.name}: {' '.join(filter(None, told)) or 'nothing counted'}"
         yield "holds" if self.holds else "broken"
         yield f"t = {self.time:.4g} s"
         yield from [f"at {' '.join(self.where)}"] if self.where else []
@@ -140,26 +139,15 @@ class Check(OneLine):
         return _nothing(self.sense) if self.worst is None else self.worst
 
     @property
-    def margin(self) -> float:
-        """Distance to the limit, relative to it, or in the unit where it is 0; below 0 if broken.
-
-        Infinite where there is no limit, or nothing to count, as of 0 that is at most 0.
-        """
-        if self.limit is None or self.worst is None:
-            return math.inf
-        distance = self.worst - self.limit if self.sense == "min" else self.limit - self.worst
-        if self.limit == 0.0 and self.sense == "max" and self.holds:
-            return math.inf
-        return distance / (abs(self.limit) or 1.0)
-
-    @property
     def pressure(self) -> float:
-        """How near the quantity comes to its limit; drones may have different ones."""
+        """How far the quantity is beyond its limit, relative to it, or in the unit where it is 0.
+
+        Below 0 where it holds. Without a limit, how far out it is.
+        """
+        out = -1.0 if self.sense == "min" else 1.0
         if self.limit is None:
-            return -self.bound if self.sense == "min" else self.bound
-        if self.sense == "min":
-            return self.limit - self.bound
-        return self.bound / self.limit if self.limit > 0.0 else self.bound - self.limit
+            return out * self.bound
+        return out * (self.bound - self.limit) / (abs(self.limit) or 1.0)
 
 
 def _nothing(sense: str) -> float:
@@ -171,7 +159,7 @@ def most_pressing(checks: Iterable[Check | None]) -> Check | None:
     """Return the worst of one quantity's checks over several spans of time; None without any."""
     found: Check | None = None
     for check in filter(None, checks):  # of those that tie the first one
-        tie = TIE * abs(found.pressure) if found and math.isfinite(found.pressure) else 0.0
+        tie = TIE * max(1.0, abs(found.pressure)) if found and found.worst is not None else 0.0
         if found is None or check.pressure > found.pressure + tie:
             found = check
     return found
@@ -194,12 +182,10 @@ class Certificate(OneLine):
         """Return what notebooks show: the verdict, and the checks with their worst values."""
         rows = []
         for check in self.checks:
-            relation = "≥" if check.sense == "min" else "≤"
-            limit = "–" if check.limit is None else f"{relation} {check.limit:.6g}"
             worst = "–" if check.worst is None else f"{check.worst:.6g}"
             where = " ".join(check.where[:4]) + (" …" if len(check.where) > 4 else "")
-            holds = "yes" if check.holds else "NO"
-            rows.append((check.name, worst, limit, check.unit, where, f"{check.time:.3f} s", holds))
+            when, holds = f"{check.time:.3f} s", "yes" if check.holds else "NO"
+            rows.append((check.name, worst, check.relation, check.unit, where, when, holds))
         violated = ", ".join(check.name for check in self.violated)
         verdict = f"not certified: {violated}" if violated else "certified for all t"
         heads = ("check", "worst", "limit", "unit", "where", "when", "holds")
@@ -217,9 +203,10 @@ class Certificate(OneLine):
 
     @property
     def closest(self) -> tuple[Check, ...]:
-        """The CLOSEST checks with the least margins, the least first."""
-        limited = [check for check in self.checks if math.isfinite(check.margin)]
-        return tuple(sorted(limited, key=lambda check: check.margin)[:CLOSEST])
+        """The CLOSEST checks that press most on a limit, but counts of which none is allowed."""
+        pressed = [c for c in self.checks if c.limit is not None and c.worst is not None]
+        pressed = [c for c in pressed if c.limit or c.sense == "min" or not c.holds]
+        return tuple(sorted(pressed, key=lambda check: -check.pressure)[:CLOSEST])
 
     @property
     def certified(self) -> bool:
@@ -237,8 +224,12 @@ class Certificate(OneLine):
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
-        if not self.certified:
-            raise CertificateError("\n".join(describe(check) for check in self.violated))
+        lines = []
+        for c in self.violated:
+            words = broken_limit(c.name, c.bound, c.number, c.sense, c.unit, c.where)
+            lines.append(f"{words}, t = {c.time:.4g} s")
+        if lines:
+            raise CertificateError("\n".join(lines))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``certificate.json`` holds."""
@@ -268,15 +259,6 @@ def _entry(check: Check) -> dict[str, Any]:
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table with its texts escaped."""
-    listed = list(rows)
     lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
-    lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in listed[:MAX_ROWS]]
-    if len(listed) > MAX_ROWS:
-        lines.append(f"<td colspan='{len(heads)}'>and {len(listed) - MAX_ROWS} more</td>")
+    lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
-
-
-def describe(check: Check) -> str:
-    """Return one sentence on a check that does not hold."""
-    told = (check.name, check.bound, check.number, check.sense, check.unit, check.where)
-    return f"{broken_limit(*told)}, t = {check.time:.4g} s"

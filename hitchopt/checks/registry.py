@@ -11,7 +11,6 @@ from hitchopt.checks.rule import Found, ReportRule
 from hitchopt.checks.spans import shared_values
 from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.tracking import GAMMA
-from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative, sequence
 
@@ -46,6 +45,9 @@ RULES = (
 REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
 """What a certificate reports after its checks, without a limit."""
 
+OF_PARTS = tuple(report for report in REPORTS if not report.whole)
+"""What is known of a joined motion if it is known of its parts."""
+
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
 
@@ -55,7 +57,6 @@ def certify(
     progress: Callable[[str], None] | None = None,
     gamma: float = GAMMA,
     *,
-    part: bool = False,
     reports: Sequence[ReportRule] = REPORTS,
 ) -> Certificate:
     """Check what flies for all of its time.
@@ -71,8 +72,8 @@ def certify(
     motion: the plan.
     progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
-    part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
-    reports: that are made after the checks; others than the usual ones where time is short.
+    reports: that are made after the checks; OF_PARTS where ``merged`` computes the others, none
+        where time is short.
 
     Raises
     ------
@@ -80,11 +81,7 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
-    for i, report in enumerate(reports := sequence("reports", reports)):
-        if not isinstance(report, ReportRule):
-            raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
-    found = dict[str, Sequence[Found]]()
-    reports = [report for report in reports if not (part and report.whole)]
+    reports, found = sequence("reports", reports), dict[str, Sequence[Found]]()
     names = [rule.name for rule in RULES if progress and rule.limit_of(motion) is not None]
     names += [report.name for report in reports]
 

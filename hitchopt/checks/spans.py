@@ -51,10 +51,8 @@ _SHARED: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
 @contextmanager
 def shared_values() -> Iterator[None]:
     """Keep values within the outermost context: they take more memory than the motion itself."""
-    if _SHARED.get() is not None:
-        yield
-        return
-    token = _SHARED.set(WeakKeyDictionary())
+    kept = _SHARED.get()
+    token = _SHARED.set(WeakKeyDictionary() if kept is None else kept)
     try:
         yield
     finally:
@@ -69,22 +67,15 @@ def once(source: Any, value: Callable[..., T], *further: Any) -> T:
     shared = _SHARED.get()
     if shared is None:
         return value(source, *further)
-    kept = shared.setdefault(source, {})
-    key = (value, *further)
+    kept, key = shared.setdefault(source, {}), (value, *further)
     if key not in kept:
         kept[key] = value(source, *further)
-    found: T = kept[key]
-    return found
+    return cast("T", kept[key])
 
 
 def shared(value: F) -> F:
     """Return a function that is called by ``once``: its first argument is the source."""
-
-    @wraps(value)
-    def known(source: Any, *further: Any) -> Any:
-        return once(source, value, *further)
-
-    return cast("F", known)
+    return cast("F", wraps(value)(lambda source, *further: once(source, value, *further)))
 
 
 @shared
@@ -101,24 +92,21 @@ def position_margin(motion: Motion) -> float:
 
 @shared
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
-    """Return the margin (pieces, items) of the norm of a derivative by time, of order 1 or more.
+    """Return the margin (pieces, items) of the norm of a derivative by time.
 
     It is ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference of neighbouring coefficients,
     for the k-th of degree N on a piece of h seconds, and ``2**-40`` of the derivative itself.
     """
-    c = part.coefficients
-    if part.degree == 0:
-        return np.zeros(c.shape[:2])
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
     size = _largest(part.differentiated(order).coefficients)
-    margin: Array = (LAST_PLACE * gain)[:, None] * _largest(np.diff(c)) + ROUNDING * size
+    jumps = _largest(np.diff(part.coefficients))
+    margin: Array = (LAST_PLACE * gain)[:, None] * jumps + ROUNDING * size
     return margin
 
 
 def _largest(coefficients: Array) -> Array:
     """Return the largest magnitudes (pieces, items) of coefficients (pieces, items, d, m)."""
-    sizes = np.abs(coefficients)
-    largest: Array = sizes.reshape(*sizes.shape[:2], -1).max(axis=-1)
+    largest: Array = np.max(np.abs(coefficients), axis=(2, 3), initial=0.0)
     return largest
 
 
@@ -146,16 +134,7 @@ class MotionSpans(Spans):
         Of many items they are made anew every time: what they compute would fill the memory.
         """
         many = motion.drones.pieces * motion.team.drones > MOST_SHARED
-        return cls.spread(motion) if many else once(motion, cls._shared)
-
-    @classmethod
-    def spread(cls, motion: Motion) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every item."""
-        return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
-
-    @classmethod
-    def _shared(cls, motion: Motion) -> tuple[Self, ...]:
-        return tuple(cls.spread(motion))
+        return _every(motion, cls) if many else once(motion, _listed, cls)
 
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
         """Return scalars of tables (pieces, items, degree + 1), exact as given."""
@@ -171,6 +150,17 @@ class MotionSpans(Spans):
     def noise(self) -> float:
         """[m] What rounding adds to differences of positions."""
         return position_margin(self.source)
+
+
+M = TypeVar("M", bound=MotionSpans)
+
+
+def _every(motion: Motion, over: type[M]) -> Iterator[M]:
+    return over.all_of(motion, motion.drones.breaks, len(over.names(motion)))
+
+
+def _listed(motion: Motion, over: type[M]) -> tuple[M, ...]:
+    return tuple(_every(motion, over))
 
 
 PART_NAMES = ("q-leg", "edge", "r-leg")

@@ -62,8 +62,8 @@ BATCH = 20_000
 SLACK = 1e-9
 """Relative margin for the clock's rounding."""
 
-SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 14
-"""[s] The shortest and longest duration of stops that are tried, and how many, about 1.5 apart."""
+SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19
+"""[s] The shortest and longest duration of stops that are tried, and how many, a third apart."""
 
 SPACING, STARTS = 0.1, 10_000
 """[s] Distance of stops, and how many there are at most."""
