@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from hitchopt.errors import HitchoptError, InputError, OneLine, Violation, broken_limit
+from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit
 
 FORMAT = "hitchopt-certificate/1"
 
@@ -115,13 +115,6 @@ class Check(OneLine):
         sign = "≥" if self.sense == "min" else "≤"
         return "" if self.limit is None else f"{sign} {self.limit:.6g}"
 
-    def _parts(self) -> Iterator[str]:
-        told = (f"{self.worst:.6g}", self.relation, self.unit) if self.worst is not None else ()
-        yield f"{self.name}: {' '.join(filter(None, told)) or 'nothing counted'}"
-        yield "holds" if self.holds else "broken"
-        yield f"t = {self.time:.4g} s"
-        yield from [f"at {' '.join(self.where)}"] if self.where else []
-
     def violation(self, when: str, remedy: str) -> Violation:
         """Return the check, which does not hold, as a violation."""
         return Violation(
@@ -171,12 +164,6 @@ class Certificate(OneLine):
 
     duration: float
     checks: tuple[Check, ...]
-
-    def _parts(self) -> Iterator[str]:
-        violated = ", ".join(check.name for check in self.violated)
-        yield f"not certified: {violated}" if violated else "certified"
-        yield f"{len(self.checks)} checks"
-        yield f"{self.duration:.4g} s"
 
     def _repr_html_(self) -> str:
         """Return what notebooks show: the verdict, and the checks with their worst values."""
@@ -239,16 +226,6 @@ class Certificate(OneLine):
             "duration": self.duration,
             "checks": [_entry(check) for check in self.checks],
         }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Certificate:
-        """Return the certificate that ``to_dict`` wrote, or raise InputError."""
-        if data.get("format") != FORMAT:
-            raise InputError("format", data.get("format"), FORMAT, "use a file that hitchopt wrote")
-        checks = tuple(
-            Check(**{**entry, "where": tuple(entry["where"])}) for entry in data["checks"]
-        )
-        return cls(float(data["duration"]), checks)
 
 
 def _entry(check: Check) -> dict[str, Any]:

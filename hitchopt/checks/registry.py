@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
-from hitchopt.checks.rule import Found, ReportRule
+from hitchopt.checks.rule import CheckRule, Found, ReportRule
 from hitchopt.checks.spans import shared_values
 from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.tracking import GAMMA
@@ -81,23 +81,20 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
-    reports, found = sequence("reports", reports), dict[str, Sequence[Found]]()
-    names = [rule.name for rule in RULES if progress and rule.limit_of(motion) is not None]
-    names += [report.name for report in reports]
-
-    def tell(name: str) -> None:
-        if progress is not None and name in names:
-            progress(f"{name}, {names.index(name)} of {len(names)}")
-
+    reports = sequence("reports", reports)
+    rules = [rule for rule in RULES if rule.limit_of(motion) is not None]
+    found: dict[str, Sequence[Found]] = {name: () for name in RULE_OF}
+    checks: list[Check | None] = []
     with shared_values():
-        for rule in RULES:
-            tell(rule.name)
-            found[rule.name] = rule.findings(motion)
-        checks = [most_pressing(each.check for each in spans) for spans in found.values() if spans]
-        for report in reports:
-            tell(report.name)
-            checks.append(report.check(motion, found, gamma))
-    return Certificate(motion.duration, tuple(check for check in checks if check is not None))
+        for i, each in enumerate((*rules, *reports)):
+            if progress is not None:
+                progress(f"{each.name}, {i} of {len(rules) + len(reports)}")
+            if isinstance(each, CheckRule):
+                found[each.name] = each.findings(motion)
+                checks.append(most_pressing(span.check for span in found[each.name]))
+            else:
+                checks.append(each.check(motion, found, gamma))
+    return Certificate(motion.duration, tuple(filter(None, checks)))
 
 
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
@@ -118,12 +115,11 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
         for check in part.checks:
             found[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
-    joints = len(parts) > 1
-    checks = []
+    joints, checks = len(parts) > 1, list[Check | None]()
     for rule in RULES:
         anew = rule.whole and (joints or rule is DURATION)
         checks.append(rule.check(motion) if anew else most_pressing(found[rule.name]))
     for report in REPORTS:
         known = most_pressing(found[report.name])
         checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
-    return Certificate(motion.duration, tuple(check for check in checks if check is not None))
+    return Certificate(motion.duration, tuple(filter(None, checks)))
