@@ -230,10 +230,9 @@ def _find(motion: Motion, _: float) -> Finding:
 
 def _jump_of_pulls(motion: Motion) -> Finding:
     """Return the largest jump of a cable's tension or of a leg's pull."""
-    each, names = motion.tensions.coefficients[..., [0, -1]], Cables.names(motion)
-    if motion.leg_tensions is not None:  # else they jump as their cables' tensions do
-        each = np.concatenate([each, motion.pulls.coefficients[..., [0, -1]]], axis=1)
-        names = [*names, *motion.team.drone_names]
+    parts = motion.tensions.coefficients, motion.pulls.coefficients
+    each = np.concatenate([part[..., [0, -1]] for part in parts], axis=1)
+    names = [*cable_names(motion), *motion.team.drone_names]
     left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
     noise = ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
     return _at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)

@@ -83,7 +83,7 @@ def certify(
     gamma = not_negative("gamma", gamma)
     reports = sequence("reports", reports)
     rules = [rule for rule in RULES if rule.limit_of(motion) is not None]
-    found: dict[str, Sequence[Found]] = {name: () for name in RULE_OF}
+    found: dict[str, Sequence[Found]] = dict.fromkeys(RULE_OF, ())
     checks: list[Check | None] = []
     with shared_values():
         for i, each in enumerate((*rules, *reports)):

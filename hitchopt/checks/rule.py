@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -46,12 +46,9 @@ class Finding:
 class Searched(Generic[S]):
     """A finder of a formula's worst value over spans of a motion.
 
-    Attributes
-    ----------
-    over: the spans, as ``where`` names them.
-    formula: bounds the quantity on spans of these; it is its value where they are points.
-    sense, size: as in ``Check`` and ``Finding``.
-    share: (items,), where each has a limit of its own that the formula is a share of.
+    On spans of no length the ``formula`` is the quantity's value. ``sense`` and ``size`` are as in
+    ``Check`` and ``Finding``. The items may have limits of their own (items,), of which the formula
+    is the ``share``.
     """
 
     over: type[S]
@@ -99,8 +96,7 @@ class Finder:
     shown: tuple[object, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
+class Found(NamedTuple):
     """The check of one span of time, in which cables are in one of ``states``."""
 
     states: Set[CableState]
@@ -157,8 +153,7 @@ class CheckRule:
         limit, here = self.limit_of(motion), motion.cable_states
         if limit is None:
             return ()
-        if exported and self.exported_limit is not None:
-            limit = self.exported_limit
+        limit = self.exported_limit if exported and self.exported_limit is not None else limit
         return tuple(
             Found(finder.states, finder.find(span, limit).check(self, limit))
             for finder in self.finders

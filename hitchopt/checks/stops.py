@@ -2,18 +2,13 @@
 
 With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock makes the acceleration
 ``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these the formulas of the checks
-``acceleration``, ``jerk``, ``thrust``, ``tilt`` and ``body_rate`` are those of the drones on that
-clock. What is carried is pulled along by forces that fit the plan's own rate:
-``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay within what checks
-``equilibrium``, ``support`` and ``grip`` leave of their limits.
+are those of the drones on that clock. What is carried is pulled along by forces that fit the plan's
+own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced.
 
 A cell is a phase of constant s̈ within one piece. Where norms on whole pieces do not show that it
 keeps all limits, the formulas are enclosed on it, s and ṡ by lines over plan time, and it is halved
-until its middle breaks a limit or all of it keeps them.
-
-A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
-shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
-running on, until a stop can begin; a plan that ends at rest has reached rest there in any case.
+until its middle breaks a limit or all of it keeps them. A stop of duration T slows the rate from 1
+to 0 by two phases of constant jerk ∓4/T², in 1/2 T of plan time.
 """
 
 from __future__ import annotations
@@ -31,13 +26,7 @@ from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
-from hitchopt.checks.spans import (
-    MotionSpans,
-    concatenated,
-    derivative_margin,
-    shared,
-    shared_values,
-)
+from hitchopt.checks.spans import MotionSpans, concatenated, derivative_margin, shared_values
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -148,34 +137,20 @@ class OnClock(MotionSpans):
 class DronesOnClock(OnClock, Drones):
     """Spans of drones on clocks: what moves is by time, and all else as the checks have it."""
 
+    @cached_property
+    def _moved(self) -> tuple[Enclosed, Enclosed]:
+        s, slope, jerk = self.clock
+        v, a, j = (self.derivative(self.source.drones, order) for order in (1, 2, 3))
+        return self.accelerated(v, a), s * s * s * j + s * slope * 3.0 * a + jerk * v
+
     def moved(self, order: int) -> Enclosed:
         """Return the acceleration or the jerk."""
-        return self._acceleration if order == 2 else self._jerk
-
-    @cached_property
-    def _by_plan_time(self) -> list[Enclosed]:
-        return [self.derivative(self.source.drones, order) for order in (1, 2, 3)]
-
-    @cached_property
-    def _acceleration(self) -> Enclosed:
-        return self.accelerated(*self._by_plan_time[:2])
-
-    @cached_property
-    def _jerk(self) -> Enclosed:
-        (s, slope, jerk), (v, a, j) = self.clock, self._by_plan_time
-        return s * s * s * j + s * slope * 3.0 * a + jerk * v
+        return self._moved[order - 2]
 
     @cached_property
     def load_rate(self) -> Enclosed:
         """[N/s] The derivative of the load by time."""
         return super().load_rate * self.clock[0]
-
-
-@shared
-def largest(path: PiecewisePolynomial, order: int) -> Array:
-    """Return bounds of a derivative's norm (pieces, items)."""
-    norms = np.max(column_lengths(path.differentiated(order).coefficients), axis=-1)
-    return np.asarray((norms + derivative_margin(path, order)) * (1.0 + SLACK))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +159,7 @@ class Limited:
 
     Attributes
     ----------
-    path: of the items, on pieces of the plan [m].
-    orders: how many derivatives count.
+    path: of the items, on pieces of the plan [m]; so many ``orders`` of its derivatives count.
     over, source: the spans on which shares of limits are bounded, and what these are of.
     quick: whether norms of derivatives (orders, cells, items) keep limits, given the pieces
         (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
@@ -202,7 +176,11 @@ class Limited:
     @cached_property
     def sizes(self) -> Array:
         """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
-        return np.stack([largest(self.path, k) for k in range(1, self.orders + 1)])
+        found = []
+        for order in range(1, self.orders + 1):
+            norms = column_lengths(self.path.differentiated(order).coefficients)
+            found.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
+        return np.stack(found) * (1.0 + SLACK)
 
     def look(self, phases: ClockPhases, kept: Flags) -> None:
         """Set ``kept`` (owners,) to False where phases are not shown to keep limits."""
@@ -370,10 +348,7 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
-    """Return (m,) whether stops are shown to keep all limits.
-
-    While something is carried, the clock can also start again from their rests.
-    """
+    """Return (m,) whether stops keep all limits, and starts from where something is carried."""
     kept, rests = limits.keep(stop_phases(starts, durations), len(starts)), starts + 0.5 * durations
     left = np.flatnonzero(kept & limits.carries(rests))
     kept[left] = limits.keep(stop_phases(rests[left], durations[left], 0.0), len(left))
@@ -381,10 +356,7 @@ def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
 
 
 def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]:
-    """Yield paths (items, 3) [m] on runs of pieces on which an object is carried, and their slack.
-
-    The slack (pieces, items) is in m/s².
-    """
+    """Yield paths (items, 3) [m] where an object is carried, and their slack (pieces, items)."""
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         poses = motion.object_poses.coefficients[:, index]
@@ -441,9 +413,8 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     return motion.drones.alike(paths), np.column_stack(slack) / body.mass
 
 
-def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
+def _find(motion: Motion, _: Findings, __: float) -> Finding:
     """Return the longest time [s] over all times of the command, and about when that is."""
-    del found, gamma
     with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
         longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))

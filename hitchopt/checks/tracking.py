@@ -2,14 +2,9 @@
 
 It is the largest r such that, with every drone within r of its plan and every vertex within γ r,
 independently of each other, and taut parts of cables straight between them, all distances keep
-their limits at all times:
-
-- two drones: half the shortest shift of their offset that makes their ellipsoids touch;
-- ``cable_clearance``, ``crossing`` and ``legs``: what they leave beyond the limit over how far both
-  bodies move, a part of a cable no farther than its ends (g = max(1, γ));
-- ``arena`` and ``keep_out``: what they leave;
-- free cables: their drones come no farther apart than they are long, and a hanging cable moves by
-  its ends and by how much deeper or shallower it hangs between them.
+their limits at all times. Two drones have half the shortest shift of their offset that makes their
+ellipsoids touch, all others what checks leave beyond their limits over how far both bodies move.
+A hanging cable moves by its ends and by how much deeper or shallower it hangs between them.
 
 It follows from the bounds of the checks, which hold for all t. Only pairs of drones one of which is
 higher, and hanging cables, need a look of their own.
