@@ -8,7 +8,7 @@ stand for where the clasps may lie: where it does for some places of the clasps,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -54,9 +54,10 @@ STILL = 1e-9
 
 
 class Cables(MotionSpans):
-    """Spans of cables; lengths are over the cable's own."""
+    """Spans of cables; lengths are over the cable's own, and nothing but the tension holds them."""
 
     names = staticmethod(cable_names)
+    held = 1.0
 
     @cached_property
     def scale(self) -> Array:
@@ -170,20 +171,13 @@ class Slides(Drones):
     """Spans of drones whose cables slide against friction."""
 
     @cached_property
-    def turn(self) -> Array:
-        """(spans,) [rad] What the angle by which the cable wraps its clasp does not fall below."""
+    def held(self) -> Array:
+        """(spans,) ``e^{μ θ}``, θ the least angle by which the cable wraps its clasp."""
         leaving, arriving = bent_edges(self.source)
         edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
-        edge = Enclosed(self.read(edges), self.noise).direction
-        cosine = self.along.dot(edge).below.value
-        angle: Array = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
-        return angle
-
-    @cached_property
-    def held(self) -> Array:
-        """(spans,) ``e^{μ θ}``."""
-        held: Array = np.exp(self.source.team.cable_friction * self.turn)
-        return held
+        cosine = self.along.dot(Enclosed(self.read(edges), self.noise).direction).below.value
+        turn = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
+        return np.asarray(np.exp(self.source.team.cable_friction * turn))
 
 
 def slips(spans: Slides) -> Bound:
@@ -192,9 +186,7 @@ def slips(spans: Slides) -> Bound:
     It is between ``e^{-μ θ}`` and ``e^{μ θ}`` times the edge's. A quotient of polynomials, the
     divisor positive, lies between those of their coefficients.
     """
-    pull, tension = same_degree(
-        *(each.c[:, 0] for each in spans.scalars(_leg_and_edge(spans.source)))
-    )
+    pull, tension = same_degree(*map(spans.read, _leg_and_edge(spans.source)))
     ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
     high, low = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
     value = np.maximum(high - spans.held, 1.0 / spans.held - low)
@@ -266,17 +258,15 @@ def _outside(
     """Return how far pulls (pieces, items, …) are outside of ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
-    def beyond(spans: MotionSpans) -> Bound:
+    def beyond(spans: Cables | Slides) -> Bound:
         pull = Enclosed(spans.read(pulls)[:, None], margin)
-        held = spans.held if isinstance(spans, Slides) else np.ones(len(spans))
         least, most = ranges[:, spans.piece, spans.item]
         high, low = pull.above, pull.below
-        over = Bound(high.value - most * held, high.x)  # rough cables hold more than any number
-        return largest_of([over, Bound(least / held - low.value, low.x)], 0.0)
+        over = Bound(high.value - most * spans.held, high.x)  # rough cables hold any number
+        return largest_of([over, Bound(least / spans.held - low.value, low.x)], 0.0)
 
-    spans: Iterator[MotionSpans]
-    spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
-    found = worst(spans, beyond, "max")
+    every = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
+    found = worst(every, beyond, "max")
     where = (over.names(motion)[found.item],) if found.worst > 0.0 else ()
     return Finding(found.worst, found.time, where)
 

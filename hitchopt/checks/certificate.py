@@ -41,13 +41,9 @@ class CertificateError(HitchoptError):
 
 
 def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
-    """Return the limit with its tolerance: what is not beyond it holds.
+    """Return the limit with its tolerance, by the largest length that enters; 1 for no length.
 
-    Parameters
-    ----------
-    limit, sense: of a check.
-    size: the largest length that enters the quantity, in its unit; 1 for what is no length.
-    share: of the tolerance: searches that aim at half of it leave rounding the rest.
+    Searches aim at half of it, the ``share``, and leave rounding the rest.
     """
     slack = share * TOLERANCE * max(abs(limit), size)
     return limit - slack if sense == "min" else limit + slack

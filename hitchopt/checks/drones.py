@@ -209,10 +209,8 @@ class Drones(MotionSpans):
     @cached_property
     def load_rate(self) -> Enclosed:
         """[N/s] The derivative of the load by time."""
-        margin = sum(
-            float(np.max(derivative_margin(part, 1), initial=0.0))
-            for part in (self.source.drones, self.source.vertices)
-        )
+        parts = self.source.drones, self.source.vertices
+        margin = sum(float(np.max(derivative_margin(part, 1))) for part in parts)
         velocity = Enclosed(self.read(rate(self.source, pull_vectors)), margin)
         along = self.along.reduced(ORDER)
         swept = (velocity * self.leg.norm.inverse).reduced(ORDER)
@@ -243,20 +241,17 @@ class Drones(MotionSpans):
         across, rise = self.partner.level, self.partner[2]
         widening = across.dot(moved.level).range * _inverse_square(across.norm_range)
         heights = rise.norm_range
-        low, high = (level_length(each, self.length) for each in (heights.high, heights.low))
-        whole = Interval(low, high)
-        lifting = (rise * moved[2]).range * _inverse_square(whole)
-        flatter = widening + lifting
+        whole = (level_length(each, self.length) for each in (heights.high, heights.low))
+        lifting = (rise * moved[2]).range * _inverse_square(Interval(*whole))
         slope = Interval(downward.high - inward.high, downward.low - inward.low)  # rises with σ
-        falling = flatter * slope.inverse  # -σ̇
+        falling = (widening + lifting) * slope.inverse  # -σ̇
         change = (
             falling * Interval(inward.low**2, inward.high**2),
             falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
         )
-        weight = self.slack_weight
         lost = _pulled(self.partner, inward, downward, -gained)
-        lost = lost + _pulled(moved, inward, downward, weight)
-        lost = lost + _pulled(self.partner, *change, weight)
+        lost = lost + _pulled(moved, inward, downward, self.slack_weight)
+        lost = lost + _pulled(self.partner, *change, self.slack_weight)
         return -lost - (gained * self.length[:, None]).upward()
 
     @cached_property
@@ -464,11 +459,6 @@ def largest_rate(
     return worst(spans, formula, "max", target=within(limit, "max", 0.0, 0.5))
 
 
-def largest_static_thrust(motion: Motion) -> float:
-    """Return the largest thrust at rest over ``max_thrust``, for all t."""
-    return worst(Hovering.of(motion), used_thrust, "max").worst
-
-
-def largest_static_tilt(motion: Motion) -> float:
-    """Return the largest tilt at rest [deg], for all t."""
-    return worst(Hovering.of(motion), tilt, "max").worst
+def largest_at_rest(motion: Motion, quantity: Callable[[Drones], Bound]) -> float:
+    """Return the largest ``tilt`` [deg], or ``used_thrust``, of drones that hover, for all t."""
+    return worst(Hovering.of(motion), quantity, "max").worst

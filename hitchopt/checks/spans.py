@@ -40,6 +40,8 @@ MOST_SHARED = 8 * BATCH
 
 UPWARD = np.array([0.0, 0.0, 1.0])
 
+PART_NAMES = ("q-leg", "edge", "r-leg")
+
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
@@ -81,8 +83,8 @@ def shared(value: F) -> F:
 @shared
 def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of the plan [m]."""
-    parts = (motion.drones, motion.vertices)
-    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
+    parts = motion.drones.coefficients, motion.vertices.coefficients
+    return max(float(np.max(np.abs(c), initial=0.0)) for c in parts)
 
 
 def position_margin(motion: Motion) -> float:
@@ -113,9 +115,8 @@ def _largest(coefficients: Array) -> Array:
 @shared
 def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     """Return the derivative by time of a table of a motion (pieces, …, degree + 1)."""
-    c = table(motion)
-    slope = bernstein.differentiate(c)
-    slope /= motion.drones.durations.reshape(-1, *(1,) * (c.ndim - 1))
+    slope = bernstein.differentiate(table(motion))
+    slope /= motion.drones.durations.reshape(-1, *(1,) * (slope.ndim - 1))
     return slope
 
 
@@ -133,8 +134,9 @@ class MotionSpans(Spans):
 
         Of many items they are made anew every time: what they compute would fill the memory.
         """
-        many = motion.drones.pieces * motion.team.drones > MOST_SHARED
-        return _every(motion, cls) if many else once(motion, _listed, cls)
+        if motion.drones.pieces * motion.team.drones > MOST_SHARED:
+            return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
+        return once(motion, _listed, cls)
 
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
         """Return scalars of tables (pieces, items, degree + 1), exact as given."""
@@ -152,18 +154,9 @@ class MotionSpans(Spans):
         return position_margin(self.source)
 
 
-M = TypeVar("M", bound=MotionSpans)
-
-
-def _every(motion: Motion, over: type[M]) -> Iterator[M]:
-    return over.all_of(motion, motion.drones.breaks, len(over.names(motion)))
-
-
-def _listed(motion: Motion, over: type[M]) -> tuple[M, ...]:
-    return tuple(_every(motion, over))
-
-
-PART_NAMES = ("q-leg", "edge", "r-leg")
+def _listed(motion: Motion, over: type[MotionSpans]) -> tuple[Any, ...]:
+    """Return the spans of whole pieces of every item."""
+    return tuple(over.all_of(motion, motion.drones.breaks, len(over.names(motion))))
 
 
 def cable_names(motion: Motion) -> Sequence[str]:

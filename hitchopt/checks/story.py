@@ -202,13 +202,8 @@ def _off(spans: PairSpans) -> Flags:
 JUMP = 1e-6
 """[m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none."""
 
-NUMBERS = {
-    CableState.GROUND: 0,
-    CableState.FREE: 0,
-    CableState.TIGHTENING: 1,
-    CableState.HITCHED: 1,
-}
-"""Size of the crossing numbers of neighbours before and after phases in these states."""
+BEFORE = frozenset({CableState.GROUND, CableState.FREE})
+"""States in which neighbours have the crossing number 0; in clasping it changes, else it is 1."""
 
 MOST_NAMED = 12
 """Pairs that ``where`` names at most."""
@@ -297,7 +292,7 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
         parts = list(run)
         first, last = parts[0], parts[-1]
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
-        required = NUMBERS.get(state)
+        required = None if state is CableState.CLASPING else int(state not in BEFORE)
         if required is not None:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
@@ -323,13 +318,10 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
                 yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
-def _names(layout: Layout, pair: int) -> tuple[str, ...]:
-    i, j = divmod(pair, layout.robots)
-    if i == j:
-        return (f"cable {i}",)
+def _names(layout: Layout, pair: int) -> list[str]:
     if pair in (pairs := clasped_pairs(layout)):
-        return (f"p{layout.clasps[int(np.argmax(pairs == pair))]}",)
-    return (f"cable {i}", f"cable {j}")
+        return [f"p{layout.clasps[int(np.argmax(pairs == pair))]}"]
+    return [f"cable {k}" for k in sorted({*divmod(pair, layout.robots)})]
 
 
 def _contradicted(motion: Motion) -> Indices:

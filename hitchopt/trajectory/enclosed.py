@@ -138,8 +138,7 @@ class Enclosed:
     def dot(self, other: Enclosed | ArrayLike) -> Enclosed:
         """Return the scalar product."""
         other = Enclosed.of(other)
-        a, b = np.broadcast_arrays(self.c[..., 0], other.c[..., 0])
-        if a.shape == b.shape == self.c.shape[:-1] == other.c.shape[:-1]:
+        if self.c.shape[:-1] == other.c.shape[:-1]:
             c = bernstein.dot(self.c, other.c)[..., None, :]
         else:
             c = np.sum(bernstein.multiply(self.c, other.c), axis=-2, keepdims=True)
@@ -155,8 +154,7 @@ class Enclosed:
 
     def sum(self, axis: int = -1) -> Enclosed:
         """Return the sum over a leading axis, counted from the last one of these."""
-        r = np.broadcast_to(self.r, self.c.shape[:-2])
-        r = np.sum(r + EPS * self.size, axis=axis)
+        r = np.sum(self.r + EPS * self.size, axis=axis)
         return Enclosed(np.sum(self.c, axis=axis - 2), r)
 
     def reduced(self, order: int) -> Enclosed:
@@ -183,7 +181,7 @@ class Enclosed:
         """Y / |y|; the zero vector and radius 1 where y may vanish."""
         inverse = self.norm.inverse
         found = self * inverse
-        known = np.isfinite(inverse.r) & (np.asarray(found.r) < 1.0)
+        known = np.asarray(np.isfinite(inverse.r) & (found.r < 1.0))
         c = np.where(known[..., None, None], found.c, 0.0)
         return Enclosed(c, np.where(known, found.r, 1.0))
 

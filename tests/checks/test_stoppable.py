@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.checks.drones import largest_static_thrust, largest_static_tilt
+from hitchopt.checks.drones import largest_at_rest, used_thrust
+from hitchopt.checks.drones import tilt as tilt_of
 from hitchopt.checks.stops import ClockLimits, DronesOnClock, StopTable, stop_phases, stop_table
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import before
@@ -190,8 +191,8 @@ def test_hovering_is_bounded_for_all_times() -> None:
     thrust = np.max(np.linalg.norm(static, axis=-1) / motion.team.max_thrust)
     level = np.hypot(static[..., 0], static[..., 1])
     tilt = np.degrees(np.max(np.arctan2(level, static[..., 2])))
-    assert thrust <= largest_static_thrust(motion) <= 1.001 * thrust
-    assert tilt <= largest_static_tilt(motion) <= 1.001 * tilt
+    assert thrust <= largest_at_rest(motion, used_thrust) <= 1.001 * thrust
+    assert tilt <= largest_at_rest(motion, tilt_of) <= 1.001 * tilt
 
 
 def test_a_plan_that_does_not_end_at_rest_says_so() -> None:
