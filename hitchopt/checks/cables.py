@@ -8,7 +8,7 @@ stand for where the clasps may lie: where it does for some places of the clasps,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -46,18 +46,14 @@ EXPORTED = 1e-3
 TENSION_LIMIT = 1e-4
 """[N] A quarter of a thousandth of a usual tension, and far below what a drone could tell."""
 
-RATIO_ORDER = 4
-"""Degree in which a weight over a tension is written: both hardly change on spans that matter."""
-
-STILL = 1e-9
-"""[m] What stays within this of one place rests."""
+RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
+STILL = 1e-9  # what stays within this of one place rests [m]
 
 
 class Cables(MotionSpans):
-    """Spans of cables; lengths are over the cable's own, and nothing but the tension holds them."""
+    """Spans of cables; lengths are over the cable's own."""
 
     names = staticmethod(cable_names)
-    held = 1.0
 
     @cached_property
     def scale(self) -> Array:
@@ -258,15 +254,17 @@ def _outside(
     """Return how far pulls (pieces, items, …) are outside of ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
-    def beyond(spans: Cables | Slides) -> Bound:
+    def beyond(spans: MotionSpans) -> Bound:
         pull = Enclosed(spans.read(pulls)[:, None], margin)
+        held = spans.held if isinstance(spans, Slides) else 1.0
         least, most = ranges[:, spans.piece, spans.item]
         high, low = pull.above, pull.below
-        over = Bound(high.value - most * spans.held, high.x)  # rough cables hold any number
-        return largest_of([over, Bound(least / spans.held - low.value, low.x)], 0.0)
+        over = Bound(high.value - most * held, high.x)  # rough cables hold any number
+        return largest_of([over, Bound(least / held - low.value, low.x)], 0.0)
 
-    every = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
-    found = worst(every, beyond, "max")
+    spans: Iterator[MotionSpans]
+    spans = over.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
+    found = worst(spans, beyond, "max")
     where = (over.names(motion)[found.item],) if found.worst > 0.0 else ()
     return Finding(found.worst, found.time, where)
 

@@ -16,9 +16,6 @@ FORMAT = "hitchopt-certificate/1"
 TOLERANCE = 1e-9
 """Relative to a limit, or to the largest length that enters: checks hold within that."""
 
-TIE = 1e-9
-"""Share by which a check's pressure is larger if it is, not by rounding."""
-
 
 GROUPS = {
     "distances": (
@@ -32,8 +29,8 @@ GROUPS = {
 }  # fmt: skip
 """Checks under the headings of the certificate's table; others stand under "other"."""
 
-CLOSEST = 3
-"""Number of checks that a table marks as closest to their limits."""
+TIE = 1e-9  # by how much a check presses more than another if it does, not by rounding
+CLOSEST = 3  # number of checks that a table marks as closest to their limits
 
 
 class CertificateError(HitchoptError):
@@ -111,11 +108,13 @@ class Check(OneLine):
         sign = "≥" if self.sense == "min" else "≤"
         return "" if self.limit is None else f"{sign} {self.limit:.6g}"
 
+    @property
+    def _told(self) -> tuple[str, float, float, str, str, tuple[str, ...]]:
+        return self.name, self.bound, self.number, self.sense, self.unit, self.where
+
     def violation(self, when: str, remedy: str) -> Violation:
         """Return the check, which does not hold, as a violation."""
-        return Violation(
-            self.name, self.bound, self.number, self.sense, self.unit, self.where, when, remedy
-        )
+        return Violation(*self._told, when, remedy)
 
     @property
     def number(self) -> float:
@@ -207,12 +206,9 @@ class Certificate(OneLine):
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
-        lines = []
-        for c in self.violated:
-            words = broken_limit(c.name, c.bound, c.number, c.sense, c.unit, c.where)
-            lines.append(f"{words}, t = {c.time:.4g} s")
-        if lines:
-            raise CertificateError("\n".join(lines))
+        told = [f"{broken_limit(*c._told)}, t = {c.time:.4g} s" for c in self.violated]
+        if told:
+            raise CertificateError("\n".join(told))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``certificate.json`` holds."""

@@ -280,10 +280,6 @@ class Points(MotionSpans):
 
     names = staticmethod(attrgetter("team.point_names"))
 
-    def moved(self, order: int) -> Enclosed:
-        """Return a derivative of the position by time."""
-        return self.derivative(self.source.vertices, order)
-
 
 def steepness_of(offset: Enclosed, length: Array) -> Interval:
     """Return the steepness of hanging cables of lengths (spans,) [m], given their ends' offsets."""
@@ -296,8 +292,7 @@ def steepness_of(offset: Enclosed, length: Array) -> Interval:
 
 
 def _inverse_square(size: Interval) -> Interval:
-    least, most = np.maximum(size.low, NEAREST), np.maximum(size.high, NEAREST)
-    return Interval(1.0 / most**2, 1.0 / least**2)
+    return Interval(*(np.maximum(end, NEAREST) ** -2 for end in (size.high, size.low)))
 
 
 def tilt(spans: Drones) -> Bound:
@@ -317,17 +312,13 @@ def turning_rate(spans: Drones) -> Bound:
     return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
 
 
-def _norm(spans: Drones | Points, order: int) -> Bound:
-    """Return the norm of a derivative of the position by time."""
-    return spans.moved(order).norm_above
+def _norm(spans: MotionSpans, order: int) -> Bound:
+    """Return the norm of a derivative of a position by time."""
+    part = spans.source.vertices if isinstance(spans, Points) else spans.source.drones
+    return spans.derivative(part, order).norm_above
 
 
-FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
-
-
-def _rate_rule(
-    name: str, unit: str, order: int, over: type[Drones] | type[Points] = Drones
-) -> CheckRule:
+def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
     """Return the rule that holds the norm of a derivative against ``Limits.planned.name``."""
     limit_of = attrgetter(f"requirements.limits.planned.{name}")
     find = Searched(over, partial(_norm, order=order), "max", 0.0)
@@ -335,6 +326,8 @@ def _rate_rule(
     finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
     return CheckRule(name, unit, "max", limit_of, (finder,), remedy, ease="time", derivative=order)
 
+
+FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
 
 SPEED = _rate_rule("speed", "m/s", 1)
 ACCELERATION = _rate_rule("acceleration", "m/s²", 2)

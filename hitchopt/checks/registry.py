@@ -62,8 +62,7 @@ def certify(
     """Check what flies for all of its time.
 
     No quantity passes its ``worst`` at any t; it comes within ``1e-4`` of it, relative, or ``2e-7``
-    in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin:
-    ``2**-40`` of the largest numbers that enter, and for derivatives ``derivative_margin``. A
+    in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin. A
     motion that is degenerate somewhere (two drones at one place, a cable without tension) fails the
     checks concerned.
 

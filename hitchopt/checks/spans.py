@@ -32,15 +32,10 @@ Coefficients and breaks are taken as exact: they are the plan. What is computed 
 few units in the last place; this leaves a factor of a thousand, also for whoever samples the same
 polynomials."""
 
-LAST_PLACE = 2.0**-50
-"""What a difference of two numbers errs by at most, relative to it, with room to spare."""
-
-MOST_SHARED = 8 * BATCH
-"""Spans of drones up to which checks share what they compute on whole pieces."""
-
-UPWARD = np.array([0.0, 0.0, 1.0])
-
+LAST_PLACE = 2.0**-50  # what a difference of two numbers errs by at most, relative to it
+MOST_SHARED = 8 * BATCH  # spans of drones up to which checks share what they compute on pieces
 PART_NAMES = ("q-leg", "edge", "r-leg")
+UPWARD = np.array([0.0, 0.0, 1.0])
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")

@@ -42,20 +42,11 @@ from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 7
-"""Halvings of a cell in which a bound is decided; what is undecided then counts as broken."""
-
-BATCH = 20_000
-"""Pairs of a cell and a drone that are looked at in one go."""
-
-SLACK = 1e-9
-"""Relative margin for the clock's rounding."""
-
-SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19
-"""[s] The shortest and longest duration of stops that are tried, and how many, a third apart."""
-
-SPACING, STARTS = 0.1, 10_000
-"""[s] Distance of stops, and how many there are at most."""
+HALVINGS = 7  # of a cell in which a bound is decided; what is undecided then counts as broken
+BATCH = 20_000  # pairs of a cell and a drone that are looked at in one go
+SLACK = 1e-9  # relative margin for the clock's rounding
+SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19  # durations of stops that are tried [s], a third apart
+SPACING, STARTS = 0.1, 10_000  # distance of stops [s], and how many there are at most
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:

@@ -51,11 +51,8 @@ from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.search import batches
 from hitchopt.values import Array, Indices
 
-APART = 1e-6
-"""[m] Chords at least this far apart do not touch; drones this far from a sheet are not in it."""
-
-MAX_HALVINGS = 30
-"""Spans halved so often, and still open, are where a chord runs into another one's end."""
+APART = 1e-6  # chords at least so far apart do not touch, drones so far from a sheet are off it [m]
+MAX_HALVINGS = 30  # spans halved so often, and still open: a chord runs into another one's end
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,21 +202,12 @@ JUMP = 1e-6
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
 """States in which neighbours have the crossing number 0; in clasping it changes, else it is 1."""
 
-MOST_NAMED = 12
-"""Pairs that ``where`` names at most."""
-
-STILL = 1e-6
-"""[m] Drones above the ground move sideways by no more while their cables lie on it."""
-
-CENTRED = 1e-3
-"""[m] The middle of two drones that turn about each other moves by no more."""
-
-MOSTLY = 0.5
-"""Cables that are at their full length for a larger share of a phase are not being tightened:
-tightening comes to rest there, which takes a few hundredths of its time."""
-
-PROBES = np.linspace(0.0, 1.0, 9)
-"""Places on a piece, one of which shows that cables are slack there."""
+MOST_NAMED = 12  # pairs that ``where`` names at most
+STILL = 1e-6  # drones above the ground move sideways by no more while cables lie on it [m]
+CENTRED = 1e-3  # the middle of two drones that turn about each other moves by no more [m]
+MOSTLY = 0.5  # cables at their full length for a larger share of a phase are not being tightened:
+# tightening comes to rest there, which takes a few hundredths of its time
+PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that cables are slack
 
 
 def _largest_jump(motion: Motion, _: float) -> Finding:

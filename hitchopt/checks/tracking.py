@@ -29,14 +29,9 @@ from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
-GAMMA = 1.0
-"""How many times farther than drones vertices are taken to be off, where nobody says."""
-
-HALVINGS = 40
-"""Halvings of the interval in which the radius of hanging cables lies."""
-
-NEWTON = 12
-"""Number of Newton iterations for the nearest point; a normal that is off costs tightness only."""
+GAMMA = 1.0  # how many times farther than drones vertices are taken to be off, where nobody says
+HALVINGS = 40  # of the interval in which the radius of hanging cables lies
+NEWTON = 12  # iterations for the nearest point; a normal that is off costs tightness only
 
 
 def _find(motion: Motion, found: Findings, gamma: float) -> Finding:

@@ -22,18 +22,13 @@ from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.values import Array, Indices
 
-RELATIVE = 1e-4
-"""Largest gap between the answer and an attained value, relative to that value."""
+RELATIVE, ABSOLUTE = 1e-4, 2e-7
+"""Largest gap between the answer and an attained value, relative to that value and in the
+quantity's own unit; the larger of the two counts."""
 
-ABSOLUTE = 2e-7
-"""The same in the quantity's own unit; the larger of the two counts."""
-
-MAX_HALVINGS = 40
-"""Maximum number of halvings: the bound of 1e-12 of a piece is taken as it is."""
-
-MAX_SPANS = 100_000
-"""Maximum number of halves (or ten per given span): beyond it bounds are taken as they are, valid
-but less tight."""
+MAX_HALVINGS, MAX_SPANS = 40, 100_000
+"""Maximum number of halvings of a piece, and of halves in all (or ten per given span): beyond them
+bounds are taken as they are, valid but less tight."""
 
 BATCH = 4096
 """Spans bounded in one go, so that what a formula allocates stays within the caches."""
@@ -43,7 +38,6 @@ TIES, TIE = 9, 1e-9
 
 TRIED = 32
 """Spans of a batch, those with the worst bounds, at a point of which the value is computed."""
-
 
 _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
