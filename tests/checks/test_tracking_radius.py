@@ -94,6 +94,16 @@ def test_free_cables(seed: int) -> None:
     assert 0.0 <= radius_of(motion).bound <= attack(motion, count=12) * (1.0 + 1e-4)
 
 
+def test_hanging_cables_come_down_to_the_ground_and_no_farther() -> None:
+    ends = np.array([[0.0, 0.0, 0.8], [1.0, 0.1, 0.8], [9.0, 0.0, 3.0], [9.6, 0.0, 3.2]])
+    motion = free_motion(
+        Team(2, 1.5, topology="open"), PiecewisePolynomial.constant(np.array([0.0, 1.0]), ends)
+    )
+    left, radius = certify(motion)["cable_clearance"], radius_of(motion)
+    assert (left.holds, left.where) == (True, radius.where)
+    assert moved_by(motion)(radius.bound) == pytest.approx(left.bound - left.number, rel=1e-6)
+
+
 def test_hanging_cables_move_no_farther_than_said() -> None:
     rng = np.random.default_rng(5)
     mu = np.linspace(-1.0, 1.0, 301)[:, None]
