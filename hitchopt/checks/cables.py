@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
 from hitchopt.checks.objects import arc_lengths, wrapped_arcs
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding, Searched
+from hitchopt.checks.rule import CheckRule, Finder, Finding, Searched
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -46,11 +46,8 @@ EXPORTED = 1e-3
 TENSION_LIMIT = 1e-4
 """[N] A quarter of a thousandth of a usual tension, and far below what a drone could tell."""
 
-RATIO_ORDER = 4
-"""Degree in which a weight over a tension is written: both hardly change on spans that matter."""
-
-STILL = 1e-9
-"""[m] What stays within this of one place rests."""
+RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
+STILL = 1e-9  # what stays within this of one place rests [m]
 
 
 class Cables(MotionSpans):
@@ -142,7 +139,7 @@ CABLE_LENGTH = CheckRule(
         Finder(Searched(Cables, _too_short, "max"), frozenset({CableState.TIGHTENING})),
     ),
     free_remedy="use a longer cable, or a smaller polygon",
-    ease=Ease.LENGTH,
+    ease="length",
     exported_limit=EXPORTED,
 )
 """How far cables are from being used up; while drawn out, by how much they are too short."""
@@ -154,7 +151,7 @@ SPAN = CheckRule(
     1.0,
     (Finder(Searched(Cables, _drawn_out, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
-    ease=Ease.LENGTH,
+    ease="length",
 )
 """The largest distance of a free cable's drones over its length: a longer one hangs."""
 
@@ -170,20 +167,13 @@ class Slides(Drones):
     """Spans of drones whose cables slide against friction."""
 
     @cached_property
-    def turn(self) -> Array:
-        """(spans,) [rad] What the angle by which the cable wraps its clasp does not fall below."""
+    def held(self) -> Array:
+        """(spans,) ``e^{μ θ}``, θ the least angle by which the cable wraps its clasp."""
         leaving, arriving = bent_edges(self.source)
         edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
-        edge = Enclosed(self.read(edges), self.noise).direction
-        cosine = self.along.dot(edge).below.value
-        angle: Array = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
-        return angle
-
-    @cached_property
-    def held(self) -> Array:
-        """(spans,) ``e^{μ θ}``."""
-        held: Array = np.exp(self.source.team.cable_friction * self.turn)
-        return held
+        cosine = self.along.dot(Enclosed(self.read(edges), self.noise).direction).below.value
+        turn = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
+        return np.asarray(np.exp(self.source.team.cable_friction * turn))
 
 
 def slips(spans: Slides) -> Bound:
@@ -192,9 +182,7 @@ def slips(spans: Slides) -> Bound:
     It is between ``e^{-μ θ}`` and ``e^{μ θ}`` times the edge's. A quotient of polynomials, the
     divisor positive, lies between those of their coefficients.
     """
-    pull, tension = same_degree(
-        *(each.c[:, 0] for each in spans.scalars(_leg_and_edge(spans.source)))
-    )
+    pull, tension = same_degree(*map(spans.read, _leg_and_edge(spans.source)))
     ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
     high, low = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
     value = np.maximum(high - spans.held, 1.0 / spans.held - low)
@@ -230,10 +218,9 @@ def _find(motion: Motion, _: float) -> Finding:
 
 def _jump_of_pulls(motion: Motion) -> Finding:
     """Return the largest jump of a cable's tension or of a leg's pull."""
-    each, names = motion.tensions.coefficients[..., [0, -1]], Cables.names(motion)
-    if motion.leg_tensions is not None:  # else they jump as their cables' tensions do
-        each = np.concatenate([each, motion.pulls.coefficients[..., [0, -1]]], axis=1)
-        names = [*names, *motion.team.drone_names]
+    parts = motion.tensions.coefficients, motion.pulls.coefficients
+    each = np.concatenate([part[..., [0, -1]] for part in parts], axis=1)
+    names = [*cable_names(motion), *motion.team.drone_names]
     left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
     noise = ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
     return _at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
@@ -269,10 +256,10 @@ def _outside(
 
     def beyond(spans: MotionSpans) -> Bound:
         pull = Enclosed(spans.read(pulls)[:, None], margin)
-        held = spans.held if isinstance(spans, Slides) else np.ones(len(spans))
+        held = spans.held if isinstance(spans, Slides) else 1.0
         least, most = ranges[:, spans.piece, spans.item]
         high, low = pull.above, pull.below
-        over = Bound(high.value - most * held, high.x)  # rough cables hold more than any number
+        over = Bound(high.value - most * held, high.x)  # rough cables hold any number
         return largest_of([over, Bound(least / held - low.value, low.x)], 0.0)
 
     spans: Iterator[MotionSpans]

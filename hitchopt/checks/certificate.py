@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
-from hitchopt.errors import HitchoptError, InputError, OneLine, Violation, broken_limit
+from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit
 
 FORMAT = "hitchopt-certificate/1"
 
-
 TOLERANCE = 1e-9
 """Relative to a limit, or to the largest length that enters: checks hold within that."""
-
-TIE = 1e-9
-"""Share by which a check's pressure is larger if it is, not by rounding."""
-
-MAX_ROWS = 40
-"""Most rows of a table in a notebook; the others are counted."""
 
 
 GROUPS = {
@@ -36,8 +29,8 @@ GROUPS = {
 }  # fmt: skip
 """Checks under the headings of the certificate's table; others stand under "other"."""
 
-CLOSEST = 3
-"""Number of checks that a table marks as closest to their limits."""
+TIE = 1e-9  # by how much a check presses more than another if it does, not by rounding
+CLOSEST = 3  # number of checks that a table marks as closest to their limits
 
 
 class CertificateError(HitchoptError):
@@ -45,13 +38,9 @@ class CertificateError(HitchoptError):
 
 
 def within(limit: float, sense: str, size: float = 1.0, share: float = 1.0) -> float:
-    """Return the limit with its tolerance: what is not beyond it holds.
+    """Return the limit with its tolerance, by the largest length that enters; 1 for no length.
 
-    Parameters
-    ----------
-    limit, sense: of a check.
-    size: the largest length that enters the quantity, in its unit; 1 for what is no length.
-    share: of the tolerance: searches that aim at half of it leave rounding the rest.
+    Searches aim at half of it, the ``share``, and leave rounding the rest.
     """
     slack = share * TOLERANCE * max(abs(limit), size)
     return limit - slack if sense == "min" else limit + slack
@@ -104,8 +93,7 @@ class Check(OneLine):
         What is beyond all numbers becomes the largest one, and nan the worst: files hold neither.
         An infinity that holds is that of nothing, so there is no ``worst`` and no place.
         """
-        largest = sys.float_info.max
-        limit = None if limit is None else float(limit)
+        largest, limit = sys.float_info.max, None if limit is None else float(limit)
         if worst == _nothing(sense):
             return cls(name, True, None, limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
@@ -114,20 +102,19 @@ class Check(OneLine):
         holds = bool(worst >= edge if sense == "min" else worst <= edge)
         return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
 
-    def _parts(self) -> Iterator[str]:
-        relation = "≥" if self.sense == "min" else "≤"
-        limit = "" if self.limit is None else f" {relation} {self.limit:.6g}"
-        worst = "nothing counted" if self.worst is None else f"{self.worst:.6g}{limit} {self.unit}"
-        yield f"{self.name}: {worst}"
-        yield "holds" if self.holds else "broken"
-        yield f"t = {self.time:.4g} s"
-        yield from [f"at {' '.join(self.where)}"] if self.where else []
+    @property
+    def relation(self) -> str:
+        """The limit and on which side of it values hold, such as ``≤ 1``; empty without one."""
+        sign = "≥" if self.sense == "min" else "≤"
+        return "" if self.limit is None else f"{sign} {self.limit:.6g}"
+
+    @property
+    def _told(self) -> tuple[str, float, float, str, str, tuple[str, ...]]:
+        return self.name, self.bound, self.number, self.sense, self.unit, self.where
 
     def violation(self, when: str, remedy: str) -> Violation:
         """Return the check, which does not hold, as a violation."""
-        return Violation(
-            self.name, self.bound, self.number, self.sense, self.unit, self.where, when, remedy
-        )
+        return Violation(*self._told, when, remedy)
 
     @property
     def number(self) -> float:
@@ -140,26 +127,15 @@ class Check(OneLine):
         return _nothing(self.sense) if self.worst is None else self.worst
 
     @property
-    def margin(self) -> float:
-        """Distance to the limit, relative to it, or in the unit where it is 0; below 0 if broken.
-
-        Infinite where there is no limit, or nothing to count, as of 0 that is at most 0.
-        """
-        if self.limit is None or self.worst is None:
-            return math.inf
-        distance = self.worst - self.limit if self.sense == "min" else self.limit - self.worst
-        if self.limit == 0.0 and self.sense == "max" and self.holds:
-            return math.inf
-        return distance / (abs(self.limit) or 1.0)
-
-    @property
     def pressure(self) -> float:
-        """How near the quantity comes to its limit; drones may have different ones."""
+        """How far the quantity is beyond its limit, relative to it, or in the unit where it is 0.
+
+        Below 0 where it holds. Without a limit, how far out it is.
+        """
+        out = -1.0 if self.sense == "min" else 1.0
         if self.limit is None:
-            return -self.bound if self.sense == "min" else self.bound
-        if self.sense == "min":
-            return self.limit - self.bound
-        return self.bound / self.limit if self.limit > 0.0 else self.bound - self.limit
+            return out * self.bound
+        return out * (self.bound - self.limit) / (abs(self.limit) or 1.0)
 
 
 def _nothing(sense: str) -> float:
@@ -171,7 +147,7 @@ def most_pressing(checks: Iterable[Check | None]) -> Check | None:
     """Return the worst of one quantity's checks over several spans of time; None without any."""
     found: Check | None = None
     for check in filter(None, checks):  # of those that tie the first one
-        tie = TIE * abs(found.pressure) if found and math.isfinite(found.pressure) else 0.0
+        tie = TIE * max(1.0, abs(found.pressure)) if found and found.worst is not None else 0.0
         if found is None or check.pressure > found.pressure + tie:
             found = check
     return found
@@ -184,22 +160,14 @@ class Certificate(OneLine):
     duration: float
     checks: tuple[Check, ...]
 
-    def _parts(self) -> Iterator[str]:
-        violated = ", ".join(check.name for check in self.violated)
-        yield f"not certified: {violated}" if violated else "certified"
-        yield f"{len(self.checks)} checks"
-        yield f"{self.duration:.4g} s"
-
     def _repr_html_(self) -> str:
         """Return what notebooks show: the verdict, and the checks with their worst values."""
         rows = []
         for check in self.checks:
-            relation = "≥" if check.sense == "min" else "≤"
-            limit = "–" if check.limit is None else f"{relation} {check.limit:.6g}"
             worst = "–" if check.worst is None else f"{check.worst:.6g}"
             where = " ".join(check.where[:4]) + (" …" if len(check.where) > 4 else "")
-            holds = "yes" if check.holds else "NO"
-            rows.append((check.name, worst, limit, check.unit, where, f"{check.time:.3f} s", holds))
+            when, holds = f"{check.time:.3f} s", "yes" if check.holds else "NO"
+            rows.append((check.name, worst, check.relation, check.unit, where, when, holds))
         violated = ", ".join(check.name for check in self.violated)
         verdict = f"not certified: {violated}" if violated else "certified for all t"
         heads = ("check", "worst", "limit", "unit", "where", "when", "holds")
@@ -217,9 +185,10 @@ class Certificate(OneLine):
 
     @property
     def closest(self) -> tuple[Check, ...]:
-        """The CLOSEST checks with the least margins, the least first."""
-        limited = [check for check in self.checks if math.isfinite(check.margin)]
-        return tuple(sorted(limited, key=lambda check: check.margin)[:CLOSEST])
+        """The CLOSEST checks that press most on a limit, but counts of which none is allowed."""
+        pressed = [c for c in self.checks if c.limit is not None and c.worst is not None]
+        pressed = [c for c in pressed if c.limit or c.sense == "min" or not c.holds]
+        return tuple(sorted(pressed, key=lambda check: -check.pressure)[:CLOSEST])
 
     @property
     def certified(self) -> bool:
@@ -237,8 +206,9 @@ class Certificate(OneLine):
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
-        if not self.certified:
-            raise CertificateError("\n".join(describe(check) for check in self.violated))
+        told = [f"{broken_limit(*c._told)}, t = {c.time:.4g} s" for c in self.violated]
+        if told:
+            raise CertificateError("\n".join(told))
 
     def to_dict(self) -> dict[str, Any]:
         """Return what ``certificate.json`` holds."""
@@ -249,16 +219,6 @@ class Certificate(OneLine):
             "checks": [_entry(check) for check in self.checks],
         }
 
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Certificate:
-        """Return the certificate that ``to_dict`` wrote, or raise InputError."""
-        if data.get("format") != FORMAT:
-            raise InputError("format", data.get("format"), FORMAT, "use a file that hitchopt wrote")
-        checks = tuple(
-            Check(**{**entry, "where": tuple(entry["where"])}) for entry in data["checks"]
-        )
-        return cls(float(data["duration"]), checks)
-
 
 def _entry(check: Check) -> dict[str, Any]:
     """Return a check as ``certificate.json`` holds it; only some have a gamma."""
@@ -268,15 +228,6 @@ def _entry(check: Check) -> dict[str, Any]:
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table with its texts escaped."""
-    listed = list(rows)
     lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
-    lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in listed[:MAX_ROWS]]
-    if len(listed) > MAX_ROWS:
-        lines.append(f"<td colspan='{len(heads)}'>and {len(listed) - MAX_ROWS} more</td>")
+    lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
     return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
-
-
-def describe(check: Check) -> str:
-    """Return one sentence on a check that does not hold."""
-    told = (check.name, check.bound, check.number, check.sense, check.unit, check.where)
-    return f"{broken_limit(*told)}, t = {check.time:.4g} s"

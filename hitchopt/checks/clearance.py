@@ -38,7 +38,7 @@ from hitchopt.checks.distances import (
 )
 from hitchopt.checks.drones import steepness_of
 from hitchopt.checks.objects import placed, seen_from
-from hitchopt.checks.rule import CheckRule, Ease, Finder
+from hitchopt.checks.rule import CheckRule, Finder
 from hitchopt.checks.spans import (
     ROUNDING,
     cable_names,
@@ -377,7 +377,7 @@ CABLE_CLEARANCE = CheckRule(
     "or a smaller separation.cable",
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
-    Ease.LENGTH,
+    "length",
 )
 """Drones, and the ground, stay off cables; drones as seen from above while these lie there."""
 
@@ -466,7 +466,6 @@ OBJECT_CLEARANCE = CheckRule(
     "or stand it higher where the ground is near, or allow a smaller separation.object",
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
-    Ease.NOTHING,
 )
 """Cables and held objects keep off objects.
 

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import within
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Finding
+from hitchopt.checks.rule import CheckRule, Finder, Finding
 from hitchopt.checks.spans import (
     UPWARD,
     cable_names,
@@ -375,7 +375,7 @@ SEPARATION = CheckRule(
     "or a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
-    Ease.LENGTH,
+    "length",
 )
 """No two drones' ellipsoids meet."""
 

@@ -10,15 +10,14 @@ cable is drawn taut the one fades into the other with its tautness, a polynomial
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from operator import attrgetter
-from typing import Self
 
 import numpy as np
 
 from hitchopt.checks.certificate import within
-from hitchopt.checks.rule import CheckRule, Ease, Finder, Searched
+from hitchopt.checks.rule import CheckRule, Finder, Searched
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
@@ -70,23 +69,24 @@ def edge_sags(motion: Motion) -> list[Array]:
 
     Without the factor that both share where they rise from zero: it cancels in their ratio.
     """
-    half = 0.5 * GRAVITY * motion.team.cable_density * tautness(motion)
-    return without_shared_zeros([half, motion.tensions.coefficients])
+    return _sags(motion, tautness(motion), motion.tensions.coefficients)
 
 
 @shared
 def leg_sags(motion: Motion) -> list[Array]:
     """Return the same of legs (pieces, 2n, …)."""
-    half = 0.5 * GRAVITY * motion.team.cable_density * taut_shares(motion)
-    return without_shared_zeros([half, leg_tensions(motion)])
+    return _sags(motion, taut_shares(motion), leg_tensions(motion))
+
+
+def _sags(motion: Motion, taut: Array, tensions: Array) -> list[Array]:
+    return without_shared_zeros([0.5 * GRAVITY * motion.team.cable_density * taut, tensions])
 
 
 @shared
 def partners(motion: Motion) -> Array:
     """Return the other drone of each drone's cable, seen from it (pieces, 2n, 3, degree + 1)."""
     c = motion.drones.coefficients
-    pairs = c.reshape(len(c), -1, 2, *c.shape[2:])
-    return pairs[:, :, ::-1].reshape(c.shape) - c
+    return c[:, np.arange(c.shape[1]) ^ 1] - c
 
 
 class Drones(MotionSpans):
@@ -121,11 +121,6 @@ class Drones(MotionSpans):
         return self.leg.direction
 
     @cached_property
-    def tension(self) -> Enclosed:
-        """[N] The tension of the leg at its clasp."""
-        return self.scalar(tensions_of_legs)
-
-    @cached_property
     def sag(self) -> Enclosed:
         """[1/m] Half of the leg's weight per length over its tension."""
         half, tension = self.scalars(leg_sags(self.source))
@@ -145,9 +140,10 @@ class Drones(MotionSpans):
     @cached_property
     def pull(self) -> Enclosed:
         """[N] What the leg pulls with along its chord: ``chord_pull``, of T factored out."""
+        tension = self.scalar(tensions_of_legs)
         if not self.heavy:
-            return self.tension
-        return self.tension * self.levelled + self.taut_weight * self.leg[2]
+            return tension
+        return tension * self.levelled + self.taut_weight * self.leg[2]
 
     @property
     def heavy(self) -> bool:
@@ -159,15 +155,20 @@ class Drones(MotionSpans):
         """Whether any cable hangs at any time."""
         return self.heavy and bool(np.any(taut_shares(self.source) != 1.0))
 
+    @property
+    def half(self) -> float:
+        """[N/m] Half of the weight per length of cables."""
+        return 0.5 * GRAVITY * self.source.team.cable_density
+
     @cached_property
     def taut_weight(self) -> Enclosed:
         """[N/m] Half of the weight per length of what is taut."""
-        return 0.5 * GRAVITY * self.source.team.cable_density * self.scalar(taut_shares)
+        return self.half * self.scalar(taut_shares)
 
     @cached_property
     def slack_weight(self) -> Enclosed:
         """[N/m] Half of the weight per length of what hangs."""
-        return 0.5 * GRAVITY * self.source.team.cable_density - self.taut_weight
+        return self.half - self.taut_weight
 
     @cached_property
     def partner(self) -> Enclosed:
@@ -178,11 +179,6 @@ class Drones(MotionSpans):
     def length(self) -> Array:
         """The cable's length (spans,) [m]."""
         return self.source.team.cable_length[self.item // 2]
-
-    @cached_property
-    def steepness(self) -> Interval:
-        """σ of the cable if it hung free."""
-        return steepness_of(self.partner, self.length)
 
     @cached_property
     def load(self) -> Enclosed:
@@ -198,8 +194,9 @@ class Drones(MotionSpans):
 
     @cached_property
     def pull_terms(self) -> tuple[Interval, Interval]:
-        """1/σ and coth σ, which fall with σ."""
-        low, high = pull_terms(self.steepness.high), pull_terms(self.steepness.low)
+        """1/σ and coth σ, which fall with the σ of the cable if it hung free."""
+        sigma = steepness_of(self.partner, self.length)
+        low, high = pull_terms(sigma.high), pull_terms(sigma.low)
         return Interval(low[0], high[0]), Interval(low[1], high[1])
 
     @cached_property
@@ -212,17 +209,15 @@ class Drones(MotionSpans):
     @cached_property
     def load_rate(self) -> Enclosed:
         """[N/s] The derivative of the load by time."""
-        margin = sum(
-            float(np.max(derivative_margin(part, 1), initial=0.0))
-            for part in (self.source.drones, self.source.vertices)
-        )
+        parts = self.source.drones, self.source.vertices
+        margin = sum(float(np.max(derivative_margin(part, 1))) for part in parts)
         velocity = Enclosed(self.read(rate(self.source, pull_vectors)), margin)
         along = self.along.reduced(ORDER)
-        swept = (velocity * self.leg.inverse_norm).reduced(ORDER)
+        swept = (velocity * self.leg.norm.inverse).reduced(ORDER)
         turning = swept - along * along.dot(swept).reduced(ORDER)  # d/dt (y/|y|)
         pulled = self.scalar(tensions_of_legs, 1)
         if self.heavy:
-            gained = 0.5 * GRAVITY * self.source.team.cable_density * self.scalar(taut_shares, 1)
+            gained = self.half * self.scalar(taut_shares, 1)
             # Of h z + √(T² - h² s²): h half of the weight per length, s and z of the leg.
             falls = gained * self.level + self.taut_weight * self.leg.level.dot(velocity.level)
             pulled = (pulled - self.sag * falls.reduced(ORDER)) * self.levelled.inverse
@@ -246,20 +241,17 @@ class Drones(MotionSpans):
         across, rise = self.partner.level, self.partner[2]
         widening = across.dot(moved.level).range * _inverse_square(across.norm_range)
         heights = rise.norm_range
-        low, high = (level_length(each, self.length) for each in (heights.high, heights.low))
-        whole = Interval(low, high)
-        lifting = (rise * moved[2]).range * _inverse_square(whole)
-        flatter = widening + lifting
+        whole = (level_length(each, self.length) for each in (heights.high, heights.low))
+        lifting = (rise * moved[2]).range * _inverse_square(Interval(*whole))
         slope = Interval(downward.high - inward.high, downward.low - inward.low)  # rises with σ
-        falling = flatter * slope.inverse  # -σ̇
+        falling = (widening + lifting) * slope.inverse  # -σ̇
         change = (
             falling * Interval(inward.low**2, inward.high**2),
             falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
         )
-        weight = self.slack_weight
         lost = _pulled(self.partner, inward, downward, -gained)
-        lost = lost + _pulled(moved, inward, downward, weight)
-        lost = lost + _pulled(self.partner, *change, weight)
+        lost = lost + _pulled(moved, inward, downward, self.slack_weight)
+        lost = lost + _pulled(self.partner, *change, self.slack_weight)
         return -lost - (gained * self.length[:, None]).upward()
 
     @cached_property
@@ -268,8 +260,8 @@ class Drones(MotionSpans):
         own = self.moved(3) * self.mass
         change = own + self.load_rate if self.source.team.has_cables else own
         f, change = self.thrust.reduced(ORDER), change.reduced(ORDER)
-        found = (f.cross(change).reduced(ORDER) * f.inverse_norm).reduced(ORDER)
-        return found * f.inverse_norm
+        found = (f.cross(change).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
+        return found * f.norm.inverse
 
 
 def _pulled(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
@@ -288,10 +280,6 @@ class Points(MotionSpans):
 
     names = staticmethod(attrgetter("team.point_names"))
 
-    def moved(self, order: int) -> Enclosed:
-        """Return a derivative of the position by time."""
-        return self.derivative(self.source.vertices, order)
-
 
 def steepness_of(offset: Enclosed, length: Array) -> Interval:
     """Return the steepness of hanging cables of lengths (spans,) [m], given their ends' offsets."""
@@ -304,8 +292,7 @@ def steepness_of(offset: Enclosed, length: Array) -> Interval:
 
 
 def _inverse_square(size: Interval) -> Interval:
-    least, most = np.maximum(size.low, NEAREST), np.maximum(size.high, NEAREST)
-    return Interval(1.0 / most**2, 1.0 / least**2)
+    return Interval(*(np.maximum(end, NEAREST) ** -2 for end in (size.high, size.low)))
 
 
 def tilt(spans: Drones) -> Bound:
@@ -321,30 +308,26 @@ def tilt(spans: Drones) -> Bound:
 
 def turning_rate(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
-    found, known = spans.turning.norm_above, np.isfinite(spans.thrust.inverse_norm.r)
+    found, known = spans.turning.norm_above, np.isfinite(spans.thrust.norm.inverse.r)
     return Bound(np.where(known, np.degrees(found.value) * (1.0 + ROUNDING), np.inf), found.x)
 
 
-def _norm(spans: Drones | Points, order: int) -> Bound:
-    """Return the norm of a derivative of the position by time."""
-    return spans.moved(order).norm_above
+def _norm(spans: MotionSpans, order: int) -> Bound:
+    """Return the norm of a derivative of a position by time."""
+    part = spans.source.vertices if isinstance(spans, Points) else spans.source.drones
+    return spans.derivative(part, order).norm_above
 
 
-FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
-
-
-def _rate_rule(
-    name: str, unit: str, order: int, over: type[Drones] | type[Points] = Drones
-) -> CheckRule:
+def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
     """Return the rule that holds the norm of a derivative against ``Limits.planned.name``."""
     limit_of = attrgetter(f"requirements.limits.planned.{name}")
     find = Searched(over, partial(_norm, order=order), "max", 0.0)
     states = HITCHED_STATE if over is Points else frozenset(CableState)
     finder, remedy = Finder(find, states, order == 1 and over is Drones), f"raise limits.{name}"
-    return CheckRule(
-        name, unit, "max", limit_of, (finder,), remedy, ease=Ease.TIME, derivative=order
-    )
+    return CheckRule(name, unit, "max", limit_of, (finder,), remedy, ease="time", derivative=order)
 
+
+FASTEST = Searched(Drones, partial(_norm, order=1), "max", 0.0)
 
 SPEED = _rate_rule("speed", "m/s", 1)
 ACCELERATION = _rate_rule("acceleration", "m/s²", 2)
@@ -368,7 +351,7 @@ THRUST = CheckRule(
     (Finder(USED_THRUST, exported=True, shown=(Drones.thrust, Drones.load)),),
     "give the drone more thrust, or lower team.tension",
     "give the drone more thrust, or lower team.cable_density",
-    Ease.TENSION,
+    "tension",
     derivative=2,
 )
 """The largest thrust of the drone that is nearest to its own ``max_thrust``."""
@@ -382,7 +365,7 @@ TILT = CheckRule(
     (Finder(Searched(Drones, tilt, "max"), exported=True),),
     "raise limits.tilt_deg, or lower team.tension",
     "raise limits.tilt_deg, or lower team.cable_density",
-    Ease.TENSION,
+    "tension",
     derivative=2,
 )
 
@@ -396,7 +379,7 @@ BODY_RATE = CheckRule(
     ),
     (Finder(Searched(Drones, turning_rate, "max", 0.0), shown=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
-    ease=Ease.TIME,
+    ease="time",
     derivative=3,
 )
 
@@ -422,26 +405,20 @@ ARENA = CheckRule(
 )
 
 
-def leg_names(motion: Motion) -> Sequence[str]:
-    """Return the legs' names."""
-    return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
-
-
 class Legs(MotionSpans):
-    """Spans of legs, those of a chain's ends left out."""
-
-    names = staticmethod(leg_names)
+    """Spans of legs."""
 
     @classmethod
-    def spread(cls, motion: Motion) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every leg."""
-        on = np.tile(motion.team.layout.has_leg.ravel(), (motion.drones.pieces, 1))
-        return cls.all_of(motion, motion.drones.breaks, motion.team.drones, on)
+    def names(cls, motion: Motion) -> Sequence[str]:
+        """Return the legs' names."""
+        return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
 
 
 def _length(spans: Legs) -> Bound:
-    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m]."""
-    return Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
+    """Return the length of ``q_k - p_k`` or ``r_k - p_{k+1}`` [m], infinite at a chain's ends."""
+    found = Enclosed(spans.read(leg_vectors(spans.source)), spans.noise).norm_below
+    there = spans.source.team.layout.has_leg.ravel()[spans.item]
+    return Bound(np.where(there, found.value, np.inf), found.x)
 
 
 LEGS = CheckRule(
@@ -451,15 +428,9 @@ LEGS = CheckRule(
     lambda motion: motion.requirements.limits.leg,
     (Finder(Searched(Legs, _length, "min", magnitude), HITCHED_STATE),),
     "use a longer cable, a smaller polygon, or a smaller limits.leg",
-    ease=Ease.LENGTH,
+    ease="length",
 )
 """The shortest leg ``|q_k - p_k|`` or ``|r_k - p_{k+1}|``; ``where`` is ``q-leg k``."""
-
-
-class Curves(Spans):
-    """Spans of points that are no motion's."""
-
-    source: PiecewisePolynomial
 
 
 def largest_rate(
@@ -472,23 +443,15 @@ def largest_rate(
 
     It is bounded as closely as it takes to tell whether it satisfies the limit.
     """
-    derivative = part.differentiated(order).coefficients
-    margin = np.full(derivative.shape[:2], ROUNDING * np.max(np.abs(derivative), initial=0.0))
-    if order:
-        margin = derivative_margin(part, order)
+    derivative, margin = part.differentiated(order).coefficients, derivative_margin(part, order)
 
-    def formula(spans: Curves) -> Bound:
+    def formula(spans: Spans) -> Bound:
         return size(Enclosed(spans.read(derivative), margin[spans.piece, spans.item]))
 
-    spans = Curves.all_of(part, part.breaks, part.shape[0])
+    spans = Spans.all_of(part, part.breaks, part.shape[0])
     return worst(spans, formula, "max", target=within(limit, "max", 0.0, 0.5))
 
 
-def largest_static_thrust(motion: Motion) -> float:
-    """Return the largest thrust at rest over ``max_thrust``, for all t."""
-    return worst(Hovering.of(motion), used_thrust, "max").worst
-
-
-def largest_static_tilt(motion: Motion) -> float:
-    """Return the largest tilt at rest [deg], for all t."""
-    return worst(Hovering.of(motion), tilt, "max").worst
+def largest_at_rest(motion: Motion, quantity: Callable[[Drones], Bound]) -> float:
+    """Return the largest ``tilt`` [deg], or ``used_thrust``, of drones that hover, for all t."""
+    return worst(Hovering.of(motion), quantity, "max").worst

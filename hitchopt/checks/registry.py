@@ -7,11 +7,10 @@ from dataclasses import replace
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
 from hitchopt.checks.certificate import Certificate, Check, most_pressing
-from hitchopt.checks.rule import Found, ReportRule
+from hitchopt.checks.rule import CheckRule, Found, ReportRule
 from hitchopt.checks.spans import shared_values
 from hitchopt.checks.story import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.tracking import GAMMA
-from hitchopt.errors import InputError
 from hitchopt.motion.motion import Motion
 from hitchopt.values import instance, not_negative, sequence
 
@@ -46,6 +45,9 @@ RULES = (
 REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
 """What a certificate reports after its checks, without a limit."""
 
+OF_PARTS = tuple(report for report in REPORTS if not report.whole)
+"""What is known of a joined motion if it is known of its parts."""
+
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
 
@@ -55,14 +57,12 @@ def certify(
     progress: Callable[[str], None] | None = None,
     gamma: float = GAMMA,
     *,
-    part: bool = False,
     reports: Sequence[ReportRule] = REPORTS,
 ) -> Certificate:
     """Check what flies for all of its time.
 
     No quantity passes its ``worst`` at any t; it comes within ``1e-4`` of it, relative, or ``2e-7``
-    in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin:
-    ``2**-40`` of the largest numbers that enter, and for derivatives ``derivative_margin``. A
+    in its unit, distances to hanging cables within millimetres. Rounding is covered by a margin. A
     motion that is degenerate somewhere (two drones at one place, a cable without tension) fails the
     checks concerned.
 
@@ -71,8 +71,8 @@ def certify(
     motion: the plan.
     progress: called with the name of every check as it starts, and how many are done.
     gamma: how many times farther than drones vertices may be off, for ``tracking_radius``.
-    part: of a longer motion: leave out the reports that ``merged`` computes for the whole.
-    reports: that are made after the checks; others than the usual ones where time is short.
+    reports: that are made after the checks; OF_PARTS where ``merged`` computes the others, none
+        where time is short.
 
     Raises
     ------
@@ -80,27 +80,20 @@ def certify(
     """
     instance("motion", motion, Motion)
     gamma = not_negative("gamma", gamma)
-    for i, report in enumerate(reports := sequence("reports", reports)):
-        if not isinstance(report, ReportRule):
-            raise InputError(f"reports[{i}]", report, "a rule of a report", "leave reports out")
-    found = dict[str, Sequence[Found]]()
-    reports = [report for report in reports if not (part and report.whole)]
-    names = [rule.name for rule in RULES if progress and rule.limit_of(motion) is not None]
-    names += [report.name for report in reports]
-
-    def tell(name: str) -> None:
-        if progress is not None and name in names:
-            progress(f"{name}, {names.index(name)} of {len(names)}")
-
+    reports = sequence("reports", reports)
+    rules = [rule for rule in RULES if rule.limit_of(motion) is not None]
+    found: dict[str, Sequence[Found]] = dict.fromkeys(RULE_OF, ())
+    checks: list[Check | None] = []
     with shared_values():
-        for rule in RULES:
-            tell(rule.name)
-            found[rule.name] = rule.findings(motion)
-        checks = [most_pressing(each.check for each in spans) for spans in found.values() if spans]
-        for report in reports:
-            tell(report.name)
-            checks.append(report.check(motion, found, gamma))
-    return Certificate(motion.duration, tuple(check for check in checks if check is not None))
+        for i, each in enumerate((*rules, *reports)):
+            if progress is not None:
+                progress(f"{each.name}, {i} of {len(rules) + len(reports)}")
+            if isinstance(each, CheckRule):
+                found[each.name] = each.findings(motion)
+                checks.append(most_pressing(span.check for span in found[each.name]))
+            else:
+                checks.append(each.check(motion, found, gamma))
+    return Certificate(motion.duration, tuple(filter(None, checks)))
 
 
 def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
@@ -121,12 +114,11 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
         for check in part.checks:
             found[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
-    joints = len(parts) > 1
-    checks = []
+    joints, checks = len(parts) > 1, list[Check | None]()
     for rule in RULES:
         anew = rule.whole and (joints or rule is DURATION)
         checks.append(rule.check(motion) if anew else most_pressing(found[rule.name]))
     for report in REPORTS:
         known = most_pressing(found[report.name])
         checks.append(report.check(motion, {}, GAMMA) if report.whole else known)
-    return Certificate(motion.duration, tuple(check for check in checks if check is not None))
+    return Certificate(motion.duration, tuple(filter(None, checks)))

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from enum import Enum, auto
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -13,22 +12,10 @@ from hitchopt.checks.certificate import Check, most_pressing, within
 from hitchopt.checks.spans import MotionSpans
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
-from hitchopt.trajectory.search import BATCH, worst
+from hitchopt.trajectory.search import batches, worst
 from hitchopt.values import Array
 
 S = TypeVar("S", bound=MotionSpans)
-
-
-class Ease(Enum):
-    """Kinds of change that ease checks."""
-
-    NOTHING = auto()
-    TIME = auto()
-    """Slower or shorter motion."""
-    LENGTH = auto()
-    """Longer legs."""
-    TENSION = auto()
-    """Lower tensions, or less weight."""
 
 
 @dataclass(frozen=True)
@@ -46,17 +33,22 @@ class Finding:
     size: float = 1.0
     limit: float | None = None
 
+    def check(
+        self, rule: CheckRule | ReportRule, limit: float | None, gamma: float | None = None
+    ) -> Check:
+        """Return the check of a rule."""
+        limit = limit if self.limit is None else self.limit
+        found = (self.worst, limit, rule.sense, rule.unit, self.time, self.where, self.size, gamma)
+        return Check.of(rule.name, *found)
+
 
 @dataclass(frozen=True, eq=False)
 class Searched(Generic[S]):
     """A finder of a formula's worst value over spans of a motion.
 
-    Attributes
-    ----------
-    over: the spans, as ``where`` names them.
-    formula: bounds the quantity on spans of these; it is its value where they are points.
-    sense, size: as in ``Check`` and ``Finding``.
-    share: (items,), where each has a limit of its own that the formula is a share of.
+    On spans of no length the ``formula`` is the quantity's value. ``sense`` and ``size`` are as in
+    ``Check`` and ``Finding``. The items may have limits of their own (items,), of which the formula
+    is the ``share``.
     """
 
     over: type[S]
@@ -79,18 +71,15 @@ class Searched(Generic[S]):
 
     def curve(self, motion: Motion, times: Array) -> Array:
         """Return the formula's worst value over all items at times (samples,) [s]."""
-        breaks, items = motion.drones.breaks, np.arange(len(self.over.names(motion)))
+        breaks, items = motion.drones.breaks, len(self.over.names(motion))
         piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
-        x = (times - breaks[piece]) / motion.drones.durations[piece]
-        found = []
-        for first in range(0, len(times), max(1, BATCH // len(items))):
-            part = slice(first, first + max(1, BATCH // len(items)))
-            here = np.repeat(piece[part], len(items))
-            spans = self.over(motion, breaks, here, np.tile(items, len(x[part])))
-            points = spans.at(np.repeat(np.clip(x[part], 0.0, 1.0), len(items)))
-            values = self.formula(points).value.reshape(-1, len(items))
-            found.append(np.max(values, 1) if self.sense == "max" else np.min(values, 1))
-        return np.concatenate(found)
+        x = np.clip((times - breaks[piece]) / motion.drones.durations[piece], 0.0, 1.0)
+        every = np.tile(np.arange(items), len(times))
+        spans = self.over(motion, breaks, np.repeat(piece, items), every)
+        points = batches(spans.at(np.repeat(x, items)))
+        values = np.concatenate([self.formula(batch).value for batch in points])
+        worst_of = np.max if self.sense == "max" else np.min
+        return np.asarray(worst_of(values.reshape(-1, items), axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +96,7 @@ class Finder:
     shown: tuple[object, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
+class Found(NamedTuple):
     """The check of one span of time, in which cables are in one of ``states``."""
 
     states: Set[CableState]
@@ -126,7 +114,8 @@ class CheckRule:
     finders: for cables in different states.
     remedy: what a user can change.
     free_remedy: the same while there is no hitch, where it differs.
-    ease: which kind of change repairs try.
+    ease: the kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of
+        legs) or ``tension`` (lower, or less weight); empty for none.
     derivative: the highest derivative of positions by time that enters the quantity. It means
         nothing where the one below jumps, and slower motion eases whatever has one.
     whole: whether a joined motion has to be checked anew, its parts not telling of the joints.
@@ -140,7 +129,7 @@ class CheckRule:
     finders: tuple[Finder, ...]
     remedy: str = "this plan must not be flown; please report it"
     free_remedy: str = ""
-    ease: Ease = Ease.NOTHING
+    ease: str = ""
     derivative: int = 0
     whole: bool = False
     exported_limit: float | None = None
@@ -164,19 +153,13 @@ class CheckRule:
         limit, here = self.limit_of(motion), motion.cable_states
         if limit is None:
             return ()
-        if exported and self.exported_limit is not None:
-            limit = self.exported_limit
+        limit = self.exported_limit if exported and self.exported_limit is not None else limit
         return tuple(
-            Found(finder.states, self._check(finder.find(span, limit), limit))
+            Found(finder.states, finder.find(span, limit).check(self, limit))
             for finder in self.finders
             if (finder.exported or not exported) and not here.isdisjoint(finder.states)
             for span in ((motion,) if here <= finder.states else motion.spans(finder.states))
         )
-
-    def _check(self, found: Finding, limit: float) -> Check:
-        limit = limit if found.limit is None else found.limit
-        given = (found.worst, limit, self.sense, self.unit, found.time, found.where, found.size)
-        return Check.of(self.name, *given)
 
 
 Findings = Mapping[str, Sequence[Found]]
@@ -199,6 +182,4 @@ class ReportRule:
 
     def check(self, motion: Motion, found: Findings, gamma: float) -> Check:
         """Return the value as a check that holds."""
-        worst, given = self.find(motion, found, gamma), None if self.whole else gamma
-        told = (worst.worst, None, self.sense, self.unit, worst.time, worst.where)
-        return Check.of(self.name, *told, gamma=given)
+        return self.find(motion, found, gamma).check(self, None, None if self.whole else gamma)

@@ -32,12 +32,9 @@ Coefficients and breaks are taken as exact: they are the plan. What is computed 
 few units in the last place; this leaves a factor of a thousand, also for whoever samples the same
 polynomials."""
 
-LAST_PLACE = 2.0**-50
-"""What a difference of two numbers errs by at most, relative to it, with room to spare."""
-
-MOST_SHARED = 8 * BATCH
-"""Spans of drones up to which checks share what they compute on whole pieces."""
-
+LAST_PLACE = 2.0**-50  # what a difference of two numbers errs by at most, relative to it
+MOST_SHARED = 8 * BATCH  # spans of drones up to which checks share what they compute on pieces
+PART_NAMES = ("q-leg", "edge", "r-leg")
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -51,10 +48,8 @@ _SHARED: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
 @contextmanager
 def shared_values() -> Iterator[None]:
     """Keep values within the outermost context: they take more memory than the motion itself."""
-    if _SHARED.get() is not None:
-        yield
-        return
-    token = _SHARED.set(WeakKeyDictionary())
+    kept = _SHARED.get()
+    token = _SHARED.set(WeakKeyDictionary() if kept is None else kept)
     try:
         yield
     finally:
@@ -69,29 +64,22 @@ def once(source: Any, value: Callable[..., T], *further: Any) -> T:
     shared = _SHARED.get()
     if shared is None:
         return value(source, *further)
-    kept = shared.setdefault(source, {})
-    key = (value, *further)
+    kept, key = shared.setdefault(source, {}), (value, *further)
     if key not in kept:
         kept[key] = value(source, *further)
-    found: T = kept[key]
-    return found
+    return cast("T", kept[key])
 
 
 def shared(value: F) -> F:
     """Return a function that is called by ``once``: its first argument is the source."""
-
-    @wraps(value)
-    def known(source: Any, *further: Any) -> Any:
-        return once(source, value, *further)
-
-    return cast("F", known)
+    return cast("F", wraps(value)(lambda source, *further: once(source, value, *further)))
 
 
 @shared
 def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of the plan [m]."""
-    parts = (motion.drones, motion.vertices)
-    return float(max(np.max(np.abs(part.coefficients), initial=0.0) for part in parts))
+    parts = motion.drones.coefficients, motion.vertices.coefficients
+    return max(float(np.max(np.abs(c), initial=0.0)) for c in parts)
 
 
 def position_margin(motion: Motion) -> float:
@@ -101,33 +89,29 @@ def position_margin(motion: Motion) -> float:
 
 @shared
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
-    """Return the margin (pieces, items) of the norm of a derivative by time, of order 1 or more.
+    """Return the margin (pieces, items) of the norm of a derivative by time.
 
     It is ``2**-50 · 2^k · N!/(N-k)! / h^k`` of the largest difference of neighbouring coefficients,
     for the k-th of degree N on a piece of h seconds, and ``2**-40`` of the derivative itself.
     """
-    c = part.coefficients
-    if part.degree == 0:
-        return np.zeros(c.shape[:2])
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
     size = _largest(part.differentiated(order).coefficients)
-    margin: Array = (LAST_PLACE * gain)[:, None] * _largest(np.diff(c)) + ROUNDING * size
+    jumps = _largest(np.diff(part.coefficients))
+    margin: Array = (LAST_PLACE * gain)[:, None] * jumps + ROUNDING * size
     return margin
 
 
 def _largest(coefficients: Array) -> Array:
     """Return the largest magnitudes (pieces, items) of coefficients (pieces, items, d, m)."""
-    sizes = np.abs(coefficients)
-    largest: Array = sizes.reshape(*sizes.shape[:2], -1).max(axis=-1)
+    largest: Array = np.max(np.abs(coefficients), axis=(2, 3), initial=0.0)
     return largest
 
 
 @shared
 def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     """Return the derivative by time of a table of a motion (pieces, …, degree + 1)."""
-    c = table(motion)
-    slope = bernstein.differentiate(c)
-    slope /= motion.drones.durations.reshape(-1, *(1,) * (c.ndim - 1))
+    slope = bernstein.differentiate(table(motion))
+    slope /= motion.drones.durations.reshape(-1, *(1,) * (slope.ndim - 1))
     return slope
 
 
@@ -145,17 +129,9 @@ class MotionSpans(Spans):
 
         Of many items they are made anew every time: what they compute would fill the memory.
         """
-        many = motion.drones.pieces * motion.team.drones > MOST_SHARED
-        return cls.spread(motion) if many else once(motion, cls._shared)
-
-    @classmethod
-    def spread(cls, motion: Motion) -> Iterator[Self]:
-        """Yield the spans of whole pieces of every item."""
-        return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
-
-    @classmethod
-    def _shared(cls, motion: Motion) -> tuple[Self, ...]:
-        return tuple(cls.spread(motion))
+        if motion.drones.pieces * motion.team.drones > MOST_SHARED:
+            return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
+        return once(motion, _listed, cls)
 
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
         """Return scalars of tables (pieces, items, degree + 1), exact as given."""
@@ -173,7 +149,9 @@ class MotionSpans(Spans):
         return position_margin(self.source)
 
 
-PART_NAMES = ("q-leg", "edge", "r-leg")
+def _listed(motion: Motion, over: type[MotionSpans]) -> tuple[Any, ...]:
+    """Return the spans of whole pieces of every item."""
+    return tuple(over.all_of(motion, motion.drones.breaks, len(over.names(motion))))
 
 
 def cable_names(motion: Motion) -> Sequence[str]:

@@ -2,18 +2,13 @@
 
 With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, a clock makes the acceleration
 ``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these the formulas of the checks
-``acceleration``, ``jerk``, ``thrust``, ``tilt`` and ``body_rate`` are those of the drones on that
-clock. What is carried is pulled along by forces that fit the plan's own rate:
-``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced, and has to stay within what checks
-``equilibrium``, ``support`` and ``grip`` leave of their limits.
+are those of the drones on that clock. What is carried is pulled along by forces that fit the plan's
+own rate: ``(s² - 1) D²x + ṡ Dx`` times its mass is left unbalanced.
 
 A cell is a phase of constant s̈ within one piece. Where norms on whole pieces do not show that it
-keeps all limits, the formulas are enclosed on it, s, ṡ and s̈ between their bounds, and it is halved
-until that decides.
-
-A stop of duration T slows the clock's rate from 1 to 0 by two phases of constant jerk ∓4/T², the
-shortest that a bound of that jerk allows; it takes 1/2 T of plan time. A command may wait, the plan
-running on, until a stop can begin; a plan that ends at rest has reached rest there in any case.
+keeps all limits, the formulas are enclosed on it, s and ṡ by lines over plan time, and it is halved
+until its middle breaks a limit or all of it keeps them. A stop of duration T slows the rate from 1
+to 0 by two phases of constant jerk ∓4/T², in 1/2 T of plan time.
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, tilt, turning_rate, used_thrust
 from hitchopt.checks.objects import SUPPORT, heading_error, spare_friction, turning_reach
 from hitchopt.checks.rule import Finding, Findings, ReportRule
-from hitchopt.checks.spans import concatenated, derivative_margin, shared, shared_values
+from hitchopt.checks.spans import MotionSpans, concatenated, derivative_margin, shared_values
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
@@ -40,35 +35,18 @@ from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.motion.retiming import REST
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import STILL
-from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, advanced
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
-from hitchopt.trajectory.search import Spans
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array, Indices
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 7
-"""Halvings of a cell in which a bound is decided; what is undecided then counts as broken."""
-
-BATCH = 20_000
-"""Pairs of a cell and a drone that are looked at in one go."""
-
-SLACK = 1e-9
-"""Relative margin for the clock's rounding."""
-
-SHORTEST, LONGEST, SLOWEST = 0.1, 2.5, 20.0
-"""[s] Durations of stops: the shortest and longest that are tried, and the longest with a reserve
-or something that is carried, which allow no shorter ones."""
-
-RATIO, CARRIED_RATIO = 1.25, 1.5
-"""Ratios of neighbouring durations that are tried, about; the second while something is carried."""
-
-SPACING, STARTS = 0.1, 10_000
-"""[s] Distance of stops, and how many there are at most."""
-
-LATEST = 1.5
-"""Longest stops, relative to the time until the plan rests by itself."""
+HALVINGS = 7  # of a cell in which a bound is decided; what is undecided then counts as broken
+BATCH = 20_000  # pairs of a cell and a drone that are looked at in one go
+SLACK = 1e-9  # relative margin for the clock's rounding
+SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19  # durations of stops that are tried [s], a third apart
+SPACING, STARTS = 0.1, 10_000  # distance of stops [s], and how many there are at most
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
@@ -82,23 +60,17 @@ def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases
     return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
 
 
-def clock_of(cells: ClockPhases) -> tuple[Enclosed, Enclosed, Enclosed]:
-    """Return the rate s of every cell and its two derivatives, by time."""
+def rates_of(cells: ClockPhases) -> Array:
+    """Return bounds (3, cells, 1) of the rate s and its two derivatives by time."""
     (s, a, j), t = cells.jets.T[1:], cells.duration
     each = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
-    s, a, j = (Enclosed(np.stack(c, axis=-1)[:, None]) for c in each)
-    return s, a, j
+    return np.stack([np.max(np.abs(c), axis=0)[:, None] for c in each])
 
 
-class OnClock(Spans):
+class OnClock(MotionSpans):
     """Spans of plan time that cells of clocks pass, one each."""
 
     cells: ClockPhases
-    clock: tuple[Enclosed, Enclosed, Enclosed]
-    """The rate s and its two derivatives, by time."""
-
-    back: Flags
-    """(spans,), those that are passed from their end to their beginning."""
 
     @classmethod
     def passed(
@@ -109,12 +81,11 @@ class OnClock(Spans):
         x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
         extent = np.sort(np.clip(x, 0.0, 1.0), axis=0)
         made = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
-        made.cells, made.clock, made.back = cells, clock_of(cells), times[1] < times[0]
+        made.cells = cells
         return made
 
     def _on(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
-        chosen = self.piece[index], self.item[index]
-        return self.passed(self.source, self.breaks, cells, *chosen)
+        return self.passed(self.source, self.breaks, cells, self.piece[index], self.item[index])
 
     def take(self, index: Flags | Indices | slice) -> Self:
         """Return the chosen spans."""
@@ -132,32 +103,21 @@ class OnClock(Spans):
         return self._on(ClockPhases(self.cells.owner, jets, np.zeros(len(self))))
 
     @cached_property
-    def _passed(self) -> Array:
-        """(spans,) [s], plan time that has passed."""
-        begin = self.breaks[self.piece]
-        passed: Array = np.abs(self.extent[1] - self.extent[0]) * (
-            self.breaks[self.piece + 1] - begin
-        )
-        return passed
+    def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+        """The rate s and its derivatives by time, as lines over the plan time that is passed.
 
-    def by_time(self, value: Enclosed) -> Enclosed:
-        """Return the chord by time of a value by plan time, which is off its own by h² |ṡ| / 8."""
-        line = value.reduced(1)
-        line = Enclosed(np.where(self.back[:, None, None], line.c[..., ::-1], line.c), line.r)
-        most, off = self._passed, self.cells.duration**2 * self.clock[1].size / 8.0
-        share = np.divide(off, most, out=np.ones_like(most), where=off < most)
-        return line.widened(share * column_lengths(line.c[..., -1:] - line.c[..., :1])[..., 0])
-
-    def derivatives(self, part: PiecewisePolynomial, orders: int) -> list[Enclosed]:
-        """Return the first derivatives by plan time of points, by time: chords of these."""
-        at, found = (self.piece, self.item), []
-        c = derived(part, orders)
-        weights = bernstein.basis(self.extent.T, bernstein.degree(c))  # (spans, 2, degree + 1)
-        ends = np.split(c[at] @ np.swapaxes(weights, 1, 2), orders, axis=1)
-        for k, chord in enumerate(ends, 1):
-            off = self._passed**2 / 8.0 * largest(part, k + 2)[at]
-            found.append(self.by_time(Enclosed(chord, derivative_margin(part, k)[at] + off)))
-        return found
+        In h seconds plan time is off its chord by time by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
+        """
+        begin, end, h = self.cells.jets, self.cells.ends, self.cells.duration
+        way, off = np.abs(end[:, 0] - begin[:, 0]), h**2 / 8.0
+        bent = off * np.maximum(np.abs(begin[:, 2]), np.abs(end[:, 2]))
+        share = np.divide(bent, way, out=np.ones_like(way), where=bent < way)
+        back, found = end[:, :1] < begin[:, :1], []
+        for k, own in ((1, off * np.abs(begin[:, 3])), (2, 0.0)):
+            line = np.stack([begin[:, k], end[:, k]], axis=-1)
+            radius = own + share * np.abs(end[:, k] - begin[:, k])
+            found.append(Enclosed(np.where(back, line[:, ::-1], line)[:, None], radius))
+        return found[0], found[1], Enclosed(begin[:, 3:, None])
 
     def accelerated(self, v: Enclosed, a: Enclosed) -> Enclosed:
         """Return the acceleration, given derivatives by plan time."""
@@ -170,7 +130,8 @@ class DronesOnClock(OnClock, Drones):
 
     @cached_property
     def _moved(self) -> tuple[Enclosed, Enclosed]:
-        (s, slope, jerk), (v, a, j) = self.clock, self.derivatives(self.source.drones, 3)
+        s, slope, jerk = self.clock
+        v, a, j = (self.derivative(self.source.drones, order) for order in (1, 2, 3))
         return self.accelerated(v, a), s * s * s * j + s * slope * 3.0 * a + jerk * v
 
     def moved(self, order: int) -> Enclosed:
@@ -178,27 +139,9 @@ class DronesOnClock(OnClock, Drones):
         return self._moved[order - 2]
 
     @cached_property
-    def load(self) -> Enclosed:
-        """[N] The force of the cable on the drone, its sign changed."""
-        return self.by_time(super().load)
-
-    @cached_property
     def load_rate(self) -> Enclosed:
         """[N/s] The derivative of the load by time."""
-        return self.by_time(super().load_rate) * self.clock[0]
-
-
-@shared
-def derived(path: PiecewisePolynomial, orders: int) -> Array:
-    """Return the first derivatives (pieces, items, orders d, degree + 1)."""
-    return concatenated([path.differentiated(k + 1).coefficients for k in range(orders)], axis=2)
-
-
-@shared
-def largest(path: PiecewisePolynomial, order: int) -> Array:
-    """Return bounds of a derivative's norm (pieces, items)."""
-    norms = np.max(column_lengths(path.differentiated(order).coefficients), axis=-1)
-    return np.asarray((norms + derivative_margin(path, order)) * (1.0 + SLACK))
+        return super().load_rate * self.clock[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,12 +150,11 @@ class Limited:
 
     Attributes
     ----------
-    path: of the items, on pieces of the plan [m].
-    orders: how many derivatives count.
+    path: of the items, on pieces of the plan [m]; so many ``orders`` of its derivatives count.
     over, source: the spans on which shares of limits are bounded, and what these are of.
     quick: whether norms of derivatives (orders, cells, items) keep limits, given the pieces
         (cells,) and the clock's rate and its derivatives there, (cells, 1) each.
-    used: the largest share of a limit.
+    used: the largest share of a limit (spans,).
     """
 
     path: PiecewisePolynomial
@@ -220,12 +162,16 @@ class Limited:
     over: type[OnClock]
     source: Any
     quick: Callable[..., Flags]
-    used: Callable[[Any], Bound]
+    used: Callable[[Any], Array]
 
     @cached_property
     def sizes(self) -> Array:
         """(orders, pieces, items): bounds of the derivatives' norms by plan time."""
-        return np.stack([largest(self.path, k) for k in range(1, self.orders + 1)])
+        found = []
+        for order in range(1, self.orders + 1):
+            norms = column_lengths(self.path.differentiated(order).coefficients)
+            found.append(np.max(norms, axis=-1) + derivative_margin(self.path, order))
+        return np.stack(found) * (1.0 + SLACK)
 
     def look(self, phases: ClockPhases, kept: Flags) -> None:
         """Set ``kept`` (owners,) to False where phases are not shown to keep limits."""
@@ -238,36 +184,31 @@ class Limited:
             check_time()
             row = np.arange(first, min(first + count, len(piece)))
             row = row[kept[cells.owner[row]]]
-            rates = [each.size[:, None] for each in clock_of(cells.taken(row))]
+            rates = rates_of(cells.taken(row))
             where, item = np.nonzero(~self.quick(self.sizes[:, piece[row]], piece[row], *rates))
             row = row[where]
             spans = self.over.passed(self.source, breaks, cells.taken(row), piece[row], item)
-            for _ in range(HALVINGS + 1):
-                if not len(spans):
-                    break
-                share, owner = self.used(spans), spans.cells.owner
-                left = np.flatnonzero(~(share.value * (1.0 + SLACK) <= 1.0))
-                left = left[np.argsort(-share.value[left], kind="stable")]
-                worst = left[np.unique(owner[left], return_index=True)[1]]
-                there = self.used(spans.take(worst).at(share.x[worst]))
-                kept[owner[worst[~(there.value <= 1.0)]]] = False
-                spans = spans.take(left[kept[owner[left]]]).halves()
+            self._decide(spans, kept, HALVINGS)
+
+    def _decide(self, spans: OnClock, kept: Flags, halvings: int) -> None:
+        """Set ``kept`` to False where spans break a limit, or stay open however they are halved."""
+        if len(spans):
+            middle = self.used(spans.at(np.full(len(spans), 0.5)))
+            kept[spans.cells.owner[~(middle <= 1.0)]] = False
+            spans = spans.take(kept[spans.cells.owner])
+        if len(spans):
+            open_ = spans.take(~(self.used(spans) * (1.0 + SLACK) <= 1.0))
+            if halvings:
+                self._decide(open_.halves(), kept, halvings - 1)
             else:
-                kept[spans.cells.owner] = False
+                kept[open_.cells.owner] = False
 
 
 class ClockLimits:
-    """The limits of a motion, for clocks.
-
-    Attributes
-    ----------
-    reserved: whether the plan leaves something of them, so that stops can begin anywhere.
-    carried: what is carried, if anything.
-    """
+    """The limits of a motion, for clocks, and what is ``carried``."""
 
     def __init__(self, motion: Motion) -> None:
-        self.motion, self.reserved = motion, motion.requirements.limits.reserve < 1.0
-        self._spare = _spare(motion)
+        self.motion, self._spare = motion, _spare(motion)
         self.carried = [_inertia(path, slack) for path, slack in carried_paths(motion)]
         self._drones = Limited(motion.drones, 3, DronesOnClock, motion, self._quick, self._used)
 
@@ -279,10 +220,10 @@ class ClockLimits:
                 each.look(phases, kept)
         return kept
 
-    def carries(self, begin: Array, end: Array) -> Flags:
-        """Return (m,) whether something is carried within spans of plan time (m,) [s]."""
+    def carries(self, times: Array) -> Flags:
+        """Return (m,) whether something is carried at plan times (m,) [s]."""
         spans = np.array([each.path.breaks[[0, -1]] for each in self.carried]).reshape(-1, 2)
-        within = (spans[:, 1] > begin[:, None]) & (spans[:, 0] < end[:, None])
+        within = (spans[:, 0] < times[:, None]) & (times[:, None] < spans[:, 1])
         return np.asarray(np.any(within, axis=1))
 
     def _quick(self, sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
@@ -291,21 +232,16 @@ class ClockLimits:
         fine &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
         return fine & (limits.body_rate is None)  # of turning no quick bound comes close
 
-    def _used(self, spans: DronesOnClock) -> Bound:
-        """Return the largest share of a limit, by the formulas of the checks."""
+    def _used(self, spans: DronesOnClock) -> Array:
+        """Return the largest share of a limit (spans,), by the formulas of the checks."""
         limits, turns = self.motion.requirements.limits, self.motion.requirements.limits.body_rate
-        acceleration, jerk = (spans.moved(order).norm_above for order in (2, 3))
-        found = [_share(acceleration, limits.acceleration), _share(jerk, limits.jerk)]
+        acceleration, jerk = (spans.moved(order).norm_above.value for order in (2, 3))
+        found = [acceleration / limits.acceleration, jerk / limits.jerk]
         if turns is not None:
-            found.append(_share(turning_rate(spans), math.degrees(turns)))
-        spare = self._spare[spans.piece, spans.item]
-        if turns is not None or not np.all(acceleration.value <= spare):
-            found += [used_thrust(spans), _share(tilt(spans), math.degrees(limits.tilt))]
-        return largest_of(found)
-
-
-def _share(found: Bound, limit: Array | float) -> Bound:
-    return Bound(found.value / limit, found.x)
+            found.append(turning_rate(spans).value / math.degrees(turns))
+        if turns is not None or not np.all(acceleration <= self._spare[spans.piece, spans.item]):
+            found += [used_thrust(spans).value, tilt(spans).value / math.degrees(limits.tilt)]
+        return np.asarray(np.max(found, axis=0))
 
 
 def _spare(motion: Motion) -> Array:
@@ -327,10 +263,10 @@ def _inertia(path: PiecewisePolynomial, slack: Array) -> Limited:
         found: Flags = np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece]
         return found
 
-    def used(spans: OnClock) -> Bound:
-        v, a = spans.derivatives(path, 2)
-        added = spans.accelerated(v, a) - a
-        return _share(added.norm_above, slack[spans.piece, spans.item])
+    def used(spans: OnClock) -> Array:
+        v, a = (spans.derivative(path, order) for order in (1, 2))
+        added = (spans.accelerated(v, a) - a).norm_above.value
+        return np.divide(added, slack[spans.piece, spans.item])
 
     return Limited(path, 2, OnClock, path, quick, used)
 
@@ -376,8 +312,9 @@ class StopTable:
 def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """Return stops that are shown to keep all limits of a motion, SPACING [s] from each other.
 
-    Each has the shortest duration of a ladder that bisection finds. The end counts as rest only if
-    the drones rest there. ``limits`` are those of the motion, where they are known.
+    Each has the shortest duration of a ladder that bisection finds; one that is over no sooner than
+    a later one is of no use. The end counts as rest only if the drones rest there. ``limits`` are
+    those of the motion, where they are known.
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
@@ -385,38 +322,32 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
-    carries = bool(limits.carried)
-    longest, ratio = SLOWEST if limits.reserved or carries else LONGEST, (RATIO, CARRIED_RATIO)
-    useful = np.inf if limits.reserved else LATEST * (rest - starts)
-    rungs = 1 + round(np.log(longest / SHORTEST) / np.log(ratio[carries]))
-    ladder = np.geomspace(SHORTEST, longest, rungs)
+    ladder = np.geomspace(SHORTEST, SLOWEST, RUNGS)
     durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
-    high = np.searchsorted(ladder, np.broadcast_to(useful, starts.shape))
-    while len(left := np.flatnonzero(high - low > 1)):
+    high = np.full(len(starts), len(ladder))
+    while True:
+        rests = np.append(starts + durations, rest)
+        soonest = np.minimum.accumulate(rests[::-1])[-2::-1]  # of all later ones
+        high = np.minimum(high, np.searchsorted(ladder, soonest - starts))
+        if not len(left := np.flatnonzero(high - low > 1)):
+            return StopTable(rest, starts, durations)
         # What is carried may allow some stop and no longer one: no bisection then.
-        rung = low[left] + 1 if carries else (low[left] + high[left]) // 2
+        rung = low[left] + 1 if limits.carried else (low[left] + high[left]) // 2
         kept = _shown(limits, starts[left], ladder[rung])
         durations[left[kept]] = ladder[rung[kept]]
         high[left[kept]], low[left[~kept]] = rung[kept], rung[~kept]
-    return StopTable(rest, starts, durations)
 
 
 def _shown(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
-    """Return (m,) whether stops are shown to keep all limits.
-
-    While something is carried, the clock can also start again from their rests.
-    """
+    """Return (m,) whether stops keep all limits, and starts from where something is carried."""
     kept, rests = limits.keep(stop_phases(starts, durations), len(starts)), starts + 0.5 * durations
-    left = np.flatnonzero(kept & limits.carries(rests, rests))
+    left = np.flatnonzero(kept & limits.carries(rests))
     kept[left] = limits.keep(stop_phases(rests[left], durations[left], 0.0), len(left))
     return kept
 
 
 def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]:
-    """Yield paths (items, 3) [m] on runs of pieces on which an object is carried, and their slack.
-
-    The slack (pieces, items) is in m/s².
-    """
+    """Yield paths (items, 3) [m] where an object is carried, and their slack (pieces, items)."""
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         poses = motion.object_poses.coefficients[:, index]
@@ -442,9 +373,7 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     pose = motion.object_poses.coefficients[:, index]
     places = motion.vertices.coefficients[:, motion.team.layout.clasps]
     centre = centre_path(pose, body)[:, None]
-    order = max(bernstein.degree(centre), bernstein.degree(places))
-    each = [bernstein.elevate(part, order) for part in (places, centre)]
-    points = motion.vertices.alike(np.concatenate(each, axis=1))
+    points = motion.vertices.alike(concatenated([places, centre], axis=1))
     height = abs(body.centre_of_mass[2] - body.rim.height)
     supports = supports_of(motion, index, body)
     shifted = height * np.linalg.norm(supports.gains, axis=-1)
@@ -468,19 +397,15 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     Edges push it as a whole; friction bears it and turns it with them, half of it for each.
     """
     pose = motion.object_poses.coefficients[:, index]
-    centre = centre_path(pose, body)
-    order = max(bernstein.degree(pose), bernstein.degree(centre))
-    paths = np.zeros((len(pose), 2, 3, order + 1))
-    paths[:, 0] = bernstein.elevate(centre, order)
-    paths[:, 1, :2] = bernstein.elevate(pose[:, 3:], order)
+    heading = np.pad(pose[:, None, 3:], [(0, 0), (0, 0), (0, 1), (0, 0)])
+    paths = concatenated([centre_path(pose, body)[:, None], heading], axis=1)
     forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)
     slack = [np.minimum(forces, friction), friction / turning_reach(body)]
     return motion.drones.alike(paths), np.column_stack(slack) / body.mass
 
 
-def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
+def _find(motion: Motion, _: Findings, __: float) -> Finding:
     """Return the longest time [s] over all times of the command, and about when that is."""
-    del found, gamma
     with np.errstate(all="ignore"):  # coefficients may be anything; nan breaks a limit
         longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))

@@ -7,16 +7,12 @@ holds) and all others 0; so they have while cables are being tightened, and clas
 one to the other. A hitch that is there at first is taken to have been tied with every q going up
 first, which is 1. Besides, no drone may fly inside the hanging cable of another.
 
-Each state brings rules of its own, so a plan must not choose them: where the rules of another state
-would be due, the polynomials contradict the one that is stated.
-
-A *chord* is the straight line between a cable's drones. Two chords meet only where their four ends
-lie in one plane, where the volume ``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is
-halved until on every span of it the chords are certainly *apart*, or *across*: seen along one
-direction each crosses the other between its ends. Chords pass through each other only within spans
-across, as often, in sum, as the volume's sign changes; next to a span apart that sign is certain.
-So no root has to be found: chords that touch, rest in one plane at the very moment of crossing, or
-turn back there are counted rightly.
+A *chord* is the straight line between a cable's drones. Two chords meet only where the volume
+``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is halved until on every span of it the
+chords are certainly *apart*, or *across*: seen along one direction each crosses the other between
+its ends. Chords pass through each other only within spans across, as often, in sum, as the volume's
+sign changes; next to a span apart that sign is certain. So no root has to be found: chords that
+touch, rest in one plane at the very moment of crossing, or turn back there are counted rightly.
 
 A drone that pulls its cable through the *sheet* between a hanging cable and its chord is caught
 when both come taut, although their chords need never have met.
@@ -55,19 +51,16 @@ from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.search import batches
 from hitchopt.values import Array, Indices
 
-APART = 1e-6
-"""[m] Chords at least this far apart do not touch; drones this far from a sheet are not in it."""
-
-MAX_HALVINGS = 30
-"""Spans halved so often, and still open, are where a chord runs into another one's end."""
+APART = 1e-6  # chords at least so far apart do not touch, drones so far from a sheet are off it [m]
+MAX_HALVINGS = 30  # spans halved so often, and still open: a chord runs into another one's end
 
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """What pairs of cables i < j did in some time; those that are not listed did nothing.
+    """What pairs of cables first < second did in some time; those not listed did nothing.
 
-    Their chords passed through each other so often, with signs, the last time [s] about then. That
-    is not certain where an end ran into the other chord, or the time is over while they touch.
+    Their chords passed through each other ``count`` times, with signs, the last time about ``time``
+    [s]. That is not ``certain`` where an end ran into a chord, or time is over while they touch.
     """
 
     first: Indices
@@ -88,7 +81,12 @@ def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[I
         flags = [np.zeros(0, np.bool_), *(decided(batch) for batch in batches(spans))]
         return spans.take(~np.concatenate(flags))
 
-    found = []
+    items, times = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
+
+    def note(spans: PairSpans) -> None:
+        items.append(spans.item)
+        times.append(spans.times(np.zeros(len(spans))))
+
     for whole in near(moving, lambda: 2.0 * APART):
         spans = whole.take(slice(0, 0 if whole.points else None))
         for _ in range(MAX_HALVINGS):
@@ -96,11 +94,9 @@ def _undecided(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[I
                 break
             check_time()
             spans = left(spans)
-            found.append(left(spans.at(np.full(len(spans), 0.5))))
-            spans = spans.take(~np.isin(spans.item, found[-1].item)).halves()
-        found.append(spans)
-    items = [np.zeros(0, dtype=np.intp), *(each.item for each in found)]
-    times = [np.zeros(0), *(each.times(np.zeros(len(each))) for each in found)]
+            note(left(spans.at(np.full(len(spans), 0.5))))
+            spans = spans.take(~np.isin(spans.item, items[-1])).halves()
+        note(spans)
     return np.concatenate(items), np.concatenate(times)
 
 
@@ -125,19 +121,16 @@ def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
     item, begin, end, before, after = np.concatenate(rows, axis=1)
     pairs, index = np.unique(np.concatenate([item, open_]).astype(np.intp), return_inverse=True)
     here, there = index[: len(item)], index[len(item) :]
-    twice, certain = np.zeros(len(pairs)), np.ones(len(pairs), bool)
-    np.add.at(twice, here, after - before)
-    certain[twice % 2 == 1] = False
-    certain[here[(before == 0) & (begin <= drones.breaks[0] + JOINT)]] = False
-    certain[here[(after == 0) & (end >= drones.breaks[-1] - JOINT)]] = False
-    certain[there] = False
+    twice = np.bincount(here, after - before, len(pairs))
+    unsure = (before == 0) & (begin <= drones.breaks[0] + JOINT)
+    unsure |= (after == 0) & (end >= drones.breaks[-1] - JOINT)
+    certain = twice % 2 == 0
+    certain[here[unsure]] = certain[there] = False
     time = np.zeros(len(pairs))
-    np.maximum.at(time, here, end)
-    np.maximum.at(time, there, opened)
+    np.maximum.at(time, index, np.concatenate([end, opened]))
     some = ~certain | (twice != 0)
     first, second = np.divmod(pairs[some], moving.count)
-    count = (twice[some] // 2).astype(np.intp)
-    return Crossings(first, second, count, certain[some], time[some])
+    return Crossings(first, second, twice[some].astype(np.intp) // 2, certain[some], time[some])
 
 
 def _apart(chords: Array) -> Flags:
@@ -206,29 +199,15 @@ def _off(spans: PairSpans) -> Flags:
 JUMP = 1e-6
 """[m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none."""
 
-NUMBERS = {
-    CableState.GROUND: 0,
-    CableState.FREE: 0,
-    CableState.TIGHTENING: 1,
-    CableState.HITCHED: 1,
-}
-"""Size of the crossing numbers of neighbours before and after phases in these states."""
+BEFORE = frozenset({CableState.GROUND, CableState.FREE})
+"""States in which neighbours have the crossing number 0; in clasping it changes, else it is 1."""
 
-MOST_NAMED = 12
-"""Pairs that ``where`` names at most."""
-
-STILL = 1e-6
-"""[m] Drones above the ground move sideways by no more while their cables lie on it."""
-
-CENTRED = 1e-3
-"""[m] The middle of two drones that turn about each other moves by no more."""
-
-MOSTLY = 0.5
-"""Cables that are at their full length for a larger share of a phase are not being tightened:
-tightening comes to rest there, which takes a few hundredths of its time."""
-
-PROBES = np.linspace(0.0, 1.0, 9)
-"""Places on a piece, one of which shows that cables are slack there."""
+MOST_NAMED = 12  # pairs that ``where`` names at most
+STILL = 1e-6  # drones above the ground move sideways by no more while cables lie on it [m]
+CENTRED = 1e-3  # the middle of two drones that turn about each other moves by no more [m]
+MOSTLY = 0.5  # cables at their full length for a larger share of a phase are not being tightened:
+# tightening comes to rest there, which takes a few hundredths of its time
+PROBES = np.linspace(0.0, 1.0, 9)  # places on a piece, one of which shows that cables are slack
 
 
 def _largest_jump(motion: Motion, _: float) -> Finding:
@@ -246,22 +225,21 @@ def _largest_jump(motion: Motion, _: float) -> Finding:
     for part, names in parts:
         if part.pieces == 1:
             continue
-        ends = [part.ends(derivative) for derivative in range(3)]
-        jump = length(np.array([left[1:] - right[:-1] for left, right in ends]))
-        jump[0] += position_margin(motion)
-        for derivative in (1, 2):
-            margin = derivative_margin(part, derivative)
-            jump[derivative] += margin[1:] + margin[:-1]
-        place = np.unravel_index(int(np.argmax(jump)), jump.shape)
-        if jump[place] > found.worst:
-            time = float(part.breaks[place[1] + 1])
-            found = Finding(float(jump[place]), time, (names[place[2]],))
+        for order in range(3):
+            left, right = part.ends(order)
+            margin = derivative_margin(part, order)
+            noise = margin[1:] + margin[:-1] if order else position_margin(motion)
+            jump = length(left[1:] - right[:-1]) + noise
+            joint, item = np.unravel_index(int(np.argmax(jump)), jump.shape)
+            if jump[joint, item] > found.worst:
+                time = float(part.breaks[joint + 1])
+                found = Finding(float(jump[joint, item]), time, (names[item],))
     return found
 
 
-CONTINUITY = CheckRule(
-    "continuity", "m", "max", JUMP, (Finder(_largest_jump, shown=(_largest_jump,)),), whole=True
-)
+JUMPS = Finder(_largest_jump, shown=(_largest_jump,))
+
+CONTINUITY = CheckRule("continuity", "m", "max", JUMP, (JUMPS,), whole=True)
 """Nothing jumps where one piece follows another."""
 
 
@@ -279,18 +257,17 @@ DURATION = CheckRule(
 
 def _interlaced(motion: Motion, _: float) -> Finding:
     """Return how many pairs of cables, or single ones, are not in the state that a phase states."""
-    layout, wrong = motion.team.layout, dict[int, tuple[float, int]]()
+    first, index_of = dict[int, tuple[float, int]](), motion.phases.index
     for phase, pairs, times in _wrong(motion):
-        index = motion.phases.index(phase)
         for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
-            wrong[pair] = min(wrong.get(pair, (np.inf, 0)), (float(time), index))
-    if not wrong:
+            first[pair] = min(first.get(pair, (np.inf, 0)), (float(time), index_of(phase)))
+    if not first:
         return Finding(0.0, float(motion.drones.breaks[-1]))
-    named = sorted(wrong, key=lambda pair: (wrong[pair], pair))[:MOST_NAMED]
-    time, index = wrong[named[0]]
+    named = sorted(first, key=lambda pair: (first[pair], pair))[:MOST_NAMED]
+    time, index = first[named[0]]
     where = [f"phase {index} ({motion.phases[index].name})"]
-    where += [name for pair in named for name in _names(layout, pair)]
-    return Finding(float(len(wrong)), time, tuple(where))
+    where += [name for pair in named for name in _names(motion.team.layout, pair)]
+    return Finding(float(len(first)), time, tuple(where))
 
 
 def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
@@ -303,7 +280,7 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
         parts = list(run)
         first, last = parts[0], parts[-1]
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
-        required = NUMBERS.get(state)
+        required = None if state is CableState.CLASPING else int(state not in BEFORE)
         if required is not None:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
@@ -329,13 +306,10 @@ def _wrong(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
                 yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
-def _names(layout: Layout, pair: int) -> tuple[str, ...]:
-    i, j = divmod(pair, layout.robots)
-    if i == j:
-        return (f"cable {i}",)
+def _names(layout: Layout, pair: int) -> list[str]:
     if pair in (pairs := clasped_pairs(layout)):
-        return (f"p{layout.clasps[int(np.argmax(pairs == pair))]}",)
-    return (f"cable {i}", f"cable {j}")
+        return [f"p{layout.clasps[int(np.argmax(pairs == pair))]}"]
+    return [f"cable {k}" for k in sorted({*divmod(pair, layout.robots)})]
 
 
 def _contradicted(motion: Motion) -> Indices:
@@ -380,12 +354,9 @@ def _taut_share(motion: Motion) -> float:
         for vectors in (leg_vectors(motion), edge_vectors(motion))
     )
     sag = sag_factors(motion.team, motion.team.tension)
-    lengths = cable_of(edges, sag)  # (probes, pieces, n)
-    for end in (0, 1):
-        lengths = lengths + cable_of(legs[:, :, end::2], sag)
+    lengths = sum(cable_of(each, sag) for each in (edges, legs[:, :, 0::2], legs[:, :, 1::2]))
     weights, full = motion.team.tension, motion.team.cable_length
-    slack = 1.0 - lengths @ weights / float(full @ weights)
-    taut = np.max(slack, axis=0) <= SLACK
+    taut = np.max(1.0 - lengths @ weights / float(full @ weights), axis=0) <= SLACK
     return float(np.sum(motion.drones.durations[taut]) / motion.duration)
 
 

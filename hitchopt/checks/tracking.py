@@ -2,14 +2,9 @@
 
 It is the largest r such that, with every drone within r of its plan and every vertex within γ r,
 independently of each other, and taut parts of cables straight between them, all distances keep
-their limits at all times:
-
-- two drones: half the shortest shift of their offset that makes their ellipsoids touch;
-- ``cable_clearance``, ``crossing`` and ``legs``: what they leave beyond the limit over how far both
-  bodies move, a part of a cable no farther than its ends (g = max(1, γ));
-- ``arena`` and ``keep_out``: what they leave;
-- free cables: their drones come no farther apart than they are long, and a hanging cable moves by
-  its ends and by how much deeper or shallower it hangs between them.
+their limits at all times. Two drones have half the shortest shift of their offset that makes their
+ellipsoids touch, all others what checks leave beyond their limits over how far both bodies move.
+A hanging cable moves by its ends and by how much deeper or shallower it hangs between them.
 
 It follows from the bounds of the checks, which hold for all t. Only pairs of drones one of which is
 higher, and hanging cables, need a look of their own.
@@ -22,25 +17,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
-from hitchopt.checks.spans import ROUNDING, position_margin
+from hitchopt.checks.spans import ROUNDING
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
-GAMMA = 1.0
-"""How many times farther than drones vertices are taken to be off, where nobody says."""
-
-HALVINGS = 40
-"""Halvings of the interval in which the radius of hanging cables lies."""
-
-NEWTON = 12
-"""Number of Newton iterations for the nearest point; a normal that is off costs tightness only."""
+GAMMA = 1.0  # how many times farther than drones vertices are taken to be off, where nobody says
+HALVINGS = 40  # of the interval in which the radius of hanging cables lies
+NEWTON = 12  # iterations for the nearest point; a normal that is off costs tightness only
 
 
 def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
@@ -51,26 +42,25 @@ def _find(motion: Motion, found: Findings, gamma: float) -> Finding:
     nearer |= {"legs": (1.0 + gamma, 1.0), "arena": (1.0, 1.0), "keep_out": (1.0, 1.0)}
     for name, factors in nearer.items():
         for each in found[name]:
-            if each.check.worst is not None and not (name == "cable_clearance" and _hangs(each)):
-                radius = _left(each) / factors[each.states != HITCHED_STATE]
-                terms.append(Finding(radius, each.check.time, each.check.where))
+            if not (name == "cable_clearance" and _hangs(each)):
+                left = _left(each.check) / factors[each.states != HITCHED_STATE]
+                terms.append(Finding(left, each.check.time, each.check.where))
     for span in motion.spans(FREE_STATES):  # half of what cables are longer than their chords
         tightest = worst(Drones.of(span), _spare, "min")
         cable = f"cable {tightest.item // 2}"
         terms.append(Finding(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
-    least = min(terms, key=lambda term: term.worst)
     hanging = [each for each in found["cable_clearance"] if _hangs(each)]
     for each, span in zip(hanging, motion.spans(hanging[0].states) if hanging else (), strict=True):
-        if each.check.worst is not None:
-            least = _least_hanging(span, each, least)
+        terms.append(Finding(_hanging(span, each.check), each.check.time, each.check.where))
+    least = min(terms, key=lambda term: term.worst)
     for each in found["separation"]:
-        least = _least_pair(motion, each, least)
+        least = _least_pair(motion, each.check, least)
     return replace(least, worst=least.worst * (1.0 - ROUNDING))
 
 
-def _left(found: Found) -> float:
-    """Return what is left of a distance beyond its limit [m]."""
-    return max(found.check.bound - found.check.number, 0.0)
+def _left(check: Check) -> float:
+    """Return what is left of a distance beyond its limit [m]; infinite where none is counted."""
+    return max(check.bound - check.number, 0.0)
 
 
 def _hangs(found: Found) -> bool:
@@ -83,50 +73,46 @@ def _spare(spans: Drones) -> Bound:
     return Bound(spans.length - found.value, found.x)
 
 
-def _least_hanging(span: Motion, found: Found, least: Finding) -> Finding:
-    """Return the smaller of a term and what hanging cables leave."""
-    left, needed = _left(found), moved_by(span)
-    low, high = 0.0, min(least.worst, left)
-    if needed(high) <= left:
-        low = high
-    for _ in range(HALVINGS if low < high else 0):
+def _hanging(span: Motion, check: Check) -> float:
+    """Return the radius that hanging cables leave [m]."""
+    if check.worst is None:
+        return math.inf
+    left, needed = _left(check), moved_by(span)
+    low, high = 0.0, left
+    for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if needed(middle) <= left else (low, middle)
-    if low == least.worst:
-        return least
-    return Finding(low, found.check.time, found.check.where)
+    return low
 
 
-def _least_pair(motion: Motion, found: Found, least: Finding) -> Finding:
+def _least_pair(motion: Motion, check: Check, least: Finding) -> Finding:
     """Return the smaller of a term and the radius at which two drones may touch.
 
     A ratio s leaves the thinnest semi-axis times s - 1: where that is enough, no pair is looked at.
     """
-    check, separation = found.check, motion.requirements.separation
-    if check.worst is None:
-        return least
-    lower = max(min(separation.radius, separation.height) * (check.worst - 1.0), 0.0)
+    separation, names = motion.requirements.separation, motion.team.drone_names
+    lower = max(min(separation.radius, separation.height) * (check.bound - 1.0), 0.0)
     if least.worst <= lower:
         return least
-    drones, shape = motion.drones, Ellipsoid(1.0 / separation.scale)
-    points, margin = drones.coefficients[:, :, None], position_margin(motion)
-    moving = Moving(drones.breaks, points, margin=margin, shape=shape)
-    found_pair = smallest(moving, known=2.0 * least.worst)
-    radius = max(0.5 * found_pair.worst, lower)
-    if radius >= least.worst or found_pair.item < 0:
+    moving = Moving.of(
+        motion,
+        motion.drones.coefficients[:, :, None],
+        None,
+        (names, names),
+        shape=Ellipsoid(1.0 / separation.scale),
+    )
+    pair = smallest(moving, known=2.0 * least.worst)
+    radius = max(0.5 * pair.worst, lower)
+    if radius >= least.worst or pair.item < 0:
         return replace(least, worst=min(radius, least.worst))
-    i, j = divmod(found_pair.item, motion.team.drones)
-    names = motion.team.drone_names
-    return Finding(radius, found_pair.time, (names[i], names[j]))
+    return Finding(radius, pair.time, moving.named(pair.item))
 
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
     """That on which the offset of two drones is when theirs touch: of twice the semi-axes.
 
-    Attributes
-    ----------
-    axes: (3,) [m], its semi-axes, the first two alike.
+    Its own semi-axes are ``axes`` (3,) [m], the first two alike.
     """
 
     axes: Array

@@ -165,7 +165,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     then slowing to rest, reaches an entry, whose plan goes on from there. Ends with 3 if there are
     times from which no abort was found.
     """
-    from hitchopt.checks.drones import largest_static_thrust, largest_static_tilt
+    from hitchopt.checks.drones import largest_at_rest, tilt, used_thrust
     from hitchopt.live.abort import abort_table, save_aborts
     from hitchopt.motion.plan_file import read_plan
 
@@ -181,8 +181,8 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         times["ends"] = entry.motion.duration
         rows.append({"phase": phase.name, **{name: f"{t:.3f} s" for name, t in times.items()}})
     say(table(f"Aborts: {chosen}", rows))
-    thrust, tilt = largest_static_thrust(motion), largest_static_tilt(motion)
-    say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {tilt:.2f}°")
+    thrust, lean = (largest_at_rest(motion, each) for each in (used_thrust, tilt))
+    say(f"hovering anywhere on the paths takes up to {thrust:.1%} of a drone's thrust, {lean:.2f}°")
     save_aborts(path.parent, found)
     say(
         f"aborts.json and aborts.zip are in {path.parent}",

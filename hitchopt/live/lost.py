@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.drones import largest_static_thrust
+from hitchopt.checks.drones import largest_at_rest, used_thrust
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
@@ -100,7 +100,7 @@ class Reactions:
             thrust, nearest = self._hitched(lost, states)
         else:
             thrust, nearest = 0.0, self._falling(whole.drones, time, begins, lost)
-        thrust = max(largest_static_thrust(motion), thrust)
+        thrust = max(largest_at_rest(motion, used_thrust), thrust)
         if thrust > 1.0:
             raise _none(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
         if nearest < 1.0:

@@ -225,8 +225,7 @@ class Player(OneLine):
             return made
         if rate != 0.0:
             return self._run(made)
-        place = np.array([made.time])
-        carried = self._known.limits.carries(place, place)[0]
+        carried = self._known.limits.carries(np.array([made.time]))[0]
         return made.to(1.0, 2.0 * made.phases[-1][0]) if carried else made
 
     def _run(self, course: Course) -> Course:

@@ -17,8 +17,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag
 from pydantic_core import PydanticCustomError
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.registry import RULES
-from hitchopt.checks.rule import Ease
+from hitchopt.checks.registry import OF_PARTS, RULES
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -323,7 +322,7 @@ PLAN_DURATION = "plan duration"
 @cache
 def eased(by: Literal["length", "time", "tension"]) -> frozenset[str]:
     """Return the checks that longer legs, slower or shorter motion, or lower tensions ease."""
-    return frozenset(rule.name for rule in RULES if rule.ease is Ease[by.upper()])
+    return frozenset(rule.name for rule in RULES if rule.ease == by)
 
 
 @dataclass(frozen=True)
@@ -422,7 +421,7 @@ class StepPlan:
     @cached_property
     def certificate(self) -> Certificate:
         """Certificate of the motion alone, its duration left open; computed when first needed."""
-        return certify(self.motion.untimed, part=True)
+        return certify(self.motion.untimed, reports=OF_PARTS)
 
     def remarked(self, words: str) -> StepPlan:
         """Return the same plan, the remarks of its phases with these words at their end."""

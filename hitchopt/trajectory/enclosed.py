@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 EPS = 2.0**-46
 """Rounding of an operation, relative to the sizes that enter it: 64 units in the last place."""
@@ -109,11 +109,6 @@ class Enclosed:
         rows = slice(component, component + 1 or None)
         return Enclosed(self.c[..., rows, :], self.r)
 
-    def taken(self, index: Indices | slice) -> Enclosed:
-        """Return chosen spans, the leading axis of the arrays."""
-        r = np.broadcast_to(self.r, self.c.shape[:-2])
-        return Enclosed(self.c[index], r[index])
-
     def widened(self, radius: Array | float) -> Enclosed:
         """Return the same with a larger ball."""
         return Enclosed(self.c, self.r + radius)
@@ -143,8 +138,7 @@ class Enclosed:
     def dot(self, other: Enclosed | ArrayLike) -> Enclosed:
         """Return the scalar product."""
         other = Enclosed.of(other)
-        a, b = np.broadcast_arrays(self.c[..., 0], other.c[..., 0])
-        if a.shape == b.shape == self.c.shape[:-1] == other.c.shape[:-1]:
+        if self.c.shape[:-1] == other.c.shape[:-1]:
             c = bernstein.dot(self.c, other.c)[..., None, :]
         else:
             c = np.sum(bernstein.multiply(self.c, other.c), axis=-2, keepdims=True)
@@ -153,20 +147,14 @@ class Enclosed:
     def cross(self, other: Enclosed) -> Enclosed:
         """Return the cross product of three components; of two, its upward one."""
         a, b = self.c, other.c
-        if a.shape[-2] == 2:
-            c = bernstein.multiply(a[..., :1, :], b[..., 1:, :])
-            return Enclosed(
-                c - bernstein.multiply(a[..., 1:, :], b[..., :1, :]), _error(self, other)
-            )
-        ahead, behind = [1, 2, 0], [2, 0, 1]
+        ahead, behind = ([1, 2, 0], [2, 0, 1]) if a.shape[-2] == 3 else ([0], [1])
         c = bernstein.multiply(a[..., ahead, :], b[..., behind, :])
         c = c - bernstein.multiply(a[..., behind, :], b[..., ahead, :])
         return Enclosed(c, _error(self, other))
 
     def sum(self, axis: int = -1) -> Enclosed:
         """Return the sum over a leading axis, counted from the last one of these."""
-        r = np.broadcast_to(self.r, self.c.shape[:-2])
-        r = np.sum(r + EPS * self.size, axis=axis)
+        r = np.sum(self.r + EPS * self.size, axis=axis)
         return Enclosed(np.sum(self.c, axis=axis - 2), r)
 
     def reduced(self, order: int) -> Enclosed:
@@ -191,15 +179,11 @@ class Enclosed:
     @property
     def direction(self) -> Enclosed:
         """Y / |y|; the zero vector and radius 1 where y may vanish."""
-        found, inverse = self * self.inverse_norm, self.inverse_norm
-        known = np.isfinite(inverse.r) & (np.asarray(found.r) < 1.0)
+        inverse = self.norm.inverse
+        found = self * inverse
+        known = np.asarray(np.isfinite(inverse.r) & (found.r < 1.0))
         c = np.where(known[..., None, None], found.c, 0.0)
         return Enclosed(c, np.where(known, found.r, 1.0))
-
-    @property
-    def inverse_norm(self) -> Enclosed:
-        """1 / |y|; the radius is infinite where y may vanish."""
-        return self.norm.inverse
 
     @cached_property
     def inverse(self) -> Enclosed:

@@ -22,18 +22,13 @@ from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.values import Array, Indices
 
-RELATIVE = 1e-4
-"""Largest gap between the answer and an attained value, relative to that value."""
+RELATIVE, ABSOLUTE = 1e-4, 2e-7
+"""Largest gap between the answer and an attained value, relative to that value and in the
+quantity's own unit; the larger of the two counts."""
 
-ABSOLUTE = 2e-7
-"""The same in the quantity's own unit; the larger of the two counts."""
-
-MAX_HALVINGS = 40
-"""Maximum number of halvings: the bound of 1e-12 of a piece is taken as it is."""
-
-MAX_SPANS = 100_000
-"""Maximum number of halves (or ten per given span): beyond it bounds are taken as they are, valid
-but less tight."""
+MAX_HALVINGS, MAX_SPANS = 40, 100_000
+"""Maximum number of halvings of a piece, and of halves in all (or ten per given span): beyond them
+bounds are taken as they are, valid but less tight."""
 
 BATCH = 4096
 """Spans bounded in one go, so that what a formula allocates stays within the caches."""
@@ -43,7 +38,6 @@ TIES, TIE = 9, 1e-9
 
 TRIED = 32
 """Spans of a batch, those with the worst bounds, at a point of which the value is computed."""
-
 
 _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
@@ -101,9 +95,7 @@ class Spans:
         if on is not None:
             here &= on.reshape(len(here), -1)
         piece, item = np.nonzero(here)
-        for first in range(0, len(item), BATCH):
-            part = slice(first, first + BATCH)
-            yield cls(source, breaks, piece[part], item[part])
+        yield from batches(cls(source, breaks, piece, item))
 
     def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
         chosen = self.piece[index], self.item[index]
@@ -259,22 +251,23 @@ class Search(Generic[S]):
             if self.item >= 0:  # values beyond their span's bound there are not
                 tried = tried[bounds[tried] >= self.value - TIE * abs(self.value)]
             if len(tried):
-                x = found.x[tried]
-                there = batch.take(tried)
-                if self.rough and bounds.max() <= self.target:
-                    values = bounds[tried]  # enough is known
-                else:
-                    values = _sure(self.sign * self.formula(there.at(x)).value)
-                most = float(values.max())
-                tie = TIE * abs(most) if math.isfinite(most) else 0.0
-                best = int(np.argmax(values >= most - tie))
-                time = float(there.times(x)[best])
-                earlier = self.item >= 0 and values[best] >= self.value - tie and time < self.time
-                first = self.item < 0 and np.isinf(self.value)
-                if values[best] > self.value + tie or earlier or first:
-                    self.value = max(float(values[best]), self.value)
-                    self.item, self.time = int(there.item[best]), time
+                points = batch.take(tried).at(found.x[tried])
+                enough = self.rough and bounds.max() <= self.target
+                self._note(
+                    points,
+                    bounds[tried] if enough else _sure(self.sign * self.formula(points).value),
+                )
         return bounds
+
+    def _note(self, points: S, values: Array) -> None:
+        """Keep the largest value, of those that tie the first in time."""
+        most = float(values.max())
+        tie = TIE * abs(most) if math.isfinite(most) else 0.0
+        best = int(np.argmax(values >= most - tie))
+        value, time = float(values[best]), float(points.times(np.zeros(len(points)))[best])
+        earlier = self.item >= 0 and value >= self.value - tie and time < self.time
+        if value > self.value + tie or earlier or (self.item < 0 and np.isinf(self.value)):
+            self.value, self.item, self.time = max(value, self.value), int(points.item[best]), time
 
     def _left(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
         """Return the spans whose bounds need a closer look, if any, and settle all others."""
@@ -294,9 +287,8 @@ def batches(spans: S) -> Iterator[S]:
     """Yield the spans, BATCH at a time."""
     if 0 < len(spans) <= BATCH:
         yield spans
-        return
-    for first in range(0, len(spans), BATCH):
-        yield spans.take(slice(first, first + BATCH))
+    else:
+        yield from (spans.take(slice(i, i + BATCH)) for i in range(0, len(spans), BATCH))
 
 
 def worst(spans: Iterable[S], formula: Formula[S], sense: str, **options: float) -> Extremum:

@@ -11,7 +11,7 @@ from carried_plans import TO, check, plan, tray
 
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.checks.stops import stop_phases
+from hitchopt.checks.stops import ClockLimits, stop_phases, stop_table
 from hitchopt.live.abort import Abort, Aborts
 from hitchopt.live.player import Player
 from hitchopt.motion.motion import Motion
@@ -50,6 +50,17 @@ def test_a_pause_waits_until_what_is_carried_stays_in_balance(kind: str) -> None
     assert balanced(flown.motion, player.ahead)
     sooner = stop_phases(np.array([time]), np.array([seconds]))  # at once, as quickly
     assert not balanced(flown.motion, sooner)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_where_something_is_carried_the_clock_starts_again_from_every_stop(kind: str) -> None:
+    motion = plan(kind).motion
+    limits = ClockLimits(motion)
+    table = stop_table(motion, limits)
+    rests = table.starts + 0.5 * table.durations
+    there = np.flatnonzero(limits.carries(rests))
+    assert len(there) > 5
+    assert np.all(limits.keep(stop_phases(rests[there], table.durations[there], 0.0), len(there)))
 
 
 @pytest.mark.slow
