@@ -9,20 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.polynomial import Polynomial
+from powers import in_powers
 
 from hitchopt.trajectory import bernstein
 
 Array = np.ndarray
 
 X = np.linspace(0.0, 1.0, 41)
-
-
-def in_powers(coefficients: Array) -> Polynomial:
-    """The same polynomial from the definition, sum of c_i C(m, i) x^i (1 - x)^(m - i)."""
-    m, x = len(coefficients) - 1, Polynomial([0.0, 1.0])
-    terms = (c * math.comb(m, i) * x**i * (1.0 - x) ** (m - i) for i, c in enumerate(coefficients))
-    return sum(terms, Polynomial([0.0]))
 
 
 def some(order: int, seed: int, *shape: int) -> Array:
