@@ -277,14 +277,10 @@ def off_prism(x: Array, prism: Prism) -> Array:
 
 
 def point_to_segment(x: Array, a: Array, b: Array) -> Array:
-    """Distance of points from segments: perpendicular if its foot is between the ends."""
+    """Distance of points from segments: from the foot of the perpendicular, or from an end."""
     along = b - a
-    length = np.linalg.norm(along, axis=-1)
-    foot = np.sum((x - a) * along, axis=-1) / length
-    beside = np.linalg.norm(np.cross(x - a, along), axis=-1) / length
-    at_ends = np.minimum(np.linalg.norm(x - a, axis=-1), np.linalg.norm(x - b, axis=-1))
-    distance: Array = np.where((foot > 0.0) & (foot < length), beside, at_ends)
-    return distance
+    foot = np.clip(np.sum((x - a) * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(x - a - foot[..., None] * along, axis=-1))
 
 
 def segment_to_segment(a: Array, b: Array, c: Array, d: Array) -> Array:

@@ -289,6 +289,23 @@ def plus(where: Any, value: ArrayLike) -> Callable[[Array], None]:
     return change
 
 
+def added(motion: Motion, drone: int, path: Array) -> Motion:
+    """Return the motion with ``path`` (pieces, 3, degree + 1) added to one drone."""
+    finer = replace(motion, drones=motion.drones.elevated(path.shape[-1] - 1))
+    return altered(finer, "drones", plus((slice(None), drone), path))
+
+
+def outlined(motion: Motion, start: Array, end: Array) -> Motion:
+    """Return a motion at rest, its points going straight from start to end instead."""
+    breaks = motion.vertices.breaks
+    share = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(4) / 3.0) / breaks[-1]
+
+    def change(c: Array) -> None:
+        c[:, :, :2] = start[:, :, None] + share[:, None, None] * (end - start)[:, :, None]
+
+    return altered(motion, "vertices", change)
+
+
 def with_parts(
     motion: Motion, change: Callable[[PiecewisePolynomial], PiecewisePolynomial]
 ) -> Motion:

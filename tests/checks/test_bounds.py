@@ -11,18 +11,24 @@ import pytest
 from by_hand import assert_sound
 from motions import (
     ARENA,
+    SQUARE,
+    added,
     altered,
     bent,
     chain_motion,
     free_motion,
+    held_at,
     lines,
     loaded_motion,
+    outlined,
     plus,
     random_chain,
     random_curves,
     random_flight,
     random_motion,
     single,
+    still,
+    triangle,
     wild_motion,
 )
 
@@ -30,7 +36,7 @@ from hitchopt.checks import certify
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.motion.motion import CableState, Motion
-from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 TURNING = Limits(body_rate=1.0)
 HELD = {"equilibrium": 1.5e-3, "cable_length": 1e-6}
@@ -106,17 +112,49 @@ def apart(seed: int, floor: float) -> Motion:
     return free_motion(team, PiecewisePolynomial(drones.breaks, c), arena=arena)
 
 
+def falling(seed: int) -> Motion:
+    """A drone leans beyond the horizon."""
+    path = np.zeros((1, 3, 4))
+    path[0, 2] = -(2.5, 10.0)[seed] * np.array([0.0, 0.0, 1.0 / 3.0, 1.0])  # of t²
+    path[0, :2] += np.array([[0.1], [-0.2]]) * np.array([0.0, 0.3, -0.2, 0.1])
+    return added(held_at(triangle(), [0.0, 1.0]), 2, path)
+
+
+def inward(_: int) -> Motion:
+    """A vertex passes the straight line between its neighbours: it is no corner."""
+    end = SQUARE.copy()
+    end[0] += 1.2 * (np.mean(SQUARE[[1, 3]], axis=0) - SQUARE[0])
+    return outlined(still(Team(4, 2.9), SQUARE, [0.4] * 4), SQUARE, end)
+
+
+def slackened(_: int) -> Motion:
+    """A cable above the ground that is taut, but for two moments at which its drones are nearer."""
+    wave = bernstein.interpolate(np.sin(2.0 * np.pi * bernstein.nodes(8)) ** 2)
+    ends = np.array([[0, 0, 1.0], [1.195, 0, 1.0], [0, 9, 9], [1, 9, 9]])[..., None] + 0.0 * wave
+    ends[0, 0] += 0.0085 * wave
+    ends[1, 0] -= 0.0085 * wave
+    drones = PiecewisePolynomial(np.array([0.0, 1.0]), ends[None])
+    return free_motion(Team(2, 1.2, topology="open"), drones)
+
+
+def under(_: int) -> Motion:
+    """A drone at rest below a cable that hangs deep, another one above that, not as near."""
+    places = [[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.5, 0.15, 1.7], [0.5, 0.3, 3.4]]
+    at_rest = PiecewisePolynomial.constant(np.linspace(0.0, 1.0, 101), places)
+    return free_motion(Team(2, [2.8, 1.9], topology="open"), at_rest)
+
+
 def swarm(seed: int) -> Motion:
     curves = random_curves(9, seed, 0.6, (1.5, 0.5, 1.2))
     return single(curves, keep_out=PRISMS, separation=Separation(0.02, 0.05))
 
 
 def crowd(_: int) -> Motion:
-    """60 drones a metre apart fly across 60 others in a second, in one piece; all drift along."""
+    """60 drones a metre apart fly across 60 others, the nearest ones last, in one piece."""
     rng, row = np.random.default_rng(3), np.arange(60.0)[:, None] * [1.0, 0.0, 0.0]
     against = row[::-1] + [0.0, 0.05, 0.0] + rng.uniform(0.2, 0.6, (60, 1)) * [0.0, 0.0, 1.0]
     start = np.concatenate([row, against])
-    end = np.concatenate([row + [40.0, 0.0, 0.0], against - [40.0, 0.0, 0.0]])
+    end = np.concatenate([row + [40.0, 0.0, 0.0], against * [1.0, 1.0, 0.5] - [40.0, 0.0, 0.0]])
     return lines(start, end + [70.0, -30.0, 20.0], separation=Separation(0.02, 0.02))
 
 
@@ -159,6 +197,10 @@ CASES = {
     "cables in clasping": Case(partial(free, state=CLASPING), 1501, 0.0, 6e-3, CLOSE, 2),
     "above a floor": Case(partial(apart, floor=0.8), 1501, 0.0, 6e-3, CLOSE - {"crossing"}, 2),
     "above the ground": Case(partial(apart, floor=0.0), 1501, 0.0, 6e-3, CLOSE - {"crossing"}, 1),
+    "a cable that sinks": Case(slackened, 1501, 0.0, 6e-3, CLOSE - {"crossing"}, 1),
+    "under a cable": Case(under, 3, 0.0, 6e-3, CLOSE - {"crossing"}, 1),
+    "a falling drone": Case(falling, 20_001, 1e-2, 0.0, frozenset({"tilt"}), 2),
+    "a vertex that moves in": Case(inward, 2001, 1e-3, 0.0, frozenset({"convexity"}), 1),
     "single drones": Case(
         swarm, 20_001, least=2e-3, only=frozenset({"separation", "keep_out", "speed"}), seeds=6
     ),
@@ -187,4 +229,7 @@ def test_no_sample_beats_a_bound(name: str, seed: int) -> None:
 def test_who_comes_close_is_named() -> None:
     assert certify(curled(0))["crossing"].where == ("edge 0", "edge 3")
     assert certify(apart(0, 0.8))["cable_clearance"].where[0] == "ground"
+    assert certify(under(0))["cable_clearance"].where == ("q1", "cable 0")
+    check = certify(inward(0))["convexity"]
+    assert (check.where, check.bound < -10.0) == (("p0",), True)
     assert not certify(wrong_chain(0))["cable_length"].holds

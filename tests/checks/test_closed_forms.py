@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from by_hand import off_prism, sampled
 from motions import (
-    SQUARE,
     TRIANGLE,
+    added,
     altered,
     bent,
     chain_motion,
     held_at,
     lines,
     moving,
+    outlined,
     plus,
     random_chain,
     random_motion,
@@ -26,6 +27,7 @@ from motions import (
     still,
     triangle,
 )
+from refusals import assert_refused
 
 from hitchopt.checks import CertificateError, certify
 from hitchopt.geometry import regular_polygon
@@ -38,12 +40,6 @@ from hitchopt.values import Array
 LEGS = [0.35, 0.5, 0.45]
 
 
-def added(motion: Motion, drone: int, path: Array) -> Motion:
-    """Return the motion with ``path`` (pieces, 3, degree + 1) added to one drone."""
-    finer = replace(motion, drones=motion.drones.elevated(path.shape[-1] - 1))
-    return altered(finer, "drones", plus((slice(None), drone), path))
-
-
 def placed(motion: Motion, drone: int, place: Callable[[Array, Array], Array]) -> Motion:
     """Return the motion with one drone elsewhere, by drones (…, 2n, 3) and vertices (…, n, 3)."""
     p = np.moveaxis(motion.vertices.coefficients, -1, 1)
@@ -52,17 +48,6 @@ def placed(motion: Motion, drone: int, place: Callable[[Array, Array], Array]) -
         c[:, drone] = np.moveaxis(place(np.moveaxis(c, -1, 1), p), 1, -1)
 
     return altered(motion, "drones", change)
-
-
-def outlined(motion: Motion, start: Array, end: Array) -> Motion:
-    """Return a motion at rest, its points going straight from start to end instead."""
-    breaks = motion.vertices.breaks
-    share = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(4) / 3.0) / breaks[-1]
-
-    def change(c: Array) -> None:
-        c[:, :, :2] = start[:, :, None] + share[:, None, None] * (end - start)[:, :, None]
-
-    return altered(motion, "vertices", change)
 
 
 def corners(turn: float, n: int) -> Array:
@@ -342,17 +327,6 @@ def test_a_clasp_that_does_not_bear_is_infinitely_far_from_balance() -> None:
     assert not found.holds
 
 
-@pytest.mark.parametrize("fall", [5.0, 20.0])
-def test_a_falling_drone_leans_beyond_the_horizon(fall: float) -> None:
-    path = np.zeros((1, 3, 4))
-    path[0, 2] = -0.5 * fall * np.array([0.0, 0.0, 1.0 / 3.0, 1.0])  # of t²
-    path[0, :2] += np.array([[0.1], [-0.2]]) * np.array([0.0, 0.3, -0.2, 0.1])
-    falling = added(held_at(triangle(), [0.0, 1.0]), 2, path)
-    worst = certify(falling)["tilt"].bound
-    value = sampled(falling, np.linspace(0.0, 1.0, 20_001))["tilt"]
-    assert value <= worst <= 1.01 * value
-
-
 def test_rest_turns_nothing_and_free_fall_turns_without_bound() -> None:
     assert certify(replaced(triangle(), body_rate=1.0))["body_rate"].bound < 1e-6
     fall = [[[0.0, 0.0, 9.0 - k * 9.81 / 2.0]] for k in (0.0, 0.0, 1.0)]
@@ -376,17 +350,6 @@ def test_jumps_of_position_velocity_and_acceleration(power: int, jump: float) ->
     assert (whole.worst, whole.holds) == (0.0, True)
 
 
-def test_a_vertex_that_passes_a_straight_line_is_no_corner() -> None:
-    inward = np.zeros((4, 2))
-    inward[0] = 1.2 * (np.mean(SQUARE[[1, 3]], axis=0) - SQUARE[0])
-    motion = outlined(still(Team(4, 2.9), SQUARE, [0.4] * 4), SQUARE, SQUARE + inward)
-    check = certify(motion)["convexity"]
-    value = sampled(motion, np.linspace(0.0, 2.0, 2001))["convexity"]
-    assert check.worst == pytest.approx(value, rel=1e-3)
-    assert check.bound < -10.0
-    assert check.where == ("p0",)
-
-
 def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
     """Every corner turns right at all times; only their sum passes 360° at the end."""
     most = []
@@ -399,6 +362,18 @@ def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
         assert check.where == ("p0", "p5")
         most.append(check.holds)
     assert most == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("outline", "lower", "key", "words"),
+    [
+        (TRIANGLE[::-1], 0.0, "polygon", "clockwise"),
+        (TRIANGLE, 1.0, "upper", "greater than lower 1"),
+        (TRIANGLE, math.nan, "lower", "finite"),
+    ],
+)
+def test_prisms_that_are_wrong(outline: Array, lower: float, key: str, words: str) -> None:
+    assert_refused(lambda: Prism(outline, lower, 1.0), key, words)
 
 
 def test_violations_are_told_in_words() -> None:

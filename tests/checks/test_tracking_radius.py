@@ -136,16 +136,11 @@ def test_a_hanging_cable_stays_off_the_ground_wherever_its_ends_are(seed: int) -
 
 @pytest.mark.parametrize("seed", range(3))
 def test_drones_and_hanging_cables_may_go_toward_each_other(seed: int) -> None:
-    """Not where the rest of all is nearer; a cable that is moved as a whole goes as far."""
+    """A cable that is moved as a whole goes as far as its drones."""
     team, drones = random_flight(seed, n=3, pieces=1)
     motion = free_motion(team, drones)
-    radius = radius_of(motion).bound
-    assert radius >= 0.0
-    assert radius <= tracking_radius(motion, np.linspace(0.0, motion.duration, 201)) * (1.0 + 1e-4)
-    beside = np.array([[0, 0, 5], [1, 0, 5], [0.5, -0.4, 4.6], [0.5, -1.3, 4.6]], dtype=np.float64)
-    two = Team(2, [1.5, 1.4], topology="open")
-    near = free_motion(two, PiecewisePolynomial.constant([0.0, 1.0], beside))
-    assert radius_of(near).bound <= tracking_radius(near, np.array([0.0])) * (1.0 + 1e-4)
+    most = tracking_radius(motion, np.linspace(0.0, motion.duration, 201))
+    assert 0.0 <= radius_of(motion).bound <= most * (1.0 + 1e-4)
 
 
 def test_a_larger_gamma_never_helps_and_is_stated() -> None:
