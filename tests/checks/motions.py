@@ -297,11 +297,12 @@ def added(motion: Motion, drone: int, path: Array) -> Motion:
 
 def outlined(motion: Motion, start: Array, end: Array) -> Motion:
     """Return a motion at rest, its points going straight from start to end instead."""
-    breaks = motion.vertices.breaks
-    share = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(4) / 3.0) / breaks[-1]
+    share = np.linspace(0.0, 1.0, 3 * motion.vertices.pieces + 1)
 
     def change(c: Array) -> None:
-        c[:, :, :2] = start[:, :, None] + share[:, None, None] * (end - start)[:, :, None]
+        for piece, part in enumerate(c):  # of degree 3
+            there = share[3 * piece : 3 * piece + 4]
+            part[:, :2] = start[:, :, None] + there * (end - start)[:, :, None]
 
     return altered(motion, "vertices", change)
 

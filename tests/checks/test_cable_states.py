@@ -134,18 +134,6 @@ def test_no_leg_and_no_tension_without_a_hitch(part: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("told", [-0.3, 5.0])
-def test_no_leg_pulls_where_there_is_none(told: float) -> None:
-    """Whatever a plan says that cables are under while they hang free."""
-    motion = planned("form_triangle").motion
-    free = motion.taken(slice(0, 2), motion.phases[:1])
-    assert not np.any(free.formed)
-    said = altered(free, "tensions", lambda c: c + told)
-    for name in ("thrust", "tilt"):
-        assert row(said, name).worst == row(free, name).worst
-
-
-@pytest.mark.slow
 def test_phases_may_end_within_pieces() -> None:
     """A piece counts to the phase of its middle, as phases of blended steps end where they do."""
     motion = planned("tie_carry_untie").motion

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Set
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,6 @@ from motions import (
     chain_motion,
     held_at,
     lines,
-    moving,
     outlined,
     plus,
     random_chain,
@@ -108,27 +108,6 @@ def test_a_polynomial_s_largest_speed_acceleration_and_jerk() -> None:
         assert check.time == pytest.approx(2.0)
 
 
-def test_a_rigid_turn_moves_points_at_their_distance_times_the_rate() -> None:
-    team, omega, q_legs = Team(4, 2.1), 0.3, np.array([0.3, 0.4, 0.5, 0.45])
-    base = regular_polygon(4, 1.2, 0.2).vertices
-
-    def outline_at(t: float) -> Array:
-        c, s = math.cos(omega * t), math.sin(omega * t)
-        points: Array = np.array([2.0, -1.0]) + base @ [[c, s], [-s, c]]
-        return points
-
-    certificate = certify(moving(team, outline_at, q_legs, order=9))
-    at_rest = certify(still(team, base, q_legs))
-    radius = np.max(np.linalg.norm(Hitch(team, base, 1.0, q_legs).drones[:, :2], axis=1))
-    expected = {"vertex_speed": omega * 0.6 * math.sqrt(2.0)} | {
-        name: omega**k * radius for k, name in enumerate(("speed", "acceleration", "jerk"), 1)
-    }
-    for name in ("separation", "cable_clearance", "crossing", "legs", "convexity"):
-        expected[name] = at_rest[name].bound
-    for name, value in expected.items():
-        assert certificate[name].worst == pytest.approx(value, rel=2e-4), name
-
-
 PSI = 0.02
 TURN = np.array(
     [[math.cos(PSI), -math.sin(PSI), 0], [math.sin(PSI), math.cos(PSI), 0], [0.0, 0.0, 1.0]]
@@ -144,14 +123,9 @@ def with_kinds(*kinds: Quadrotor) -> Motion:
     return still(Team(3, [2.4, 2.5, 2.6], quadrotor=list(kinds)), TRIANGLE, LEGS)
 
 
-def uneven() -> Motion:
-    """Return legs for equal tensions under T and 1.25 T."""
-    return altered(triangle(), "tensions", plus((slice(None), [1, 2]), 0.1))
-
-
-def star() -> Motion:
-    pentagon = regular_polygon(5, 1.2).vertices
-    return outlined(still(Team(5, 4.0), pentagon, np.full(5, 0.5)), STAR, STAR)
+def two(offset: list[float]) -> Motion:
+    places = np.array([[0.0, 0.0, 0.0], offset]) + [0.0, 0.0, 3.0]
+    return lines(places, places)
 
 
 def resting(team: Team) -> Motion:
@@ -245,14 +219,17 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, Set[tuple[str, ..
         *("equilibrium", 2.0 * math.sin(0.5 * PSI), False, {("p1",)}),
     ),
     "|ΔT| |u_k + u_{k-1}| over the smaller tension": (
-        *(uneven, "equilibrium", 0.25 * 2.0 * math.cos(0.5 * EXTERIOR), False),
-        {("p0",), ("p1",)},
+        lambda: altered(triangle(), "tensions", plus((slice(None), [1, 2]), 0.1)),
+        *("equilibrium", 0.25 * 2.0 * math.cos(0.5 * EXTERIOR), False, {("p0",), ("p1",)}),
     ),
     "the sharpest corner": (
         *(triangle, "convexity", 180.0 - math.degrees(math.acos(0.4 / math.hypot(0.4, 1.5)))),
         *(True, {("p1",), ("p2",)}),
     ),
-    "a polygon that goes around twice": (star, "convexity", -360.0, False, {()}),
+    "a polygon that goes around twice": (
+        lambda: outlined(still(Team(5, 4.0), regular_polygon(5, 1.2).vertices, 0.5), STAR, STAR),
+        *("convexity", -360.0, False, {()}),
+    ),
     "a chain of three corners": (lambda: chain(50.0, 4), "convexity", 50.0, True, ANY),
     "nearly once around": (lambda: chain(85.0, 5), "convexity", 20.0, True, {("p0", "p5")}),
     "more than once around": (lambda: chain(91.0, 5), "convexity", -4.0, False, {("p0", "p5")}),
@@ -261,6 +238,9 @@ FORMS: dict[str, tuple[Callable[[], Motion], str, float, bool, Set[tuple[str, ..
     "a chain that bends the other way": (
         *(lambda: chain(-10.0, 4), "convexity", -10.0, False, ANY),
     ),
+    "two drones aside": (partial(two, [1, 0, 0]), "tracking_radius", 0.38, True, {("d0", "d1")}),
+    "one above the other": (partial(two, [0, 0, 1]), "tracking_radius", 0.2, True, {("d0", "d1")}),
+    "not far off": (partial(two, [0, -0.3, 0]), "tracking_radius", 0.03, True, {("d0", "d1")}),
     "a drone past a prism's face": (
         lambda: lines([[0, -1, 1], [-2, 0, 1]], [[0, 3, 1], [-2, 0, 1]], keep_out=(PRISM,)),
         *("keep_out", 0.2, True, {("d0",)}),
@@ -291,23 +271,6 @@ def test_a_check_is_what_geometry_says(name: str) -> None:
     assert check.where in where or not where or where == {()}
     if which == "thrust":  # held against the limit of what is named
         assert check.limit == motion.team.max_thrust[motion.team.drone_names.index(check.where[0])]
-
-
-def test_half_of_the_cable_s_weight_hangs_on_each_drone() -> None:
-    """A regular hitch shares all weight alike: drones carry it, and the rest of the pull leans."""
-    team = Team(6, 2.0, cable_density=0.01, tension=0.5, load=0.004)
-    d = 0.5 * (2.0 - 1.0 - (0.0981 / 0.5) ** 2 / 24.0)
-    certificate = certify(still(team, np.array([1.0, -2.0]) + HEXAGON, np.full(6, d)))
-    rise = 0.5 * (9.81 * (0.004 + 0.01 * (1.0 + d)))  # of each leg's pull: half of a clasp's load
-    upward = 9.81 * (0.132 + 0.5 * 0.01 * d) + rise
-    half, sine = 0.5 * 0.0981 * d, rise / 0.5
-    pull = half * sine + math.sqrt(0.25 - half**2 * (1.0 - sine**2))
-    level = math.sqrt(pull**2 - rise**2)
-    assert certificate["thrust"].worst == pytest.approx(math.hypot(upward, level), rel=2e-4)
-    lean = math.degrees(math.atan2(level, upward))
-    assert certificate["tilt"].worst == pytest.approx(lean, rel=2e-4)
-    assert certificate["equilibrium"].bound < 1e-3
-    assert certificate["cable_length"].bound < 1e-9
 
 
 def test_a_clasp_that_does_not_bear_is_infinitely_far_from_balance() -> None:

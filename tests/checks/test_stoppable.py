@@ -7,8 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from motions import replaced
 
 import hitchopt as ho
@@ -77,31 +75,6 @@ def flown(motion: Motion, clock: ClockPhases, count: int = 200) -> dict[str, flo
     return {name: float(np.max(values, initial=0.0)) for name, values in found.items()}
 
 
-def kept_of(shares: dict[str, float]) -> float:
-    """The largest share of a limit."""
-    return max(share for name, share in shares.items() if name != "turning")
-
-
-@settings(max_examples=10)
-@given(
-    start=st.floats(0.0, 1.0),
-    duration=st.floats(0.1, 2.5),
-    tight=st.floats(0.2, 1.0),
-    sense=st.sampled_from([1.0, -1.0]),
-)
-def test_what_samples_break_is_never_certified(
-    start: float, duration: float, tight: float, sense: float
-) -> None:
-    """With all limits tightened: also thrust and tilt decide then; of clocks that run back too."""
-    motion = replaced(motion_of(), tilt=tight * motion_of().requirements.limits.tilt)
-    clock = stop(start * motion.duration, duration, sense)
-    worst = kept_of(flown(motion, clock))
-    if ClockLimits(motion).keep(clock, 1)[0]:
-        assert worst <= 1.0 + 1e-9
-    else:
-        assert worst > 0.98  # a bound is refused only where it is nearly reached
-
-
 def freed(motion: Motion, name: str, factor: float) -> Motion:
     """A motion with one limit multiplied by a factor, and others that nothing reaches."""
     limits, team = motion.requirements.limits, motion.team
@@ -137,7 +110,9 @@ def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait()
     for start, duration in zip(table.starts[found], table.durations[found], strict=True):
         clock = stop(start, duration)
         np.testing.assert_allclose(clock.ends[-1, :2], [start + 0.5 * duration, 0.0], atol=1e-12)
-        assert kept_of(flown(motion, clock)) <= 1.0 + 1e-9
+        shares = flown(motion, clock)
+        del shares["turning"]  # which has no limit
+        assert max(shares.values()) <= 1.0 + 1e-9
     waits = []
     for time in np.linspace(0.0, motion.duration, 500)[:-1].tolist():
         start, duration = table.after(time)
@@ -174,4 +149,4 @@ def test_a_plan_that_does_not_end_at_rest_says_so() -> None:
     motion = motion_of()
     cut = before(motion, 0.5 * motion.phases[0].end)
     assert np.max(np.abs(cut.drones.at(cut.duration, 1))) > 0.1
-    assert not np.isfinite(certify(cut)["stoppable"].bound) or certify(cut)["stoppable"].bound > 1e9
+    assert certify(cut)["stoppable"].bound > 1e9

@@ -27,26 +27,6 @@ def radius_of(motion: Motion, gamma: float = 1.0) -> Check:
     return certify(motion, gamma=gamma)["tracking_radius"]
 
 
-def resting(*places: list[float]) -> Motion:
-    return lines(places, places)
-
-
-@pytest.mark.parametrize(
-    ("offset", "expected"),
-    [
-        ([1.0, 0.0, 0.0], 0.5 * (1.0 - 0.24)),
-        ([0.0, 0.0, 1.0], 0.5 * (1.0 - 0.60)),
-        ([0.0, -0.3, 0.0], 0.03),
-    ],
-)
-def test_two_drones_at_rest_have_half_the_distance_of_their_ellipsoids(
-    offset: list[float], expected: float
-) -> None:
-    check = radius_of(resting([0.0, 0.0, 3.0], np.add([0.0, 0.0, 3.0], offset).tolist()))
-    assert check.bound == pytest.approx(expected, rel=1e-6)
-    assert (check.limit, check.holds, check.where) == (None, True, ("d0", "d1"))
-
-
 def crossing(seed: int) -> Motion:
     """Drones at all heights: the pair of the least ratio need not be the one that counts."""
     places = np.random.default_rng(seed).uniform(-3.0, 3.0, (2, 9, 3)) + [0.0, 0.0, 5.0]

@@ -1,11 +1,13 @@
 """Piecewise polynomials of time: derivatives, joints, and what is refused."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import assert_refused
 from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from hitchopt.errors import InputError
@@ -79,13 +81,6 @@ def test_joined_parts_follow_one_another_whatever_their_own_start() -> None:
     np.testing.assert_array_equal(found.coefficients, like.coefficients)
 
 
-def test_a_piece_that_rounding_swallows_is_not_joined() -> None:
-    long = PiecewisePolynomial.constant([0.0, 1e9], 0.0)
-    short = PiecewisePolynomial.constant([0.0, 1e-8], 0.0)
-    with pytest.raises(InputError, match="strictly increasing"):
-        joined([long, short])
-
-
 def test_what_stays_rests_and_ends_at_rest_however_short_its_last_piece_is() -> None:
     still = PiecewisePolynomial.constant([0.0, 1.0, 1.0 + 1e-6], [0.1, 0.7], order=7)
     rest = [[0.1, 0.0, 0.0], [0.7, 0.0, 0.0]]
@@ -112,23 +107,19 @@ def test_what_is_stored_cannot_be_changed_from_outside() -> None:
         part.coefficients[0, 0] = 1.0
 
 
-@pytest.mark.parametrize(
-    ("breaks", "coefficients", "key"),
-    [
+def test_what_is_no_function_is_refused() -> None:
+    """A piece that rounding swallows when it is joined is none either."""
+    long, short = (PiecewisePolynomial.constant([0.0, end], 0.0) for end in (1e9, 1e-8))
+    assert_refused(lambda: joined([long, short]), "breaks", "strictly increasing")
+    for breaks, c, key in (
         ([0.0], np.zeros((0, 2)), "breaks"),
         ([0.0, 1.0, 1.0], np.zeros((2, 2)), "breaks"),
         ([0.0, math.nan], np.zeros((1, 2)), "breaks"),
         ([0.0, 1.0], np.zeros((2, 2)), "coefficients"),
         ([0.0, 1.0], np.zeros((1, 0)), "coefficients"),
         ([0.0, 1.0], np.array([[0.0, math.inf]]), "coefficients"),
-    ],
-)
-def test_what_is_no_function_is_refused(
-    breaks: list[float], coefficients: np.ndarray, key: str
-) -> None:
-    with pytest.raises(InputError) as caught:
-        PiecewisePolynomial(np.array(breaks), coefficients)
-    assert caught.value.key == key
+    ):
+        assert_refused(partial(PiecewisePolynomial, np.array(breaks), c), key, "")
 
 
 def test_times_outside_are_refused_and_those_a_rounding_outside_are_the_ends() -> None:

@@ -376,7 +376,3 @@ def test_lies_are_found(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     else:
         assert lie.reason
         assert {verdict for _, verdict in told} == {"proven"}
-
-
-def test_there_are_a_hundred_kinds() -> None:
-    assert len({(lie.plan, lie.words) for lie in LIES}) >= 100
