@@ -83,14 +83,6 @@ def test_all_may_be_off_by_it_and_vertices_gamma_times_farther(seed: int, gamma:
         assert found["arena"] >= 0.0
 
 
-def hanging(q: Array, r: Array, length: float, floor: float) -> Motion:
-    """A cable at rest above a floor; another one far away."""
-    team = Team(2, length, topology="open")
-    ends = np.stack([q, r, q + [0.0, 9.0, 5.0], r + [0.0, 9.0, 5.0]])
-    arena = Arena([-50.0, -50.0, floor], [50.0, 50.0, 50.0])
-    return free_motion(team, PiecewisePolynomial.constant([0.0, 1.0], ends), arena=arena)
-
-
 @pytest.mark.parametrize("seed", range(12))
 def test_a_hanging_cable_stays_off_the_ground_wherever_its_ends_are(seed: int) -> None:
     """Whatever it is sunk by as drones come nearer to each other; and not by much less."""
@@ -105,7 +97,10 @@ def test_a_hanging_cable_stays_off_the_ground_wherever_its_ends_are(seed: int) -
         return low
 
     floor = float(lowest(np.stack([q, r]))) - 0.10 - 0.05
-    radius = radius_of(hanging(q, r, length, floor)).bound
+    ends = np.stack([q, r, q + [0.0, 9.0, 5.0], r + [0.0, 9.0, 5.0]])  # another one far away
+    drones, team = PiecewisePolynomial.constant([0.0, 1.0], ends), Team(2, length, topology="open")
+    arena = Arena([-50.0, -50.0, floor], [50.0, 50.0, 50.0])
+    radius = radius_of(free_motion(team, drones, arena=arena)).bound
     shifts = rng.normal(size=(400, 2, 3)) - [0.0, 0.0, 2.0]
     shifts[:200, 0] += way / np.linalg.norm(way)
     shifts[:200, 1] -= way / np.linalg.norm(way)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -84,16 +83,6 @@ def test_restriction_takes_its_own_span_for_each() -> None:
     for i in range(2):
         one = bernstein.restrict(c[i], float(lower[i, 0]), float(upper[i, 0]))
         np.testing.assert_allclose(part[i], one, atol=1e-14)
-
-
-def test_halving_brings_the_hull_closer_by_four() -> None:
-    c = some(6, 4)
-    top = float(np.max(bernstein.evaluate(c, np.linspace(0.0, 1.0, 20_001))))
-    gaps, cells = [], c[None]
-    for _ in range(7):
-        gaps.append(float(np.max(cells)) - top)
-        cells = np.concatenate(bernstein.halve(cells))
-    assert math.log2(gaps[3] / gaps[6]) / 3.0 > 1.6
 
 
 def test_shared_tables_cannot_be_spoilt() -> None:
