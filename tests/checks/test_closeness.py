@@ -42,7 +42,6 @@ def test_no_sample_beats_a_span_or_a_pair_and_all_are_the_certificate(n: int, sp
     sampled = dict(zip(pairs, np.min(apart(motion, np.linspace(0.0, 2.4, 5001)), 0), strict=True))
     for pair in found.pairs:
         assert sampled[pair.pair] - 5e-3 <= pair.bound <= sampled[pair.pair] + 1e-9
-        assert pair.spans == sum(span.pair == pair.pair for span in found.spans)
     bounds = [pair.bound for pair in found.pairs]
     assert bounds == sorted(bounds)
     worst = certify(motion)["separation"].worst
