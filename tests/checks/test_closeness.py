@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
-from free_cases import random_curves, single
+from by_hand import ratios
+from motions import random_curves, single
+from refusals import assert_refused
 
 from hitchopt.checks import certify
 from hitchopt.checks.closeness import closeness
-from hitchopt.errors import InputError
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.motion import Motion
+from hitchopt.values import Array
 
 
 def swarm(n: int, seed: int) -> Motion:
@@ -18,47 +22,35 @@ def swarm(n: int, seed: int) -> Motion:
     return single(random_curves(n, seed), separation=Separation(0.1, 0.2))
 
 
+def apart(motion: Motion, t: Array) -> Array:
+    return ratios(motion.drones.at(t), motion.requirements.separation)
+
+
 @pytest.mark.parametrize(("n", "spans"), [(2, 7), (9, 20), (30, 5)])
-def test_no_sample_beats_a_span_and_all_spans_are_the_certificate(n: int, spans: int) -> None:
+def test_no_sample_beats_a_span_or_a_pair_and_all_are_the_certificate(n: int, spans: int) -> None:
     motion = swarm(n, n)
     found = closeness(motion, spans)
-    assert found.spans[0].start == 0.0
-    assert found.spans[-1].end == 2.4
-    i, j = np.triu_indices(n, 1)
-    names = motion.team.drone_names
-    for before, span in zip((None, *found.spans[:-1]), found.spans, strict=True):
-        assert before is None or before.end == span.start
-        inside = np.linspace(span.start, span.end, 801)[1:-1]  # curves may jump at the joints
-        points = motion.drones.at(inside) * motion.requirements.separation.scale
-        ratio = np.linalg.norm(points[:, i] - points[:, j], axis=-1)
-        assert span.bound <= np.min(ratio) + 1e-9
+    assert (len(found.spans), found.spans[0].start, found.spans[-1].end) == (spans, 0.0, 2.4)
+    assert all(a.end == b.start for a, b in pairwise(found.spans))
+    for span in found.spans:  # curves may jump at the joints
+        least = np.min(apart(motion, np.linspace(span.start, span.end, 801)[1:-1]))
+        assert span.bound <= least + 1e-9
         assert span.start <= span.time <= span.end
-        assert span.bound <= span.value <= np.min(ratio) + 1e-3
-        assert span.pair[0] in names
-        assert span.pair[1] in names
-    worst = certify(motion)["separation"].worst
-    assert min(span.bound for span in found.spans) == pytest.approx(worst, rel=2e-4, abs=1e-6)
-    assert found.pairs[0].bound == pytest.approx(worst, rel=2e-4, abs=1e-6)
-
-
-def test_pairs_are_followed_over_the_whole_plan() -> None:
-    motion = swarm(12, 3)
-    found = closeness(motion, 24)
-    index = {name: k for k, name in enumerate(motion.team.drone_names)}
-    t = np.linspace(0.0, 2.4, 5001)
-    points = motion.drones.at(t)
+        assert span.bound <= span.value <= least + 1e-3
+    names = motion.team.drone_names
+    pairs = [(names[i], names[j]) for i, j in zip(*np.triu_indices(n, 1), strict=True)]
+    sampled = dict(zip(pairs, np.min(apart(motion, np.linspace(0.0, 2.4, 5001)), 0), strict=True))
     for pair in found.pairs:
-        offset = points[:, index[pair.pair[0]]] - points[:, index[pair.pair[1]]]
-        ratio = np.linalg.norm(offset * motion.requirements.separation.scale, axis=-1)
-        assert pair.bound <= np.min(ratio) + 1e-9
-        assert pair.bound >= np.min(ratio) - 5e-3
-    assert [p.bound for p in found.pairs] == sorted(p.bound for p in found.pairs)
+        assert sampled[pair.pair] - 5e-3 <= pair.bound <= sampled[pair.pair] + 1e-9
+    bounds = [pair.bound for pair in found.pairs]
+    assert bounds == sorted(bounds)
+    worst = certify(motion)["separation"].worst
+    for bound in (bounds[0], min(span.bound for span in found.spans)):
+        assert bound == pytest.approx(worst, rel=2e-4, abs=1e-6)
     assert str(found).count("\n") == len(found.pairs)
     assert ", ".join(found.pairs[0].pair) in str(found)
 
 
 def test_one_drone_has_no_neighbour() -> None:
-    with pytest.raises(InputError, match="neighbour"):
-        closeness(swarm(1, 0))
-    with pytest.raises(InputError, match="spans"):
-        closeness(swarm(2, 0), 0)
+    assert_refused(lambda: closeness(swarm(1, 0)), "drones", "neighbour")
+    assert_refused(lambda: closeness(swarm(2, 0), 0), "spans", "at least 1")

@@ -1,132 +1,120 @@
-"""``tracking_radius``: closed forms, an adversary, and laws."""
+"""``tracking_radius``: closed forms, samples, displaced plans, and laws."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from adversary import attack
-from certificate_cases import random_motion, still
-from free_cases import free_motion, random_flight, single
-from numpy.typing import NDArray
+from by_hand import cable_points, sampled, tracking_radius
+from motions import ARENA, free_motion, lines, random_flight, random_motion, single, still
 from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify
-from hitchopt.checks.clearance import moved_by
 from hitchopt.hitch import Team
-from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
-
-Array = NDArray[np.float64]
+from hitchopt.values import Array
 
 
 def radius_of(motion: Motion, gamma: float = 1.0) -> Check:
     return certify(motion, gamma=gamma)["tracking_radius"]
 
 
-def lines(places: Array) -> Motion:
-    """Drones without cables that fly from places (2, N, 3) [m] along lines, for a second."""
-    coefficients = np.moveaxis(places, 0, -1)[None]
-    return single(PiecewisePolynomial(np.array([0.0, 1.0]), coefficients))
+def crossing(seed: int) -> Motion:
+    """Drones at all heights: the pair of the least ratio need not be the one that counts."""
+    places = np.random.default_rng(seed).uniform(-3.0, 3.0, (2, 9, 3)) + [0.0, 0.0, 5.0]
+    return lines(*places)
 
 
-def test_two_drones_at_rest_have_half_the_distance_of_their_ellipsoids() -> None:
-    for offset, expected in (
-        ([1.0, 0.0, 0.0], 0.5 * (1.0 - 0.24)),
-        ([0.0, 0.0, 1.0], 0.5 * (1.0 - 0.60)),
-        ([0.0, -0.3, 0.0], 0.03),
-    ):
-        places = np.tile([[0.0, 0.0, 3.0], np.add([0.0, 0.0, 3.0], offset)], (2, 1, 1))
-        check = radius_of(lines(places))
-        assert check.bound == pytest.approx(expected, rel=1e-6)
-        assert (check.limit, check.holds, check.where) == (None, True, ("d0", "d1"))
+MADE: dict[str, Callable[[], Motion]] = {
+    **{f"hitch {n}": partial(random_motion, n, n, arena=ARENA) for n in (3, 5, 8)},
+    **{f"crossing {seed}": partial(crossing, seed) for seed in range(4)},
+    "triangle": lambda: planned("triangle").motion,
+    "open pair": lambda: planned("open_pair").motion,
+    "stack": lambda: planned("swarms/stack").motion,
+}
 
 
-@pytest.mark.parametrize(("n", "seed"), [(3, 1), (5, 2), (8, 3)])
-def test_no_adversary_beats_it_and_it_is_tight_for_random_hitches(n: int, seed: int) -> None:
-    arena = Arena([-40.0, -50.0, 0.5], [45.0, 40.0, 3.0])
-    motion = random_motion(n, seed, arena=arena)
-    radius, found = radius_of(motion).bound, attack(motion, count=30)
-    assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
-    wider = radius_of(motion, 1.8).bound
-    assert wider <= min(radius, attack(motion, 1.8, 30) * (1.0 + 1e-4))
-
-
-@pytest.mark.parametrize(
-    ("stem", "count"),
-    [
-        ("triangle", 30),
-        ("open_pair", 30),
-        pytest.param("form_triangle", 40, marks=pytest.mark.slow),
-        ("swarms/stack", 30),
-    ],
-)
-def test_no_adversary_beats_it_and_it_is_tight_for_plans(stem: str, count: int) -> None:
-    motion = planned(stem).motion
-    radius, found = radius_of(motion).bound, attack(motion, count=count)
-    assert 0.9 * found <= radius <= found * (1.0 + 1e-4)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_crossing_drones_at_all_heights(seed: int) -> None:
-    """Pairs one of which is higher: the pair of the least ratio need not be the one that counts."""
-    rng = np.random.default_rng(seed)
-    places = rng.uniform(-3.0, 3.0, (2, 9, 3)) + [0.0, 0.0, 5.0]
-    motion = lines(places)
-    check = certify(motion)["separation"]
-    radius, found = radius_of(motion).bound, attack(motion, count=30)
-    if not check.holds:
-        assert radius == 0.0
+@pytest.mark.parametrize("name", MADE)
+def test_it_is_what_samples_leave(name: str) -> None:
+    motion = MADE[name]()
+    breaks, check = motion.drones.breaks, radius_of(motion)
+    least = tracking_radius(motion, np.union1d(np.linspace(breaks[0], breaks[-1], 401), breaks))
+    if not certify(motion)["separation"].holds:
+        assert check.bound == 0.0
     else:
-        assert 0.95 * found <= radius <= found * (1.0 + 1e-4)
-        assert radius >= 0.12 * (check.bound - 1.0) - 1e-12
+        assert 0.95 * least - 1e-6 <= check.bound <= least * (1.0 + 1e-4)
+
+
+@pytest.mark.parametrize("gamma", [0.6, 1.0, 1.8])
+@pytest.mark.parametrize("seed", range(2))
+def test_all_may_be_off_by_it_and_vertices_gamma_times_farther(seed: int, gamma: float) -> None:
+    """In random directions, and all bodies toward the middle."""
+    motion, rng = random_motion(4 + seed, seed, arena=ARENA), np.random.default_rng(seed)
+    radius, kept = radius_of(motion, gamma).bound, motion.requirements
+    times = np.linspace(0.0, motion.duration, 101)
+
+    def off(part: PiecewisePolynomial, by: float, inward: bool) -> PiecewisePolynomial:
+        c = part.coefficients
+        way = rng.normal(size=c.shape[1:3])
+        if inward:
+            way = np.mean(c, axis=(0, 1, 3)) - np.mean(c, axis=(0, 3)) + 0.1 * way
+        way *= by / np.linalg.norm(way, axis=-1, keepdims=True)
+        return PiecewisePolynomial(part.breaks, c + way[..., None])
+
+    for i in range(12):
+        moved = replace(
+            motion,
+            drones=off(motion.drones, radius, i % 2 == 0),
+            vertices=off(motion.vertices, gamma * radius, i % 4 == 0),
+        )
+        found = sampled(moved, times)
+        assert found["separation"] >= 1.0
+        assert found["cable_clearance"] >= kept.separation.cable
+        assert found["crossing"] >= kept.separation.crossing
+        assert found["legs"] >= kept.limits.leg
+        assert found["arena"] >= 0.0
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_hanging_cable_stays_off_the_ground_wherever_its_ends_are(seed: int) -> None:
+    """Whatever it is sunk by as drones come nearer to each other; and not by much less."""
+    rng = np.random.default_rng(seed)
+    length = rng.uniform(1.0, 2.0)
+    way = rng.uniform(-1.0, 1.0, 3) * [1.0, 1.0, 0.4]
+    way *= rng.uniform(0.5, 0.93) * length / np.linalg.norm(way)
+    q, r = np.array([0.0, 0.0, 5.0]), way + [0.0, 0.0, 5.0]
+
+    def lowest(ends: Array) -> Array:
+        low: Array = np.min(cable_points([length], ends)[..., 2], axis=(-1, -2))
+        return low
+
+    floor = float(lowest(np.stack([q, r]))) - 0.10 - 0.05
+    ends = np.stack([q, r, q + [0.0, 9.0, 5.0], r + [0.0, 9.0, 5.0]])  # another one far away
+    drones, team = PiecewisePolynomial.constant([0.0, 1.0], ends), Team(2, length, topology="open")
+    arena = Arena([-50.0, -50.0, floor], [50.0, 50.0, 50.0])
+    radius = radius_of(free_motion(team, drones, arena=arena)).bound
+    shifts = rng.normal(size=(400, 2, 3)) - [0.0, 0.0, 2.0]
+    shifts[:200, 0] += way / np.linalg.norm(way)
+    shifts[:200, 1] -= way / np.linalg.norm(way)
+    shifts *= radius / np.linalg.norm(shifts, axis=-1, keepdims=True)
+    assert np.min(lowest(np.stack([q, r]) + shifts)) >= floor + 0.10
+    assert radius > 0.002
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_free_cables(seed: int) -> None:
+def test_drones_and_hanging_cables_may_go_toward_each_other(seed: int) -> None:
+    """A cable that is moved as a whole goes as far as its drones."""
     team, drones = random_flight(seed, n=3, pieces=1)
     motion = free_motion(team, drones)
-    assert 0.0 <= radius_of(motion).bound <= attack(motion, count=12) * (1.0 + 1e-4)
-
-
-def test_hanging_cables_come_down_to_the_ground_and_no_farther() -> None:
-    ends = np.array([[0.0, 0.0, 0.8], [1.0, 0.1, 0.8], [9.0, 0.0, 3.0], [9.6, 0.0, 3.2]])
-    motion = free_motion(
-        Team(2, 1.5, topology="open"), PiecewisePolynomial.constant(np.array([0.0, 1.0]), ends)
-    )
-    left, radius = certify(motion)["cable_clearance"], radius_of(motion)
-    assert (left.holds, left.where) == (True, radius.where)
-    assert moved_by(motion)(radius.bound) == pytest.approx(left.bound - left.number, rel=1e-6)
-
-
-def test_hanging_cables_move_no_farther_than_said() -> None:
-    rng = np.random.default_rng(5)
-    mu = np.linspace(-1.0, 1.0, 301)[:, None]
-    for _ in range(40):
-        length = rng.uniform(1.0, 2.0)
-        q, r = rng.uniform(-0.35, 0.35, (2, 3)) * length + [[0.0, 0.0, 5.0], [0.5, 0.0, 5.0]]
-        if np.linalg.norm(q - r) > 0.93 * length:
-            continue
-        team = Team(2, length, topology="open")
-        ends = np.stack([q, r, q + 9.0, r + 9.0])
-        still_there = PiecewisePolynomial.constant(np.array([0.0, 1.0]), ends)
-        needed = moved_by(free_motion(team, still_there))
-        for radius in (0.001, 0.01, 0.04):
-            shifts = rng.normal(size=(2, 60, 3))
-            shifts *= radius / np.linalg.norm(shifts, axis=-1, keepdims=True)
-            places = []
-            for a, b in ((q[None], r[None]), (q + shifts[0], r + shifts[1])):
-                cable = Catenary.between(a, b, length)
-                points = a + 0.5 * (1.0 + mu[..., None]) * (b - a)
-                points[..., 2] -= cable.depth(mu)
-                places.append(points)
-            moved = np.max(np.linalg.norm(places[1] - places[0], axis=-1))
-            assert moved + radius <= needed(radius) * (1.0 + 1e-9)
+    most = tracking_radius(motion, np.linspace(0.0, motion.duration, 201))
+    assert 0.0 <= radius_of(motion).bound <= most * (1.0 + 1e-4)
 
 
 def test_a_larger_gamma_never_helps_and_is_stated() -> None:
@@ -134,39 +122,39 @@ def test_a_larger_gamma_never_helps_and_is_stated() -> None:
     radii = [radius_of(motion, gamma).bound for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
     assert radii == sorted(radii, reverse=True)
     certificate = certify(motion, gamma=1.5)
-    entry = certificate.to_dict()["checks"][-2]
+    *others, entry, _ = certificate.to_dict()["checks"]
     assert (entry["name"], entry["gamma"], entry["limit"]) == ("tracking_radius", 1.5, None)
     assert entry["holds"] is True
-    assert all("gamma" not in other for other in certificate.to_dict()["checks"][:-2])
+    assert all("gamma" not in other for other in others)
     with pytest.raises(ho.InputError, match="gamma"):
         certify(motion, gamma=-1.0)
 
 
 def test_what_binds_is_named() -> None:
     """Of a triangle at rest the legs, the walls, and with a long leg limit nothing is left."""
-    triangle = np.array([[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]])
-    motion = still(Team(3, 3.0), triangle, [0.4] * 3)
+    outline = np.array([[0.0, -1.0], [-0.8, 0.6], [0.8, 0.6]])
+    motion = still(Team(3, 3.0), outline, [0.4] * 3)
 
-    def limited(**limits: float) -> Motion:
-        return replace(motion, requirements=Requirements(Limits(**limits), Separation()))
+    def keeping(**kept: object) -> Motion:
+        return replace(motion, requirements=Requirements(**kept))  # type: ignore[arg-type]
 
-    short = limited(leg=0.39)
+    short = keeping(limits=Limits(leg=0.39))
     shortest = certify(short)["legs"]
-    check = radius_of(short)
-    assert check.bound == pytest.approx((shortest.bound - 0.39) / 2.0, rel=1e-6)
-    assert check.where == shortest.where
-    assert radius_of(short, 3.0).bound == pytest.approx((shortest.bound - 0.39) / 4.0, rel=1e-6)
-    assert radius_of(limited(leg=0.9)).bound == 0.0
-    for name, number, moved in (("crossing", 2.0, 6.0), ("cable", 2.0, 4.0)):  # for γ = 1 and 3
-        kept = certify(motion)["cable_clearance" if name == "cable" else name].bound - 1e-3
-        near = replace(motion, requirements=Requirements(Limits(), Separation(**{name: kept})))
-        assert radius_of(near).bound == pytest.approx(1e-3 / number, rel=1e-3), name
-        assert radius_of(near, 3.0).bound == pytest.approx(1e-3 / moved, rel=1e-3), name
-    low = replace(motion, requirements=Requirements(arena=Arena([-9, -9, 0.999], [9, 9, 3])))
+    for gamma in (1.0, 3.0):
+        check = radius_of(short, gamma)
+        assert check.bound == pytest.approx((shortest.bound - 0.39) / (1.0 + gamma), rel=1e-6)
+        assert check.where == shortest.where
+    assert radius_of(keeping(limits=Limits(leg=0.9))).bound == 0.0
+    usual = certify(motion)
+    for name, limit, both in (("crossing", "crossing", 6.0), ("cable_clearance", "cable", 4.0)):
+        near = keeping(separation=Separation(**{limit: usual[name].bound - 1e-3}))
+        for gamma, number in ((1.0, 2.0), (3.0, both)):
+            assert radius_of(near, gamma).bound == pytest.approx(1e-3 / number, rel=1e-3), name
+    low = keeping(arena=Arena([-9, -9, 0.999], [9, 9, 3]))
     assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_nothing_counted_is_null() -> None:
-    check = radius_of(lines(np.zeros((2, 1, 3)) + 1.0))
+    check = radius_of(single(PiecewisePolynomial.constant([0.0, 1.0], np.ones((1, 3)))))
     assert (check.worst, check.holds, check.where) == (None, True, ())
     assert math.isinf(check.bound)

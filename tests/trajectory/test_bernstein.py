@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.polynomial import Polynomial
+from powers import in_powers
 
 from hitchopt.trajectory import bernstein
 
 Array = np.ndarray
 
 X = np.linspace(0.0, 1.0, 41)
-
-
-def in_powers(coefficients: Array) -> Polynomial:
-    """The same polynomial from the definition, sum of c_i C(m, i) x^i (1 - x)^(m - i)."""
-    m, x = len(coefficients) - 1, Polynomial([0.0, 1.0])
-    terms = (c * math.comb(m, i) * x**i * (1.0 - x) ** (m - i) for i, c in enumerate(coefficients))
-    return sum(terms, Polynomial([0.0]))
 
 
 def some(order: int, seed: int, *shape: int) -> Array:
@@ -91,16 +83,6 @@ def test_restriction_takes_its_own_span_for_each() -> None:
     for i in range(2):
         one = bernstein.restrict(c[i], float(lower[i, 0]), float(upper[i, 0]))
         np.testing.assert_allclose(part[i], one, atol=1e-14)
-
-
-def test_halving_brings_the_hull_closer_by_four() -> None:
-    c = some(6, 4)
-    top = float(np.max(bernstein.evaluate(c, np.linspace(0.0, 1.0, 20_001))))
-    gaps, cells = [], c[None]
-    for _ in range(7):
-        gaps.append(float(np.max(cells)) - top)
-        cells = np.concatenate(bernstein.halve(cells))
-    assert math.log2(gaps[3] / gaps[6]) / 3.0 > 1.6
 
 
 def test_shared_tables_cannot_be_spoilt() -> None:

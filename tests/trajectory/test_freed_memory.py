@@ -24,7 +24,5 @@ print(pages())
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do as they do")
 def test_arrays_are_made_where_others_were_freed() -> None:
     own = {k: v for k, v in os.environ.items() if "MALLOC" not in k and k != "GLIBC_TUNABLES"}
-    done = subprocess.run(
-        [sys.executable, "-c", PROBE], capture_output=True, text=True, check=True, env=own
-    )
-    assert int(done.stdout) < 100  # of 2934
+    told = subprocess.check_output([sys.executable, "-c", PROBE], text=True, env=own)
+    assert int(told) < 100  # of 2934

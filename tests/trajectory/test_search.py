@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from powers import in_powers
 
 from hitchopt.trajectory import bernstein, search
 from hitchopt.trajectory.enclosed import Bound, Enclosed
-from hitchopt.trajectory.search import Extremum, Search, Spans, worst
+from hitchopt.trajectory.search import Extremum, Formula, Search, Spans, worst
 
 Array = np.ndarray
 
@@ -28,11 +29,24 @@ def curves(seed: int, pieces: int, items: int, order: int) -> tuple[Array, Array
     return breaks, rng.normal(size=(pieces, items, order + 1))
 
 
-def extreme(breaks: Array, c: Array, sense: str = "min") -> Extremum:
-    def formula(spans: Curves) -> Bound:
-        return spans.curve.below if sense == "min" else spans.curve.above
+def above(spans: Curves) -> Bound:
+    return spans.curve.above
 
-    return worst(Curves.all_of(c, breaks, c.shape[1]), formula, sense)
+
+def below(spans: Curves) -> Bound:
+    return spans.curve.below
+
+
+def extreme(
+    breaks: Array,
+    c: Array,
+    sense: str = "min",
+    formula: Formula[Curves] | None = None,
+    on: Array | None = None,
+    **options: float,
+) -> Extremum:
+    formula = formula or (below if sense == "min" else above)
+    return worst(Curves.all_of(c, breaks, c.shape[1], on), formula, sense, **options)
 
 
 @settings(max_examples=30)
@@ -44,13 +58,7 @@ def test_polynomials_against_their_stationary_points(
     found = extreme(breaks, c)
     best = math.inf
     for rows in c.reshape(-1, order + 1):
-        powers = sum(
-            value
-            * math.comb(order, i)
-            * np.polynomial.Polynomial([0.0, 1.0]) ** i
-            * np.polynomial.Polynomial([1.0, -1.0]) ** (order - i)
-            for i, value in enumerate(rows)
-        )
+        powers = in_powers(rows)
         roots = np.atleast_1d(powers.deriv().roots())
         real = np.real(roots[np.abs(np.imag(roots)) < 1e-7])
         inside = np.concatenate([real[(real > 0.0) & (real < 1.0)], [0.0, 1.0]])
@@ -77,19 +85,19 @@ def test_batches_and_portions_do_not_change_the_answer(monkeypatch: pytest.Monke
     whole = extreme(breaks, c)
     monkeypatch.setattr(search, "BATCH", 7)
     again = extreme(breaks, c)
-    assert again.worst == pytest.approx(whole.worst, rel=2e-4)
     assert again.item == whole.item
+    assert again.worst == pytest.approx(whole.worst, rel=2e-4)
 
 
 def test_chosen_spans_are_all_that_counts() -> None:
     breaks, c = curves(7, 3, 4, 5)
     on = np.zeros((3, 4), dtype=bool)
     on[1, 2] = True
-    found = worst(Curves.all_of(c, breaks, 4, on), lambda spans: spans.curve.above, "max")
+    found = extreme(breaks, c, "max", on=on)
     assert found.item == 2
     assert breaks[1] <= found.time <= breaks[2]
     assert found.value <= np.max(c[1, 2])
-    none = worst(Curves.all_of(c, breaks, 4, ~on & on), lambda spans: spans.curve.above, "max")
+    none = extreme(breaks, c, "max", on=~on & on)
     assert (none.worst, none.item) == (-math.inf, -1)
 
 
@@ -99,22 +107,20 @@ def test_a_target_that_all_keep_is_enough() -> None:
 
     def formula(spans: Curves) -> Bound:
         counted.append(len(spans))
-        return spans.curve.above
+        return above(spans)
 
-    spans = tuple(Curves.all_of(c, breaks, 30))
-    near = worst(spans, formula, "max")
+    near = extreme(breaks, c, "max", formula)
     many, high = sum(counted), float(np.max(c))
     counted.clear()
-    rough = worst(spans, formula, "max", target=high)
+    rough = extreme(breaks, c, "max", formula, target=high)
     assert sum(counted) <= many
     assert near.worst <= rough.worst <= high
-    known = worst(spans, formula, "max", known=high)
-    assert known.item == -1
+    assert extreme(breaks, c, "max", formula, known=high).item == -1
 
 
 def test_thousands_of_equal_curves_cost_no_more_than_a_few_halvings() -> None:
     c = np.broadcast_to([1.0, 0.2, 0.9, 0.1, 1.0], (10, 500, 5))
-    many: Search[Curves] = Search(lambda spans: spans.curve.below, "min")
+    many: Search[Curves] = Search(below, "min")
     for spans in Curves.all_of(c, np.arange(11.0), 500):
         many.add(spans)
     many.finish()
@@ -126,10 +132,10 @@ def test_a_bound_that_never_comes_close_still_ends(monkeypatch: pytest.MonkeyPat
     breaks, c = curves(9, 2, 3, 5)
 
     def loose(spans: Curves) -> Bound:
-        found = spans.curve.above
+        found = above(spans)
         return found if spans.points else Bound(found.value + 7.0, found.x)
 
-    found = worst(Curves.all_of(c, breaks, 3), loose, "max")
+    found = extreme(breaks, c, "max", loose)
     assert found.worst > found.value + 6.9
 
 
@@ -148,8 +154,8 @@ def test_a_bound_is_as_close_as_the_limit_asks() -> None:
         return Bound(np.min(c, axis=-1) - np.ptp(c, axis=-1), np.zeros(len(c)))
 
     def found(target: float = math.nan) -> float:
-        spans = Curves.all_of(np.array([[[1.0, 1.5, 2.0]]]), np.array([0.0, 1.0]), 1)
-        return worst(spans, loose, "min", target=target).worst
+        line = np.array([0.0, 1.0]), np.array([[[1.0, 1.5, 2.0]]])
+        return extreme(*line, formula=loose, target=target).worst
 
     assert 1.0 - 1e-4 <= found() < 1.0 - 1e-9
     assert found(1.0 - 1e-9) >= 1.0 - 1e-9

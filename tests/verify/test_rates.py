@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -26,11 +26,8 @@ FORMULAS: dict[str, Callable[[Line, Line], Line]] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def unknown_bounds() -> Iterator[None]:
-    """What is not known of a wide span is infinite, or not a number."""
-    with np.errstate(all="ignore"):
-        yield
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+"""What is not known of a wide span is infinite, or not a number."""
 
 
 def spans(seed: int, width: float, offset: float) -> Spans:

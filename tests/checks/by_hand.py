@@ -1,0 +1,381 @@
+"""The certificate's quantities computed another way: by brute force over samples.
+
+Shares nothing with the package but polynomials and the catenary: who is where is listed by hand,
+every distance, angle and force has its own formula here, and all pairs are looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Set
+
+import numpy as np
+from motions import row
+from numpy.typing import ArrayLike
+
+from hitchopt.checks import certify
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.requirements import Prism, Separation
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+G = 9.81
+UNSAMPLED = {"continuity", "tension", "duration", "interlacing"}
+"""Checks against limits of which samples say nothing."""
+
+
+def assert_sound(
+    motion: Motion, count: int, gap: float, least: float, only: Set[str] = frozenset()
+) -> None:
+    """No sample beats a bound; each is within ``gap`` of the worst, relative, or ``least``."""
+    checks = [row(motion, name) for name in sorted(only)] or certify(motion).checks
+    breaks = motion.drones.breaks  # where it may jump
+    times = np.concatenate([np.linspace(breaks[0], breaks[-1], count), breaks, breaks[1:] - 1e-12])
+    found = sampled(motion, times)
+    counted = [check for check in checks if check.limit is not None]
+    assert {check.name for check in counted} <= set(found) | UNSAMPLED
+    for check in (each for each in counted if each.name in found):
+        name, value = check.name, found[check.name]
+        if math.isinf(value):  # a chain of two has no cables that could cross
+            assert (check.worst, check.holds, check.where) == (None, True, ())
+            continue
+        worst = check.bound
+        if name == "thrust":  # as a share of the largest
+            worst /= motion.team.max_thrust[motion.team.drone_names.index(check.where[0])]
+        outside = value - worst if check.sense == "min" else worst - value
+        slack = {"body_rate": 1e-7}.get(name, 1e-9 * (not motion.formed.all())) * abs(value)
+        assert outside >= -slack, f"{name}: {worst} is beaten by {value}"
+        assert outside <= max(gap * abs(value), least), f"{name}: {worst} for {value}"
+
+
+class Samples:
+    """Where everything is at times: drones x, points p, and which drone hangs on a leg."""
+
+    def __init__(self, motion: Motion, times: Array) -> None:
+        self.motion, self.team, self.n = motion, motion.team, motion.team.robots
+        self.x, self.p, self.T = (
+            part.at(times) for part in (motion.drones, motion.vertices, motion.tensions)
+        )
+        self.stored = motion.legs.at(times)
+        self.P = motion.pulls.at(times)  # of legs: friction makes them other than tensions
+        points = self.p.shape[1]
+        closed = points == self.n
+        self.first, self.last = np.arange(self.n), (np.arange(self.n) + 1) % points
+        self.own = np.stack([self.first, self.last], axis=1).ravel()  # each drone's point
+        self.legged = np.ones(2 * self.n, dtype=np.bool_)
+        if not closed:
+            self.legged[[0, -1]] = False
+        self.clasps = np.arange(points) if closed else np.arange(1, self.n)
+        self.edges = self.p[:, self.last] - self.p[:, self.first]
+        self.legs = self.x - self.p[:, self.own]
+        # What of a cable is taut; a range of tensions is only stated where all is.
+        ranged = motion.phases[0].tension is not None
+        self.taut = np.minimum(self.T / self.team.tension, 1.0) if not ranged else self.T**0
+        self.half = 0.5 * G * self.team.cable_density * self.taut
+
+    def pulls(self) -> tuple[Array, Array]:
+        """What taut cables pull drones with along their chords, and the lengths of these."""
+        other = np.stack([self.last, self.first], axis=1).ravel()
+        span = self.x - self.p[:, np.where(self.legged, self.own, other)]
+        half, size = np.repeat(self.half, 2, axis=1), np.linalg.norm(span, axis=-1)
+        root = np.sqrt(self.P**2 - (half * _level(span)) ** 2)
+        return ((half * span[..., 2] + root) / size)[..., None] * span, half * size
+
+    def forces(self) -> Array:
+        """(times, 2n, 3) [N] what cables put on drones: taut ones, and the rest that hangs."""
+        pull, weight = self.pulls()
+        found = -pull
+        found[..., 2] -= weight
+        if self.team.cable_density:
+            q, r = self.x[:, 0::2], self.x[:, 1::2]
+            hanging = Catenary.between(q, r, self.team.cable_length).pull(q, r)
+            rest = G * self.team.cable_density * (1.0 - self.taut)
+            found += (rest[..., None, None] * hanging).reshape(found.shape)
+        return found
+
+
+def thrusts(motion: Motion, times: Array) -> Array:
+    """(times, drones, 3) [N]."""
+    own: Array = motion.team.mass[:, None] * (motion.drones.at(times, 2) + [0.0, 0.0, G])
+    return own - Samples(motion, times).forces() if motion.team.has_cables else own
+
+
+def sampled(motion: Motion, times: Array) -> dict[str, float]:
+    """Return the worst value of every quantity over ``times``; thrust as a share of the largest."""
+    x, kept = motion.drones.at(times), motion.requirements
+    found = {"separation": float(np.min(ratios(x, kept.separation)))} if x.shape[1] > 1 else {}
+    for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
+        found[name] = float(np.max(np.linalg.norm(motion.drones.at(times, order), axis=-1)))
+    if kept.arena is not None:
+        found["arena"] = float(np.min(np.minimum(x - kept.arena.lower, kept.arena.upper - x)))
+    if kept.keep_out:
+        found["keep_out"] = min(float(np.min(off_prism(x, prism))) for prism in kept.keep_out)
+    f = thrusts(motion, times)
+    found["thrust"] = float(np.max(np.linalg.norm(f, axis=-1) / motion.team.max_thrust))
+    found["tilt"] = float(np.max(np.degrees(np.arctan2(_level(f), f[..., 2]))))
+    if kept.limits.body_rate is not None:
+        h = 1e-5  # [s] between samples and those that thrusts are differentiated by
+        apart = np.min(np.abs(times[:, None] - motion.drones.breaks), axis=1)
+        before, after = (thrusts(motion, times[apart > 2.0 * h] + step) for step in (-h, h))
+        f, rate = 0.5 * (before + after), (after - before) / (2.0 * h)
+        turning = np.linalg.norm(np.cross(f, rate), axis=-1) / np.sum(f**2, axis=-1)
+        found["body_rate"] = math.degrees(float(np.max(turning)))
+    if not motion.team.has_cables:
+        return found
+    s = Samples(motion, times)
+    if motion.formed.all():
+        found["vertex_speed"] = float(np.max(np.linalg.norm(motion.vertices.at(times, 1), axis=-1)))
+        with np.errstate(invalid="ignore"):  # at the very end of a ramp nothing pulls
+            return found | _taut_distances(s) | _shape(s) | {"equilibrium": _unbalanced(s)}
+    return found | _free_distances(s, motion.phases[0].state)
+
+
+def ratios(x: Array, separation: Separation) -> Array:
+    """(times, pairs): separations of drones (times, N, 3), pairs as of ``np.triu_indices``."""
+    i, j = np.triu_indices(x.shape[-2], 1)
+    gap, r, h = x[:, i] - x[:, j], separation.radius, separation.height
+    found: Array = np.hypot(_level(gap) / (2.0 * r), gap[..., 2] / (2.0 * h))
+    return found
+
+
+def _taut_distances(s: Samples) -> dict[str, float]:
+    parts: list[tuple[bool, int, set[int], Array, Array]] = []
+    for k, (a, b) in enumerate(zip(s.first.tolist(), s.last.tolist(), strict=True)):
+        both = {a, b} & set(s.clasps.tolist())
+        parts.append((True, k, both, s.p[:, a], s.p[:, b]))
+        parts += [(False, k, {a}, s.p[:, a], s.x[:, 2 * k])] * bool(s.legged[2 * k])
+        parts += [(False, k, {b}, s.p[:, b], s.x[:, 2 * k + 1])] * bool(s.legged[2 * k + 1])
+    begin = np.stack([part[3] for part in parts], axis=1)
+    end = np.stack([part[4] for part in parts], axis=1)
+    d, m = np.array(
+        [
+            (drone, m)
+            for drone in range(2 * s.n)
+            for m, (is_edge, k, *_) in enumerate(parts)
+            if drone // 2 != k or (is_edge and s.legged[drone])
+        ]
+    ).T
+    clear = point_to_segment(s.x[:, d], begin[:, m], end[:, m])
+    apart = [(a, b) for a in range(len(parts)) for b in range(a) if not parts[a][2] & parts[b][2]]
+    i, j = np.array(apart, dtype=np.intp).reshape(-1, 2).T
+    between = segment_to_segment(begin[:, i], end[:, i], begin[:, j], end[:, j])
+    least = float(np.min(between, initial=math.inf))
+    return {"cable_clearance": float(np.min(clear)), "crossing": least}
+
+
+def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
+    """Cables on the ground lie below their chords; neighbours that are clasped may cross."""
+    few = s.x[:: max(1, len(s.x) // 500)]
+    spans = np.linalg.norm(s.x[:, 1::2] - s.x[:, 0::2], axis=-1) / s.team.cable_length
+    flat = s.x * [1.0, 1.0, 0.0]
+    q, r = flat[:, 0::2], flat[:, 1::2]
+    if state is CableState.GROUND:
+        apart, lowest = point_to_segment(flat[:, :, None], q[:, None], r[:, None]), math.inf
+    else:
+        points = cable_points(s.team.cable_length, few)
+        apart = np.min(np.linalg.norm(few[:, :, None, None] - points[:, None], axis=-1), axis=-1)
+        arena = s.motion.requirements.arena
+        lowest = float(np.min(points[..., 2])) - (0.0 if arena is None else arena.lower[2])
+    each = np.arange(s.team.drones)
+    apart[:, each, each // 2] = math.inf
+    i, j = np.triu_indices(s.n, 1)
+    if state in {CableState.CLASPING, CableState.TIGHTENING}:
+        held = (j - i == 1) | ((i == 0) & (j == s.n - 1) & (len(s.clasps) == s.n))
+        i, j = i[~held], j[~held]
+    crossing = segment_to_segment(q[:, i], r[:, i], q[:, j], r[:, j])
+    return {
+        "cable_clearance": min(float(np.min(apart)), lowest),
+        "crossing": float(np.min(crossing, initial=math.inf)),
+        "span": float(np.max(spans)),
+    }
+
+
+def cable_points(length: ArrayLike, drones: Array, count: int = 201) -> Array:
+    """Points (…, n, count, 3) of the hanging cables of drones (…, 2n, 3)."""
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    cables = Catenary.between(q, r, np.broadcast_to(length, q.shape[:-1]))
+    mu = np.moveaxis(
+        np.array([cables.place(share) for share in np.linspace(0.0, 1.0, count)]), 0, -1
+    )
+    points = q[..., None, :] + (0.5 * (1.0 + mu))[..., None] * (r - q)[..., None, :]
+    stacked = Catenary(*(x[..., None] for x in vars(cables).values()))
+    points[..., 2] -= stacked.depth(mu)
+    return points
+
+
+def _unbalanced(s: Samples) -> float:
+    """What legs, edges and weights leave at clasps, and what friction does not make of pulls."""
+    pull, _ = s.pulls()
+    along = s.edges / np.linalg.norm(s.edges, axis=-1, keepdims=True)
+    legs = np.linalg.norm(s.legs, axis=-1) * s.legged  # none at a chain's ends, right or wrong
+    edge_pull = np.sqrt(s.T**2 - (s.half * _level(s.edges)) ** 2)[..., None] * along
+    balance = []
+    for i, k in enumerate(s.clasps.tolist()):
+        m = k - 1  # the cables ahead and behind
+        force = pull[:, 2 * k] + edge_pull[:, k] + pull[:, 2 * m + 1] - edge_pull[:, m]
+        for cable, other in ((k, 2 * k + 1), (m, 2 * m)):
+            borne = s.half[:, cable] * (s.team.cable_length[cable] - legs[:, other])
+            force[:, 2] -= borne + 0.5 * G * s.team.load[i] * s.taut[:, cable]
+        least = np.minimum(s.T[:, k], s.T[:, m])
+        balance.append(np.max(np.linalg.norm(force, axis=-1) / least))
+    if s.motion.leg_tensions is not None:
+        ratio, most = slides(s)
+        balance.append(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
+    return float(max(balance))
+
+
+def slides(s: Samples) -> tuple[Array, Array]:
+    """(times, 2n) each: a leg's pull over its tension, and what friction makes of it at most.
+
+    A cable wraps by how much it turns on its way from the drone along its edge.
+    """
+    inward = np.stack([s.edges, -s.edges], axis=2).reshape(s.legs.shape)
+    cosine = -np.sum(s.legs * inward, axis=-1)
+    with np.errstate(invalid="ignore"):
+        cosine /= np.linalg.norm(s.legs, axis=-1) * np.linalg.norm(inward, axis=-1)
+    turn = np.where(s.legged, np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
+    return s.P / np.repeat(s.T, 2, axis=1), np.exp(s.team.cable_friction * turn)
+
+
+def _level(spans: Array) -> Array:
+    """The lengths of spans seen from above."""
+    return np.hypot(spans[..., 0], spans[..., 1])
+
+
+def _shape(s: Samples) -> dict[str, float]:
+    legs = np.linalg.norm(s.legs, axis=-1)
+    total = np.linalg.norm(s.edges, axis=-1) + legs[:, 0::2] + legs[:, 1::2]
+    for span in (s.edges, s.legs[:, 0::2], s.legs[:, 1::2]):  # by how much each of them sags
+        size = np.linalg.norm(span, axis=-1)
+        total += (2.0 * s.half / s.T) ** 2 * size * _level(span) ** 2 / 24.0
+    told = np.max(np.abs(s.stored - legs.reshape(s.stored.shape)), axis=-1)
+    off = np.maximum(np.abs(total - s.team.cable_length), told) / s.team.cable_length
+    heading = np.arctan2(s.edges[..., 1], s.edges[..., 0])
+    exterior = heading[:, s.clasps - 1] - heading[:, s.clasps % s.n]
+    exterior = (exterior + math.pi) % (2 * math.pi) - math.pi
+    least = np.min(exterior)
+    if len(s.clasps) < s.n:  # a chain must not go around more than once either
+        least = min(least, np.min(2 * math.pi - np.sum(exterior, axis=1)))
+    return {
+        "legs": float(np.min(legs[:, s.legged])),
+        "cable_length": float(np.max(off)),
+        "convexity": math.degrees(least),
+    }
+
+
+def off_prism(x: Array, prism: Prism) -> Array:
+    """Distance of points from a prism: from its outline, and from below or above."""
+    corners = np.append(
+        np.asarray(prism.polygon.vertices), np.zeros((len(prism.polygon), 1)), axis=1
+    )
+    flat, ends = (x * [1.0, 1.0, 0.0])[..., None, :], np.roll(corners, -1, axis=0)
+    aside = np.min(point_to_segment(flat, corners, ends), axis=-1)
+    right = np.cross(ends - corners, flat - corners)[..., 2] <= 0.0
+    beyond = np.maximum(np.maximum(prism.lower - x[..., 2], x[..., 2] - prism.upper), 0.0)
+    return np.hypot(np.where(np.all(right, axis=-1), 0.0, aside), beyond)
+
+
+def point_to_segment(x: Array, a: Array, b: Array) -> Array:
+    """Distance of points from segments: from the foot of the perpendicular, or from an end."""
+    along = b - a
+    foot = np.clip(np.sum((x - a) * along, axis=-1) / np.sum(along**2, axis=-1), 0.0, 1.0)
+    return np.asarray(np.linalg.norm(x - a - foot[..., None] * along, axis=-1))
+
+
+def segment_to_segment(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """Distance of segments: by ends, and along the common normal where both feet are inside."""
+    best = np.minimum(
+        np.minimum(point_to_segment(a, c, d), point_to_segment(b, c, d)),
+        np.minimum(point_to_segment(c, a, b), point_to_segment(d, a, b)),
+    )
+    normal = np.cross(b - a, d - c)
+    size = np.sum(normal**2, axis=-1)
+    skew = size > 1e-12
+    safe = np.where(skew, size, 1.0)
+    s = np.sum(np.cross(c - a, d - c) * normal, axis=-1) / safe
+    t = np.sum(np.cross(c - a, b - a) * normal, axis=-1) / safe
+    inside = skew & (s > 0.0) & (s < 1.0) & (t > 0.0) & (t < 1.0)
+    across = np.abs(np.sum((c - a) * normal, axis=-1)) / np.sqrt(safe)
+    distance: Array = np.where(inside, np.minimum(across, best), best)
+    return distance
+
+
+def tracking_radius(motion: Motion, times: Array) -> float:
+    """Return how far all may be off at ``times``, vertices no farther than drones."""
+    found, kept = sampled(motion, times), motion.requirements
+    separation = kept.separation
+    limits = {"cable_clearance": separation.cable, "crossing": separation.crossing}
+    limits |= {"legs": kept.limits.leg, "arena": 0.0, "keep_out": separation.radius}
+    terms = [touching(motion.drones.at(times), separation)]
+    for name, limit in limits.items():
+        bodies = 1.0 if name in {"arena", "keep_out"} else 2.0
+        terms.append(max(found.get(name, math.inf) - limit, 0.0) / bodies)
+    if "span" in found:
+        x, length = motion.drones.at(times), motion.team.cable_length
+        terms.append(np.min(length - np.linalg.norm(x[:, 1::2] - x[:, 0::2], axis=-1)) / 2.0)
+    return float(min(terms))
+
+
+def touching(x: Array, separation: Separation) -> float:
+    """Return the radius at which some two drones (times, N, 3) touch, each going its best way."""
+    i, j = np.triu_indices(x.shape[1], 1)
+    offset = (x[:, i] - x[:, j]).reshape(-1, 3)
+    scale = 0.5 / np.array([separation.radius, separation.radius, separation.height])
+    low, high = np.zeros(len(offset)), np.linalg.norm(offset, axis=-1)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        moved = offset
+        for _ in range(30):  # against the gradient of the ratio at where that leads
+            way = scale**2 * moved
+            moved = offset - middle[:, None] * way / np.linalg.norm(way, axis=-1, keepdims=True)
+        met = np.linalg.norm(moved * scale, axis=-1) < 1.0
+        low, high = np.where(met, low, middle), np.where(met, middle, high)
+    inside = np.linalg.norm(offset * scale, axis=-1) <= 1.0
+    return float(np.min(np.where(inside, 0.0, 0.5 * high), initial=math.inf))
+
+
+def crossings(drones: PiecewisePolynomial, count: int = 20_001) -> dict[tuple[int, int], int]:
+    """Return how often chords passed through each other, with signs, by the volume of their ends.
+
+    At samples; where that changes its sign, the lines meet at shares of both chords.
+    """
+    t = np.linspace(drones.breaks[0], drones.breaks[-1], count)
+    ends, found = drones.at(t).reshape(count, -1, 2, 3), {}
+    for i in range(ends.shape[1]):
+        for j in range(i + 1, ends.shape[1]):
+            (q, r), (a, b) = np.moveaxis(ends[:, [i, j]], (1, 2), (0, 1))
+            normal = np.cross(r - q, b - a)
+            volume = np.sum((a - q) * normal, axis=1)
+            m = np.flatnonzero(np.sign(volume[1:]) != np.sign(volume[:-1]))
+            size = np.sum(normal[m] ** 2, axis=1)
+            shares = [
+                np.sum(np.cross((a - q)[m], along[m]) * normal[m], axis=1) / size
+                for along in (b - a, r - q)
+            ]
+            inside = np.all([(share > 0.0) & (share < 1.0) for share in shares], axis=0)
+            found[i, j] = int(np.sum(np.sign(volume[m + 1])[inside]))
+    return found
+
+
+def in_sheets(
+    drones: PiecewisePolynomial, length: Array, count: int = 20_001
+) -> set[tuple[int, int]]:
+    """Return pairs a drone of one of which passes between the other's chord and hanging cable."""
+    t = np.linspace(drones.breaks[0], drones.breaks[-1], count)
+    x, found = drones.at(t), set()
+    for k in range(len(length)):
+        q, along = x[:, 2 * k], x[:, 2 * k + 1] - x[:, 2 * k]
+        for d in range(x.shape[1]):
+            to = x[:, d] - q
+            side = np.sign(along[:, 0] * to[:, 1] - along[:, 1] * to[:, 0])
+            m = np.flatnonzero(side[1:] != side[:-1])
+            share = np.sum((to * along)[m, :2], axis=1) / np.sum(along[m, :2] ** 2, axis=1)
+            m, share = m[(share > 0.0) & (share < 1.0)], share[(share > 0.0) & (share < 1.0)]
+            if d // 2 == k or not len(m):
+                continue
+            cable = Catenary.between(q[m], q[m] + along[m], np.full(len(m), length[k]))
+            below = share * along[m, 2] - to[m, 2]
+            if np.any((below > 0.0) & (below < cable.depth(2.0 * share - 1.0))):
+                found.add((min(d // 2, k), max(d // 2, k)))
+    return found
