@@ -78,26 +78,23 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
 
 def test_defaults_are_those_of_the_interface() -> None:
     problem = problem_from_dict(MINIMAL)
-    assert (problem.title, problem.arena) == ("", None)
-    assert plain(problem.team)["tension"] == [0.4] * 3
-    assert (problem.team.cable_density, problem.team.cable_friction) == (0.0, 0.0)
+    start, team = hitch_start(problem), plain(problem.team)
+    assert (problem.title, problem.arena, start.altitude, start.legs) == ("", None, 1.0, "spread")
+    assert (team["tension"], team["cable_density"], team["cable_friction"]) == ([0.4] * 3, 0.0, 0.0)
     assert set(problem.team.mass.tolist()) == {0.132}
     assert set(problem.team.max_thrust.tolist()) == {2.6}
-    assert (hitch_start(problem).altitude, hitch_start(problem).legs) == (1.0, "spread")
-    assert problem.limits == ho.Limits(1.0, 2.0, 20.0, 45.0 * math.pi / 180.0, 0.5, 0.15, None)
-    assert (problem.limits.body_rate, problem.limits.reserve) == (None, 1.0)
+    limits = ho.Limits(1.0, 2.0, 20.0, math.radians(45.0), 0.5, 0.15, None, None, 1.0)
+    assert problem.limits == limits
     assert problem.separation == ho.Separation(0.12, 0.30, 0.10, 0.05, 0.035)
 
 
 def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> None:
     data: Any = triangle()
-    expected = plain(problem_from_dict(data))
-    data["team"]["cable_length"] = np.array(data["team"]["cable_length"])
-    data["team"]["robots"] = np.int64(3)
+    data["team"] |= {"cable_length": np.array([2.4, 2.5, 2.6]), "robots": np.int64(3)}
     data["limits"]["speed"] = np.float64(0.9)
     data["start"]["hitch"]["polygon"] = np.array(data["start"]["hitch"]["polygon"])
     data["mission"] = tuple(data["mission"])
-    assert plain(problem_from_dict(data)) == expected
+    assert plain(problem_from_dict(data)) == plain(problem_from_dict(triangle()))
 
 
 FORM = {"form": {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}}
@@ -119,12 +116,10 @@ def drones(**places: Any) -> dict[str, Any]:
     ("changes", "message"),
     [
         ({"mission": [STAY, FORM]}, r"mission\[1\]\.form = 'a hitch': .* free cables"),
-        ({"mission": [STAY, {"land": {}}]}, r"mission\[1\]\.land = 'a hitch': .* free cables"),
         ({"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]}, "form one before"),
         (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
         (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* list of at least 3 entries"),
-        (drones(r=PLACES["q"] + 2 * [[0, 0, 1]]), r"start\.drones\.r = '5 points'"),
     ],
 )
 def test_steps_and_starts_that_do_not_fit_are_refused(
@@ -152,8 +147,6 @@ def test_open_chains_have_one_point_more_than_robots() -> None:
         problem_from_dict(data)
     data["start"]["hitch"]["polygon"] = ARC
     assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexArc)
-    data["team"].update(topology="closed", robots=4)
-    assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexPolygon)
 
 
 LISTS: Any = [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
@@ -161,13 +154,10 @@ LISTS: Any = [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
 # fmt: off
 UNFIT: list[tuple[Any, Any, str]] = [
     (ho.DronesStart(**PLACES), ho.Form(LISTS[::-1]), "mission[0].form.polygon"),
-    (ho.DronesStart(**PLACES), ho.Form(LISTS[:2]), "mission[0].form.polygon"),
-    (ho.DronesStart(**PLACES), ho.Form(ARC), "mission[0].form.polygon"),  # type: ignore[arg-type]
     (ho.DronesStart(**PLACES), ho.Form(LISTS, legs=LISTS), "mission[0].form.legs[0]"),
     (ho.HitchStart(LISTS, 1.2), ho.Adjust("even"), "mission[0].adjust.legs"),  # type: ignore[arg-type]
     (ho.HitchStart(LISTS, 1.2), ho.Morph([[1], [1, 2]]), "mission[0].morph.polygon"),  # type: ignore[arg-type]
     (ho.HitchStart([[1], [1, 2]], 1.2), ho.Hold(1.0), "start.hitch.polygon"),  # type: ignore[arg-type]
-    (ho.HitchStart(LISTS, 1.2, "even"), ho.Hold(1.0), "start.hitch.legs"),  # type: ignore[arg-type]
 ]
 # fmt: on
 
@@ -183,38 +173,18 @@ def test_lists_that_are_no_outline_are_refused_with_their_key(
 
 # fmt: off
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
-    ("limits.speed", -1, r"-1: must be greater than 0; give a positive number"),
     ("limits.leg", 1e-300, r"1e-300: must be at least 1e-09; "),
     ("limits.jerk", 1e300, r"1e+300: must be at most 1e+09; "),
-    ("team.robots", 3.0, r"3.0: must be a whole number; write it without"),
     ("team.robots", 10**5000, r"inf: must be finite; "),
-    ("team.robots", 4, r"team.quadrotor = 3: must be one kind, or a list of 4; give one per"),
     ("team.tensio", 1.0, r"1.0: must be a known key; did you mean tension?"),
     ("team.quadrotor[1].mas", 1, r"1: must be a known key; did "),
     ("team.cable_density", -1e-09, r"-1e-09: must be at least 0; "),
-    ("team.cable_friction", "0.1", r"'0.1': must be a number; remove t"),
     ("team.tension[2]", math.nan, r"nan: must be finite; "),
-    ("start.hitch.polygon[1]", [2.0, 0.2], r"start.hitch.polygon[0] = [2.0, 0.2]: must be"),
-    ("start.hitch.legs", "even", r"'even': must be balanced or spread"),
-    ("mission[0].morph.legs", [0.4, -1, 1], r"mission[0].morph.legs[1] = -1: must be at "),
     ("mission[2].morph.polygon", None, r"None: must be a list"),
-    ("mission[3].move_vertex.vertex", 3, r"3: must be from"),
-    ("mission[3].move_vertex.by", [-2, 1], r"[-2.0, 1.0]: must "),
-    ("mission[3].move_vertex.to", [2, 2],
-     r"[2.0, 2.0]: must be given where by is not, and only there"),
     ("mission[3].move_vertex.blend", 1, r"1: must be true or"),
-    ("mission[3].move_vertex.blend", True, r"mission[3].move_vertex.duration = 3.5: must be"),
-    ("mission[5].adjust.blend", True, r"True: must be false befor"),
-    ("mission[6].follow_vertex.path", [[0, 2, 1]],
-     r"[[0.0, 2.0, 1.0]]: must be a path whose times increase"),
-    ("mission[7].transport.to[0]", 1000000.0,
-     r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
-    ("mission[1]", {"hodl": 1}, r"mission[1].hodl = 1: must be a known key; did you mean hold?"),
-    ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
-    ("arena.upper", [5, 4, 0.1], r"[5.0, 4.0, 0.1]: must be greater than lower"),
-    ("mission[7].transport.to[2]", 1000000.0, r"7].transport.to = [2.0, 1.2, 1000000.0]: must be"),
+    ("mission[7].transport.to[0]", 1e6, r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
     ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be at most"),
-    ("title", "a\nb", r"'a\nb': must be printable text on one line; remove"),
+    ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of title, team"),
 ]
@@ -242,7 +212,6 @@ def test_all_faults_are_told_in_one_go_and_a_flood_is_cut() -> None:
     keys = ["team.robot", "limits.speed", "mission[1].hold.seconds"]
     assert [error.key for error in caught.value.errors] == keys
     assert str(caught.value).splitlines() == [str(error) for error in caught.value.errors]
-    assert caught.value.key == "team.robot"
     data = changed(["mission"], [{"hold": {"seconds": -k}} for k in range(1, 501)])
     with pytest.raises(JointInputError) as caught:
         problem_from_dict(data)
@@ -254,9 +223,8 @@ def test_all_faults_are_told_in_one_go_and_a_flood_is_cut() -> None:
 def test_sizes_are_refused_before_memory_is_spent() -> None:
     tracemalloc.start()
     try:
-        for robots in (10_001, 10**9, 10**18):
-            with pytest.raises(InputError, match=r"team\.robots = 1\d+: must be at most 10000"):
-                problem_from_dict(changed(["team", "robots"], robots))
+        with pytest.raises(InputError, match=r"team\.robots = 1\d+: must be at most 10000"):
+            problem_from_dict(changed(["team", "robots"], 10**18))
         with pytest.raises(InputError, match="values in all"):
             problem_from_dict(changed(["team", "tension"], np.broadcast_to(0.4, (10**9,))))
         _, peak = tracemalloc.get_traced_memory()
@@ -294,7 +262,7 @@ values = st.one_of(
     st.just(np.ones((3, 2))),
 )
 
-ACTIONS = ["set", "drop", "add", "twice"]
+ACTIONS = ["set", "drop", "add"]
 mutation = st.tuples(st.sampled_from(list(paths_of(triangle()))), st.sampled_from(ACTIONS), values)
 
 
@@ -309,10 +277,10 @@ def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, 
                 place[path[-1]] = value
             elif action == "drop":
                 del place[path[-1]]
-            elif action == "add" and isinstance(place, dict):
+            elif isinstance(place, dict):
                 place[f"{path[-1]}s"] = value
-            elif isinstance(place, list):
-                place.append(place[-1] if action == "twice" else value)
+            else:
+                place.append(value)
     return dict(data)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from plans import PROBLEMS
-from problem_cases import BAD, GOOD, INFEASIBLE, TEMPLATE, VALIDATOR, header, triangle
+from plans import BAD, GOOD, INFEASIBLE, PROBLEMS, header
+from problem_cases import TEMPLATE, VALIDATOR, triangle
 from ruamel.yaml import YAML
 
 from hitchopt.errors import FileError, HitchoptError, InputError

@@ -36,14 +36,10 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
     assert [p.formed for p in plan.phases] == [False] * 5 + [True] * 5 + [False] * 4
     assert [p.step for p in plan.phases] == [0] * 6 + [1, 2, 3] + [4] * 4 + [5]
     assert plan.certificate.certified
-    order = [check.name for check in plan.certificate.checks]
-    assert order.index("span") == order.index("cable_length") + 1
-    assert order.index("interlacing") == order.index("continuity") + 1
     assert plan.certificate["interlacing"].worst == 0.0
-    start, end = plan.at(0.0), plan.at(plan.duration)
-    for state in (start, end):
-        assert not state.formed
-        np.testing.assert_allclose(state.positions[:, 2], 0.0, atol=1e-12)
+    ends = plan.at([0.0, plan.duration])
+    assert not np.any(ends.formed)
+    np.testing.assert_allclose(ends.positions[..., 2], 0.0, atol=1e-12)
     tensions = plan.at(np.array([p.end for p in plan.phases if p.name in {"tension", "hold"}]))
     np.testing.assert_allclose(tensions.tensions, 0.4, atol=1e-12)
 
@@ -55,12 +51,11 @@ def test_a_saved_plan_knows_its_hitch_and_roles(tmp_path: Path) -> None:
     times = [float(row.split(",")[0]) for row in rows]
     formed = [phase for phase in plan.phases if phase.formed]
     assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
-    read, roles = ho.load(tmp_path).motion, plan.motion.assignment
+    roles = plan.motion.assignment
     assert roles is not None
-    assert (read.phases, read.assignment) == (plan.motion.phases, roles)
     told = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
     assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == told
-    assert json.loads(str(np.load(tmp_path / "plan.npz")["settings"]))["assignment"] == told
+    assert ho.load(tmp_path).motion.assignment == roles
 
 
 def test_drones_start_where_the_robots_of_their_roles_are() -> None:
@@ -106,9 +101,9 @@ def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
         arena = ho.Arena([-3, -3, low], [3, 3, 3])
         landed = ho.land(TEAM, HIGH, HIGH * MIRROR, arena=arena)
         assert [p.name for p in landed.phases] == ["land"]
-        end = landed.at(landed.duration).positions
-        np.testing.assert_allclose(end[:, :2], landed.at(0.0).positions[:, :2], atol=1e-12)
-        np.testing.assert_allclose(end[:, 2], low, atol=1e-12)
+        expected = landed.at(0.0).positions
+        expected = np.column_stack([expected[:, :2], np.full(6, low)])
+        np.testing.assert_allclose(landed.at(landed.duration).positions, expected, atol=1e-12)
         assert landed.certificate["arena"].worst == pytest.approx(0.0, abs=1e-11)
         assert landed.certificate["arena"].holds
 
@@ -131,29 +126,24 @@ def test_steps_last_as_long_as_they_are_given() -> None:
 
 def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
     """Straight ways would tangle: cables are drawn together and carried around each other."""
-    rng = np.random.default_rng(1)
-    middles = np.column_stack([1.6 * (np.arange(4) % 2), 1.6 * (np.arange(4) // 2), np.zeros(4)])
-    angles = rng.uniform(-np.pi, np.pi, 4)
+    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, 4)
     arms = 0.5 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)])
-    middles = middles[[0, 3, 1, 2]]
+    middles = 1.6 * np.array([[0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1, 0]])
     square = [[0.3, 1.3], [1.3, 1.3], [1.3, 0.3], [0.3, 0.3]]
     plan = ho.form(ho.Team(4, 2.0), middles - arms, middles + arms, square, 1.5, assign="fixed")
     names = [phase.name for phase in plan.phases]
     assert plan.motion.assignment == Assignment((0, 1, 2, 3), (False,) * 4)
     assert names[:5] == ["take-off", "gather", "turn", "approach", "open"]
     assert plan.certificate["interlacing"].worst == 0.0
-    assert plan.certificate["cable_clearance"].bound >= 0.1
 
 
 @pytest.mark.parametrize(
     ("q", "r", "keys", "binds"),
     [
         (LINES * [1, 0.05, 1], LINES * [-1, 0.05, 1], {}, "separation"),
-        (LINES * [2.1, 1, 1], LINES * [-2.1, 1, 1], {}, "span"),
         (LINES * [1, 0.5, 1], LINES[::-1] * [-1, 0.5, 1], {}, "crossing"),
         (LINES, LINES * MIRROR, {"legs": [0.05, 0.7, 0.7]}, "legs"),
         (LINES, LINES * MIRROR, {"limits": ho.Limits(tilt=0.1)}, "tilt"),
-        (LINES, LINES * MIRROR, {"arena": ho.Arena([-3, -3, 0], [3, 3, 1.6])}, "arena"),
     ],
 )
 def test_what_binds_at_the_start_or_later_is_named(
@@ -177,11 +167,9 @@ def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused(
 
 @pytest.mark.parametrize(("low", "altitude"), [(0.0, -1.0), (-1.0, 1.2)])
 def test_nobody_flies_below_the_ground(low: float, altitude: float) -> None:
+    """Which is where an arena has its floor."""
     below = [0.0, 0.0, low]
     with pytest.raises(ho.InfeasibleError, match="over the ground"):
         forming(LINES + below, LINES * MIRROR + below, altitude=altitude)
-
-
-def test_an_arena_may_have_a_lower_floor() -> None:
-    below, arena = [0.0, 0.0, -3.0], ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
+    arena, below = ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0]), [0.0, 0.0, -3.0]
     forming(LINES + below, LINES * MIRROR + below, altitude=-1.0, arena=arena)
