@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from clasp_balance import random_outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,8 +18,6 @@ from hitchopt.hitch.leg_program import (
     CROSSING,
     SEPARATION,
     Parts,
-    QuadraticProgram,
-    solve_qp,
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import split_hitch
@@ -58,11 +55,8 @@ def margin(h: Hitch) -> float:
 @pytest.mark.parametrize("length", [2.0, 2.2, 2.4, 2.6])
 def test_spread_is_the_nearest_to_balanced_of_all_on_a_grid(length: float) -> None:
     hitch = Hitch.spread(Team(3, length), TRIANGLE)
-    p, u, slack = (
-        hitch.vertices,
-        np.pad(hitch.polygon.edge_directions, ((0, 0), (0, 1))),
-        hitch.slack,
-    )
+    p, slack, u = hitch.vertices, hitch.slack, hitch.polygon.edge_directions
+    u = np.pad(u, ((0, 0), (0, 1)))
     axes = [np.linspace(0.151, s - 0.151, 46) for s in slack]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     q = p + grid[..., None] * np.roll(u, 1, axis=0)
@@ -87,21 +81,19 @@ def test_moving_turning_renumbering_and_mirroring_move_the_legs_along(
     outline: Any = random_outline(seed, n, topology)
     lengths = outline.edge_lengths + np.random.default_rng(seed).uniform(0.8, 1.0, n)
 
-    def spread(lengths: Array, outline: Any) -> Hitch:
-        return Hitch.spread(Team(n, lengths, topology=topology), outline)
+    def spread(lengths: Array, outline: Any) -> Array:
+        return Hitch.spread(Team(n, lengths, topology=topology), outline).legs
 
     first = spread(lengths, outline)
     moved = spread(lengths, outline.rotated(angle).translated([1.0, 2.0]))
-    np.testing.assert_allclose(moved.q_legs, first.q_legs, atol=1e-3)
+    np.testing.assert_allclose(moved, first, atol=1e-3)
     if closed:
         renumbered = spread(np.roll(lengths, -2), outline.renumbered(2))
-        np.testing.assert_allclose(renumbered.q_legs, np.roll(first.q_legs, -2), atol=1e-3)
+        np.testing.assert_allclose(renumbered, np.roll(first, -2, axis=0), atol=1e-3)
     # In the mirror image edge k becomes edge n-2-k, of a chain n-1-k, and q becomes r.
     order = (n - 2 - np.arange(n)) % n if closed else np.arange(n)[::-1]
     mirrored = spread(lengths[order], outline.mirrored())
-    np.testing.assert_allclose(mirrored.legs, first.legs[order, ::-1], atol=1e-3)
-    swapped = first.drones.reshape(n, 2, 3)[order, ::-1].reshape(-1, 3) * [-1.0, 1.0, 1.0]
-    np.testing.assert_allclose(mirrored.drones, swapped, atol=1e-3)
+    np.testing.assert_allclose(mirrored, first[order, ::-1], atol=1e-3)
 
 
 def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -> None:
@@ -167,67 +159,37 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
 
 
 def test_spread_slides_the_free_legs_only() -> None:
-    """A sharp clasp: balanced legs would stand too close, as in the paper's triangle."""
+    """Of a chain with a sharp clasp, as in the paper's triangle."""
     team = Team(4, [2.0, 2.4, 2.4, 2.1], topology="open")
     points = [[0.45, 1.7], [0.4, 0.5], [0.0, -1.0], [-0.4, 0.5], [-0.45, 1.7]]
-    near = Hitch.balanced(team, points)
-    far = Hitch.spread(team, points)
-
-    def closest(h: Hitch) -> float:
-        i, j = np.triu_indices(8, 1)
-        return float(np.min(np.linalg.norm(h.drones[i] - h.drones[j], axis=1))) / 0.24
-
-    assert closest(near) < 1.5
-    assert closest(far) > closest(near)
+    near, far = Hitch.balanced(team, points), Hitch.spread(team, points)
+    i, j = np.triu_indices(8, 1)
+    closest = [
+        np.min(np.linalg.norm(h.drones[i] - h.drones[j], axis=1)) / 0.24 for h in (near, far)
+    ]
+    assert closest[0] < min(1.5, closest[1])
     np.testing.assert_array_equal(far.legs[[0, 3]], near.legs[[0, 3]])
 
 
-def test_a_chain_too_near_itself_is_shared_as_well_as_it_goes() -> None:
-    """No margin can be had where the ends themselves stand too close: the rest is still shared."""
-    team = Team(4, 2.4, topology="open")
-    points = [[0.0, 0.0], [-0.4, 1.2], [0.6, 1.9], [1.5, 1.1], [0.2, -0.02]]
-    h = Hitch.spread(team, points, separation=Separation(radius=0.12))
-    assert np.linalg.norm(h.drones[0] - h.drones[-1]) < 0.24
-    assert np.min(h.legs[h.team.layout.has_leg]) >= 0.15
-
-
-@pytest.mark.parametrize("n", [6, 12, 24])
-def test_hitches_whose_level_legs_keep_their_limits_are_not_rolled(n: int) -> None:
-    h = Hitch.spread(Team(n, 2.2), regular_polygon(n, 1.3))
-    np.testing.assert_array_equal(h.roll, 0.0)
-    np.testing.assert_array_equal(h.drones[:, 2], 1.0)
-    assert margin(h) >= 1.0
-
-
-@pytest.mark.parametrize("n", [29, 50, 200])
+@pytest.mark.parametrize("n", [24, 29, 50, 200])
 def test_large_regular_hitches_get_the_smallest_roll_that_clears_their_edges(n: int) -> None:
     """``d √(1 - (q̂·u)²)`` from its own edge, at 1.5 times the limit, by the closed form."""
     team, polygon = Team(n, 2.2), regular_polygon(n, 1.3).translated([3.0, -2.0])
-    h = Hitch.spread(team, polygon)
-    assert np.ptp(h.roll) == 0.0
-    assert margin(h) >= 1.5 - 1e-6
-    phi = 2.0 * math.pi / n
-    d = 0.45
+    h, phi = Hitch.spread(team, polygon), 2.0 * math.pi / n
 
     def clearance(roll: float) -> float:
         # The legs are at half of the interior angle from V and turn about it.
         along = math.cos(0.5 * phi) ** 2 * math.cos(roll) - math.sin(0.5 * phi) ** 2
-        return d * math.sqrt(1.0 - along**2)
+        return 0.45 * math.sqrt(1.0 - along**2)
 
-    assert clearance(0.0) < 0.1
+    if clearance(0.0) >= 0.1:
+        np.testing.assert_array_equal(h.roll, 0.0)
+        assert margin(h) >= 1.0
+        return
+    assert np.ptp(h.roll) == 0.0
+    assert margin(h) >= 1.5 - 1e-6
     assert clearance(h.roll[0]) == pytest.approx(0.15, abs=2e-3)
-    level = Hitch.balanced(team, polygon)
-    assert margin(level) < 1.0
-
-
-def test_a_thousand_robots_are_rolled_in_linear_time() -> None:
-    h = Hitch.spread(Team(1000, 2.2), regular_polygon(1000, 1.3))
-    assert 0.2 < h.roll[0] < 0.4
-    own = h.drones[0::2] - h.vertices
-    edges = np.roll(h.vertices, -1, axis=0) - h.vertices
-    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
-    aside = own - np.sum(own * edges, axis=1, keepdims=True) * edges
-    assert np.min(np.linalg.norm(aside, axis=1)) >= 0.15 - 1e-6
+    assert margin(Hitch.balanced(team, polygon)) < 1.0
 
 
 @pytest.mark.slow
@@ -280,19 +242,17 @@ def test_what_a_user_may_write_for_the_roll() -> None:
     listed = rolled({"sharing": "balanced", "roll_deg": [0.0, 10.0, -10.0, 5.0]})
     np.testing.assert_allclose(np.degrees(listed.roll), [0.0, 10.0, -10.0, 5.0])
     given = rolled({"sharing": [0.4, 0.5, 0.5, 0.6], "roll_deg": "auto"})
-    np.testing.assert_array_equal(given.roll, 0.0)
-    np.testing.assert_array_equal(given.q_legs, [0.4, 0.5, 0.5, 0.6])
+    np.testing.assert_array_equal([given.roll, given.q_legs], [[0.0] * 4, [0.4, 0.5, 0.5, 0.6]])
     np.testing.assert_array_equal(rolled(RolledLegs("spread", np.full(4, 0.3))).roll, 0.3)
-    wrong: list[tuple[dict[str, object], str]] = [
+    for legs, words in (
         ({"roll_deg": "up"}, r"legs\.roll_deg = 'up'"),
         ({"roll_deg": 90.0}, r"legs\.roll_deg = 90"),
         ({"roll_deg": [1.0, 2.0]}, r"legs\.roll_deg.*one per clasp"),
         ({"roll": 0.1}, r"legs\.roll = 0.1"),
         ({"sharing": "even"}, "legs = 'even'"),
-    ]
-    for legs, words in wrong:
+    ):
         with pytest.raises(InputError, match=words):
-            slack_split(legs, team)
+            slack_split(legs, team)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0])
@@ -303,14 +263,3 @@ def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
     given: dict[str, Any] = {"limits": limits, "separation": separation, "roll": sense * least}
     following = Hitch.nearest(team, polygon, 1.0, np.full(29, 0.5), **given)
     assert np.all(sense * following.roll > least)
-
-
-def test_rows_of_programs_may_be_stored_in_any_order_and_hold_zeros() -> None:
-    """The point nearest to (3, 2, 1) with ``x0 + 2 x1 <= 4`` and ``x2 >= 2`` is (2.4, 0.8, 2)."""
-    data, rows = np.array([1.0, 0.0, 0.0, 2.0, 1.0]), np.array([0, 1, 1, 0, 1])
-    A = sp.csc_array((data, rows, np.array([0, 2, 4, 5])), shape=(2, 3))
-    assert not A.has_sorted_indices
-    q, bounds = np.array([-3.0, -2.0, -1.0]), (np.array([-np.inf, 2.0]), np.array([4.0, np.inf]))
-    x = solve_qp(QuadraticProgram(sp.csc_array(np.eye(3)), q, A, *bounds))
-    assert x is not None
-    assert x == pytest.approx([2.4, 0.8, 2.0], abs=1e-6)
