@@ -128,15 +128,10 @@ def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) ->
     assert apart - 2.2e-3 <= check(flown, "support").bound <= apart
 
 
-def shares(motion: Motion, value: float) -> PiecewisePolynomial:
-    assert motion.borne is not None
-    return PiecewisePolynomial(motion.borne.breaks, value * motion.borne.coefficients)
-
-
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        (lambda m: replace(m, borne=shares(m, 0.5)), "support"),
+        (lambda m: replace(m, borne=m.borne.alike(0.5 * m.borne.coefficients)), "support"),
         (lambda m: replace(m, borne=None), "support"),
         (lambda m: replace(m, phases=tuple(replace(p, hold=None) for p in m.phases)), "support"),
         (lambda m: replace(m, poses=moved(m.object_poses, [0.2, 0, 0, 0, 0])), "support"),
@@ -193,15 +188,13 @@ def test_a_flat_tray_is_carried_from_below_and_what_is_in_the_way_is_named() -> 
     tray = list(flat.motion.requirements.objects).index("tray")
     carry = next(phase for phase in flat.phases if phase.name == "carry")
     there = flat.at(np.linspace(carry.start, carry.end, 40))
-    places = there.object_poses[:, tray, None, :3]
-    assert np.all(there.vertices[..., 2] <= places[..., 2] + 1e-6)
-    assert np.all(np.linalg.norm((there.vertices - places)[..., :2], axis=-1) < 0.33)
+    below = there.object_poses[:, tray, None, :3] - there.vertices
+    assert np.all(below[..., 2] >= -1e-6)
+    assert np.all(np.linalg.norm(below[..., :2], axis=-1) < 0.33)
     end = flat.at(flat.duration).object_poses[tray, :3]
     assert end == pytest.approx([0.2, 1.8, 0.5], abs=1e-6)
     given: Any = read_yaml(PROBLEMS / "carry_tray.yaml")
     given["objects"]["pillar"]["circle"] = 0.3
-    with pytest.raises(ho.InfeasibleError) as caught:
+    words = r"^object_clearance: 0 m is below the limit of 0\.035 m at .*pillar"
+    with pytest.raises(ho.InfeasibleError, match=words):
         ho.solve(any_problem_from_dict(given))
-    broken = caught.value.violations[0]
-    assert (broken.constraint, broken.value, broken.limit) == ("object_clearance", 0.0, 0.035)
-    assert "pillar" in broken.where
