@@ -189,7 +189,7 @@ def borne_before(motion: Motion) -> Motion:
         (lambda m: with_body(m, "drum", section=ho.Section(radius=RADIUS - 0.001)), "grip"),
     ],
 )
-def test_what_contradicts_the_polynomials_is_refused(
+def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], contradicted: str
 ) -> None:
     assert not check(change(motion), contradicted).holds

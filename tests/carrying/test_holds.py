@@ -116,9 +116,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("problem", "name", "words"), REFUSED)
-def test_what_cannot_be_held_is_refused_with_what_to_change(
-    problem: dict[str, Any], name: str, words: str
-) -> None:
+def test_what_cannot_be_held_is_refused(problem: dict[str, Any], name: str, words: str) -> None:
     """By the key of the file, or by the limit that binds."""
     with pytest.raises((ho.InfeasibleError, ho.InputError)) as caught:
         solved(problem)

@@ -76,7 +76,7 @@ def test_cables_carry_weight_and_inertia_gently(motion: Motion) -> None:
     assert 0.5 * GENTLE < np.max(np.linalg.norm(a[:, :2], axis=-1)) <= GENTLE + 1e-6
 
 
-def test_legs_pass_the_edge_of_the_rim_and_pull_level_with_all_of_their_tension(
+def test_legs_pass_the_rims_edge_and_pull_level_with_all_their_tension(
     motion: Motion,
 ) -> None:
     """A cable that slides over the rim's edge has one tension on both sides of it.
@@ -140,7 +140,7 @@ def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) ->
     ],
     ids=["half borne", "not borne", "not held", "elsewhere", "apart", "heavier"],
 )
-def test_what_contradicts_the_polynomials_is_refused(
+def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], name: str
 ) -> None:
     assert not check(change(motion), name).holds
@@ -166,9 +166,7 @@ def test_a_claimed_hold_lets_no_cable_through_an_object(by: HoldBy, rim: ho.Rim 
 @pytest.mark.parametrize(
     ("x", "rim", "holds"), [(0.0, 1.4, True), (0.0, 1.1, False), (5.0, 1.4, False)]
 )
-def test_clasps_of_a_hold_by_rest_are_below_the_rim_and_around(
-    x: float, rim: float, holds: bool
-) -> None:
+def test_clasps_of_a_rest_are_below_the_rim_and_around(x: float, rim: float, holds: bool) -> None:
     """Clasps that rise from 1 m to 1.3 m may claim a pole between them with a rim above."""
     changed = claimed([0.0, 0.0, 1.3], x, ho.Rim(ho.Section(radius=0.5), rim))
     for name, passes in (("support", holds), ("object_clearance", True)):

@@ -44,9 +44,7 @@ def disc_triangle(total: float) -> Array:
 @pytest.mark.parametrize("section", SECTIONS)
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10_000), n=st.integers(3, 6))
-def test_a_taut_edge_is_the_hull_of_section_and_clasps(
-    section: ho.Section, seed: int, n: int
-) -> None:
+def test_taut_edges_are_hulls_of_section_and_clasps(section: ho.Section, seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     centre, size = section.centroid, section.circumradius + np.linalg.norm(section.centroid)
     vertices = centre + regular(n, 1.0, rng.uniform(0, 6)) * size * rng.uniform(1.02, 1.9, (n, 1))
@@ -125,9 +123,7 @@ def test_the_best_grip_does_not_depend_on_the_outlines_origin() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("section", "n", "cable"), [(DISC, 3, 1.6), (BOX, 4, 0.95)])
-def test_the_best_grip_keeps_every_limit_and_no_tried_one_is_better(
-    section: ho.Section, n: int, cable: float
-) -> None:
+def test_no_tried_grip_beats_the_best_one(section: ho.Section, n: int, cable: float) -> None:
     made, rng = task(section, n, cable), np.random.default_rng(5)
     found = best_grip(made)
     assert made.shortest(found)[0] >= 0.0
@@ -151,9 +147,7 @@ NEAR_A_CORNER = np.array([[-0.164, 0.2], [0.255, 0.0], [-0.164, -0.2]])
     ("section", "polygon"),
     [(ODD, regular(3, 0.4, 0.3) * [1.02, 0.99]), (SQUARE, NEAR_A_CORNER)],
 )
-def test_moved_clasps_bear_the_load_without_a_moment(
-    section: ho.Section, polygon: Array, load: list[float]
-) -> None:
+def test_moved_clasps_bear_the_load(section: ho.Section, polygon: Array, load: list[float]) -> None:
     tensions, steps = np.array([1.3, 1.4, 1.25]), []
     clasps = np.pad(polygon, ((0, 0), (0, 1)))
 

@@ -30,9 +30,7 @@ RHO = 9.81 * 0.01
 
 @given(seeds, st.integers(3, 9), topologies, st.sampled_from(KINDS))
 @settings(max_examples=120)
-def test_clasps_balance_and_cables_have_their_length(
-    seed: int, n: int, topology: str, kind: str
-) -> None:
+def test_clasps_balance_and_cables_are_used_up(seed: int, n: int, topology: str, kind: str) -> None:
     """Written out: at every clasp half of the cables about it, and the arc of every span."""
     h = random_hitch(seed, n, topology, kind)
     T, layout, rho = h.team.tension, h.team.layout, 9.81 * h.team.cable_density

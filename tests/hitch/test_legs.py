@@ -73,9 +73,7 @@ def test_spread_is_the_nearest_to_balanced_of_all_on_a_grid(length: float) -> No
 
 @given(seeds := st.integers(0, 2**32 - 1), st.integers(3, 8), st.floats(-3.0, 3.0), st.booleans())
 @settings(max_examples=12)
-def test_moving_turning_renumbering_and_mirroring_move_the_legs_along(
-    seed: int, n: int, angle: float, closed: bool
-) -> None:
+def test_legs_move_along_with_their_hitch(seed: int, n: int, angle: float, closed: bool) -> None:
     """A search may end before it has settled: up to 0.2 mm off have been seen."""
     topology = "closed" if closed else "open"
     outline: Any = random_outline(seed, n, topology)

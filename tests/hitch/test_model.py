@@ -52,9 +52,7 @@ def test_values_are_the_hitchs_own(seed: int, n: int, topology: str, kind: str) 
 
 @given(seeds, st.integers(3, 6), topologies, kinds)
 @settings(max_examples=25)
-def test_jets_are_the_derivatives_along_a_curve(
-    seed: int, n: int, topology: str, kind: str
-) -> None:
+def test_jets_are_derivatives_along_a_curve(seed: int, n: int, topology: str, kind: str) -> None:
     """Of drones whose legs pull as their cables, and of those through whose clasps cables slide."""
     h = random_hitch(seed, n, topology, kind)
     t = 1e-3 * np.arange(-2.0, 3.0)

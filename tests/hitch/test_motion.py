@@ -81,7 +81,7 @@ def test_slowed_and_cut_motions_keep_their_phases() -> None:
         ((0.0, float("nan")), (float("nan"), 3.5)),
     ],
 )
-def test_phases_follow_one_another_and_cover_the_motion(
+def test_phases_cover_the_motion_in_order(
     spans: tuple[tuple[float, float], ...],
 ) -> None:
     phases = tuple(Phase("part", 0, start, end) for start, end in spans)

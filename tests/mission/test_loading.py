@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import math
 import tracemalloc
 from collections.abc import Iterator
@@ -104,7 +103,6 @@ PLACES: dict[str, Any] = {
 }
 
 STAY = {"hold": {"seconds": 1}}
-ARC = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
 
 
 def drones(**places: Any) -> dict[str, Any]:
@@ -122,9 +120,7 @@ def drones(**places: Any) -> dict[str, Any]:
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* list of at least 3 entries"),
     ],
 )
-def test_steps_and_starts_that_do_not_fit_are_refused(
-    changes: dict[str, Any], message: str
-) -> None:
+def test_steps_or_starts_that_do_not_fit_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         problem_from_dict({**triangle(), **changes})
 
@@ -138,37 +134,6 @@ def test_every_key_of_form_arrives() -> None:
     assert plain(found.start) == plain(ho.DronesStart(**PLACES))
     assert plain(found.mission[0]) == plain(form.fitting(found.team))
     assert [step.name for step in found.mission] == ["form", "release", "hold", "form"]
-
-
-def test_open_chains_have_one_point_more_than_robots() -> None:
-    data = copy.deepcopy(MINIMAL)
-    data["team"]["topology"] = "open"
-    with pytest.raises(InputError, match=r"start\.hitch\.polygon = '3 points': .*4 points"):
-        problem_from_dict(data)
-    data["start"]["hitch"]["polygon"] = ARC
-    assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexArc)
-
-
-LISTS: Any = [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
-
-# fmt: off
-UNFIT: list[tuple[Any, Any, str]] = [
-    (ho.DronesStart(**PLACES), ho.Form(LISTS[::-1]), "mission[0].form.polygon"),
-    (ho.DronesStart(**PLACES), ho.Form(LISTS, legs=LISTS), "mission[0].form.legs[0]"),
-    (ho.HitchStart(LISTS, 1.2), ho.Adjust("even"), "mission[0].adjust.legs"),  # type: ignore[arg-type]
-    (ho.HitchStart(LISTS, 1.2), ho.Morph([[1], [1, 2]]), "mission[0].morph.polygon"),  # type: ignore[arg-type]
-    (ho.HitchStart([[1], [1, 2]], 1.2), ho.Hold(1.0), "start.hitch.polygon"),  # type: ignore[arg-type]
-]
-# fmt: on
-
-
-@pytest.mark.parametrize(("start", "step", "key"), UNFIT)
-def test_lists_that_are_no_outline_are_refused_with_their_key(
-    start: Any, step: Any, key: str
-) -> None:
-    with pytest.raises(InputError) as caught:
-        ho.Problem(ho.Team(3, 2.4), start, (step,))
-    assert caught.value.key == key
 
 
 # fmt: off
@@ -192,7 +157,7 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
 
 
 @pytest.mark.parametrize(("key", "value", "message"), FAULTS, ids=[f[2][:40] for f in FAULTS])
-def test_a_fault_is_told_with_path_value_bound_and_remedy(
+def test_faults_are_told_with_place(
     key: str | list[str | int], value: object, message: str
 ) -> None:
     with pytest.raises(InputError) as caught:
@@ -251,36 +216,32 @@ def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str 
 
 
 ODD = [0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x", object()]
-KEYS = ["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]
+
+
 inner: st.SearchStrategy[Any] = st.none() | st.floats() | st.just({}) | st.just({"seconds": 1})
 values = st.one_of(
-    *(st.none(), st.booleans(), st.integers(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
+    *(st.none(), st.booleans(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
     *(st.integers(10**300, 10**310), st.sampled_from(ODD), st.text(max_size=8)),
     st.lists(st.floats() | st.integers(-3, 3), max_size=4),
     st.lists(st.lists(st.floats(-3, 3), min_size=2, max_size=2), min_size=3, max_size=5),
-    st.dictionaries(st.sampled_from(KEYS), inner, max_size=2),
-    st.just(np.ones((3, 2))),
+    st.dictionaries(st.sampled_from(["morph", "mass", "q", "hitch", "é\n"]), inner, max_size=2),
 )
-
-ACTIONS = ["set", "drop", "add"]
-mutation = st.tuples(st.sampled_from(list(paths_of(triangle()))), st.sampled_from(ACTIONS), values)
+mutation = st.tuples(
+    st.sampled_from(list(paths_of(triangle()))), st.sampled_from(["set", "drop", "add"]), values
+)
 
 
 def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, Any]:
     data: Any = triangle()
-    for path, action, value in changes:
+    for (*parents, last), action, value in changes:
         place = data
         with contextlib.suppress(LookupError, TypeError, ValueError):  # removed by now
-            for part in path[:-1]:
+            for part in parents:
                 place = place[part]
-            if action == "set":
-                place[path[-1]] = value
-            elif action == "drop":
-                del place[path[-1]]
-            elif isinstance(place, dict):
-                place[f"{path[-1]}s"] = value
+            if action == "drop":
+                del place[last]
             else:
-                place.append(value)
+                place[last if action == "set" else f"{last}s"] = value
     return dict(data)
 
 
@@ -296,17 +257,8 @@ def test_a_changed_problem_is_valid_by_the_schema_or_a_told_error(changes: Any) 
     if isinstance(answer, ho.Problem):
         assert len(hitch_start(answer).polygon) == answer.team.robots
         assert np.all(np.isfinite(hitch_start(answer).polygon.vertices))
-        VALIDATOR.validate(_listed(data))
-    elif isinstance(answer, InputError):
-        assert answer.key
-        assert answer.remedy
+        VALIDATOR.validate(data)
+        return
+    assert not isinstance(answer, InputError) or (answer.key and answer.remedy)
     assert len(str(answer)) < 20_000
     str(answer).encode("utf-8")  # a terminal can show it
-
-
-def _listed(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _listed(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_listed(value) for value in data]
-    return data.tolist() if isinstance(data, np.ndarray) else data

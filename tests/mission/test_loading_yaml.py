@@ -70,9 +70,7 @@ REFUSED: list[tuple[str, type[HitchoptError], str]] = [
 
 
 @pytest.mark.parametrize(("text", "kind", "words"), REFUSED, ids=range(len(REFUSED)))
-def test_other_yaml_is_refused_with_line_and_column_or_key(
-    text: str, kind: type[HitchoptError], words: str
-) -> None:
+def test_other_yaml_is_refused_by_place(text: str, kind: type[HitchoptError], words: str) -> None:
     with pytest.raises(kind) as caught:
         parse_yaml(text)
     assert words in str(caught.value)

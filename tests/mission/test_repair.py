@@ -173,7 +173,7 @@ def test_what_can_be_met_needs_no_repair_and_what_nothing_mends_is_refused_as_be
 
 
 @pytest.mark.slow
-def test_a_grip_that_slips_is_given_a_lighter_or_a_rougher_object(
+def test_a_slipping_grip_gets_a_lighter_or_rougher_object(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("hitchopt.mission.repair.SIZES", (1.5,))  # what is needed comes first
@@ -236,7 +236,7 @@ TEAM = ho.Team(
         (lambda p: outlines_scaled(p, 0.9), ""),
     ],
 )
-def test_a_repaired_problem_has_every_field(
+def test_repaired_problems_have_every_field(
     edit: Callable[[ho.Problem], Any], changed: str
 ) -> None:
     """And so has a team whose robots are renumbered."""

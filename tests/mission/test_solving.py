@@ -126,7 +126,7 @@ def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
     assert ho.morph(start, goal, optimize=True, duration=3.0).duration == 3.0
 
 
-def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
+def test_a_shut_way_is_gone_round_or_the_refusal_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     start = ho.Hitch.spread(ho.Team(4, 2.4), SQUARE)

@@ -146,9 +146,7 @@ def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
         (LINES, LINES * MIRROR, {"limits": ho.Limits(tilt=0.1)}, "tilt"),
     ],
 )
-def test_what_binds_at_the_start_or_later_is_named(
-    q: Array, r: Array, keys: dict[str, Any], binds: str
-) -> None:
+def test_what_binds_is_told_with_time(q: Array, r: Array, keys: dict[str, Any], binds: str) -> None:
     with pytest.raises(ho.InfeasibleError) as told:
         forming(q, r, **keys)
     when = "step 0" if keys else "at the start (t = 0)"

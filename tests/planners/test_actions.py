@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from refusals import assert_refused
 
 import hitchopt as ho
-from hitchopt.planners.morph.actions import vertex_track
 
 SHAPES = {3: (1.4, 2.5), 4: (1.1, 2.1), 5: (1.3, 2.0), 6: (1.3, 2.0), 9: (1.3, 2.0)}
 """Edge and shortest cable [m] of regular hitches in which drones keep well apart."""
@@ -182,21 +176,6 @@ def test_a_limit_that_binds_on_the_way_only_lets_cables_slide_there(far: float) 
     np.testing.assert_allclose([ends.velocities, ends.accelerations], 0.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("action", "given", "key", "words"),
-    [
-        (ho.move_vertex, {"vertex": 5, "by": [0.0, 0.1]}, "vertex", "5: must be from 0 to 4"),
-        (ho.move_vertex, {"vertex": 0}, "to", "None: must be given where by is not"),
-        (ho.move_edge, {"edge": 0, "to": [1.0, 1.0]}, "to", "must be two points"),
-        (ho.transport, {"to": [1.0, 1.0, 1.0], "yaw": math.nan}, "yaw", "nan: must be finite"),
-    ],
-)
-def test_wrong_arguments_are_told_by_their_own_names(
-    action: Callable[..., object], given: dict[str, Any], key: str, words: str
-) -> None:
-    assert_refused(lambda: action(uneven(5), **given), key, words)
-
-
 START = ho.Hitch(
     ho.Team(5, [2.0, 2.05, 2.1, 2.0, 2.02]),
     ho.regular_polygon(5, 1.3, angle=1.2).translated([-2.0, 0.7]),
@@ -220,26 +199,6 @@ def test_points_are_met_at_their_times_and_standing_stands() -> None:
     assert np.max(np.abs(plan.at(2.0).velocities)) > 0.01  # passed, not stopped at
     others = np.delete(plan.at(np.linspace(0.0, 9.0, 200)).vertices, K, axis=1)
     np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 8))
-@settings(max_examples=30)
-def test_between_rests_no_wiggle_of_the_track_has_less_jerk(seed: int, count: int) -> None:
-    """Adding what vanishes at the points, and with two derivatives at the ends, only adds jerk."""
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(rng.uniform(0.5, 1.5, count))
-    places = rng.normal(size=(count, 2))
-    track = vertex_track(times, places)
-    np.testing.assert_allclose(track.at(times), places, atol=1e-9)
-    t, span = np.linspace(times[0], times[-1], 4001), times[-1] - times[0]
-    x = (t - times[0]) / span
-    rest = np.poly1d([1.0, -1.0, 0.0]) ** 3  # x³(x-1)³
-    wiggle = rest * np.poly1d((times[1:-1] - times[0]) / span, r=True)
-    bump = wiggle.deriv(3)(x) / (np.max(np.abs(wiggle(x))) * span**3)
-    jerk = track.at(t, 3)
-    least = np.trapezoid(np.sum(jerk**2, axis=1), t)
-    for size in (-0.1, 0.01, 0.1):
-        assert np.trapezoid((jerk[:, 0] + size * bump) ** 2 + jerk[:, 1] ** 2, t) > least
 
 
 def test_points_that_cannot_be_met_are_told() -> None:

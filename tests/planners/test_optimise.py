@@ -35,9 +35,7 @@ def ends(team: Team, first: ConvexPolygon, last: ConvexPolygon) -> tuple[Hitch, 
 
 @given(st.integers(0, 2**32 - 1), st.integers(3, 12))
 @settings(max_examples=25)
-def test_guesses_join_the_ends_and_turning_the_edges_keeps_polygons_convex(
-    seed: int, n: int
-) -> None:
+def test_guesses_join_the_ends_and_those_by_edges_stay_convex(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     first = random_convex_polygon(n, 1.2, rng)
     last = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))

@@ -23,11 +23,9 @@ from problems.swarm import antipodal_circle
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
 
 
-def prism(
-    x: float, y: tuple[float, float], lower: float, upper: float, width: float = 0.2
-) -> Prism:
+def prism(x: float, y: tuple[float, float], lower: float, upper: float, size: float = 0.2) -> Prism:
     low, high = y
-    outline = [[x, low], [x, high], [x + width, high], [x + width, low]]
+    outline = [[x, low], [x, high], [x + size, high], [x + size, low]]
     return Prism(outline, lower, upper)
 
 

@@ -124,9 +124,7 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     ],
 )
 @pytest.mark.parametrize("n", [3, 5])
-def test_limits_hold_one_binds_and_the_duration_is_near_the_optimum(
-    limits: Limits, binding: str, n: int
-) -> None:
+def test_one_limit_binds_near_the_optimal_duration(limits: Limits, binding: str, n: int) -> None:
     start, goal = ends(n, 10 + n, limits)
     loose = Separation(radius=0.01, height=0.01, cable=0.0, crossing=0.0)
     plan = ho.morph(start, goal.polygon, goal.q_legs, limits=limits, separation=loose)
