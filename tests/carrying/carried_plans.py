@@ -74,11 +74,6 @@ def check(motion: Motion, name: str) -> Check:
     return found
 
 
-def unit(vectors: Array) -> Array:
-    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / lengths
-
-
 def lifted(motion: Motion) -> Array:
     """Times at which the object is off its support."""
     lift, down = (next(p for p in motion.phases if p.name == n) for n in ("lift", "set_down"))

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import DRUM, RADIUS, check, drum, lifted, moved, plan, unit, with_body
+from carried_plans import DRUM, RADIUS, check, drum, lifted, moved, plan, with_body
+from clasp_balance import unit
 from scipy.optimize import brentq
 
 import hitchopt as ho

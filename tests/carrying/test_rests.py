@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import MASS, TO, check, lifted, moved, plan, unit, with_body
+from carried_plans import MASS, TO, check, lifted, moved, plan, with_body
+from clasp_balance import unit
 from plans import PROBLEMS, planned
 
 import hitchopt as ho

@@ -118,25 +118,6 @@ def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> 
     assert margin(hitch) >= 0.9
 
 
-@pytest.mark.parametrize("topology", ["closed", "open"])
-def test_near_pairs_are_those_that_all_pairs_in_all_frames_show(topology: str) -> None:
-    rng = np.random.default_rng(5)
-    found = Parts.of(6, topology)
-    middles = rng.normal(size=(1, len(found.nodes), 2)) + 0.3 * rng.normal(size=(7, 1, 2))
-    middles += 0.1 * rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
-    sizes = rng.uniform(0.0, 0.3, middles.shape)
-    limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
-    near = found.near(middles - sizes, middles + sizes, limits, 0.4)
-    i, j = np.triu_indices(len(found.nodes), 1)
-    gaps = np.abs(middles[:, i] - middles[:, j]) - sizes[:, i] - sizes[:, j]
-    kind = found.kind(i, j)
-    close = np.linalg.norm(np.maximum(gaps, 0.0), axis=-1) <= 0.4
-    frame, pair = np.nonzero(close & ((kind == SEPARATION) | (kind == CABLE)))
-    expected = zip(frame, i[pair], j[pair], kind[pair], strict=True)
-    assert sorted(zip(*near, strict=True)) == sorted(expected)
-    assert 100 < len(frame) < 7 * len(i) / 2
-
-
 @pytest.mark.parametrize("n", [3, 4, 7])
 def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
     """By names of parts and sets of clasps, not by indices."""

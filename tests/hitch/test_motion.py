@@ -1,4 +1,4 @@
-"""Motions in parts: where a hitch exists, and swarms that have none."""
+"""Motions in parts, and their states: attitudes and body rates by scipy and by differences."""
 
 from __future__ import annotations
 
@@ -7,13 +7,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from plans import planned
+from scipy.spatial.transform import Rotation
 
+import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
+from hitchopt.motion.states import attitudes, states_at
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
 POINTS = np.array([[0.3, 0.1], [0.6, 1.4], [1.7, 0.6]])
@@ -105,3 +110,73 @@ def test_cables_change_their_state_at_a_break_and_have_one() -> None:
         replace(motion, phases=late)
     with pytest.raises(InputError, match=r"phases\.state"):
         replace(motion, phases=(*motion.phases[:3], replace(others[1], state=CableState.NONE)))
+
+
+def random_jets(seed: int, count: int = 40) -> tuple[Array, Array]:
+    """Thrusts (count, 3) [N] that point upward, and their derivatives [N/s]."""
+    rng = np.random.default_rng(seed)
+    thrusts = rng.normal(size=(count, 3)) + [0.3, -0.2, 0.0]
+    thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
+    return thrusts, 3.0 * rng.normal(size=(count, 3))
+
+
+def rotation_of(quaternions: Array) -> Rotation:
+    return Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
+def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(yaw: float) -> None:
+    (thrusts, rates), h = random_jets(1), 1e-6
+    found = attitudes(thrusts, rates, yaw)
+    turned = rotation_of(found.quaternions)
+    along = thrusts / np.linalg.norm(thrusts, axis=-1, keepdims=True)
+    np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), along, atol=1e-14)
+    np.testing.assert_allclose(turned.as_euler("ZYX")[:, 0], yaw, atol=1e-13)
+    assert np.all(found.quaternions[:, 0] >= 0.0) or abs(yaw) > 1.0
+    np.testing.assert_allclose(np.linalg.norm(found.quaternions, axis=-1), 1.0, rtol=1e-14)
+    before, after = (
+        rotation_of(attitudes(thrusts + step * rates, rates, yaw).quaternions) for step in (-h, h)
+    )
+    by_differences = (before.inv() * after).as_rotvec() / (2.0 * h)
+    np.testing.assert_allclose(by_differences, found.body_rates, rtol=1e-6, atol=1e-6)
+
+
+def hitched() -> Motion:
+    team = ho.Team(3, cable_length=[2.3, 2.5, 2.4], tension=[0.4, 0.5, 0.45], cable_density=0.004)
+    start = ho.Hitch.spread(team, [[0.1, -1.0], [-0.4, 0.5], [0.5, 0.5]], altitude=1.2)
+    return ho.morph(start, [[0.1, -0.5], [-0.4, 0.6], [0.5, 0.5]]).motion
+
+
+@pytest.mark.parametrize("formed", [False, True])
+def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
+    """A morph, and a hitch being formed of cables with weight: hanging, tightened, hitched."""
+    motion = planned("form_hanging_to_the_floor").motion if formed else hitched()
+    breaks, h = motion.drones.breaks, 1e-6
+    share = np.random.default_rng(6).uniform(0.1, 0.9, motion.drones.pieces)
+    t = breaks[:-1] - breaks[0] + share * np.diff(breaks)
+    now, before, after = (states_at(motion, t + step) for step in (0.0, -h, h))
+    slope = (after.cable_forces - before.cable_forces) / (2.0 * h)
+    np.testing.assert_allclose(now.cable_force_rates, slope, atol=2e-6)
+    slope = (after.thrusts(motion.team) - before.thrusts(motion.team)) / (2.0 * h)
+    np.testing.assert_allclose(now.thrust_rates(motion.team), slope, atol=2e-6)
+    along = [rotation_of(state.quaternions) for state in (before, after)]
+    turned = (along[0].inv() * along[1]).as_rotvec() / (2.0 * h)
+    np.testing.assert_allclose(turned, now.body_rates.reshape(-1, 3), atol=2e-5)
+    assert np.max(np.abs(now.body_rates)) > 0.1
+    thrusts = now.thrusts(motion.team).reshape(-1, 3)
+    third = rotation_of(now.quaternions).apply(np.linalg.norm(thrusts, axis=1)[:, None] * [0, 0, 1])
+    np.testing.assert_allclose(third, thrusts, atol=1e-12)
+
+
+def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_not_turn() -> None:
+    """Counted from the part's own start."""
+    motion = hitched()
+    start = float(motion.drones.breaks[2])
+    part = motion.taken(slice(2, None), motion.overlapping(start, motion.duration))
+    t = part.duration * np.linspace(0.013, 0.987, 7)
+    here, there = states_at(part, t), states_at(motion, start + t)
+    for name in ("positions", "velocities", "vertices", "cable_forces"):
+        np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-9)
+    over = states_at(motion, motion.duration + 1.0)
+    assert not np.any(over.body_rates)
+    assert not np.any(over.thrust_rates(motion.team))

@@ -7,9 +7,9 @@ import hitchopt as ho
 from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team, regular_polygon
 from hitchopt.hitch.legs import reference_margin
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.morph.legs import leading, leg_task_along, with_legs_clear
+from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
-from hitchopt.planners.morph.path import ShapePath, drones_along, shapes_along
+from hitchopt.planners.morph.path import ShapePath, shapes_along
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 ENDS = np.array([0.0, 1.0])
@@ -66,18 +66,6 @@ def test_too_weak_drones_are_told_apart_from_slow_ones(thrust: float) -> None:
     with pytest.raises(InfeasibleError, match="thrust") as caught:
         morph.solve()
     assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
-
-
-def test_legs_that_lead_leave_ends_vertices_and_edges_as_they_are() -> None:
-    first, last = (regular_polygon(9, 1.3).rotated(a).translated([2.0, -1.0]) for a in (0.0, 0.3))
-    start = Hitch.balanced(Team(9, 2.0), first)
-    path = ShapePath.straight(start, Hitch.balanced(start.team, last))
-    s = np.linspace(0.0, 1.0, 11)
-    (led,) = leading(path, Limits())
-    there, here = (drones_along(each, ENDS).positions[..., 0] for each in (led, path))
-    np.testing.assert_allclose(there, here)
-    np.testing.assert_array_equal(led.flat(s).vertices, path.flat(s).vertices)
-    assert np.max(np.abs(led.flat(s).q_legs - path.flat(s).q_legs)) > 0.01
 
 
 def test_an_optimised_turn_is_faster_than_its_vertices_would_be_with_drones_in_step() -> None:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import osqp
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.leg_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import Separated, SeparatedFlight, SeparationTask
 from hitchopt.planners.separation.guesses import points_along, routes_around
-from hitchopt.planners.separation.program import hull_points
+from hitchopt.planners.separation.program import hull_points, solve_program
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle
 
@@ -253,3 +257,14 @@ def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     drones = plan.motion.drones.at(np.linspace(0.0, plan.duration, 300))
     np.testing.assert_allclose(drones[:, 12:], np.broadcast_to(away, (300, 30, 3)), atol=1e-12)
     np.testing.assert_allclose(drones[-1], goal, atol=1e-9)
+
+
+def test_osqp_that_was_interrupted_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says so after Ctrl-C, which it keeps to itself."""
+    one, eye = np.ones(2), sp.csc_array(sp.eye(2))
+    program = QuadraticProgram(eye, 0.3 * one, eye, -one, one)
+    np.testing.assert_allclose(solve_program(program), -0.3 * one, atol=1e-3)
+    found = SimpleNamespace(info=SimpleNamespace(status_val=int(osqp.SolverStatus.OSQP_SIGINT)))
+    monkeypatch.setattr(osqp.OSQP, "solve", lambda *_, **__: found)
+    with pytest.raises(KeyboardInterrupt):
+        solve_program(program)
