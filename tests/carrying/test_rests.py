@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,7 @@ from clasp_balance import unit
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
-from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.exports.exporting import export_motion
-from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import Hold, HoldBy, Motion
@@ -173,13 +169,6 @@ def test_clasps_of_a_rest_are_below_the_rim_and_around(x: float, rim: float, hol
     for name, passes in (("support", holds), ("object_clearance", True)):
         found = RULE_OF[name].check(changed)
         assert found is None or found.holds == passes
-
-
-def test_a_plan_with_a_load_is_not_stretched_far(motion: Motion, tmp_path: Path) -> None:
-    options = ExportOptions(format="csv", stretch=2.0)
-    with pytest.raises(CertificateError, match="equilibrium"):
-        export_motion(motion, "tray", options, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_flat_tray_is_carried_from_below_and_what_is_in_the_way_is_named() -> None:

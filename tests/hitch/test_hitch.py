@@ -130,23 +130,6 @@ def test_the_largest_weight_of_regular_hitches(n: int) -> None:
     tied(1.25, 0.6 * 1.26)
 
 
-@given(seeds, st.integers(3, 9))
-@settings(max_examples=30)
-def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
-    edges, T = unit(rng.normal(size=(n, 3))), rng.uniform(0.8, 1.0, n)
-    forces, roll = 0.05 * rng.normal(size=(n, 3)), rng.uniform(-1.0, 1.0, n)
-    V = np.roll(T, 1)[:, None] * np.roll(edges, 1, axis=0) - T[:, None] * edges - forces
-    size = np.linalg.norm(V, axis=1)
-    if np.any(size > 0.98 * (T + np.roll(T, 1))) or np.any(size < 0.3):
-        return
-    none = np.zeros((n, 2))
-    q, r = leg_directions(edges, T, loads=ClaspLoads(forces, none, roll, none))
-    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
-    held = T[:, None] * q + np.roll(T[:, None] * r, 1, axis=0)
-    np.testing.assert_allclose(held, V, atol=1e-12)
-
-
 def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
     """Nearly straight cables of unlike tensions, whose legs pull harder the higher they rise."""
     rng = np.random.default_rng(5)

@@ -48,14 +48,13 @@ REFUSED: list[Refusal] = [
     (lambda: Team(3, 2.0, quadrotor=[Quadrotor()] * 2), "quadrotor", "a list of 3"),
     (lambda: Team(3, 2.4, load=[0.1, 0.2]), "load", "one per clasp"),
     (lambda: Team(3, 2.4, load=[0.1, -0.2, 0.1]), "load[1]", "at least 0"),
-    (lambda: Quadrotor(mass=0.0), "mass", "greater than 0"),
-    (lambda: Quadrotor(max_thrust=-1.0), "max_thrust", "greater than 0"),
-    (lambda: Quadrotor(stiffness=0.0), "stiffness", "greater than 0"),
-    (lambda: Quadrotor(integral=1), "integral", "true or false"),  # type: ignore[arg-type]
+    *[
+        (lambda name=name: Quadrotor(**{name: 0.0}), name, "greater than 0")
+        for name in ("mass", "max_thrust", "stiffness")
+    ],
     *[(lambda n=n: Swarm(n), "drones", "") for n in (0, 2.0, True, "3", 10**9)],
     (lambda: Limits(speed=0.0), "speed", "greater than 0"),
     (lambda: Limits(tilt=45), "tilt", f"tilt = 45.0: {DEGREES}"),
-    (lambda: Limits(leg="long"), "leg", "a number"),  # type: ignore[arg-type]
     (lambda: SwapSettings(tilt=1.6), "tilt", "below π/2 rad; 1.6 degrees are 0.0279 rad"),
     (lambda: SwapSettings(radius=0.0), "radius", "greater than 0"),
     (lambda: SwapSettings(sense=2), "sense", "must be 1, -1 or 0"),
@@ -99,7 +98,6 @@ def test_per_robot_values_reach_their_drones() -> None:
     np.testing.assert_array_equal([swarm.mass, swarm.max_thrust], [[0.1, 0.2], [1, 2]])
     hitch = balanced(cable_length=[2.4, 2.5, 2.6])
     np.testing.assert_allclose(hitch.legs[:, 0], hitch.legs[:, 1])
-    np.testing.assert_allclose(hitch.legs.sum(axis=1) + hitch.polygon.edge_lengths, [2.4, 2.5, 2.6])
 
 
 def test_separation_scale_is_one_where_ellipsoids_touch() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -44,20 +42,6 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
     np.testing.assert_allclose(tensions.tensions, 0.4, atol=1e-12)
 
 
-def test_a_saved_plan_knows_its_hitch_and_roles(tmp_path: Path) -> None:
-    plan = planned("tie_carry_untie")
-    plan.save(tmp_path, rate=10.0)
-    rows = (tmp_path / "vertices.csv").read_text().splitlines()[1:]
-    times = [float(row.split(",")[0]) for row in rows]
-    formed = [phase for phase in plan.phases if phase.formed]
-    assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
-    roles = plan.motion.assignment
-    assert roles is not None
-    told = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
-    assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == told
-    assert ho.load(tmp_path).motion.assignment == roles
-
-
 def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     """Auto: any order of the robots, with ends exchanged, gives the same plan by role."""
     # One robot aside, as mirror images tie; all of them aside would leave the tie.
@@ -76,23 +60,19 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
 
 
-def test_a_hitch_that_is_there_at_first_is_released() -> None:
-    start = ho.Hitch.spread(TEAM, TRIANGLE, 1.6)
-    plan = ho.release(start)
-    assert [p.name for p in plan.phases] == ["relax", "loosen", "unswap 1", "unswap 2"]
-    np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-12)
-    assert plan.at(0.0).tensions == pytest.approx(TEAM.tension)
-    assert plan.certificate.certified
-
-
 def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
+    """And raised before they are released."""
     plan = forming(LINES, LINES * MIRROR, altitude=0.5)
     assert plan.phases[-1].name == "lower"
     assert "hang" in plan.phases[-1].remark
     np.testing.assert_allclose(plan.at(plan.duration).positions[:, 2], 0.5, atol=1e-9)
-    up = ho.release(ho.Hitch.spread(TEAM, TRIANGLE, 0.5))
-    assert up.phases[0].name == "raise"
-    assert up.certificate["cable_clearance"].bound > 0.1
+    for altitude, raised in ((0.5, ["raise"]), (1.6, [])):
+        start = ho.Hitch.spread(TEAM, TRIANGLE, altitude)
+        up = ho.release(start)
+        names = [*raised, "relax", "loosen", "unswap 1", "unswap 2"]
+        assert [phase.name for phase in up.phases] == names
+        assert up.certificate["cable_clearance"].bound > 0.1
+        np.testing.assert_allclose(up.at(0.0).positions, start.drones, atol=1e-12)
 
 
 def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,18 +30,11 @@ def movers(plan: ho.Plan) -> set[str]:
     places = plan.at(np.linspace(0.0, plan.duration, 501)).positions
     away = np.max(np.linalg.norm(places - places[0], axis=-1), axis=0)
     assert not np.any((away > 1e-9) & (away < 1e-4)), "neither still nor moving"
-    return {
-        name for name, moved in zip(plan.motion.team.drone_names, away > 1e-9, strict=True) if moved
-    }
+    return set(np.array(plan.motion.team.drone_names)[away > 1e-9])
 
 
 def names(n: int, q: list[int], r: list[int]) -> set[str]:
     return {f"q{k % n}" for k in q} | {f"r{k % n}" for k in r}
-
-
-def end_of(plan: ho.Plan) -> ho.Hitch:
-    state = plan.at(plan.duration)
-    return ho.Hitch(plan.motion.team, state.vertices[:, :2], state.vertices[0, 2], state.legs[:, 0])
 
 
 @pytest.mark.parametrize(("n", "k"), [(3, 2), (4, 1), (9, 5)])
@@ -53,9 +47,9 @@ def test_moving_a_vertex_moves_the_four_drones_of_the_paper(n: int, k: int) -> N
     kept[k, 0] = kept[k - 1, 1] = False  # the two that make up for the edges
     legs = plan.at(np.linspace(0.0, plan.duration, 101)).legs[:, kept]
     np.testing.assert_allclose(legs, np.broadcast_to(start.legs[kept], legs.shape), atol=1e-7)
-    moved = plan.at(plan.duration).vertices - start.vertices
-    np.testing.assert_allclose(moved[k], [-0.05, 0.06, 0.0], atol=1e-12)
-    np.testing.assert_array_equal(np.delete(moved, k, axis=0), 0.0)
+    moved = np.zeros((n, 3))
+    moved[k] = -0.05, 0.06, 0.0
+    np.testing.assert_allclose(plan.end.vertices - start.vertices, moved, atol=1e-12)
 
 
 def test_where_tensions_differ_legs_turn_with_both_edges_of_their_vertex() -> None:
@@ -83,8 +77,8 @@ def test_in_a_chain_the_drones_beyond_its_ends_are_left_out(k: int, expected: st
     plan = ho.move_vertex(CHAIN, k, by=[0.01, 0.03])
     assert movers(plan) == set(expected.split())
     assert plan.phases[0].remark == ""
-    back = ho.move_vertex(end_of(plan), k, by=[-0.01, -0.03])
-    np.testing.assert_allclose(end_of(back).drones, CHAIN.drones, atol=1e-9)
+    back = ho.move_vertex(plan.end, k, by=[-0.01, -0.03])
+    np.testing.assert_allclose(back.end.drones, CHAIN.drones, atol=1e-9)
 
 
 @pytest.mark.parametrize(("n", "k"), [(4, 3), (9, 8)])
@@ -107,8 +101,8 @@ def test_adjusting_moves_only_the_drones_of_cables_whose_legs_change() -> None:
     states = plan.at(np.linspace(0.0, plan.duration, 101))
     still = np.broadcast_to(start.vertices, states.vertices.shape)
     np.testing.assert_allclose(states.vertices, still, atol=1e-12)
-    np.testing.assert_allclose(end_of(plan).q_legs, wanted, atol=1e-12)
-    balanced = end_of(ho.adjust(start, "balanced"))
+    np.testing.assert_allclose(plan.end.q_legs, wanted, atol=1e-12)
+    balanced = ho.adjust(start, "balanced").end
     np.testing.assert_allclose(balanced.legs[:, 0], balanced.legs[:, 1], atol=1e-12)
 
 
@@ -128,11 +122,11 @@ THERE_AND_BACK: dict[str, Callable[[ho.Hitch, int], ho.Plan]] = {
 @pytest.mark.parametrize("name", THERE_AND_BACK)
 def test_an_action_and_its_reverse_come_back(name: str) -> None:
     start, action = uneven(5), THERE_AND_BACK[name]
-    middle = end_of(action(start, 1))
+    middle = action(start, 1).end
     assert np.max(np.abs(middle.drones - start.drones)) > 1e-3
-    end = end_of(action(middle, -1))
-    for there, here in ((end.vertices, start.vertices), (end.legs, start.legs)):
-        np.testing.assert_allclose(there, here, atol=1e-9)
+    end = action(middle, -1).end
+    np.testing.assert_allclose(end.vertices, start.vertices, atol=1e-9)
+    np.testing.assert_allclose(end.drones, start.drones, atol=1e-9)
 
 
 def test_where_a_limit_binds_the_nearest_sharing_is_taken_and_said() -> None:
@@ -140,7 +134,7 @@ def test_where_a_limit_binds_the_nearest_sharing_is_taken_and_said() -> None:
     team = ho.Team(4, 2.0)
     start = ho.Hitch.balanced(team, [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     plan = ho.move_vertex(start, 0, by=[0.3, 0.3])
-    end, kept = end_of(plan), start.q_legs.copy()
+    end, kept = plan.end, start.q_legs.copy()
     kept[0] = end.slack[0] - start.legs[0, 1]
 
     def ratio(first: float, last: float) -> float:
@@ -169,7 +163,7 @@ def test_a_limit_that_binds_on_the_way_only_lets_cables_slide_there(far: float) 
     assert plan.phases[0].remark.startswith("r0, q5 slide as well: ")
     assert "of the path" in plan.phases[0].remark
     assert movers(plan) == names(6, q=[0, 1, 5], r=[5, 4, 0])
-    np.testing.assert_allclose(end_of(plan).legs, start.legs, atol=1e-9)
+    np.testing.assert_allclose(plan.end.legs, start.legs, atol=1e-9)
     slack = 2.0 - np.linalg.norm(start.vertices[5] - [tip + far, 0.0, 1.0])
     assert slack - 0.45 < 0.15 <= plan.at(4.5).legs[5, 1]  # the kept law's r-leg of cable 5 there
     ends = plan.at([0.0, 9.0])
@@ -214,14 +208,10 @@ def test_points_that_cannot_be_met_are_told() -> None:
     assert fast.remedy.endswith("or give the points more time")
 
 
+KINDS = [ho.Quadrotor(0.13 + 0.01 * k, 2.6) for k in range(4)]
+UNLIKE: Any = {"tension": [0.4, 0.42, 0.41, 0.4], "cable_density": 0.003, "quadrotor": KINDS}
 TURNED = ho.Hitch(
-    ho.Team(
-        4,
-        [2.1, 2.2, 2.15, 2.1],
-        tension=[0.4, 0.42, 0.41, 0.4],
-        cable_density=0.003,
-        quadrotor=[ho.Quadrotor(0.13 + 0.01 * k, 2.6) for k in range(4)],
-    ),
+    ho.Team(4, [2.1, 2.2, 2.15, 2.1], **UNLIKE),
     [[2.6, 1.0], [2.5, -0.1], [1.4, -0.2], [1.5, 1.1]],
     1.3,
     [0.5, 0.55, 0.45, 0.5],
@@ -230,20 +220,19 @@ TURNED = ho.Hitch(
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -4.7, 4.0 * np.pi])
 def test_the_centroid_goes_straight_and_the_hitch_turns_all_the_way(yaw: float) -> None:
-    to = np.array([1.2, 1.4, 1.9])
+    begin, to = np.append(TURNED.polygon.centroid, 1.3), np.array([1.2, 1.4, 1.9])
     plan = ho.transport(TURNED, to, yaw=yaw)
-    state = plan.at(np.linspace(0.0, plan.duration, 301))
-    middle = np.array([ho.ConvexPolygon(p[:, :2]).centroid for p in state.vertices])
-    gone = np.column_stack([middle, state.vertices[:, 0, 2]]) - [*TURNED.polygon.centroid, 1.3]
-    np.testing.assert_allclose(middle[-1], to[:2], atol=1e-9)
-    way = to - [*TURNED.polygon.centroid, 1.3]
+    vertices = plan.at(np.linspace(0.0, plan.duration, 301)).vertices
+    middle = [[*ho.ConvexPolygon(p[:, :2]).centroid, p[0, 2]] for p in vertices]
+    np.testing.assert_allclose(middle[-1], to, atol=1e-9)
+    gone, way = np.array(middle) - begin, to - begin
     share = gone @ way / (way @ way)
     np.testing.assert_allclose(gone, share[:, None] * way, atol=1e-6)
-    np.testing.assert_allclose(state.vertices[-1, :, 2], 1.9, atol=1e-12)
-    edge = state.vertices[:, 1] - state.vertices[:, 0]
+    edge = vertices[:, 1] - vertices[:, 0]
     turned = np.unwrap(np.arctan2(edge[:, 1], edge[:, 0]))
     assert turned[-1] - turned[0] == pytest.approx(yaw, abs=1e-9)
     np.testing.assert_allclose(turned - turned[0], share * yaw, atol=1e-5)  # on one clock
+    np.testing.assert_allclose(plan.end.vertices, vertices[-1], atol=1e-9)
 
 
 def test_where_it_cannot_go_is_told() -> None:

@@ -19,7 +19,6 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
@@ -82,23 +81,6 @@ def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) 
     durations = [flight.duration for flight in flights]
     assert durations == sorted(durations) != []
     return flights
-
-
-def test_what_the_judge_turns_down_is_refined_and_never_returned() -> None:
-    start, end = ends(FOUR, SQUARE, SQUARE.renumbered(1))
-    seen: list[int] = []
-    passed: list[Flight] = []
-
-    def strict(path: ShapePath) -> Flight | None:
-        seen.append(path.vertices.pieces)
-        if len(set(seen)) > 1:
-            passed.append(fly(path, FREE.limits))
-        return passed[-1] if passed else None
-
-    given = OptimisedMorph(start, end, FREE, strict).solve()
-    assert [candidate.flight for candidate in given] == sorted(passed, key=lambda f: f.duration)
-    assert max(seen) > seen[0]
-    assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
 
 
 @pytest.mark.parametrize("least", [0.3, 0.7])
