@@ -50,10 +50,8 @@ def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[i
     motion = resting(formed)
     np.testing.assert_array_equal(motion.formed, formed)
     spans = motion.spans(HITCHED_STATE)
-    assert [(s.drones.breaks[0], s.drones.breaks[-1]) for s in spans] == [
-        (BREAKS[a], BREAKS[b]) for a, b in runs
-    ]
     for span, (a, b) in zip(spans, runs, strict=True):
+        assert (span.drones.breaks[0], span.drones.breaks[-1]) == (BREAKS[a], BREAKS[b])
         assert span.phases == motion.phases[a:b]
         assert np.all(span.formed)
         np.testing.assert_array_equal(span.legs.coefficients, motion.legs.coefficients[a:b])
@@ -86,9 +84,7 @@ def test_slowed_and_cut_motions_keep_their_phases() -> None:
         ((0.0, float("nan")), (float("nan"), 3.5)),
     ],
 )
-def test_phases_cover_the_motion_in_order(
-    spans: tuple[tuple[float, float], ...],
-) -> None:
+def test_phases_cover_the_motion_in_order(spans: tuple[tuple[float, float], ...]) -> None:
     phases = tuple(Phase("part", 0, start, end) for start, end in spans)
     with pytest.raises(InputError, match=r"phases = \[\["):
         replace(resting((True,) * 4), phases=phases)
@@ -112,21 +108,15 @@ def test_cables_change_their_state_at_a_break_and_have_one() -> None:
         replace(motion, phases=(*motion.phases[:3], replace(others[1], state=CableState.NONE)))
 
 
-def random_jets(seed: int, count: int = 40) -> tuple[Array, Array]:
-    """Thrusts (count, 3) [N] that point upward, and their derivatives [N/s]."""
-    rng = np.random.default_rng(seed)
-    thrusts = rng.normal(size=(count, 3)) + [0.3, -0.2, 0.0]
-    thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
-    return thrusts, 3.0 * rng.normal(size=(count, 3))
-
-
 def rotation_of(quaternions: Array) -> Rotation:
     return Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
 def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(yaw: float) -> None:
-    (thrusts, rates), h = random_jets(1), 1e-6
+    rng, h = np.random.default_rng(1), 1e-6
+    thrusts, rates = rng.normal(size=(40, 3)) + [0.3, -0.2, 0.0], 3.0 * rng.normal(size=(40, 3))
+    thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
     found = attitudes(thrusts, rates, yaw)
     turned = rotation_of(found.quaternions)
     along = thrusts / np.linalg.norm(thrusts, axis=-1, keepdims=True)

@@ -48,10 +48,9 @@ REFUSED: list[Refusal] = [
     (lambda: Team(3, 2.0, quadrotor=[Quadrotor()] * 2), "quadrotor", "a list of 3"),
     (lambda: Team(3, 2.4, load=[0.1, 0.2]), "load", "one per clasp"),
     (lambda: Team(3, 2.4, load=[0.1, -0.2, 0.1]), "load[1]", "at least 0"),
-    *[
-        (lambda name=name: Quadrotor(**{name: 0.0}), name, "greater than 0")
-        for name in ("mass", "max_thrust", "stiffness")
-    ],
+    (lambda: Quadrotor(mass=0.0), "mass", "greater than 0"),
+    (lambda: Quadrotor(max_thrust=-1.0), "max_thrust", "greater than 0"),
+    (lambda: Quadrotor(stiffness=0.0), "stiffness", "greater than 0"),
     *[(lambda n=n: Swarm(n), "drones", "") for n in (0, 2.0, True, "3", 10**9)],
     (lambda: Limits(speed=0.0), "speed", "greater than 0"),
     (lambda: Limits(tilt=45), "tilt", f"tilt = 45.0: {DEGREES}"),

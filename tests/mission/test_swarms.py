@@ -55,7 +55,7 @@ def test_every_key_is_read_and_kept() -> None:
     assert problem.arena.upper.tolist() == [2.0, 2.5, 3.0]
     assert problem.keep_out[0].polygon.vertices[1].tolist() == [0.3, 1.4]
     plan = ho.separate(problem)
-    ends = plan.at([0.0, plan.duration]).positions
+    ends = plan.at([0.0, 6.5]).positions
     np.testing.assert_allclose(ends, [full()["start"], full()["goal"]], atol=1e-9)
     assert plan.duration == pytest.approx(6.5)
     assert plan.certificate.certified
@@ -71,9 +71,6 @@ def test_infeasible_problems_say_what_binds(path: Path) -> None:
     assert caught.value.violations[0].constraint == header(path, "Binds")
 
 
-FROM_TO = {"lower": 0, "upper": 1}
-
-
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
@@ -82,7 +79,7 @@ FROM_TO = {"lower": 0, "upper": 1}
         ("team", {"drones": 2, "tension": 0.4}, "team.tension"),
         ("start", [[0, 0], [1, 1, 1]], "start[0]"),
         ("limits", {"leg": 0.2}, "limits.leg"),
-        ("keep_out", [{"polygon": [[0, 0], [1, 0], [1, 1]], **FROM_TO}], "keep_out[0]"),
+        ("keep_out", [{"polygon": [[0, 0], [1, 0], [1, 1]]}], "keep_out[0]"),
     ],
 )
 def test_faults_are_named(key: str, value: object, words: str) -> None:
@@ -117,7 +114,8 @@ def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
 
 def test_a_goal_at_an_object_names_it() -> None:
     tub = {"circle": 0.2, "to": 1.2, "at": [2.0, 1.0, 0.4], "rim": {"circle": 0.3, "at": 1.0}}
-    table = {"circle": 0.35, "to": 0.4, "at": [2.0, 1.0, 0.0], "fixed": True}
+    square = [[-0.3, -0.2], [0.3, -0.2], [0.3, 0.2], [-0.3, 0.2]]
+    table = {"outline": square, "to": 0.4, "at": [2.0, 1.0, 0.0], "yaw_deg": 20.0, "fixed": True}
     data = {
         "team": {"drones": 2},
         "start": [[0.8, 1.0, 0.6], [3.2, 1.05, 0.3]],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,17 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
     np.testing.assert_allclose(tensions.tensions, 0.4, atol=1e-12)
 
 
+def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Path) -> None:
+    plan = planned("tie_carry_untie")
+    plan.save(tmp_path, rate=10.0)
+    roles, rows = plan.motion.assignment, (tmp_path / "vertices.csv").read_text().splitlines()[1:]
+    assert roles is not None
+    told = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
+    assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == told
+    times, formed = [float(row.split(",")[0]) for row in rows], [p for p in plan.phases if p.formed]
+    assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
+
+
 def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     """Auto: any order of the robots, with ends exchanged, gives the same plan by role."""
     # One robot aside, as mirror images tie; all of them aside would leave the tie.
@@ -53,10 +66,10 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     other = forming(q, r)
     t = np.linspace(0.0, plan.duration, 101)
     np.testing.assert_allclose(other.at(t).positions, plan.at(t).positions, atol=1e-9)
-    assignment = other.motion.assignment
-    assert assignment is not None
-    given = np.stack([q, r], axis=1)[list(assignment.robots)]
-    ends = np.where(np.array(assignment.flipped)[:, None, None], given[:, ::-1], given)
+    roles = other.motion.assignment
+    assert roles is not None
+    given = np.stack([q, r], axis=1)[list(roles.robots)]
+    ends = np.where(np.array(roles.flipped)[:, None, None], given[:, ::-1], given)
     np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
 
 
