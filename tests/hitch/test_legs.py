@@ -35,11 +35,8 @@ def margins(p: Array, x: Array) -> Array:
     smallest = [np.min(np.linalg.norm((x[:, i] - x[:, j]) / [0.24, 0.24, 0.6], axis=-1), axis=1)]
     for k, following in enumerate(np.roll(p, -1, axis=0)):
         own = np.arange(x.shape[1]) // 2 == k
-        for start, end, drones in (
-            (p[k], following, slice(None)),
-            (p[k], x[:, 2 * k, None], ~own),
-            (following, x[:, 2 * k + 1, None], ~own),
-        ):
+        q_leg, r_leg = (p[k], x[:, 2 * k, None], ~own), (following, x[:, 2 * k + 1, None], ~own)
+        for start, end, drones in ((p[k], following, slice(None)), q_leg, r_leg):
             along, off = end - start, x[:, drones] - start
             share = np.sum(off * along, axis=-1) / np.sum(along**2, axis=-1)
             off = off - np.clip(share, 0.0, 1.0)[..., None] * along
@@ -107,10 +104,10 @@ def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -
 def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> None:
     team, square = Team(4, 2.4), regular_polygon(4, 1.2, 0.3)
     free = Hitch.balanced(team, square)
-    reach = float(np.max(free.drones[:, 0]))
-    arena = Arena([-9.0, -9.0, 0.0], [reach - 0.1, 9.0, 3.0])
+    wall = float(np.max(free.drones[:, 0])) - 0.1
+    arena = Arena([-9.0, -9.0, 0.0], [wall, 9.0, 3.0])
     kept = Hitch.nearest(team, square, 1.0, free.fractions, **KEPT, arena=arena)
-    assert np.max(kept.drones[:, 0]) <= reach - 0.1 + 1e-6
+    assert np.max(kept.drones[:, 0]) <= wall + 1e-6
     assert np.max(np.abs(kept.q_legs - free.q_legs)) > 0.05
     tight = Arena([-9.0, -9.0, 0.0], [9.0, 0.6, 3.0])
     hitch = Hitch.nearest(Team(3, 2.4), TRIANGLE, 1.0, [0.5] * 3, **KEPT, arena=tight)
@@ -128,12 +125,11 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
     i, j = np.triu_indices(len(bodies), 1)
     for a, b, kind in zip(i, j, Parts.of(n).kind(i, j), strict=True):
         (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
-        if first in "qr" and second in "qr":
-            wanted = SEPARATION
-        elif first in "qr":
+        wanted = CROSSING if not clasps & others else -1
+        if first in "qr":
             wanted = CABLE if k != m or second == "edge" else -1
-        else:
-            wanted = CROSSING if not clasps & others else -1
+        if second in "qr":
+            wanted = SEPARATION
         assert kind == wanted, (bodies[a], bodies[b])
 
 
@@ -178,12 +174,13 @@ def test_legs_with_weight_are_split_for_their_distances_in_space(seed: int, n: i
     rng = np.random.default_rng(seed)
     polygon = random_convex_polygon(n, 1.2, rng)
     lengths = float(np.max(polygon.edge_lengths)) + rng.uniform(0.8, 0.9, n)
-    team = Team(n, lengths, tension=0.9, cable_density=0.01)
-    h = Hitch.spread(team, polygon)
-    light = Hitch.spread(Team(n, lengths, tension=0.9), polygon)
+    light, heavy = (
+        Hitch.spread(Team(n, lengths, tension=0.9, cable_density=rho), polygon)
+        for rho in (0.0, 0.01)
+    )
     if margin(light) >= 1.5 + 1e-3:  # weight moves drones by centimetres only
-        assert margin(h) >= 1.5 - 1e-6
-    assert np.min(h.legs) >= 0.149
+        assert margin(heavy) >= 1.5 - 1e-6
+    assert np.min(heavy.legs) >= 0.149
 
 
 def test_other_lengths_are_chosen_where_they_need_less_roll() -> None:
@@ -197,17 +194,14 @@ def test_other_lengths_are_chosen_where_they_need_less_roll() -> None:
 
 
 def test_a_hitch_that_follows_keeps_its_roll_or_gets_one_where_it_must() -> None:
-    kept = Hitch.nearest(
-        Team(8, 2.2), regular_polygon(8, 1.3), 1.0, np.full(8, 0.5), roll=0.2, **KEPT
-    )
-    np.testing.assert_array_equal(kept.roll, 0.2)
+    few = Team(8, 2.2), regular_polygon(8, 1.3), 1.0, np.full(8, 0.5)
+    np.testing.assert_array_equal(Hitch.nearest(*few, roll=0.2, **KEPT).roll, 0.2)
     team, polygon = Team(40, 2.2), regular_polygon(40, 1.3)
     raised = Hitch.nearest(team, polygon, 1.0, np.full(40, 0.5), **KEPT)
     assert 0.0 < raised.roll[0] < Hitch.spread(team, polygon).roll[0]
-    assert 1.0 <= margin(raised) < 1.05
     legs = slack_split({"sharing": "balanced", "roll_deg": "auto"}, team)
     given = split_hitch(team, polygon, 1.0, legs, Requirements())
-    assert 1.0 <= margin(given) < 1.05
+    assert 1.0 <= min(margin(raised), margin(given)) <= max(margin(raised), margin(given)) < 1.05
     np.testing.assert_allclose(given.q_legs, 0.45)
 
 
@@ -238,7 +232,6 @@ def test_what_a_user_may_write_for_the_roll() -> None:
 def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
     team, polygon = Team(29, 2.2), regular_polygon(29, 1.3)
     least = Hitch.spread(team, polygon).roll
-    limits, separation = Limits(), Separation(cable=0.16)
-    given: dict[str, Any] = {"limits": limits, "separation": separation, "roll": sense * least}
+    given: dict[str, Any] = {**KEPT, "separation": Separation(cable=0.16), "roll": sense * least}
     following = Hitch.nearest(team, polygon, 1.0, np.full(29, 0.5), **given)
     assert np.all(sense * following.roll > least)

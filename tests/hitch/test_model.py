@@ -19,7 +19,7 @@ seeds = st.integers(0, 2**32 - 1)
 topologies, kinds = st.sampled_from(["closed", "open"]), st.sampled_from(KINDS)
 
 
-def along(rng: np.random.Generator, value: Array, size: float, t: Array) -> Array:
+def along(rng: np.random.Generator, value: Array, size: Array | float, t: Array) -> Array:
     """A random quadratic of time t (J,) through a value, as jets (J, …, 4)."""
     a, b = size * rng.normal(size=(2, *value.shape))
     x = t.reshape(-1, *(1,) * value.ndim)
@@ -30,9 +30,7 @@ def along(rng: np.random.Generator, value: Array, size: float, t: Array) -> Arra
 def moving(h: Hitch, seed: int, t: Array) -> FlatJets:
     """Flat outputs on random quadratics of time through the hitch."""
     rng = np.random.default_rng(seed)
-    legs = along(rng, h.q_legs, 0.02, t)
-    if not h.team.layout.closed:
-        legs[:, 0] = 0.0
+    legs = along(rng, h.q_legs, 0.02 * h.team.layout.has_leg[:, 0], t)
     tensions = along(rng, h.team.tension, 0.02 * (np.ptp(h.team.tension) > 0.0), t)
     roll = along(rng, h.roll, 0.1, t) if np.any(h.roll) else None
     return FlatJets(along(rng, h.vertices, 0.05, t), legs, tensions, roll)
@@ -119,9 +117,7 @@ def test_legs_that_pull_like_their_edges_stay_where_they_are(topology: str, kind
 
 def still(values: Array) -> Array:
     """Jets (1, …, 4) of what does not change."""
-    jets = np.zeros((1, *values.shape, 4))
-    jets[0, ..., 0] = values
-    return jets
+    return np.pad(values[None, ..., None], [(0, 0)] * (values.ndim + 1) + [(0, 3)])
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
