@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -94,7 +93,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (hold(NARROW, 6, 2.2), "support", "hitchopt fit"),
     (tray(4, 0.2, 2.2, at=0.07), "object_clearance", "stand it on something"),
     (TENSE, "tilt", "limits.tilt_deg"),
-    (plans.tray(rim={"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}), "objects.tray.rim", ""),
+    (plans.tray(rim={"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}), "objects.tray.rim", "rim"),
     (plans.tray(friction=0.0), "objects.tray.friction", "takes it along"),
     (ON_TOP, "objects.cup.at", "carry objects.cup away"),
     (EDGE, "mission[0]", "farther in"),
@@ -117,24 +116,21 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
 @pytest.mark.slow
 @pytest.mark.parametrize(("problem", "name", "words"), REFUSED)
 def test_what_cannot_be_held_is_refused(problem: dict[str, Any], name: str, words: str) -> None:
-    """By the key of the file, or by the limit that binds."""
-    with pytest.raises((ho.InfeasibleError, ho.InputError)) as caught:
+    """By the key of the file, or by the limit that binds; with what to change."""
+    with pytest.raises(ho.HitchoptError, match=words) as caught:
         solved(problem)
-    error = caught.value
-    if isinstance(error, ho.InfeasibleError):
-        assert name in {violation.constraint for violation in error.violations}
-    else:
-        assert error.key == name
-    assert re.search(words, str(error)), str(error)
+    told = {getattr(caught.value, "key", "")}
+    if isinstance(caught.value, ho.InfeasibleError):
+        told = {violation.constraint for violation in caught.value.violations}
+    assert name in told
 
 
 def test_bends_of_edges_below_the_ground_count() -> None:
     motion = plans.plan("drum").motion
-    assert motion.contacts is not None
-    lowered = motion.contacts.coefficients.copy()
+    lowered = motion.edge_contacts.coefficients.copy()
     lowered[:, 1, 0, 2] = -0.3
-    contacts = motion.contacts.alike(lowered)
-    found = plans.check(replace(motion, contacts=contacts), "object_clearance")
+    below = replace(motion, contacts=motion.edge_contacts.alike(lowered))
+    found = plans.check(below, "object_clearance")
     assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
 
 
@@ -154,12 +150,11 @@ def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, floa
     law = SmoothLaw.fastest(*limits)
     t = np.linspace(0.0, law.duration, 20_001)
     share, speed, change = law.jet(t).T
-    assert share[0] == 0.0
-    assert share[-1] == pytest.approx(1.0)
+    assert share[[0, -1]] == pytest.approx([0.0, 1.0])
     assert np.all(np.diff(share) >= -1e-13)
     np.testing.assert_allclose(np.gradient(share, t)[1:-1], speed[1:-1], atol=1e-6)
     np.testing.assert_allclose(np.gradient(speed, t)[1:-1], change[1:-1], atol=1e-4)
     jerk = np.gradient(change, t)
-    used = np.array([np.max(np.abs(each)) for each in (speed, change, jerk)]) / limits
+    used = np.max(np.abs([speed, change, jerk]), axis=1) / limits
     assert np.max(used) == pytest.approx(1.0, rel=2e-3)
     assert np.all(jerk[[0, -1]] < 1e-3 * np.max(jerk))

@@ -98,7 +98,6 @@ def test_arcs_turn_by_less_than_once_around(n: int) -> None:
 STAR = [[math.sin(4 * math.pi * k / 5), math.cos(4 * math.pi * k / 5)] for k in range(5)]
 """A pentagram turns right everywhere, twice around."""
 
-# fmt: off
 REFUSED: list[tuple[type[Any], object, str, str]] = [
     (ConvexPolygon, [[0, 0], [1, 0], [0, 1]], "polygon", "clockwise"),
     (ConvexPolygon, [[0, 0], [0, 1], [1, 1], [0.4, 0.6]], "polygon[3]", "convex"),
@@ -109,7 +108,6 @@ REFUSED: list[tuple[type[Any], object, str, str]] = [
     (ConvexArc, [[0, 0], [0, 1], [1, 1], [2, 2]], "polygon[2]", "convex"),
     (ConvexArc, [[0, 0], [0, 1], [math.nan, 1]], "polygon[2]", "finite"),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize(("kind", "points", "key", "words"), REFUSED)

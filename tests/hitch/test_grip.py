@@ -167,14 +167,11 @@ def test_moved_clasps_bear_the_load(section: ho.Section, polygon: Array, load: l
     np.testing.assert_allclose(np.cross(at, pulls).sum(axis=(0, 1)), 0.0, atol=1e-10)
 
 
-def test_more_cables_do_not_grip_a_disc() -> None:
+def test_what_does_not_grip_and_what_limits_level_pulls() -> None:
     with pytest.raises(ho.InfeasibleError, match="no grip by 6 cables") as told:
         best_grip(task(DISC, 6, 1.0))
     (violation,) = told.value.violations
     assert violation.value < violation.limit
-
-
-def test_level_pulls_are_limited_by_tilt() -> None:
     most, binding = largest_tension(Requirements(), ho.Quadrotor())
     assert binding == "tilt"
     assert 1.29 < most < 1.3

@@ -65,14 +65,12 @@ def test_clasps_balance_and_cables_are_used_up(seed: int, n: int, topology: str,
 @given(seeds, st.integers(3, 30))
 @settings(max_examples=30)
 def test_equal_tensions_give_the_papers_positions(seed: int, n: int) -> None:
-    """Its eq. (4), written out robot by robot."""
+    """Its eq. (4)."""
     h = random_hitch(seed, n, kind="equal")
-    p, u = h.polygon.vertices, h.polygon.edge_directions
-    for k in range(n):
-        d, e = h.legs[k]
-        ahead = (k + 1) % n
-        np.testing.assert_allclose(h.drones[2 * k, :2], p[k] + d * u[k - 1], atol=1e-12)
-        np.testing.assert_allclose(h.drones[2 * k + 1, :2], p[ahead] - e * u[ahead], atol=1e-12)
+    p, u, (d, e) = h.polygon.vertices, h.polygon.edge_directions, h.legs.T[..., None]
+    np.testing.assert_allclose(h.drones[0::2, :2], p + d * np.roll(u, 1, axis=0), atol=1e-12)
+    r = np.roll(p, -1, axis=0) - e * np.roll(u, -1, axis=0)
+    np.testing.assert_allclose(h.drones[1::2, :2], r, atol=1e-12)
 
 
 @given(seeds, st.integers(3, 12), topologies)

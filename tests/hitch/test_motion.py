@@ -10,7 +10,6 @@ import pytest
 from plans import planned
 from scipy.spatial.transform import Rotation
 
-import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
@@ -131,16 +130,10 @@ def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(
     np.testing.assert_allclose(by_differences, found.body_rates, rtol=1e-6, atol=1e-6)
 
 
-def hitched() -> Motion:
-    team = ho.Team(3, cable_length=[2.3, 2.5, 2.4], tension=[0.4, 0.5, 0.45], cable_density=0.004)
-    start = ho.Hitch.spread(team, [[0.1, -1.0], [-0.4, 0.5], [0.5, 0.5]], altitude=1.2)
-    return ho.morph(start, [[0.1, -0.5], [-0.4, 0.6], [0.5, 0.5]]).motion
-
-
 @pytest.mark.parametrize("formed", [False, True])
 def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
     """A morph, and a hitch being formed of cables with weight: hanging, tightened, hitched."""
-    motion = planned("form_hanging_to_the_floor").motion if formed else hitched()
+    motion = planned("form_hanging_to_the_floor" if formed else "weight_hexagon").motion
     breaks, h = motion.drones.breaks, 1e-6
     share = np.random.default_rng(6).uniform(0.1, 0.9, motion.drones.pieces)
     t = breaks[:-1] - breaks[0] + share * np.diff(breaks)
@@ -160,7 +153,7 @@ def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
 
 def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_not_turn() -> None:
     """Counted from the part's own start."""
-    motion = hitched()
+    motion = planned("weight_hexagon").motion
     start = float(motion.drones.breaks[2])
     part = motion.taken(slice(2, None), motion.overlapping(start, motion.duration))
     t = part.duration * np.linspace(0.013, 0.987, 7)

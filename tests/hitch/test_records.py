@@ -10,19 +10,8 @@ import numpy as np
 import pytest
 from refusals import Refusal, assert_refused
 
-from hitchopt import (
-    Arena,
-    ConvexPolygon,
-    Hitch,
-    InfeasibleError,
-    Limits,
-    Quadrotor,
-    Separation,
-    SwapSettings,
-    Swarm,
-    Team,
-)
-from hitchopt.hitch.team import Assignment
+from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation, SwapSettings
+from hitchopt.hitch.team import Assignment, Quadrotor, Swarm, Team
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 HILL = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
@@ -35,7 +24,6 @@ def balanced(polygon: Any = TRIANGLE, **given: Any) -> Hitch:
 
 
 DEGREES = "must be below π/2 rad; 45 degrees are 0.785 rad"
-# fmt: off
 REFUSED: list[Refusal] = [
     *[(lambda n=n: Team(n, 2.0), "robots", "") for n in (2, 3.0, True, 10**9)],
     (lambda: Team(1, 2.2, topology="open"), "robots", "at least 2"),
@@ -71,7 +59,6 @@ REFUSED: list[Refusal] = [
     (lambda: Hitch(Team(3, 2.4), TRIANGLE, 1.0, [0.4, 0.4]), "legs", "one per robot"),
     (lambda: Hitch(Team(3, 2.4), TRIANGLE, math.nan, [0.4] * 3), "altitude", "finite"),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize("refusal", REFUSED)

@@ -143,7 +143,6 @@ def test_every_key_of_form_arrives() -> None:
     assert [step.name for step in found.mission] == ["form", "release", "hold", "form"]
 
 
-# fmt: off
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("limits.leg", 1e-300, r"1e-300: must be at least 1e-09; "),
     ("limits.jerk", 1e300, r"1e+300: must be at most 1e+09; "),
@@ -160,7 +159,6 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of title, team"),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize(("key", "value", "message"), FAULTS, ids=[f[2][:40] for f in FAULTS])
@@ -209,10 +207,6 @@ def test_sizes_are_refused_before_memory_is_spent() -> None:
 def test_what_is_no_mapping_of_plain_data_is_an_input_error(data: Any) -> None:
     with pytest.raises(InputError):
         problem_from_dict(data)
-    held: Any = triangle()
-    held["limits"]["speed"] = held
-    with pytest.raises(HitchoptError, match="nested at most 20 levels deep"):
-        problem_from_dict(held)
 
 
 def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:

@@ -14,8 +14,6 @@ from plans import PROBLEMS
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
 from hitchopt.storage.yaml_file import (
-    MAX_BYTES,
-    MAX_NODES,
     parse_yaml,
     read_yaml,
     split_key,
@@ -40,12 +38,6 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) ->
     assert data == {"key": value, "next": 1}
     assert isinstance(data, dict)
     assert type(data["key"]) is type(value)
-
-
-def test_a_number_of_many_digits_costs_nothing() -> None:
-    assert parse_yaml("n: " + "9" * 400_000) == {"n": math.inf}
-    data: Any = parse_yaml("n: " + "9" * 301)
-    assert data["n"] == pytest.approx(1e301)
 
 
 # fmt: off
@@ -78,7 +70,7 @@ def test_other_yaml_is_refused_by_place(text: str, kind: type[HitchoptError], wo
 
 def test_depth_and_count_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse_yaml("[" * 20 + "1" + "]" * 20) is not None
-    assert MAX_NODES > 8 * 3 * 10_000  # several polygons of the largest team
+    assert parse_yaml("n: " + "9" * 400_000) == {"n": math.inf}
     monkeypatch.setattr("hitchopt.storage.yaml_file.MAX_NODES", 100)
     assert parse_yaml(f"a: [{'1, ' * 98}]") is not None
     with pytest.raises(InputError, match=r"a\[98\] = '101 values': must be within 100"):
@@ -105,7 +97,7 @@ def test_large_files_and_paths_that_are_no_files_are_refused(tmp_path: Path) -> 
     with path.open("wb") as file:
         file.truncate(50 * 2**30)  # sparse
     for wrong, words in (
-        (path, f"larger than the {MAX_BYTES} bytes"),
+        (path, r"larger than the \d+ bytes"),
         (tmp_path / "missing.yaml", "no such file; check the path"),
         (tmp_path, r"cannot be read \(Is a directory\)"),
         ("a\0b", r"cannot be read \(embedded null byte\)"),
@@ -125,19 +117,15 @@ def test_no_text_makes_anything_but_plain_data_or_a_told_error(text: str) -> Non
 
 
 def test_outlines_of_objects_are_read_beside_the_problem(tmp_path: Path) -> None:
-    corners = [[-0.1, -0.2], [-0.1, 0.2], [0.1, 0.2], [0.1, -0.2]]
+    corners, path = [[-0.1, -0.2], [-0.1, 0.2], [0.1, 0.2], [0.1, -0.2]], tmp_path / "problem.yaml"
     (tmp_path / "box.csv").write_text("\n".join(f"{x},{y}" for x, y in corners))
-    text, path = (PROBLEMS / "triangle.yaml").read_text("utf-8"), tmp_path / "problem.yaml"
-    for name in ("box.csv", "bag.csv"):
-        body = f"objects: {{box: {{file: {name}, to: 0.3, mass: 0.1, at: [5, 5, 0]}}}}\n"
-        path.write_text(text + body, "utf-8")
-        if name == "bag.csv":
-            with pytest.raises(FileError, match=r"bag\.csv"):
-                load_problem(path)
-        else:
-            outline = load_problem(path).objects["box"].section.outline
-            assert outline is not None
-            assert sorted(outline.round(9).tolist()) == sorted(corners)
+    body = "objects: {box: {file: box.csv, to: 0.3, mass: 0.1, at: [5, 5, 0]}}\n"
+    path.write_text((PROBLEMS / "triangle.yaml").read_text("utf-8") + body, "utf-8")
+    section = load_problem(path).objects["box"].section
+    assert sorted(section.core.round(9).tolist()) == sorted(corners)
+    (tmp_path / "box.csv").unlink()
+    with pytest.raises(FileError, match=r"box\.csv"):
+        load_problem(path)
 
 
 TEXT = """\
@@ -215,7 +203,8 @@ def test_steps_go_with_the_comments_above_them() -> None:
 @given(st.permutations(range(3)), st.sampled_from(["\n", "\r\n"]), st.booleans())
 def test_the_file_holds_what_was_done(order: list[int], line: str, brackets: bool) -> None:
     text = "a: [{b: 1}, {c: 2}, {d: 3}]" if brackets else TEXT.replace("\n", line).rstrip()
-    path, land = ("a",) if brackets else MISSION, {"land": {}}
+    path = ("a",) if brackets else MISSION
+    land: Any = {"land": {}}
     steps = value_at(parse_yaml(text), path)
     moved = with_entries(text, path, order)
     assert with_entries(moved, path, [order.index(i) for i in range(3)]) == text

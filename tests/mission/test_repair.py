@@ -7,7 +7,6 @@ import math
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +21,9 @@ from hitchopt.mission.repair import Edit, outlines_scaled, team_edit, with_edits
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
 
-def edited(data: dict[str, Any], edits: Iterable[Edit]) -> dict[str, Any]:
+def edited(data: Any, edits: Iterable[Edit]) -> dict[str, Any]:
     """Return a copy of a problem's mapping with the edits of a change; sections may be missing."""
-    result: Any = copy.deepcopy(data)
+    result = copy.deepcopy(data)
     for edit in edits:
         place = result
         *parents, last = split_key(edit.key)
@@ -59,11 +58,6 @@ def suggested(stem: str) -> tuple[ho.Suggestion, ...]:
     return ho.suggestions(CASES[stem], PATIENCE)
 
 
-def mapping(path: Path) -> dict[str, Any]:
-    data: Any = read_yaml(path)
-    return dict(data)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", SMALLEST)
 def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
@@ -73,10 +67,10 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
     sizes = [abs(suggestion.change.relative) for suggestion in found]
     assert sizes == sorted(sizes)
     for suggestion in found:
-        assert_as_suggested(mapping(CASES[stem]), suggestion)
+        assert_as_suggested(read_yaml(CASES[stem]), suggestion)
 
 
-def assert_as_suggested(data: dict[str, Any], suggestion: ho.Suggestion) -> ho.Plan:
+def assert_as_suggested(data: Any, suggestion: ho.Suggestion) -> ho.Plan:
     plan = ho.solve(problem_from_dict(edited(data, suggestion.change.edits)))
     assert plan.certificate.certified
     assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
@@ -163,17 +157,14 @@ def test_what_can_be_met_needs_no_repair_and_what_nothing_mends_is_refused_as_be
 
 
 @pytest.mark.slow
-def test_a_slipping_grip_gets_a_lighter_or_rougher_object(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_slipping_grip_gets_a_lighter_or_rougher_object(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hitchopt.mission.repair.SIZES", (1.5,))  # what is needed comes first
-    data = mapping(PROBLEMS / "grip_drum.yaml")
+    data: Any = read_yaml(PROBLEMS / "grip_drum.yaml")
     form, carry, *_ = data["mission"]
     data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
     (name, body), *_ = data["objects"].items()
     body["mass"] *= 3.0
-    found = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
-    lighter: Any
+    found: Any = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
     lighter, rougher = (found[f"objects.{name}.{key}"].change.new for key in ("mass", "friction"))
     assert lighter < body["mass"]
     assert body["friction"] < rougher <= 1.0
@@ -226,9 +217,7 @@ TEAM = ho.Team(
         (lambda p: outlines_scaled(p, 0.9), ""),
     ],
 )
-def test_repaired_problems_have_every_field(
-    edit: Callable[[ho.Problem], Any], changed: str
-) -> None:
+def test_repaired_problems_keep_all_fields(edit: Callable[[ho.Problem], Any], changed: str) -> None:
     """And so has a team whose robots are renumbered."""
     start = ho.HitchStart(ho.Hitch.balanced(TEAM, ARC, 1.1).polygon, 1.1, "balanced")
     problem = ho.Problem(TEAM, start, (ho.Hold(2.0),))

@@ -40,6 +40,8 @@ def moved(problem: ho.Problem, change: Callable[[Any], Any]) -> ho.Problem:
 Map = Callable[[Array], Array]
 """How positions (times, 2n, 3) of a plan become those of the changed problem's."""
 
+Change = Callable[[ho.Problem], tuple[ho.Problem, Map]]
+
 
 def turned(problem: ho.Problem) -> tuple[ho.Problem, Map]:
     c, s = np.cos(0.7), np.sin(0.7)
@@ -74,9 +76,7 @@ def mirrored(problem: ho.Problem) -> tuple[ho.Problem, Map]:
         (mirrored, read_yaml(PROBLEMS / "open_arc.yaml")),
     ],
 )
-def test_the_changed_problem_has_the_changed_plan(
-    change: Callable[[ho.Problem], tuple[ho.Problem, Map]], data: dict[str, Any]
-) -> None:
+def test_the_changed_problem_has_the_changed_plan(change: Change, data: dict[str, Any]) -> None:
     problem = problem_from_dict(data)
     changed, mapped = change(problem)
     plan, other = ho.solve(problem), ho.solve(changed)
@@ -126,9 +126,7 @@ def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
     assert ho.morph(start, goal, optimize=True, duration=3.0).duration == 3.0
 
 
-def test_a_shut_way_is_gone_round_or_the_refusal_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_shut_way_is_gone_round_or_the_refusal_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     start = ho.Hitch.spread(ho.Team(4, 2.4), SQUARE)
     half = ho.morph(start, SQUARE.renumbered(2))
     assert "the step's own route is infeasible" in half.phases[0].remark

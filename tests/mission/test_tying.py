@@ -102,10 +102,9 @@ def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
 
 
 def test_open_chains_are_tied_as_well() -> None:
-    team = ho.Team(3, 2.0, topology="open")
     q = np.array([[-2.0, -1, 0], [-0.5, -1, 0], [1, -1, 0]])
-    r = np.array([[-1.0, -1, 0], [0.5, -1, 0], [2, -1, 0]])
-    plan = ho.form(team, q, r, [[-1.5, 0], [-0.6, 0.8], [0.6, 0.8], [1.5, 0]], 1.5)
+    arc = [[-1.5, 0], [-0.6, 0.8], [0.6, 0.8], [1.5, 0]]
+    plan = ho.form(ho.Team(3, 2.0, topology="open"), q, q + [1.0, 0.0, 0.0], arc, 1.5)
     assert plan.certificate.certified
     assert plan.certificate["interlacing"].worst == 0.0
 

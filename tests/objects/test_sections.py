@@ -113,7 +113,6 @@ def placed(at: list[float]) -> None:
     check_placed({"table": table, "box": solid(at)}, 0.0)
 
 
-# fmt: off
 EITHER = "give either an outline or a circle's radius"
 BENT: Any = [[0, 0], [1, 0], [0.4, 0.4], [0, 1]]
 REFUSED: list[Refusal] = [
@@ -129,7 +128,6 @@ REFUSED: list[Refusal] = [
     (lambda: solid([0, 0, 0], rim=ho.Rim(ho.Section(radius=1.0), 0.9)), "rim.height", "the body"),
     (lambda: solid([0, 0]), "at", "must be a point"),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize("refusal", REFUSED)

@@ -178,9 +178,8 @@ START = ho.Hitch(
 )
 K = 3
 HERE = START.vertices[K, :2]
-TIMES, X = [2.0, 3.5, 5.0, 6.25, 9.0], [0.08, 0.15, 0.15, 0.05, 0.0]
-Y = [0.05, -0.02, -0.02, -0.04, 0.03]
-POINTS = [[t, *(HERE + [x, y])] for t, x, y in zip(TIMES, X, Y, strict=True)]
+ROWS = [(2.0, 0.08, 0.05), (3.5, 0.15, -0.02), (5.0, 0.15, -0.02), (6.25, 0.05, -0.04)]
+POINTS = [[t, *(HERE + [x, y])] for t, x, y in (*ROWS, (9.0, 0.0, 0.03))]
 
 
 def test_points_are_met_at_their_times_and_standing_stands() -> None:

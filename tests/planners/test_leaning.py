@@ -92,8 +92,8 @@ def test_it_leans_as_much_as_is_counted_on() -> None:
 
 SLIDING = [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
 WORKED = [[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]]
-Q = [[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]]
-R = [[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]]
+Q = np.array([[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]])
+R = np.array([[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]])
 LEANING = "legs lean against friction, by up to"
 
 
@@ -204,7 +204,7 @@ def test_drones_swing_to_both_sides_by_less_and_less_and_vertices_stay() -> None
 
 
 def form(settle: Any = "auto") -> Step:
-    return ho.Form(WORKED, 1.2, settle=settle)
+    return ho.Form(ho.ConvexPolygon(WORKED), 1.2, settle=settle)
 
 
 def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
