@@ -184,6 +184,8 @@ def borne_before(motion: Motion) -> Motion:
         (borne_before, "support"),
         (lambda m: replace(m, poses=moved(m.poses, [0.001, 0, 0, 0, 0])), "grip"),
         (lambda m: replace(m, contacts=moved(m.contacts, [0.0, 0.001, 0.0])), "grip"),
+        (lambda m: with_body(m, "drum", mass=0.98 * DRUM), "equilibrium"),
+        (lambda m: with_body(m, "drum", mass=1.02 * DRUM), "equilibrium"),
         (lambda m: with_body(m, "drum", section=ho.Section(radius=RADIUS + 0.001)), "grip"),
         (lambda m: with_body(m, "drum", section=ho.Section(radius=RADIUS - 0.001)), "grip"),
     ],
@@ -192,11 +194,6 @@ def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], contradicted: str
 ) -> None:
     assert not check(change(motion), contradicted).holds
-
-
-@pytest.mark.parametrize("share", [0.98, 1.02])
-def test_equilibrium_counts_what_edges_carry(motion: Motion, share: float) -> None:
-    assert not check(with_body(motion, "drum", mass=share * DRUM), "equilibrium").holds
 
 
 def test_it_is_opened_with_little_tension(motion: Motion) -> None:

@@ -30,7 +30,7 @@ def along(rng: np.random.Generator, value: Array, size: Array | float, t: Array)
 def moving(h: Hitch, seed: int, t: Array) -> FlatJets:
     """Flat outputs on random quadratics of time through the hitch."""
     rng = np.random.default_rng(seed)
-    legs = along(rng, h.q_legs, 0.02 * h.team.layout.has_leg[:, 0], t)
+    legs = along(rng, h.q_legs, np.where(h.team.layout.has_leg[:, 0], 0.02, 0.0), t)
     tensions = along(rng, h.team.tension, 0.02 * (np.ptp(h.team.tension) > 0.0), t)
     roll = along(rng, h.roll, 0.1, t) if np.any(h.roll) else None
     return FlatJets(along(rng, h.vertices, 0.05, t), legs, tensions, roll)

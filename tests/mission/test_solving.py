@@ -114,7 +114,7 @@ def test_moves_of_next_to_nothing_are_planned(offset: float) -> None:
     goal = np.array(TRIANGLE) + offset
     plan = ho.morph(ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE), goal)
     assert plan.duration <= 0.2
-    np.testing.assert_allclose(plan.at(1.0).vertices[:, :2], goal, atol=1e-12)
+    np.testing.assert_allclose(plan.end.vertices[:, :2], goal, atol=1e-12)
 
 
 def test_optimize_is_never_slower_and_says_that_it_helped() -> None:

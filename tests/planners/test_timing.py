@@ -25,8 +25,6 @@ from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 
-FREE = {"vertex_speed": 100.0, "tilt": 1.5}
-
 
 @given(st.integers(0, 2**32 - 1), st.floats(-0.5, 0.5))
 @settings(max_examples=40)
@@ -80,18 +78,12 @@ def ends(
     return start, Hitch.nearest(team, second, 1.0, start.fractions, **kept)  # type: ignore[arg-type]
 
 
-def straight(
-    n: int, seed: int, limits: Limits, offset: tuple[float, float] | None = None
-) -> ShapePath:
-    return ShapePath.straight(*ends(n, seed, limits, offset))
-
-
 @pytest.mark.parametrize("distance", [0.1, 0.6, 3.0])
 def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     """By trapezoids without a jerk limit: D/v + v/a; with one as the fastest clock takes."""
     v, a, j = 0.8, 2.0, 20.0
-    limits = Limits(speed=v, acceleration=a, jerk=j, **FREE)
-    path = straight(4, 3, limits, (0.6 * distance, 0.8 * distance))
+    limits = Limits(v, a, j, tilt=1.5, vertex_speed=100.0)
+    path = ShapePath.straight(*ends(4, 3, limits, (0.6 * distance, 0.8 * distance)))
     bang = distance / v + v / a if distance > v * v / a else 2.0 * math.sqrt(distance / a)
     profile = fastest_profile(path_grid(GRID), Demands.along(path, limits, path_grid(GRID)))
     assert profile.duration == pytest.approx(bang, rel=2e-3)
@@ -127,7 +119,7 @@ def test_one_limit_binds_near_the_optimal_duration(limits: Limits, binding: str,
 def test_flights_take_a_little_longer_than_their_estimates(seed: int) -> None:
     """And forever where a path cannot even be held at rest."""
     for limits in (Limits(), Limits(speed=0.5, vertex_speed=5.0, acceleration=1.0)):
-        path = straight(3 + seed, seed, limits)
+        path = ShapePath.straight(*ends(3 + seed, seed, limits))
         duration = fly(path, limits).duration
         assert 0.995 * duration - 0.05 < flight_estimate(path, limits) < duration
     limits = Limits(tilt=math.radians(10.0))
