@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -19,8 +18,8 @@ from hitchopt.values import Array
 MASS, TO = 0.2, [-0.3, 0.9, 0.1]
 """Mass [kg] of the tray, and where it goes."""
 
-DRUM, RADIUS, FRICTION, CLASPS = 0.1, 0.2, 0.5, 0.1
-"""Mass [kg], radius [m] and friction of the drum, and friction of the clasps that grip it."""
+DRUM, RADIUS = 0.1, 0.2
+"""Mass [kg] and radius [m] of the drum."""
 
 
 def tray(**changes: Any) -> dict[str, Any]:
@@ -28,50 +27,26 @@ def tray(**changes: Any) -> dict[str, Any]:
     held = {"circle": 0.1, "to": 0.3, "mass": MASS, "at": [1.1, 0.2, 0.0], "yaw_deg": 20.0}
     held["rim"] = {"circle": 0.3, "at": 0.25}
     table = {"circle": 0.3, "to": 0.1, "at": [*TO[:2], 0.0], "fixed": True}
-    given: dict[str, Any] = {
+    step = {"object": "tray", "to": TO, "tension": 1.0, "yaw_deg": 40.0, "lift": 0.1}
+    return {
         "team": {"robots": 3, "cable_length": 2.2, "tension": 0.8, "cable_density": 0.004},
         "limits": {"tilt_deg": 60},
         "objects": {"tray": {**held, **changes}, "table": table},
-        "start": {
-            "hitch": {"polygon": [[1.5, 0.2], [0.9, -0.1], [0.9, 0.5]], "altitude": 0.9},
-        },
+        "start": {"hitch": {"polygon": [[1.5, 0.2], [0.9, -0.1], [0.9, 0.5]], "altitude": 0.9}},
+        "mission": [{"transport_object": step}],
     }
-    step = {"object": "tray", "to": TO, "tension": 1.0, "yaw_deg": 40.0, "lift": 0.1}
-    given["mission"] = [{"transport_object": step}]
-    return given
 
 
-def drum(turn: float = 0.0, by: tuple[float, float] = (0.0, 0.0), **changes: Any) -> dict[str, Any]:
-    """A drum to be gripped, turned while it is carried; all of it turned and moved in the plane."""
-    c, s = math.cos(turn), math.sin(turn)
-
-    def placed(point: Any) -> list[float]:
-        x, y = np.asarray(point)[:2]
-        return [float(c * x - s * y + by[0]), float(s * x + c * y + by[1])]
-
-    held = {
-        "circle": RADIUS,
-        "to": 0.3,
-        "mass": DRUM,
-        "friction": FRICTION,
-        "at": [*placed([1.3, 0.2]), 0],
-    }
-    polygon = [placed(p) for p in ([1.8, 0.2], [1.0, -0.25], [1.0, 0.65])]
-    step = {
-        "object": "drum",
-        "to": [*placed([1.0, 1.0]), 0.0],
-        "tension": 1.3,
-        "lift": 0.1,
-        "yaw_deg": 30,
-    }
+def drum(**changes: Any) -> dict[str, Any]:
+    """A drum to be gripped, turned while it is carried."""
+    held = {"circle": RADIUS, "to": 0.3, "mass": DRUM, "friction": 0.5, "at": [1.3, 0.2, 0.0]}
+    step = {"object": "drum", "to": [1.0, 1.0, 0.0], "tension": 1.3, "lift": 0.1, "yaw_deg": 30}
+    team = {"robots": 3, "cable_length": 1.6, "tension": 1.0, "cable_density": 0.004}
     return {
-        "team": {
-            **{"robots": 3, "cable_length": 1.6, "tension": 1.0, "cable_density": 0.004},
-            "cable_friction": CLASPS,
-        },
+        "team": {**team, "cable_friction": 0.1},
         "limits": {"tilt_deg": 60},
         "objects": {"drum": {**held, **changes}},
-        "start": {"hitch": {"polygon": polygon, "altitude": 0.8}},
+        "start": {"hitch": {"polygon": [[1.8, 0.2], [1.0, -0.25], [1.0, 0.65]], "altitude": 0.8}},
         "mission": [{"transport_object": step}],
     }
 
@@ -97,11 +72,6 @@ def check(motion: Motion, name: str) -> Check:
     found = RULE_OF[name].check(motion)
     assert found is not None
     return found
-
-
-def unit(vectors: Array) -> Array:
-    lengths: Array = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / lengths
 
 
 def lifted(motion: Motion) -> Array:

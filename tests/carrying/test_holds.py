@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -19,8 +18,8 @@ def hold(
     body: dict[str, Any], robots: int, length: float, *, radius: float = 0.45, **keys: Any
 ) -> dict[str, Any]:
     """Return the problem of moving a body with cables of a length [m]; keys of team and step."""
-    angles = 0.3 - 2.0 * np.pi * np.arange(robots) / robots
-    polygon = np.array([0.4, -0.3]) + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    edge = 2.0 * radius * np.sin(np.pi / robots)
+    polygon = ho.regular_polygon(robots, edge, 0.3).translated([0.4, -0.3]).vertices
     step = {name: keys.pop(name) for name in ("tension", "yaw_deg") if name in keys}
     team = {"robots": robots, "cable_length": length, "tension": 1.0, "cable_density": 0.01}
     return {
@@ -72,11 +71,8 @@ ENCLOSED, LEFT = {"enclose": {"object": "tray"}}, {"leave": {"object": "tray"}}
 ENCLOSED_DRUM = {"enclose": {"object": "drum"}}
 ON_TOP = plans.tray()
 ON_TOP["objects"]["cup"] = {"circle": 0.03, "to": 0.1, "mass": 0.02, "at": [1.1, 0.2, 0.3]}
-HIGH = plans.tray()
-HIGH["mission"][0]["transport_object"]["by"] = 0.6
 TENSE = plans.tray() | {"limits": {}}
 TENSE["mission"][0]["transport_object"]["tension"] = 1.6
-RIMMED = plans.drum(circle=0.1, rim={"circle": 0.25, "at": 0.25})
 # Six straight parts with 1.3 N each lift 7.8 N at most, were they upright.
 LOADED = plans.drum(mass=0.82, friction=20.0)
 LOADED["limits"]["tilt_deg"] = 70
@@ -97,27 +93,20 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (hold(NARROW, 6, 2.2), "support", "hitchopt fit"),
     (tray(4, 0.2, 2.2, at=0.07), "object_clearance", "stand it on something"),
     (TENSE, "tilt", "limits.tilt_deg"),
-    (plans.tray(rim={"outline": [[1, 1], [1.5, 1], [1, 1.5]], "at": 0.25}), "objects.tray.rim", ""),
+    (plans.tray(rim={"outline": [[1, 1], [2, 1], [1, 2]], "at": 0.25}), "objects.tray.rim", "rim"),
     (plans.tray(friction=0.0), "objects.tray.friction", "takes it along"),
     (ON_TOP, "objects.cup.at", "carry objects.cup away"),
-    (HIGH, "mission[0].transport_object.by", r"a height belongs to lift: 0\.6"),
     (EDGE, "mission[0]", "farther in"),
     (steps_of(LOW, ENCLOSED), "arena", r"at the end of step 0 \(enclose\)"),
     (steps_of(SMALL, ENCLOSED_DRUM), "equilibrium", r"as large as around objects\.drum, 0\.5\d? m"),
     (steps_of(plans.tray(), {"lift": {"by": 0.2}}), "mission[0].lift",
      "must be one holding an object that stands"),
-    (steps_of(plans.tray(), {"enclose": {"object": "tr"}}), "mission[0].enclose.object",
-     "must be one of objects: tray, table"),
     (steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),
      "mission[2].move_vertex", "morph before"),
     (steps_of(plans.tray(), {"enclose": {"object": "table"}}), "objects.table.fixed",
      "false where it is held"),
-    (steps_of(plans.tray(), {"grasp": {"object": "tray", "tension": -1}}),
-     "mission[0].grasp.tension", "greater than"),
     ({**plans.drum(), "limits": {}}, "tilt", "need limits.tilt_deg of 51, above 45.*1.29 N or"),
     (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or ask for another tension"),
-    (steps_of(RIMMED, ENCLOSED_DRUM, {"grasp": {"object": "drum", "by": "grip"}}),
-     "mission[1].grasp.by", "rest where the object has a rim"),
     (steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}), "objects.drum.rim",
      "grasp it by: grip"),
     (LOADED, "equilibrium", "lower objects.drum.mass"),
@@ -126,28 +115,22 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("problem", "name", "words"), REFUSED)
-def test_what_cannot_be_held_is_refused_with_what_to_change(
-    problem: dict[str, Any], name: str, words: str
-) -> None:
-    """By the key of the file, or by the limit that binds."""
-    with pytest.raises(ho.HitchoptError) as caught:
+def test_what_cannot_be_held_is_refused(problem: dict[str, Any], name: str, words: str) -> None:
+    """By the key of the file, or by the limit that binds; with what to change."""
+    with pytest.raises(ho.HitchoptError, match=words) as caught:
         solved(problem)
-    error = caught.value
-    if isinstance(error, ho.InfeasibleError):
-        assert name in {violation.constraint for violation in error.violations}
-    else:
-        assert isinstance(error, ho.InputError)
-        assert error.key == name
-    assert re.search(words, str(error)), str(error)
+    told = {getattr(caught.value, "key", "")}
+    if isinstance(caught.value, ho.InfeasibleError):
+        told = {violation.constraint for violation in caught.value.violations}
+    assert name in told
 
 
 def test_bends_of_edges_below_the_ground_count() -> None:
     motion = plans.plan("drum").motion
-    assert motion.contacts is not None
-    lowered = motion.contacts.coefficients.copy()
+    lowered = motion.edge_contacts.coefficients.copy()
     lowered[:, 1, 0, 2] = -0.3
-    contacts = motion.contacts.alike(lowered)
-    found = plans.check(replace(motion, contacts=contacts), "object_clearance")
+    below = replace(motion, contacts=motion.edge_contacts.alike(lowered))
+    found = plans.check(below, "object_clearance")
     assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
 
 
@@ -167,12 +150,11 @@ def test_the_law_keeps_its_limits_and_uses_them(limits: tuple[float, float, floa
     law = SmoothLaw.fastest(*limits)
     t = np.linspace(0.0, law.duration, 20_001)
     share, speed, change = law.jet(t).T
-    assert share[0] == 0.0
-    assert share[-1] == pytest.approx(1.0)
+    assert share[[0, -1]] == pytest.approx([0.0, 1.0])
     assert np.all(np.diff(share) >= -1e-13)
     np.testing.assert_allclose(np.gradient(share, t)[1:-1], speed[1:-1], atol=1e-6)
     np.testing.assert_allclose(np.gradient(speed, t)[1:-1], change[1:-1], atol=1e-4)
     jerk = np.gradient(change, t)
-    used = np.array([np.max(np.abs(each)) for each in (speed, change, jerk)]) / limits
+    used = np.max(np.abs([speed, change, jerk]), axis=1) / limits
     assert np.max(used) == pytest.approx(1.0, rel=2e-3)
     assert np.all(jerk[[0, -1]] < 1e-3 * np.max(jerk))

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from carried_plans import MASS, TO, check, lifted, moved, plan, unit, with_body
+from carried_plans import MASS, TO, check, lifted, moved, plan, with_body
+from clasp_balance import unit
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
-from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.exports.exporting import export_motion
-from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import Hold, HoldBy, Motion
@@ -49,11 +46,10 @@ def pulls_of(motion: Motion, t: Array, directions: int = 3) -> Array:
 
 
 def test_the_tray_ends_where_it_was_sent(motion: Motion) -> None:
-    states = plan("tray").at(motion.duration)
-    np.testing.assert_allclose(states.object_poses[0, :3], TO, atol=1e-9)
-    yaw = np.degrees(np.arctan2(states.object_poses[0, 4], states.object_poses[0, 3]))
-    assert yaw == pytest.approx(60.0)
-    assert states.borne[0] == 0.0
+    pose = motion.object_poses.at(motion.duration)[0]
+    angle = np.radians(60.0)
+    np.testing.assert_allclose(pose, [*TO, np.cos(angle), np.sin(angle)], atol=1e-9)
+    assert motion.object_shares.at(motion.duration)[0] == 0.0
 
 
 def test_cables_carry_weight_and_inertia_gently(motion: Motion) -> None:
@@ -76,9 +72,7 @@ def test_cables_carry_weight_and_inertia_gently(motion: Motion) -> None:
     assert 0.5 * GENTLE < np.max(np.linalg.norm(a[:, :2], axis=-1)) <= GENTLE + 1e-6
 
 
-def test_legs_pass_the_edge_of_the_rim_and_pull_level_with_all_of_their_tension(
-    motion: Motion,
-) -> None:
+def test_legs_pass_the_rims_edge_and_pull_level_with_all_their_tension(motion: Motion) -> None:
     """A cable that slides over the rim's edge has one tension on both sides of it.
 
     What the rim takes is that of the weight, so only while the tray hardly accelerates. Simulated
@@ -128,15 +122,10 @@ def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) ->
     assert apart - 2.2e-3 <= check(flown, "support").bound <= apart
 
 
-def shares(motion: Motion, value: float) -> PiecewisePolynomial:
-    assert motion.borne is not None
-    return PiecewisePolynomial(motion.borne.breaks, value * motion.borne.coefficients)
-
-
 @pytest.mark.parametrize(
     ("change", "name"),
     [
-        (lambda m: replace(m, borne=shares(m, 0.5)), "support"),
+        (lambda m: replace(m, borne=m.borne.alike(0.5 * m.borne.coefficients)), "support"),
         (lambda m: replace(m, borne=None), "support"),
         (lambda m: replace(m, phases=tuple(replace(p, hold=None) for p in m.phases)), "support"),
         (lambda m: replace(m, poses=moved(m.object_poses, [0.2, 0, 0, 0, 0])), "support"),
@@ -145,7 +134,7 @@ def shares(motion: Motion, value: float) -> PiecewisePolynomial:
     ],
     ids=["half borne", "not borne", "not held", "elsewhere", "apart", "heavier"],
 )
-def test_what_contradicts_the_polynomials_is_refused(
+def test_false_claims_are_refused(
     motion: Motion, change: Callable[[Motion], Motion], name: str
 ) -> None:
     assert not check(change(motion), name).holds
@@ -171,9 +160,7 @@ def test_a_claimed_hold_lets_no_cable_through_an_object(by: HoldBy, rim: ho.Rim 
 @pytest.mark.parametrize(
     ("x", "rim", "holds"), [(0.0, 1.4, True), (0.0, 1.1, False), (5.0, 1.4, False)]
 )
-def test_clasps_of_a_hold_by_rest_are_below_the_rim_and_around(
-    x: float, rim: float, holds: bool
-) -> None:
+def test_clasps_of_a_rest_are_below_the_rim_and_around(x: float, rim: float, holds: bool) -> None:
     """Clasps that rise from 1 m to 1.3 m may claim a pole between them with a rim above."""
     changed = claimed([0.0, 0.0, 1.3], x, ho.Rim(ho.Section(radius=0.5), rim))
     for name, passes in (("support", holds), ("object_clearance", True)):
@@ -181,27 +168,18 @@ def test_clasps_of_a_hold_by_rest_are_below_the_rim_and_around(
         assert found is None or found.holds == passes
 
 
-def test_a_plan_with_a_load_is_not_stretched_far(motion: Motion, tmp_path: Path) -> None:
-    options = ExportOptions(format="csv", stretch=2.0)
-    with pytest.raises(CertificateError, match="equilibrium"):
-        export_motion(motion, "tray", options, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_flat_tray_is_carried_from_below_and_what_is_in_the_way_is_named() -> None:
     flat = planned("carry_tray")
     tray = list(flat.motion.requirements.objects).index("tray")
     carry = next(phase for phase in flat.phases if phase.name == "carry")
     there = flat.at(np.linspace(carry.start, carry.end, 40))
-    places = there.object_poses[:, tray, None, :3]
-    assert np.all(there.vertices[..., 2] <= places[..., 2] + 1e-6)
-    assert np.all(np.linalg.norm((there.vertices - places)[..., :2], axis=-1) < 0.33)
+    below = there.object_poses[:, tray, None, :3] - there.vertices
+    assert np.all(below[..., 2] >= -1e-6)
+    assert np.all(np.linalg.norm(below[..., :2], axis=-1) < 0.33)
     end = flat.at(flat.duration).object_poses[tray, :3]
     assert end == pytest.approx([0.2, 1.8, 0.5], abs=1e-6)
     given: Any = read_yaml(PROBLEMS / "carry_tray.yaml")
     given["objects"]["pillar"]["circle"] = 0.3
-    with pytest.raises(ho.InfeasibleError) as caught:
+    words = r"^object_clearance: 0 m is below the limit of 0\.035 m at .*pillar"
+    with pytest.raises(ho.InfeasibleError, match=words):
         ho.solve(any_problem_from_dict(given))
-    broken = caught.value.violations[0]
-    assert (broken.constraint, broken.value, broken.limit) == ("object_clearance", 0.0, 0.035)
-    assert "pillar" in broken.where

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import FLATNESS, outline_of_geometry, read_outline
 from hitchopt.values import Array
 
@@ -25,9 +25,8 @@ RING = [[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.0, 0.3], [0.0, 0.0]]
 
 def size_and_area(outline: Array) -> tuple[float, float, float]:
     section = ho.Section(outline)
-    assert section.outline is not None
-    width, depth = np.ptp(section.outline, axis=0)
-    return float(width), float(depth), ConvexPolygon(section.outline).area
+    width, depth = np.ptp(section.core, axis=0)
+    return float(width), float(depth), section.area
 
 
 POLYGON = {"type": "Polygon", "coordinates": [RING]}
@@ -38,11 +37,9 @@ BOXES: list[tuple[str, str, float]] = [
     ("a.svg", SVG.format(size="", shape=SMALL), 10.0),
     ("a.svg", SVG.format(size='width="800" height="600" ', shape=SMALL), 20.0),
     ("a.json", json.dumps(POLYGON), 1.0),
-    ("a.geojson", json.dumps(FEATURE), 1.0),
     ("a.json", json.dumps({"type": "FeatureCollection", "features": [FEATURE]}), 1.0),
     ("a.json", json.dumps(RING[:-1]), 1.0),
     ("a.csv", "# x, y\n0.0, 0.0\n0.4, 0.0\n0.4, 0.3\n0.0, 0.3", 1.0),
-    ("a.csv", "x,y\n0,0\n0.4,0\n0.4,0.3\n0,0.3\n", 1.0),
     ("a.txt", "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n", 1.0),
     ("a.csv", "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3", 1.0),
     ("a.csv", "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n", 1.0),
@@ -58,25 +55,20 @@ def test_boxes_have_their_size(tmp_path: Path, name: str, text: str, size: float
     assert found == pytest.approx((0.4 * size, 0.3 * size, 0.12 * size**2), rel=1e-4)
 
 
-def test_svg_is_not_mirrored(tmp_path: Path) -> None:
+def test_svg_is_not_mirrored_and_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
     drawing = tmp_path / "wedge.svg"
     drawing.write_text(SVG.format(size="", shape='<polygon points="0,0 4,0 0,2"/>'))
     assert sorted(read_outline(drawing).tolist()) == [[0.0, -2.0], [0.0, 0.0], [4.0, 0.0]]
-
-
-def test_curves_are_flat_to_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
-    drawing = tmp_path / "disc.svg"
     drawing.write_text(SVG.format(size="", shape='<circle cx="1" cy="2" r="0.2"/>'))
     outline = read_outline(drawing) - [1.0, -2.0]
-    assert np.max(np.abs(np.hypot(*outline.T) - 0.2)) < 2.0 * FLATNESS
     middles = 0.5 * (outline + np.roll(outline, -1, axis=0))
-    assert np.min(np.hypot(*middles.T)) > 0.2 - 2.0 * FLATNESS
-    assert ho.Section(outline).area == pytest.approx(math.pi * 0.04, rel=2e-3)
+    away = np.hypot(*np.concatenate([outline, middles]).T)
+    assert np.max(np.abs(away - 0.2)) < 2.0 * FLATNESS
 
 
 def lines(space: Any) -> None:
-    corners = [(0, 0), (16, 0), (16, 12), (0, 12)]
-    for first, last in zip(corners, corners[1:] + corners[:1], strict=True):
+    corners = [(0, 0), (16, 0), (16, 12), (0, 12), (0, 0)]
+    for first, last in pairwise(corners):
         space.add_line(first, last)
     space.add_text("not a part of it")
 
@@ -104,8 +96,8 @@ def block(space: Any) -> None:
         (4, block, (0.4, 0.3, 0.12)),
     ],
 )
-def test_dxf_lines_are_joined_and_converted_and_blocks_taken_apart(
-    tmp_path: Path, units: int, draw: Callable[[Any], object], expected: tuple[float, float, float]
+def test_dxf_lines_are_joined_and_blocks_taken_apart(
+    tmp_path: Path, units: int, draw: Callable[[Any], object], expected: tuple[float, ...]
 ) -> None:
     drawing = import_module("ezdxf").new(units=units, setup=draw is block)
     draw(drawing.modelspace())
@@ -120,35 +112,31 @@ def test_holes_of_geometries_are_left_out() -> None:
     assert size_and_area(outline_of_geometry(holed)) == pytest.approx((0.4, 0.3, 0.12))
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "kind", "words"),
-    [
-        ("a.svg", "<svg", ho.FileError, "cannot be read"),
-        ("a.dxf", "abc", ho.FileError, "cannot be read"),
-        ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", ho.FileError, "a list of points"),
-        ("a.csv", "0, nan\n1, 0\n1, 1", ho.InputError, "finite"),
-        ("a.csv", "0, 0\n1, 0", ho.InputError, "closed outline"),
-        ("a.csv", "", ho.FileError, "one on each line"),
-        ("a.csv", "0, 0\n1, 0\nx, 1\n", ho.FileError, "line 3 is not a point"),
-        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", ho.FileError, "line 1 is not a point"),
-        ("a.csv", "0, 0, 0\n1, 0, 0\n1, 1, 0\n", ho.FileError, "one on each line"),
-        ("a.csv", "0, 0\n1, 1\n1, 0\n0, 1", ho.InputError, "cross itself"),
-        ("a.geojson", '{"type": "FeatureCollection"}', ho.FileError, "neither GeoJSON nor"),
-        ("a.geojson", '{"type": "Polygon", "coordinates": 3}', ho.FileError, "neither GeoJSON nor"),
-        ("a.svg", SVG.format(size="", shape=""), ho.InputError, "closed outline"),
-        ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), ho.InputError, "both"),
-        ("a.step", "", ho.InputError, "a drawing"),
+WRONG = {
+    ho.FileError: [
+        ("a.svg", "<svg", "cannot be read"),
+        ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", "a list of points"),
+        ("a.csv", "0, 0\n1, 0\nx, 1\n", "line 3 is not a point"),
+        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", "line 1 is not a point"),
+        ("a.csv", "0, 0, 0\n1, 0, 0\n1, 1, 0\n", "one on each line"),
+        ("a.geojson", '{"type": "Polygon", "coordinates": 3}', "neither GeoJSON nor"),
     ],
-)
+    ho.InputError: [
+        ("a.csv", "0, nan\n1, 0\n1, 1", "finite"),
+        ("a.csv", "0, 0\n1, 0", "closed outline"),
+        ("a.csv", "0, 0\n1, 1\n1, 0\n0, 1", "cross itself"),
+        ("a.csv", "0, 0\n400, 0\n400, 300\n", "400 m; state the drawing's unit"),
+        ("a.svg", SVG.format(size='width="4cm" ', shape=RECTANGLE), "both"),
+        ("a.step", "", "a drawing"),
+    ],
+}
+
+
+@pytest.mark.parametrize(("kind", "files"), WRONG.items())
 def test_what_is_no_outline_is_refused(
-    tmp_path: Path, name: str, text: str, kind: type[ho.HitchoptError], words: str
+    tmp_path: Path, kind: type[ho.HitchoptError], files: list[tuple[str, str, str]]
 ) -> None:
-    (tmp_path / name).write_text(text)
-    with pytest.raises(kind, match=words):
-        read_outline(tmp_path / name)
-
-
-def test_objects_are_no_larger_than_rooms(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("0, 0\n400, 0\n400, 300\n")
-    with pytest.raises(ho.InputError, match="400 m; state the drawing's unit"):
-        ho.fit(str(tmp_path / "a.csv"), 3)
+    for name, text, words in files:
+        (tmp_path / name).write_text(text)
+        with pytest.raises(kind, match=words):
+            read_outline(tmp_path / name)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from clasp_balance import KINDS, random_hitch
+from clasp_balance import KINDS, random_hitch, unit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,15 +24,11 @@ from hitchopt.hitch.forces import (
 
 seeds = st.integers(0, 2**32 - 1)
 topologies = st.sampled_from(["closed", "open"])
-RHO = 9.81 * 0.01
-"""[N/m] Weight of the cables here."""
 
 
 @given(seeds, st.integers(3, 9), topologies, st.sampled_from(KINDS))
 @settings(max_examples=120)
-def test_clasps_balance_and_cables_have_their_length(
-    seed: int, n: int, topology: str, kind: str
-) -> None:
+def test_clasps_balance_and_cables_are_used_up(seed: int, n: int, topology: str, kind: str) -> None:
     """Written out: at every clasp half of the cables about it, and the arc of every span."""
     h = random_hitch(seed, n, topology, kind)
     T, layout, rho = h.team.tension, h.team.layout, 9.81 * h.team.cable_density
@@ -49,35 +44,31 @@ def test_clasps_balance_and_cables_have_their_length(
     if kind in KINDS[:2]:
         np.testing.assert_allclose(x[..., 2], 0.8)
     if topology == "open":
-        np.testing.assert_array_equal(x[0, 0], p[0])
-        np.testing.assert_allclose(x[-1, 1], p[-1], atol=1e-15)
+        np.testing.assert_allclose([x[0, 0], x[-1, 1]], p[[0, -1]], atol=1e-15)
     # The pull of legs with weight is found by iteration; lengths of parts count as their cables'.
     tolerance = {"loaded": 1e-12, "heavy": 3e-4}.get(kind, 1e-9)
-    for k, clasp in enumerate(layout.clasps):
-        a, b = layout.ahead[k], layout.behind[k]
+    along = spans / np.maximum(length, 1e-12)[..., None]
+    half, sine = 0.5 * rho * length, along[..., 2]
+    pulls = (half * sine + np.sqrt(T[:, None] ** 2 - half**2 * (1.0 - sine**2)))[..., None] * along
+    on_drones = -pulls[:, ::2] - half[:, ::2, None] * [0.0, 0.0, 1.0]
+    found = h.cable_forces.reshape(n, 2, 3)[layout.has_leg]
+    np.testing.assert_allclose(found, on_drones[layout.has_leg], atol=1e-12)
+    for k, (a, b) in enumerate(zip(layout.ahead, layout.behind, strict=True)):
+        force = pulls[a, 0] + pulls[a, 1] + pulls[b, 2] - pulls[b, 1]
         weight = 0.5 * rho * (arcs[a, 0] + arcs[a, 1] + arcs[b, 1] + arcs[b, 2])
-        force = np.array([0.0, 0.0, -weight - 9.81 * h.team.load[k]])
-        for cable, part, sign in ((a, 0, 1.0), (a, 1, 1.0), (b, 2, 1.0), (b, 1, -1.0)):
-            half, sine = (
-                0.5 * rho * length[cable, part],
-                spans[cable, part, 2] / length[cable, part],
-            )
-            pull = half * sine + math.sqrt(T[cable] ** 2 - half**2 * (1.0 - sine**2))
-            force += sign * pull * spans[cable, part] / length[cable, part]
-        assert np.linalg.norm(force) < tolerance * T[a], clasp
+        force[2] -= weight + 9.81 * h.team.load[k]
+        assert np.linalg.norm(force) < tolerance * T[a], k
 
 
 @given(seeds, st.integers(3, 30))
 @settings(max_examples=30)
 def test_equal_tensions_give_the_papers_positions(seed: int, n: int) -> None:
-    """Its eq. (4), written out robot by robot."""
+    """Its eq. (4)."""
     h = random_hitch(seed, n, kind="equal")
-    p, u = h.polygon.vertices, h.polygon.edge_directions
-    for k in range(n):
-        d, e = h.legs[k]
-        ahead = (k + 1) % n
-        np.testing.assert_allclose(h.drones[2 * k, :2], p[k] + d * u[k - 1], atol=1e-12)
-        np.testing.assert_allclose(h.drones[2 * k + 1, :2], p[ahead] - e * u[ahead], atol=1e-12)
+    p, u, (d, e) = h.polygon.vertices, h.polygon.edge_directions, h.legs.T[..., None]
+    np.testing.assert_allclose(h.drones[0::2, :2], p + d * np.roll(u, 1, axis=0), atol=1e-12)
+    r = np.roll(p, -1, axis=0) - e * np.roll(u, -1, axis=0)
+    np.testing.assert_allclose(h.drones[1::2, :2], r, atol=1e-12)
 
 
 @given(seeds, st.integers(3, 12), topologies)
@@ -97,69 +88,42 @@ def test_contact_forces_follow_the_closed_form_and_press(seed: int, n: int, topo
 @pytest.mark.parametrize("topology", ["closed", "open"])
 def test_the_cable_pulls_drones_toward_their_vertices(topology: str) -> None:
     """Toward its edge's other end where a chain's end has no leg."""
-    team = Team(3, 2.4, topology=topology, tension=[0.4, 0.5, 0.45])
-    points = [[1.0, 0.0], [0.6, 1.5], [1.4, 1.5], [1.7, 0.5]]
-    h = Hitch.balanced(team, points[: len(points) - (topology == "closed")])
-    p = h.vertices
-    ends = [(p[k], p[(k + 1) % len(p)]) for k in range(3)]
+    h = random_hitch(1, 3, topology)
+    p, k = h.vertices, h.team.layout
+    toward = p[np.column_stack([k.starts, k.ends])]
     if topology == "open":
-        ends[0], ends[-1] = (p[1], p[1]), (p[2], p[2])
-    toward = np.reshape(ends, (6, 3)) - h.drones
-    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    expected = np.repeat([0.4, 0.5, 0.45], 2)[:, None] * toward
+        toward[0, 0], toward[-1, 1] = p[1], p[2]
+    toward = unit(toward.reshape(6, 3) - h.drones)
+    expected = np.repeat(h.team.tension, 2)[:, None] * toward
     np.testing.assert_allclose(h.cable_forces, expected, atol=1e-12)
 
 
 def test_a_positive_roll_raises_q_and_lowers_the_other_drone_of_its_clasp() -> None:
-    team = Team(5, 2.0)
-    h = Hitch.balanced(team, regular_polygon(5, 1.0), roll=[0.0, 0.3, 0.0, -0.2, 0.0])
-    raised = h.drones[0::2, 2] - 1.0
-    lowered = np.roll(h.drones[1::2, 2], 1) - 1.0
-    np.testing.assert_array_equal(np.sign(raised).round(9), [0.0, 1.0, 0.0, -1.0, 0.0])
-    np.testing.assert_allclose(lowered, -raised, atol=1e-12)
-    # Half of the interior angle is between legs and V, about which they turn.
-    h_over_T = math.sin(0.5 * math.radians(108.0))
-    assert raised[1] == pytest.approx(0.5 * h_over_T * math.sin(0.3), rel=1e-12)
+    """Half of the interior angle is between legs and V, about which they turn."""
+    roll = np.array([0.0, 0.3, 0.0, -0.2, 0.0])
+    h = Hitch.balanced(Team(5, 2.0), regular_polygon(5, 1.0), roll=roll)
+    raised = 0.5 * math.sin(0.5 * math.radians(108.0)) * np.sin(roll)
+    np.testing.assert_allclose(h.drones[0::2, 2] - 1.0, raised, atol=1e-12)
+    np.testing.assert_allclose(np.roll(h.drones[1::2, 2], 1) - 1.0, -raised, atol=1e-12)
 
 
 @pytest.mark.parametrize("n", [3, 4, 6, 12])
 def test_the_largest_weight_of_regular_hitches(n: int) -> None:
     """``W < 2 n T cos(π/n)`` of all clasps together; legs rise by ``sin α = W / 2nT``."""
-    most = 2.0 * 0.6 * math.cos(math.pi / n)
+    polygon, most = regular_polygon(n, 1.0), 2.0 * 0.6 * math.cos(math.pi / n)
+
+    def tied(share: float, tension: float = 0.6) -> Hitch:
+        return Hitch.balanced(Team(n, 2.0, tension=tension, load=share * most / 9.81), polygon)
+
     for share in (0.5, 0.999):
-        team = Team(n, 2.0, tension=0.6, load=share * most / 9.81)
-        h = Hitch.balanced(team, regular_polygon(n, 1.0))
-        rise = (h.drones[:, 2] - 1.0) / 0.5
+        rise = (tied(share).drones[:, 2] - 1.0) / 0.5
         np.testing.assert_allclose(rise, share * most / 1.2, rtol=1e-9)
     with pytest.raises(InfeasibleError, match=r"load: .* above the limit of .* at p\d") as told:
-        Hitch.balanced(replace(team, load=np.full(n, 1.25 * most / 9.81)), regular_polygon(n, 1.0))
+        tied(1.25)
     (violation,) = told.value.violations
-    assert violation.value == pytest.approx(1.25 * most, rel=1e-9)
-    assert violation.limit == pytest.approx(most, rel=1e-9)
+    assert (violation.value, violation.limit) == pytest.approx((1.25 * most, most), rel=1e-9)
     assert "team.tension 1.25 times" in violation.remedy
-    Hitch.balanced(
-        replace(team, load=np.full(n, 1.25 * most / 9.81), tension=np.full(n, 0.6 * 1.26)),
-        regular_polygon(n, 1.0),
-    )
-
-
-@given(seeds, st.integers(3, 9))
-@settings(max_examples=30)
-def test_any_force_at_a_clasp_is_held(seed: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
-    edges = rng.normal(size=(n, 3))
-    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
-    T = rng.uniform(0.8, 1.0, n)
-    forces, roll = 0.05 * rng.normal(size=(n, 3)), rng.uniform(-1.0, 1.0, n)
-    V = np.roll(T, 1)[:, None] * np.roll(edges, 1, axis=0) - T[:, None] * edges - forces
-    size = np.linalg.norm(V, axis=1)
-    if np.any(size > 0.98 * (T + np.roll(T, 1))) or np.any(size < 0.3):
-        return
-    none = np.zeros((n, 2))
-    q, r = leg_directions(edges, T, loads=ClaspLoads(forces, none, roll, none))
-    np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
-    held = T[:, None] * q + np.roll(T[:, None] * r, 1, axis=0)
-    np.testing.assert_allclose(held, V, atol=1e-12)
+    tied(1.25, 0.6 * 1.26)
 
 
 def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
@@ -169,53 +133,31 @@ def test_what_a_clasp_is_refused_for_is_beyond_its_limit() -> None:
     for _ in range(300):
         angles = np.cumsum(rng.uniform(0.0, 0.2, 2))
         u = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(2)])
-        T, halves = rng.uniform(0.3, 0.5, 2), rng.uniform(0.0, 0.2, (1, 2))
-        forces = np.zeros((1, 3))
-        forces[0, 2] = -np.sum(halves) - rng.uniform(0.0, 0.4)
-        forces[0, :2] = rng.choice([0.0, 0.3]) * rng.normal(size=2)
-        loads = ClaspLoads(forces, halves, np.zeros(1), np.zeros((1, 2)))
+        halves = rng.uniform(0.0, 0.2, (1, 2))
+        forces = np.append(rng.choice([0.0, 0.3]) * rng.normal(size=2), -rng.uniform(0.0, 0.6))
+        loads = ClaspLoads(forces[None], halves, np.zeros(1), np.zeros((1, 2)))
         try:
-            leg_directions(u, T, "open", loads)
+            leg_directions(u, rng.uniform(0.3, 0.5, 2), "open", loads)
         except InfeasibleError as error:
             told += error.violations
     assert {violation.constraint for violation in told} == {"load", "tension"}
     assert all(violation.value > violation.limit for violation in told)
 
 
-def test_thrust_of_a_weight_shared_alike() -> None:
-    """``(m g + ½ ρ g d + P sin α)² + (P cos α)²``, P the pull along the leg."""
-    h = Hitch.balanced(
-        Team(6, 2.2, tension=0.5, cable_density=0.01, load=0.01), regular_polygon(6, 1.0)
-    )
-    weight = 9.81 * 0.01 + RHO * (h.q_legs[0] + 2.2 - h.r_legs[0] - h.q_legs[0])
-    d = h.legs[0, 0]
-    sine = (h.drones[0, 2] - 1.0) / d
-    half = 0.5 * RHO * d
-    pull = half * sine + math.sqrt(0.25 - half**2 * (1.0 - sine**2))
-    assert pull * sine == pytest.approx(0.5 * weight, rel=1e-5)
-    force = h.cable_forces
-    np.testing.assert_allclose(-force[:, 2], 0.5 * RHO * d + 0.5 * weight, rtol=1e-5)
-    level = np.hypot(force[:, 0], force[:, 1])
-    np.testing.assert_allclose(level, pull * math.sqrt(1.0 - sine**2), rtol=1e-9)
-
-
 def test_the_arc_of_a_span_and_its_chord() -> None:
     """A parabola's length by quadrature, and the inverse of the series."""
     team = Team(3, 2.4, tension=[0.4, 0.5, 0.6], cable_density=0.01)
-    factors = sag_factors(team, team.tension)
+    factors, x = sag_factors(team, team.tension), np.linspace(-0.5, 0.5, 20_001)
     chord = np.array([[0.9, -0.5, 0.0], [0.3, 0.4, 0.35], [0.0, 0.0, 0.7]])
-    x = np.linspace(-0.5, 0.5, 20_001)
-    for k in range(3):
-        level = math.hypot(chord[k, 0], chord[k, 1])
-        size = float(np.linalg.norm(chord[k]))
-        length = size
-        if level > 0.0:  # the slope changes by weight over level pull from end to end
-            slope = chord[k, 2] / level + RHO * size / (team.tension[k] * level / size) * x
-            length = level * float(np.trapezoid(np.sqrt(1.0 + slope**2), x))
-        cable = cable_of(chord, factors)[k]
-        assert cable - size == pytest.approx(length - size, rel=0.02, abs=1e-9)
-        share = factors[k] * cable**2 * (level / size) ** 2
-        assert cable * shortening(np.asarray(share)) == pytest.approx(size, rel=1e-9)
+    level, size = np.hypot(chord[:, 0], chord[:, 1]), np.linalg.norm(chord, axis=1)
+    cable = cable_of(chord, factors)
+    for k in range(2):  # the slope changes by weight over level pull from end to end
+        slope = chord[k, 2] / level[k] + 0.0981 * size[k] ** 2 / (team.tension[k] * level[k]) * x
+        length = level[k] * float(np.trapezoid(np.sqrt(1.0 + slope**2), x))
+        assert cable[k] - size[k] == pytest.approx(length - size[k], rel=0.02)
+    assert cable[2] == size[2]
+    share = factors * cable**2 * (level / size) ** 2
+    assert cable * shortening(share) == pytest.approx(size, rel=1e-9)
 
 
 def test_a_leg_at_a_chains_end_is_no_choice() -> None:

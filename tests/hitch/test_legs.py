@@ -7,21 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 from clasp_balance import random_outline
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch.leg_program import (
-    CABLE,
-    CROSSING,
-    SEPARATION,
-    Parts,
-    QuadraticProgram,
-    solve_qp,
-)
+from hitchopt.hitch.leg_program import CABLE, CROSSING, SEPARATION, Parts
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.steps.certified_motions import split_hitch
 from hitchopt.steps.step import RolledLegs, slack_split
@@ -38,11 +30,8 @@ def margins(p: Array, x: Array) -> Array:
     smallest = [np.min(np.linalg.norm((x[:, i] - x[:, j]) / [0.24, 0.24, 0.6], axis=-1), axis=1)]
     for k, following in enumerate(np.roll(p, -1, axis=0)):
         own = np.arange(x.shape[1]) // 2 == k
-        for start, end, drones in (
-            (p[k], following, slice(None)),
-            (p[k], x[:, 2 * k, None], ~own),
-            (following, x[:, 2 * k + 1, None], ~own),
-        ):
+        q_leg, r_leg = (p[k], x[:, 2 * k, None], ~own), (following, x[:, 2 * k + 1, None], ~own)
+        for start, end, drones in ((p[k], following, slice(None)), q_leg, r_leg):
             along, off = end - start, x[:, drones] - start
             share = np.sum(off * along, axis=-1) / np.sum(along**2, axis=-1)
             off = off - np.clip(share, 0.0, 1.0)[..., None] * along
@@ -58,11 +47,8 @@ def margin(h: Hitch) -> float:
 @pytest.mark.parametrize("length", [2.0, 2.2, 2.4, 2.6])
 def test_spread_is_the_nearest_to_balanced_of_all_on_a_grid(length: float) -> None:
     hitch = Hitch.spread(Team(3, length), TRIANGLE)
-    p, u, slack = (
-        hitch.vertices,
-        np.pad(hitch.polygon.edge_directions, ((0, 0), (0, 1))),
-        hitch.slack,
-    )
+    p, slack, u = hitch.vertices, hitch.slack, hitch.polygon.edge_directions
+    u = np.pad(u, ((0, 0), (0, 1)))
     axes = [np.linspace(0.151, s - 0.151, 46) for s in slack]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     q = p + grid[..., None] * np.roll(u, 1, axis=0)
@@ -79,29 +65,25 @@ def test_spread_is_the_nearest_to_balanced_of_all_on_a_grid(length: float) -> No
 
 @given(seeds := st.integers(0, 2**32 - 1), st.integers(3, 8), st.floats(-3.0, 3.0), st.booleans())
 @settings(max_examples=12)
-def test_moving_turning_renumbering_and_mirroring_move_the_legs_along(
-    seed: int, n: int, angle: float, closed: bool
-) -> None:
+def test_legs_move_along_with_their_hitch(seed: int, n: int, angle: float, closed: bool) -> None:
     """A search may end before it has settled: up to 0.2 mm off have been seen."""
     topology = "closed" if closed else "open"
     outline: Any = random_outline(seed, n, topology)
     lengths = outline.edge_lengths + np.random.default_rng(seed).uniform(0.8, 1.0, n)
 
-    def spread(lengths: Array, outline: Any) -> Hitch:
-        return Hitch.spread(Team(n, lengths, topology=topology), outline)
+    def spread(lengths: Array, outline: Any) -> Array:
+        return Hitch.spread(Team(n, lengths, topology=topology), outline).legs
 
     first = spread(lengths, outline)
     moved = spread(lengths, outline.rotated(angle).translated([1.0, 2.0]))
-    np.testing.assert_allclose(moved.q_legs, first.q_legs, atol=1e-3)
+    np.testing.assert_allclose(moved, first, atol=1e-3)
     if closed:
         renumbered = spread(np.roll(lengths, -2), outline.renumbered(2))
-        np.testing.assert_allclose(renumbered.q_legs, np.roll(first.q_legs, -2), atol=1e-3)
+        np.testing.assert_allclose(renumbered, np.roll(first, -2, axis=0), atol=1e-3)
     # In the mirror image edge k becomes edge n-2-k, of a chain n-1-k, and q becomes r.
     order = (n - 2 - np.arange(n)) % n if closed else np.arange(n)[::-1]
     mirrored = spread(lengths[order], outline.mirrored())
-    np.testing.assert_allclose(mirrored.legs, first.legs[order, ::-1], atol=1e-3)
-    swapped = first.drones.reshape(n, 2, 3)[order, ::-1].reshape(-1, 3) * [-1.0, 1.0, 1.0]
-    np.testing.assert_allclose(mirrored.drones, swapped, atol=1e-3)
+    np.testing.assert_allclose(mirrored, first[order, ::-1], atol=1e-3)
 
 
 def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -> None:
@@ -117,34 +99,15 @@ def test_nearest_keeps_the_fractions_where_they_will_do_and_limits_where_not() -
 def test_an_arena_pushes_a_leg_back_and_one_too_small_still_gives_the_best() -> None:
     team, square = Team(4, 2.4), regular_polygon(4, 1.2, 0.3)
     free = Hitch.balanced(team, square)
-    reach = float(np.max(free.drones[:, 0]))
-    arena = Arena([-9.0, -9.0, 0.0], [reach - 0.1, 9.0, 3.0])
+    wall = float(np.max(free.drones[:, 0])) - 0.1
+    arena = Arena([-9.0, -9.0, 0.0], [wall, 9.0, 3.0])
     kept = Hitch.nearest(team, square, 1.0, free.fractions, **KEPT, arena=arena)
-    assert np.max(kept.drones[:, 0]) <= reach - 0.1 + 1e-6
+    assert np.max(kept.drones[:, 0]) <= wall + 1e-6
     assert np.max(np.abs(kept.q_legs - free.q_legs)) > 0.05
     tight = Arena([-9.0, -9.0, 0.0], [9.0, 0.6, 3.0])
     hitch = Hitch.nearest(Team(3, 2.4), TRIANGLE, 1.0, [0.5] * 3, **KEPT, arena=tight)
     assert np.min(hitch.legs) >= 0.15
     assert margin(hitch) >= 0.9
-
-
-@pytest.mark.parametrize("topology", ["closed", "open"])
-def test_near_pairs_are_those_that_all_pairs_in_all_frames_show(topology: str) -> None:
-    rng = np.random.default_rng(5)
-    found = Parts.of(6, topology)
-    middles = rng.normal(size=(1, len(found.nodes), 2)) + 0.3 * rng.normal(size=(7, 1, 2))
-    middles += 0.1 * rng.normal(size=(7, len(found.nodes), 2)) + [3.0, -2.0]
-    sizes = rng.uniform(0.0, 0.3, middles.shape)
-    limits = np.array([0.24, 0.1, 0.0])  # crossings without a limit
-    near = found.near(middles - sizes, middles + sizes, limits, 0.4)
-    i, j = np.triu_indices(len(found.nodes), 1)
-    gaps = np.abs(middles[:, i] - middles[:, j]) - sizes[:, i] - sizes[:, j]
-    kind = found.kind(i, j)
-    close = np.linalg.norm(np.maximum(gaps, 0.0), axis=-1) <= 0.4
-    frame, pair = np.nonzero(close & ((kind == SEPARATION) | (kind == CABLE)))
-    expected = zip(frame, i[pair], j[pair], kind[pair], strict=True)
-    assert sorted(zip(*near, strict=True)) == sorted(expected)
-    assert 100 < len(frame) < 7 * len(i) / 2
 
 
 @pytest.mark.parametrize("n", [3, 4, 7])
@@ -157,77 +120,46 @@ def test_kinds_of_pairs_are_those_of_the_definition(n: int) -> None:
     i, j = np.triu_indices(len(bodies), 1)
     for a, b, kind in zip(i, j, Parts.of(n).kind(i, j), strict=True):
         (first, k, clasps), (second, m, others) = bodies[a], bodies[b]
-        if first in "qr" and second in "qr":
-            wanted = SEPARATION
-        elif first in "qr":
+        wanted = CROSSING if not clasps & others else -1
+        if first in "qr":
             wanted = CABLE if k != m or second == "edge" else -1
-        else:
-            wanted = CROSSING if not clasps & others else -1
+        if second in "qr":
+            wanted = SEPARATION
         assert kind == wanted, (bodies[a], bodies[b])
 
 
 def test_spread_slides_the_free_legs_only() -> None:
-    """A sharp clasp: balanced legs would stand too close, as in the paper's triangle."""
+    """Of a chain with a sharp clasp, as in the paper's triangle."""
     team = Team(4, [2.0, 2.4, 2.4, 2.1], topology="open")
     points = [[0.45, 1.7], [0.4, 0.5], [0.0, -1.0], [-0.4, 0.5], [-0.45, 1.7]]
-    near = Hitch.balanced(team, points)
-    far = Hitch.spread(team, points)
-
-    def closest(h: Hitch) -> float:
-        i, j = np.triu_indices(8, 1)
-        return float(np.min(np.linalg.norm(h.drones[i] - h.drones[j], axis=1))) / 0.24
-
-    assert closest(near) < 1.5
-    assert closest(far) > closest(near)
+    near, far = Hitch.balanced(team, points), Hitch.spread(team, points)
+    i, j = np.triu_indices(8, 1)
+    closest = [
+        np.min(np.linalg.norm(h.drones[i] - h.drones[j], axis=1)) / 0.24 for h in (near, far)
+    ]
+    assert closest[0] < min(1.5, closest[1])
     np.testing.assert_array_equal(far.legs[[0, 3]], near.legs[[0, 3]])
 
 
-def test_a_chain_too_near_itself_is_shared_as_well_as_it_goes() -> None:
-    """No margin can be had where the ends themselves stand too close: the rest is still shared."""
-    team = Team(4, 2.4, topology="open")
-    points = [[0.0, 0.0], [-0.4, 1.2], [0.6, 1.9], [1.5, 1.1], [0.2, -0.02]]
-    h = Hitch.spread(team, points, separation=Separation(radius=0.12))
-    assert np.linalg.norm(h.drones[0] - h.drones[-1]) < 0.24
-    assert np.min(h.legs[h.team.layout.has_leg]) >= 0.15
-
-
-@pytest.mark.parametrize("n", [6, 12, 24])
-def test_hitches_whose_level_legs_keep_their_limits_are_not_rolled(n: int) -> None:
-    h = Hitch.spread(Team(n, 2.2), regular_polygon(n, 1.3))
-    np.testing.assert_array_equal(h.roll, 0.0)
-    np.testing.assert_array_equal(h.drones[:, 2], 1.0)
-    assert margin(h) >= 1.0
-
-
-@pytest.mark.parametrize("n", [29, 50, 200])
+@pytest.mark.parametrize("n", [24, 29, 50, 200])
 def test_large_regular_hitches_get_the_smallest_roll_that_clears_their_edges(n: int) -> None:
     """``d √(1 - (q̂·u)²)`` from its own edge, at 1.5 times the limit, by the closed form."""
     team, polygon = Team(n, 2.2), regular_polygon(n, 1.3).translated([3.0, -2.0])
-    h = Hitch.spread(team, polygon)
-    assert np.ptp(h.roll) == 0.0
-    assert margin(h) >= 1.5 - 1e-6
-    phi = 2.0 * math.pi / n
-    d = 0.45
+    h, phi = Hitch.spread(team, polygon), 2.0 * math.pi / n
 
     def clearance(roll: float) -> float:
         # The legs are at half of the interior angle from V and turn about it.
         along = math.cos(0.5 * phi) ** 2 * math.cos(roll) - math.sin(0.5 * phi) ** 2
-        return d * math.sqrt(1.0 - along**2)
+        return 0.45 * math.sqrt(1.0 - along**2)
 
-    assert clearance(0.0) < 0.1
+    if clearance(0.0) >= 0.1:
+        np.testing.assert_array_equal(h.roll, 0.0)
+        assert margin(h) >= 1.0
+        return
+    assert np.ptp(h.roll) == 0.0
+    assert margin(h) >= 1.5 - 1e-6
     assert clearance(h.roll[0]) == pytest.approx(0.15, abs=2e-3)
-    level = Hitch.balanced(team, polygon)
-    assert margin(level) < 1.0
-
-
-def test_a_thousand_robots_are_rolled_in_linear_time() -> None:
-    h = Hitch.spread(Team(1000, 2.2), regular_polygon(1000, 1.3))
-    assert 0.2 < h.roll[0] < 0.4
-    own = h.drones[0::2] - h.vertices
-    edges = np.roll(h.vertices, -1, axis=0) - h.vertices
-    edges /= np.linalg.norm(edges, axis=1, keepdims=True)
-    aside = own - np.sum(own * edges, axis=1, keepdims=True) * edges
-    assert np.min(np.linalg.norm(aside, axis=1)) >= 0.15 - 1e-6
+    assert margin(Hitch.balanced(team, polygon)) < 1.0
 
 
 @pytest.mark.slow
@@ -237,36 +169,24 @@ def test_legs_with_weight_are_split_for_their_distances_in_space(seed: int, n: i
     rng = np.random.default_rng(seed)
     polygon = random_convex_polygon(n, 1.2, rng)
     lengths = float(np.max(polygon.edge_lengths)) + rng.uniform(0.8, 0.9, n)
-    team = Team(n, lengths, tension=0.9, cable_density=0.01)
-    h = Hitch.spread(team, polygon)
-    light = Hitch.spread(Team(n, lengths, tension=0.9), polygon)
+    light, heavy = (
+        Hitch.spread(Team(n, lengths, tension=0.9, cable_density=rho), polygon)
+        for rho in (0.0, 0.01)
+    )
     if margin(light) >= 1.5 + 1e-3:  # weight moves drones by centimetres only
-        assert margin(h) >= 1.5 - 1e-6
-    assert np.min(h.legs) >= 0.149
-
-
-def test_other_lengths_are_chosen_where_they_need_less_roll() -> None:
-    polygon = random_convex_polygon(16, 0.7, np.random.default_rng(4))
-    team = Team(16, float(np.max(polygon.edge_lengths)) + np.linspace(0.5, 0.6, 16), tension=0.6)
-    h = Hitch.spread(team, polygon)
-    as_they_are = Hitch.balanced(team, polygon).least_rolled(Requirements())
-    assert margin(h) >= 1.0
-    assert margin(as_they_are) >= 1.0
-    assert 0.0 < h.roll[0] < 0.9 * as_they_are.roll[0]
+        assert margin(heavy) >= 1.5 - 1e-6
+    assert np.min(heavy.legs) >= 0.149
 
 
 def test_a_hitch_that_follows_keeps_its_roll_or_gets_one_where_it_must() -> None:
-    kept = Hitch.nearest(
-        Team(8, 2.2), regular_polygon(8, 1.3), 1.0, np.full(8, 0.5), roll=0.2, **KEPT
-    )
-    np.testing.assert_array_equal(kept.roll, 0.2)
+    few = Team(8, 2.2), regular_polygon(8, 1.3), 1.0, np.full(8, 0.5)
+    np.testing.assert_array_equal(Hitch.nearest(*few, roll=0.2, **KEPT).roll, 0.2)
     team, polygon = Team(40, 2.2), regular_polygon(40, 1.3)
     raised = Hitch.nearest(team, polygon, 1.0, np.full(40, 0.5), **KEPT)
     assert 0.0 < raised.roll[0] < Hitch.spread(team, polygon).roll[0]
-    assert 1.0 <= margin(raised) < 1.05
     legs = slack_split({"sharing": "balanced", "roll_deg": "auto"}, team)
     given = split_hitch(team, polygon, 1.0, legs, Requirements())
-    assert 1.0 <= margin(given) < 1.05
+    assert 1.0 <= min(margin(raised), margin(given)) <= max(margin(raised), margin(given)) < 1.05
     np.testing.assert_allclose(given.q_legs, 0.45)
 
 
@@ -280,17 +200,15 @@ def test_what_a_user_may_write_for_the_roll() -> None:
     listed = rolled({"sharing": "balanced", "roll_deg": [0.0, 10.0, -10.0, 5.0]})
     np.testing.assert_allclose(np.degrees(listed.roll), [0.0, 10.0, -10.0, 5.0])
     given = rolled({"sharing": [0.4, 0.5, 0.5, 0.6], "roll_deg": "auto"})
-    np.testing.assert_array_equal(given.roll, 0.0)
-    np.testing.assert_array_equal(given.q_legs, [0.4, 0.5, 0.5, 0.6])
+    np.testing.assert_array_equal([given.roll, given.q_legs], [[0.0] * 4, [0.4, 0.5, 0.5, 0.6]])
     np.testing.assert_array_equal(rolled(RolledLegs("spread", np.full(4, 0.3))).roll, 0.3)
-    wrong: list[tuple[dict[str, object], str]] = [
+    for legs, words in (
         ({"roll_deg": "up"}, r"legs\.roll_deg = 'up'"),
         ({"roll_deg": 90.0}, r"legs\.roll_deg = 90"),
         ({"roll_deg": [1.0, 2.0]}, r"legs\.roll_deg.*one per clasp"),
         ({"roll": 0.1}, r"legs\.roll = 0.1"),
         ({"sharing": "even"}, "legs = 'even'"),
-    ]
-    for legs, words in wrong:
+    ):
         with pytest.raises(InputError, match=words):
             slack_split(legs, team)
 
@@ -299,18 +217,6 @@ def test_what_a_user_may_write_for_the_roll() -> None:
 def test_more_roll_has_the_sense_of_what_is_given(sense: float) -> None:
     team, polygon = Team(29, 2.2), regular_polygon(29, 1.3)
     least = Hitch.spread(team, polygon).roll
-    limits, separation = Limits(), Separation(cable=0.16)
-    given: dict[str, Any] = {"limits": limits, "separation": separation, "roll": sense * least}
+    given: dict[str, Any] = {**KEPT, "separation": Separation(cable=0.16), "roll": sense * least}
     following = Hitch.nearest(team, polygon, 1.0, np.full(29, 0.5), **given)
     assert np.all(sense * following.roll > least)
-
-
-def test_rows_of_programs_may_be_stored_in_any_order_and_hold_zeros() -> None:
-    """The point nearest to (3, 2, 1) with ``x0 + 2 x1 <= 4`` and ``x2 >= 2`` is (2.4, 0.8, 2)."""
-    data, rows = np.array([1.0, 0.0, 0.0, 2.0, 1.0]), np.array([0, 1, 1, 0, 1])
-    A = sp.csc_array((data, rows, np.array([0, 2, 4, 5])), shape=(2, 3))
-    assert not A.has_sorted_indices
-    q, bounds = np.array([-3.0, -2.0, -1.0]), (np.array([-np.inf, 2.0]), np.array([4.0, np.inf]))
-    x = solve_qp(QuadraticProgram(sp.csc_array(np.eye(3)), q, A, *bounds))
-    assert x is not None
-    assert x == pytest.approx([2.4, 0.8, 2.0], abs=1e-6)

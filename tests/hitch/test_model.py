@@ -19,7 +19,7 @@ seeds = st.integers(0, 2**32 - 1)
 topologies, kinds = st.sampled_from(["closed", "open"]), st.sampled_from(KINDS)
 
 
-def along(rng: np.random.Generator, value: Array, size: float, t: Array) -> Array:
+def along(rng: np.random.Generator, value: Array, size: Array | float, t: Array) -> Array:
     """A random quadratic of time t (J,) through a value, as jets (J, …, 4)."""
     a, b = size * rng.normal(size=(2, *value.shape))
     x = t.reshape(-1, *(1,) * value.ndim)
@@ -30,9 +30,7 @@ def along(rng: np.random.Generator, value: Array, size: float, t: Array) -> Arra
 def moving(h: Hitch, seed: int, t: Array) -> FlatJets:
     """Flat outputs on random quadratics of time through the hitch."""
     rng = np.random.default_rng(seed)
-    legs = along(rng, h.q_legs, 0.02, t)
-    if not h.team.layout.closed:
-        legs[:, 0] = 0.0
+    legs = along(rng, h.q_legs, np.where(h.team.layout.has_leg[:, 0], 0.02, 0.0), t)
     tensions = along(rng, h.team.tension, 0.02 * (np.ptp(h.team.tension) > 0.0), t)
     roll = along(rng, h.roll, 0.1, t) if np.any(h.roll) else None
     return FlatJets(along(rng, h.vertices, 0.05, t), legs, tensions, roll)
@@ -52,9 +50,7 @@ def test_values_are_the_hitchs_own(seed: int, n: int, topology: str, kind: str) 
 
 @given(seeds, st.integers(3, 6), topologies, kinds)
 @settings(max_examples=25)
-def test_jets_are_the_derivatives_along_a_curve(
-    seed: int, n: int, topology: str, kind: str
-) -> None:
+def test_jets_are_derivatives_along_a_curve(seed: int, n: int, topology: str, kind: str) -> None:
     """Of drones whose legs pull as their cables, and of those through whose clasps cables slide."""
     h = random_hitch(seed, n, topology, kind)
     t = 1e-3 * np.arange(-2.0, 3.0)
@@ -91,11 +87,10 @@ def planar_inputs(h: Hitch, k: int) -> list[Any]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_from_above_the_planar_model_is_the_same(kind: str) -> None:
     h = random_hitch(7, 5, "closed", kind)
+    model = planar(h.team.loaded, kind in ("equal", "heavy"))
     for k in range(5):
-        place, turn = planar(h.team.loaded, kind in ("equal", "heavy"))(*planar_inputs(h, k))
-        expected = np.concatenate(
-            [h.drones[2 * k, :2], h.drones[2 * k + 1, :2], h.r_legs[k : k + 1]]
-        )
+        place, turn = model(*planar_inputs(h, k))
+        expected = [*h.drones[2 * k, :2], *h.drones[2 * k + 1, :2], h.r_legs[k]]
         np.testing.assert_allclose(np.asarray(place).ravel(), expected, atol=1e-12)
         assert float(turn) == pytest.approx(np.sin(h.polygon.exterior_angles[k]), rel=1e-9)
 
@@ -110,13 +105,11 @@ def test_legs_that_pull_like_their_edges_stay_where_they_are(topology: str, kind
     chords = jets.positions - flat.vertices[:, layout.anchors]
     cables = cables_of_legs(h.team, chords, jets.legs, flat.tensions)
     if cables is not None:
-        lengths = np.where(layout.has_leg, np.column_stack([h.q_legs, h.slack - h.q_legs]), 0.0)
-        np.testing.assert_allclose(cables[0, ..., 0], lengths, atol=1e-9)
+        np.testing.assert_allclose(cables[0, ..., 0], layout.legs_of(h.q_legs, h.slack), atol=1e-9)
     planned = jets.positions if np.any(h.roll) else None
     found = slipping_drones(h.team, flat.vertices, jets.legs, flat.tensions, pulls, planned, cables)
-    expected = np.stack(
-        [jets.positions[:, 2 * layout.behind + 1], jets.positions[:, 2 * layout.ahead]], axis=2
-    )
+    ends = jets.positions[:, 2 * layout.behind + 1], jets.positions[:, 2 * layout.ahead]
+    expected = np.stack(ends, axis=2)
     np.testing.assert_allclose(found[..., 0], expected[..., 0], atol=1e-8)
     whole = slice(None) if topology == "closed" else slice(-1)  # a chain's end moves off its cable
     np.testing.assert_allclose(found[:, whole], expected[:, whole], atol=1e-8)
@@ -124,34 +117,26 @@ def test_legs_that_pull_like_their_edges_stay_where_they_are(topology: str, kind
 
 def still(values: Array) -> Array:
     """Jets (1, …, 4) of what does not change."""
-    jets = np.zeros((1, *values.shape, 4))
-    jets[0, ..., 0] = values
-    return jets
+    return np.pad(values[None, ..., None], [(0, 0)] * (values.ndim + 1) + [(0, 3)])
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(3, 7))
 @settings(max_examples=40)
 def test_forces_balance_for_any_pulls_that_can(seed: int, n: int) -> None:
-    rng = np.random.default_rng(seed)
     h = random_hitch(seed, n)
-    pulls = h.team.tension[:, None] * np.exp(rng.uniform(-0.2, 0.2, (n, 2)))
+    pulls = h.team.tension[:, None] * np.exp(np.random.default_rng(seed).uniform(-0.2, 0.2, (n, 2)))
     given_jets = (still(x) for x in (h.vertices, h.legs, h.team.tension, pulls))
-    places, corners = slipping_drones(h.team, *given_jets)[0, ..., 0], h.vertices
-    u = np.roll(corners, -1, axis=0) - corners
-    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    legs = slipping_drones(h.team, *given_jets)[0, ..., 0] - h.vertices[:, None]
+    edges = h.team.tension[:, None] * np.pad(h.polygon.edge_directions, ((0, 0), (0, 1)))
     for k in range(n):
-        behind, before = (k - 1) % n, u[k - 1]
-        V = h.team.tension[behind] * before - h.team.tension[k] * u[k]
-        a, b = pulls[k, 0], pulls[behind, 1]
-        size = np.linalg.norm(V)
+        V = edges[k - 1] - edges[k]
+        a, b, size = pulls[k, 0], pulls[k - 1, 1], np.linalg.norm(V)
         if not abs(a - b) < size < a + b:
-            assert np.all(np.isnan(places[k, :, :2]))
+            assert np.all(np.isnan(legs[k, :, :2]))
             continue
-        legs = places[k] - corners[k]
-        np.testing.assert_allclose(
-            np.linalg.norm(legs, axis=1), [h.legs[behind, 1], h.legs[k, 0]], rtol=1e-9
-        )
-        r_hat, q_hat = legs / np.linalg.norm(legs, axis=1, keepdims=True)
+        lengths = np.linalg.norm(legs[k], axis=1)
+        np.testing.assert_allclose(lengths, [h.legs[k - 1, 1], h.legs[k, 0]], rtol=1e-9)
+        r_hat, q_hat = legs[k] / lengths[:, None]
         np.testing.assert_allclose(a * q_hat + b * r_hat, V, atol=1e-9)
         right = np.array([V[1], -V[0], 0.0])
         assert right @ r_hat <= 0.0 <= right @ q_hat  # clasped

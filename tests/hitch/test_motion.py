@@ -1,4 +1,4 @@
-"""Motions in parts: where a hitch exists, and swarms that have none."""
+"""Motions in parts, and their states: attitudes and body rates by scipy and by differences."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from plans import planned
+from scipy.spatial.transform import Rotation
 
-from hitchopt.checks import certify
-from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.errors import InputError
-from hitchopt.hitch import Hitch, Quadrotor, Swarm, Team
-from hitchopt.hitch.requirements import Arena, Requirements
+from hitchopt.hitch import Hitch, Swarm, Team
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
+from hitchopt.motion.states import attitudes, states_at
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 BREAKS = np.array([0.0, 0.5, 1.25, 2.0, 3.5])
 POINTS = np.array([[0.3, 0.1], [0.6, 1.4], [1.7, 0.6]])
@@ -47,10 +49,8 @@ def test_spans_are_the_longest_runs(formed: tuple[bool, ...], runs: list[tuple[i
     motion = resting(formed)
     np.testing.assert_array_equal(motion.formed, formed)
     spans = motion.spans(HITCHED_STATE)
-    assert [(s.drones.breaks[0], s.drones.breaks[-1]) for s in spans] == [
-        (BREAKS[a], BREAKS[b]) for a, b in runs
-    ]
     for span, (a, b) in zip(spans, runs, strict=True):
+        assert (span.drones.breaks[0], span.drones.breaks[-1]) == (BREAKS[a], BREAKS[b])
         assert span.phases == motion.phases[a:b]
         assert np.all(span.formed)
         np.testing.assert_array_equal(span.legs.coefficients, motion.legs.coefficients[a:b])
@@ -71,34 +71,6 @@ def test_slowed_and_cut_motions_keep_their_phases() -> None:
     assert told == [("part 1", 0.0, 0.75), ("part 2", 0.75, 1.5)]
 
 
-def test_what_is_broken_where_no_hitch_is_breaks_nothing() -> None:
-    """Besides forming and releasing the hitch at once, without any swap."""
-    motion = resting((False, True, True, False))
-    for piece, off, kept in ((0, 0.0, True), (0, 0.3, True), (1, 0.3, False), (3, 0.3, True)):
-        legs = np.array(motion.legs.coefficients)
-        legs[piece] += off
-        shifted = replace(motion, legs=PiecewisePolynomial(BREAKS, legs))
-        names = {check.name for check in certify(shifted).violated}
-        assert (names == {"interlacing", "tension"}) is kept
-
-
-def test_the_worst_of_several_spans_is_told() -> None:
-    motion = resting((True, False, True, True))
-    vertices = np.array(motion.vertices.coefficients)
-    vertices[0, 1] *= 1.001
-    worse = certify(replace(motion, vertices=PiecewisePolynomial(BREAKS, vertices)))
-    assert not worse["cable_length"].holds
-    assert worse["cable_length"].time <= BREAKS[1]
-    assert worse["convexity"].bound > 0.0
-
-
-def test_the_most_pressing_check_depends_on_its_sense() -> None:
-    for sense in ("min", "max"):
-        low, high = (Check.of("x", worst, 1.0, sense, "m", 0.0, ()) for worst in (0.5, 2.0))
-        assert most_pressing([high, low]) is (low if sense == "min" else high)
-    assert most_pressing([]) is None
-
-
 @pytest.mark.parametrize(
     "spans",
     [
@@ -111,16 +83,13 @@ def test_the_most_pressing_check_depends_on_its_sense() -> None:
         ((0.0, float("nan")), (float("nan"), 3.5)),
     ],
 )
-def test_phases_follow_one_another_and_cover_the_motion(
-    spans: tuple[tuple[float, float], ...],
-) -> None:
+def test_phases_cover_the_motion_in_order(spans: tuple[tuple[float, float], ...]) -> None:
     phases = tuple(Phase("part", 0, start, end) for start, end in spans)
     with pytest.raises(InputError, match=r"phases = \[\["):
         replace(resting((True,) * 4), phases=phases)
-    motion = swarm_motion()
-    drones = motion.drones.stretched(1.75)  # as long as the hitch rests
+    drones = PiecewisePolynomial.constant(BREAKS, np.zeros((3, 3)))
     with pytest.raises(InputError, match=r"phases = \[\["):
-        Motion.single(motion.team, motion.requirements, drones, phases)
+        Motion.single(Swarm(3), Requirements(), drones, phases)
 
 
 def test_cables_change_their_state_at_a_break_and_have_one() -> None:
@@ -136,50 +105,61 @@ def test_cables_change_their_state_at_a_break_and_have_one() -> None:
         replace(motion, phases=late)
     with pytest.raises(InputError, match=r"phases\.state"):
         replace(motion, phases=(*motion.phases[:3], replace(others[1], state=CableState.NONE)))
-    assert {phase.state for phase in swarm_motion().phases} == {CableState.NONE}
 
 
-def swarm_motion(apart: float = 1.0, kinds: Quadrotor | None = None) -> Motion:
-    """Return three drones in a row, ``apart`` metres, that move by 0.5 m in y in 2 s."""
-    x = np.zeros((3, 3, 2))
-    x[:, 0] = apart * np.arange(3.0)[:, None]
-    x[:, 1, 1] = 0.5
-    x[:, 2] = 1.0
-    drones = PiecewisePolynomial.hermite(
-        [0.0, 2.0], *(np.stack([x[None, ..., end], *np.zeros((3, 1, 3, 3))]) for end in (0, 1))
+def rotation_of(quaternions: Array) -> Rotation:
+    return Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
+def test_attitudes_carry_the_thrust_at_the_yaw_given_and_turn_at_the_body_rates(yaw: float) -> None:
+    rng, h = np.random.default_rng(1), 1e-6
+    thrusts, rates = rng.normal(size=(40, 3)) + [0.3, -0.2, 0.0], 3.0 * rng.normal(size=(40, 3))
+    thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
+    found = attitudes(thrusts, rates, yaw)
+    turned = rotation_of(found.quaternions)
+    along = thrusts / np.linalg.norm(thrusts, axis=-1, keepdims=True)
+    np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), along, atol=1e-14)
+    np.testing.assert_allclose(turned.as_euler("ZYX")[:, 0], yaw, atol=1e-13)
+    assert np.all(found.quaternions[:, 0] >= 0.0) or abs(yaw) > 1.0
+    np.testing.assert_allclose(np.linalg.norm(found.quaternions, axis=-1), 1.0, rtol=1e-14)
+    before, after = (
+        rotation_of(attitudes(thrusts + step * rates, rates, yaw).quaternions) for step in (-h, h)
     )
-    requirements = Requirements(arena=Arena([-1.0, -1.0, 0.0], [3.0, 2.0, 1.5]))
-    phases = (Phase("separate", 0, 0.0, 2.0),)
-    return Motion.single(Swarm(3, quadrotor=kinds), requirements, drones, phases)
+    by_differences = (before.inv() * after).as_rotvec() / (2.0 * h)
+    np.testing.assert_allclose(by_differences, found.body_rates, rtol=1e-6, atol=1e-6)
 
 
-def test_a_swarm_is_certified_by_the_checks_of_drones() -> None:
-    motion = swarm_motion()
-    certificate = certify(motion)
-    assert certificate.certified
-    names = "separation speed acceleration jerk thrust tilt arena continuity"
-    expected = [*names.split(), "tracking_radius", "stoppable"]
-    assert [check.name for check in certificate.checks] == expected
-    assert certificate["separation"].worst == pytest.approx(1.0 / 0.24)
-    assert certificate["arena"].worst == pytest.approx(0.5)
-    # The septic from rest to rest is fastest half way, at 35/16 of its mean speed.
-    assert certificate["speed"].worst == pytest.approx(0.25 * 35 / 16)
-    t = np.linspace(0.0, 2.0, 20001)
-    upward = motion.drones.at(t, 2) + np.array([0.0, 0.0, 9.81])
-    thrust = 0.132 * np.max(np.linalg.norm(upward, axis=-1))
-    assert certificate["thrust"].worst == pytest.approx(thrust, rel=2e-4)
-    tilt = np.degrees(np.max(np.arctan2(np.abs(upward[..., 1]), upward[..., 2])))
-    assert certificate["tilt"].worst == pytest.approx(tilt, rel=2e-4)
-    one = PiecewisePolynomial(motion.drones.breaks, motion.drones.coefficients[:, :1])
-    single = certify(replace(motion, team=Swarm(1), drones=one))
-    assert single.certified
-    assert [check.name for check in single.checks] == expected[1:]  # no separation
+@pytest.mark.parametrize("formed", [False, True])
+def test_states_turn_as_their_body_rates_say(formed: bool) -> None:
+    """A morph, and a hitch being formed of cables with weight: hanging, tightened, hitched."""
+    motion = planned("form_hanging_to_the_floor" if formed else "weight_hexagon").motion
+    breaks, h = motion.drones.breaks, 1e-6
+    share = np.random.default_rng(6).uniform(0.1, 0.9, motion.drones.pieces)
+    t = breaks[:-1] - breaks[0] + share * np.diff(breaks)
+    now, before, after = (states_at(motion, t + step) for step in (0.0, -h, h))
+    slope = (after.cable_forces - before.cable_forces) / (2.0 * h)
+    np.testing.assert_allclose(now.cable_force_rates, slope, atol=2e-6)
+    slope = (after.thrusts(motion.team) - before.thrusts(motion.team)) / (2.0 * h)
+    np.testing.assert_allclose(now.thrust_rates(motion.team), slope, atol=2e-6)
+    along = [rotation_of(state.quaternions) for state in (before, after)]
+    turned = (along[0].inv() * along[1]).as_rotvec() / (2.0 * h)
+    np.testing.assert_allclose(turned, now.body_rates.reshape(-1, 3), atol=2e-5)
+    assert np.max(np.abs(now.body_rates)) > 0.1
+    thrusts = now.thrusts(motion.team).reshape(-1, 3)
+    third = rotation_of(now.quaternions).apply(np.linalg.norm(thrusts, axis=1)[:, None] * [0, 0, 1])
+    np.testing.assert_allclose(third, thrusts, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("apart", "weak", "broken"), [(0.2, 2.6, "separation"), (1, 1.2, "thrust")]
-)
-def test_a_swarm_that_breaks_a_limit_is_told(apart: float, weak: float, broken: str) -> None:
-    certificate = certify(swarm_motion(apart, Quadrotor(max_thrust=weak)))
-    assert [check.name for check in certificate.violated] == [broken]
-    assert set(certificate[broken].where) <= {"d0", "d1", "d2"}
+def test_a_part_of_a_motion_has_the_states_of_the_whole_and_what_has_ended_does_not_turn() -> None:
+    """Counted from the part's own start."""
+    motion = planned("weight_hexagon").motion
+    start = float(motion.drones.breaks[2])
+    part = motion.taken(slice(2, None), motion.overlapping(start, motion.duration))
+    t = part.duration * np.linspace(0.013, 0.987, 7)
+    here, there = states_at(part, t), states_at(motion, start + t)
+    for name in ("positions", "velocities", "vertices", "cable_forces"):
+        np.testing.assert_allclose(getattr(here, name), getattr(there, name), atol=1e-9)
+    over = states_at(motion, motion.duration + 1.0)
+    assert not np.any(over.body_rates)
+    assert not np.any(over.thrust_rates(motion.team))

@@ -1,32 +1,15 @@
-"""The problem files of this repository, and what their headers say of them."""
+"""A problem with every section, and the schema of all."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import jsonschema
-import numpy as np
-from plans import PROBLEMS, ROOT
+from plans import ROOT
 
-from hitchopt.geometry import ConvexArc
 from hitchopt.mission.keys import problem_schema
 from hitchopt.mission.problem import HitchStart, Problem
-from problems.random_morph import random_convex_polygon
 
-GOOD = sorted(PROBLEMS.glob("*.yaml"))
-BAD = sorted((PROBLEMS / "bad").glob("*.yaml"))
-INFEASIBLE = sorted((PROBLEMS / "infeasible").glob("*.yaml"))
 VALIDATOR = jsonschema.Draft202012Validator(problem_schema())
 TEMPLATE = ROOT / "hitchopt" / "mission" / "template.yaml"
-
-
-def header(path: Path, word: str) -> str:
-    """What the comment ``# word: …`` of a bad problem says."""
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if line.startswith(f"# {word}: "):
-            return line.removeprefix(f"# {word}: ")
-    raise KeyError(f"{path} has no comment '# {word}: …'")
 
 
 def hitch_start(problem: Problem) -> HitchStart:
@@ -63,25 +46,4 @@ def triangle() -> dict[str, object]:
             {"follow_vertex": {"vertex": 0, "path": [[0, 2.1, 0.6], [3.5, 2.0, 0.7]]}},
             {"transport": {"to": [2.0, 1.2, 1.6], "yaw_deg": -30, "duration": 9}},
         ],
-    }
-
-
-def random_chain(n: int, seed: int, tension: bool = True) -> dict[str, Any]:
-    """A run of n edges of a random (n + 3)-gon, bent a little, turned and shifted."""
-    rng = np.random.default_rng([n, seed])
-    polygon = random_convex_polygon(n + 3, 1.3, rng, 0.15).translated(rng.uniform(-2.0, 2.0, 2))
-    first = ConvexArc(polygon.vertices[: n + 1])
-    centre = first.centroid
-    second = first.translated(-centre).rotated(rng.uniform(-0.3, 0.3))
-    second = second.scaled(rng.uniform(0.95, 1.05)).translated(centre + rng.uniform(-0.4, 0.4, 2))
-    longest = np.maximum(first.edge_lengths, second.edge_lengths)
-    return {
-        "team": {
-            "robots": n,
-            "topology": "open",
-            "cable_length": (longest + rng.uniform(0.65, 0.7, n)).round(4).tolist(),
-            "tension": rng.uniform(0.4, 0.42, n).round(4).tolist() if tension else 0.4,
-        },
-        "start": {"hitch": {"polygon": first.vertices.round(6).tolist(), "altitude": 1.1}},
-        "mission": [{"morph": {"polygon": second.vertices.round(6).tolist()}}],
     }

@@ -1,25 +1,31 @@
-"""Mappings to problems: where every value arrives, the words of every fault, and any change."""
+"""Files and mappings to problems: every value, every problem file, faults, and any change."""
 
 from __future__ import annotations
 
 import contextlib
-import copy
 import math
+import subprocess
+import sys
 import tracemalloc
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from problem_cases import VALIDATOR, hitch_start, triangle
+from plans import BAD, GOOD, INFEASIBLE, PROBLEMS, header
+from problem_cases import TEMPLATE, VALIDATOR, hitch_start, triangle
+from ruamel.yaml import YAML
 
 import hitchopt as ho
-from hitchopt.errors import MAX_LISTED, HitchoptError, InputError, JointInputError
-from hitchopt.mission.loading import problem_from_dict
-from hitchopt.storage.yaml_file import split_key
+from hitchopt.errors import MAX_LISTED, FileError, HitchoptError, InputError, JointInputError
+from hitchopt.mission.keys import SCHEMA_FILE, problem_schema, schema_text
+from hitchopt.mission.loading import problem_from_dict, read_problem
+from hitchopt.mission.problem import SwarmProblem
+from hitchopt.storage.yaml_file import read_yaml, split_key
 
 MINIMAL: dict[str, Any] = {
     "team": {"robots": 3, "cable_length": 2.4},
@@ -78,26 +84,23 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
 
 def test_defaults_are_those_of_the_interface() -> None:
     problem = problem_from_dict(MINIMAL)
-    assert (problem.title, problem.arena) == ("", None)
-    assert plain(problem.team)["tension"] == [0.4] * 3
-    assert (problem.team.cable_density, problem.team.cable_friction) == (0.0, 0.0)
+    start, team = hitch_start(problem), plain(problem.team)
+    assert (problem.title, problem.arena, start.altitude, start.legs) == ("", None, 1.0, "spread")
+    assert (team["tension"], team["cable_density"], team["cable_friction"]) == ([0.4] * 3, 0.0, 0.0)
     assert set(problem.team.mass.tolist()) == {0.132}
     assert set(problem.team.max_thrust.tolist()) == {2.6}
-    assert (hitch_start(problem).altitude, hitch_start(problem).legs) == (1.0, "spread")
-    assert problem.limits == ho.Limits(1.0, 2.0, 20.0, 45.0 * math.pi / 180.0, 0.5, 0.15, None)
-    assert (problem.limits.body_rate, problem.limits.reserve) == (None, 1.0)
+    limits = ho.Limits(1.0, 2.0, 20.0, math.radians(45.0), 0.5, 0.15, None, None, 1.0)
+    assert problem.limits == limits
     assert problem.separation == ho.Separation(0.12, 0.30, 0.10, 0.05, 0.035)
 
 
 def test_arrays_tuples_and_whole_numbers_are_as_good_as_lists_and_floats() -> None:
     data: Any = triangle()
-    expected = plain(problem_from_dict(data))
-    data["team"]["cable_length"] = np.array(data["team"]["cable_length"])
-    data["team"]["robots"] = np.int64(3)
+    data["team"] |= {"cable_length": np.array([2.4, 2.5, 2.6]), "robots": np.int64(3)}
     data["limits"]["speed"] = np.float64(0.9)
     data["start"]["hitch"]["polygon"] = np.array(data["start"]["hitch"]["polygon"])
     data["mission"] = tuple(data["mission"])
-    assert plain(problem_from_dict(data)) == expected
+    assert plain(problem_from_dict(data)) == plain(problem_from_dict(triangle()))
 
 
 FORM = {"form": {"polygon": [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]], "assign": "fixed"}}
@@ -107,7 +110,6 @@ PLACES: dict[str, Any] = {
 }
 
 STAY = {"hold": {"seconds": 1}}
-ARC = [[-2, 0], [-1, 1], [1, 1], [2, 0]]
 
 
 def drones(**places: Any) -> dict[str, Any]:
@@ -119,17 +121,13 @@ def drones(**places: Any) -> dict[str, Any]:
     ("changes", "message"),
     [
         ({"mission": [STAY, FORM]}, r"mission\[1\]\.form = 'a hitch': .* free cables"),
-        ({"mission": [STAY, {"land": {}}]}, r"mission\[1\]\.land = 'a hitch': .* free cables"),
         ({"mission": [{"release": {}}, {"adjust": {"legs": "balanced"}}]}, "form one before"),
         (drones(q=PLACES["q"][:2]), r"start\.drones\.q = '2 points'"),
         (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* list of at least 3 entries"),
-        (drones(r=PLACES["q"] + 2 * [[0, 0, 1]]), r"start\.drones\.r = '5 points'"),
     ],
 )
-def test_steps_and_starts_that_do_not_fit_are_refused(
-    changes: dict[str, Any], message: str
-) -> None:
+def test_steps_or_starts_that_do_not_fit_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         problem_from_dict({**triangle(), **changes})
 
@@ -145,84 +143,26 @@ def test_every_key_of_form_arrives() -> None:
     assert [step.name for step in found.mission] == ["form", "release", "hold", "form"]
 
 
-def test_open_chains_have_one_point_more_than_robots() -> None:
-    data = copy.deepcopy(MINIMAL)
-    data["team"]["topology"] = "open"
-    with pytest.raises(InputError, match=r"start\.hitch\.polygon = '3 points': .*4 points"):
-        problem_from_dict(data)
-    data["start"]["hitch"]["polygon"] = ARC
-    assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexArc)
-    data["team"].update(topology="closed", robots=4)
-    assert isinstance(hitch_start(problem_from_dict(data)).polygon, ho.ConvexPolygon)
-
-
-LISTS: Any = [[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]
-
-# fmt: off
-UNFIT: list[tuple[Any, Any, str]] = [
-    (ho.DronesStart(**PLACES), ho.Form(LISTS[::-1]), "mission[0].form.polygon"),
-    (ho.DronesStart(**PLACES), ho.Form(LISTS[:2]), "mission[0].form.polygon"),
-    (ho.DronesStart(**PLACES), ho.Form(ARC), "mission[0].form.polygon"),  # type: ignore[arg-type]
-    (ho.DronesStart(**PLACES), ho.Form(LISTS, legs=LISTS), "mission[0].form.legs[0]"),
-    (ho.HitchStart(LISTS, 1.2), ho.Adjust("even"), "mission[0].adjust.legs"),  # type: ignore[arg-type]
-    (ho.HitchStart(LISTS, 1.2), ho.Morph([[1], [1, 2]]), "mission[0].morph.polygon"),  # type: ignore[arg-type]
-    (ho.HitchStart([[1], [1, 2]], 1.2), ho.Hold(1.0), "start.hitch.polygon"),  # type: ignore[arg-type]
-    (ho.HitchStart(LISTS, 1.2, "even"), ho.Hold(1.0), "start.hitch.legs"),  # type: ignore[arg-type]
-]
-# fmt: on
-
-
-@pytest.mark.parametrize(("start", "step", "key"), UNFIT)
-def test_lists_that_are_no_outline_are_refused_with_their_key(
-    start: Any, step: Any, key: str
-) -> None:
-    with pytest.raises(InputError) as caught:
-        ho.Problem(ho.Team(3, 2.4), start, (step,))
-    assert caught.value.key == key
-
-
-# fmt: off
 FAULTS: list[tuple[str | list[str | int], object, str]] = [
-    ("limits.speed", -1, r"-1: must be greater than 0; give a positive number"),
     ("limits.leg", 1e-300, r"1e-300: must be at least 1e-09; "),
     ("limits.jerk", 1e300, r"1e+300: must be at most 1e+09; "),
-    ("team.robots", 3.0, r"3.0: must be a whole number; write it without"),
     ("team.robots", 10**5000, r"inf: must be finite; "),
-    ("team.robots", 4, r"team.quadrotor = 3: must be one kind, or a list of 4; give one per"),
     ("team.tensio", 1.0, r"1.0: must be a known key; did you mean tension?"),
     ("team.quadrotor[1].mas", 1, r"1: must be a known key; did "),
     ("team.cable_density", -1e-09, r"-1e-09: must be at least 0; "),
-    ("team.cable_friction", "0.1", r"'0.1': must be a number; remove t"),
     ("team.tension[2]", math.nan, r"nan: must be finite; "),
-    ("start.hitch.polygon[1]", [2.0, 0.2], r"start.hitch.polygon[0] = [2.0, 0.2]: must be"),
-    ("start.hitch.legs", "even", r"'even': must be balanced or spread"),
-    ("mission[0].morph.legs", [0.4, -1, 1], r"mission[0].morph.legs[1] = -1: must be at "),
     ("mission[2].morph.polygon", None, r"None: must be a list"),
-    ("mission[3].move_vertex.vertex", 3, r"3: must be from"),
-    ("mission[3].move_vertex.by", [-2, 1], r"[-2.0, 1.0]: must "),
-    ("mission[3].move_vertex.to", [2, 2],
-     r"[2.0, 2.0]: must be given where by is not, and only there"),
     ("mission[3].move_vertex.blend", 1, r"1: must be true or"),
-    ("mission[3].move_vertex.blend", True, r"mission[3].move_vertex.duration = 3.5: must be"),
-    ("mission[5].adjust.blend", True, r"True: must be false befor"),
-    ("mission[6].follow_vertex.path", [[0, 2, 1]],
-     r"[[0.0, 2.0, 1.0]]: must be a path whose times increase"),
-    ("mission[7].transport.to[0]", 1000000.0,
-     r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
-    ("mission[1]", {"hodl": 1}, r"mission[1].hodl = 1: must be a known key; did you mean hold?"),
-    ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
-    ("arena.upper", [5, 4, 0.1], r"[5.0, 4.0, 0.1]: must be greater than lower"),
-    ("mission[7].transport.to[2]", 1000000.0, r"7].transport.to = [2.0, 1.2, 1000000.0]: must be"),
+    ("mission[7].transport.to[0]", 1e6, r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
     ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be at most"),
-    ("title", "a\nb", r"'a\nb': must be printable text on one line; remove"),
+    ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of title, team"),
 ]
-# fmt: on
 
 
 @pytest.mark.parametrize(("key", "value", "message"), FAULTS, ids=[f[2][:40] for f in FAULTS])
-def test_a_fault_is_told_with_path_value_bound_and_remedy(
+def test_faults_are_told_with_place(
     key: str | list[str | int], value: object, message: str
 ) -> None:
     with pytest.raises(InputError) as caught:
@@ -242,7 +182,6 @@ def test_all_faults_are_told_in_one_go_and_a_flood_is_cut() -> None:
     keys = ["team.robot", "limits.speed", "mission[1].hold.seconds"]
     assert [error.key for error in caught.value.errors] == keys
     assert str(caught.value).splitlines() == [str(error) for error in caught.value.errors]
-    assert caught.value.key == "team.robot"
     data = changed(["mission"], [{"hold": {"seconds": -k}} for k in range(1, 501)])
     with pytest.raises(JointInputError) as caught:
         problem_from_dict(data)
@@ -254,9 +193,8 @@ def test_all_faults_are_told_in_one_go_and_a_flood_is_cut() -> None:
 def test_sizes_are_refused_before_memory_is_spent() -> None:
     tracemalloc.start()
     try:
-        for robots in (10_001, 10**9, 10**18):
-            with pytest.raises(InputError, match=r"team\.robots = 1\d+: must be at most 10000"):
-                problem_from_dict(changed(["team", "robots"], robots))
+        with pytest.raises(InputError, match=r"team\.robots = 1\d+: must be at most 10000"):
+            problem_from_dict(changed(["team", "robots"], 10**18))
         with pytest.raises(InputError, match="values in all"):
             problem_from_dict(changed(["team", "tension"], np.broadcast_to(0.4, (10**9,))))
         _, peak = tracemalloc.get_traced_memory()
@@ -269,10 +207,6 @@ def test_sizes_are_refused_before_memory_is_spent() -> None:
 def test_what_is_no_mapping_of_plain_data_is_an_input_error(data: Any) -> None:
     with pytest.raises(InputError):
         problem_from_dict(data)
-    held: Any = triangle()
-    held["limits"]["speed"] = held
-    with pytest.raises(HitchoptError, match="nested at most 20 levels deep"):
-        problem_from_dict(held)
 
 
 def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
@@ -283,36 +217,32 @@ def paths_of(data: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str 
 
 
 ODD = [0, -0.0, 1e308, 5e-324, math.pi, 10**5000, "", "spread", "open", "1", b"x", object()]
-KEYS = ["morph", "hold", "land", "mass", "q", "hitch", "seconds", "é\n"]
+
+
 inner: st.SearchStrategy[Any] = st.none() | st.floats() | st.just({}) | st.just({"seconds": 1})
 values = st.one_of(
-    *(st.none(), st.booleans(), st.integers(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
+    *(st.none(), st.booleans(), st.integers(-3, 12), st.floats(), st.floats(-3, 3)),
     *(st.integers(10**300, 10**310), st.sampled_from(ODD), st.text(max_size=8)),
     st.lists(st.floats() | st.integers(-3, 3), max_size=4),
     st.lists(st.lists(st.floats(-3, 3), min_size=2, max_size=2), min_size=3, max_size=5),
-    st.dictionaries(st.sampled_from(KEYS), inner, max_size=2),
-    st.just(np.ones((3, 2))),
+    st.dictionaries(st.sampled_from(["morph", "mass", "q", "hitch", "é\n"]), inner, max_size=2),
 )
-
-ACTIONS = ["set", "drop", "add", "twice"]
-mutation = st.tuples(st.sampled_from(list(paths_of(triangle()))), st.sampled_from(ACTIONS), values)
+mutation = st.tuples(
+    st.sampled_from(list(paths_of(triangle()))), st.sampled_from(["set", "drop", "add"]), values
+)
 
 
 def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, Any]:
     data: Any = triangle()
-    for path, action, value in changes:
+    for (*parents, last), action, value in changes:
         place = data
         with contextlib.suppress(LookupError, TypeError, ValueError):  # removed by now
-            for part in path[:-1]:
+            for part in parents:
                 place = place[part]
-            if action == "set":
-                place[path[-1]] = value
-            elif action == "drop":
-                del place[path[-1]]
-            elif action == "add" and isinstance(place, dict):
-                place[f"{path[-1]}s"] = value
-            elif isinstance(place, list):
-                place.append(place[-1] if action == "twice" else value)
+            if action == "drop":
+                del place[last]
+            else:
+                place[last if action == "set" else f"{last}s"] = value
     return dict(data)
 
 
@@ -328,17 +258,70 @@ def test_a_changed_problem_is_valid_by_the_schema_or_a_told_error(changes: Any) 
     if isinstance(answer, ho.Problem):
         assert len(hitch_start(answer).polygon) == answer.team.robots
         assert np.all(np.isfinite(hitch_start(answer).polygon.vertices))
-        VALIDATOR.validate(_listed(data))
-    elif isinstance(answer, InputError):
-        assert answer.key
-        assert answer.remedy
+        VALIDATOR.validate(data)
+        return
+    assert not isinstance(answer, InputError) or (answer.key and answer.remedy)
     assert len(str(answer)) < 20_000
     str(answer).encode("utf-8")  # a terminal can show it
 
 
-def _listed(data: Any) -> Any:
-    if isinstance(data, dict):
-        return {key: _listed(value) for key, value in data.items()}
-    if isinstance(data, list):
-        return [_listed(value) for value in data]
-    return data.tolist() if isinstance(data, np.ndarray) else data
+SWARMS = PROBLEMS / "swarms"
+READ = [*GOOD, *INFEASIBLE, TEMPLATE, *sorted(SWARMS.glob("*.yaml"))]
+REFUSED = [*BAD, *sorted((SWARMS / "bad").glob("*.yaml"))]
+
+
+@pytest.mark.parametrize("path", READ, ids=lambda path: path.stem)
+def test_what_can_be_planned_is_read_and_valid(path: Path) -> None:
+    data: Any = read_yaml(path)
+    assert data == YAML(typ="safe", pure=True).load(path)
+    VALIDATOR.validate(data)
+    problem = read_problem(path)
+    assert problem.title
+    drones = problem.team.drones if isinstance(problem, SwarmProblem) else problem.team.robots
+    assert drones == data["team"].get("robots", data["team"].get("drones"))
+
+
+@pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)
+def test_what_is_wrong_in_itself_is_told_with_its_place(path: Path) -> None:
+    with pytest.raises((InputError, FileError)) as caught:
+        read_problem(path)
+    assert path not in BAD or header(path, "Names") in str(caught.value)
+    if isinstance(caught.value, InputError):
+        assert all("must be" in line and "; " in line for line in str(caught.value).splitlines())
+    expected = header(path, "Schema") if path in BAD else "unjudged"
+    try:
+        data = read_yaml(path)
+    except HitchoptError:
+        assert expected == "unreadable"
+        return
+    if expected != "unjudged":  # JSON has no nan
+        assert VALIDATOR.is_valid(data) is (expected == "accepts")
+
+
+def test_the_shipped_schema_is_current_and_describes_every_key() -> None:
+    """And every fault has one file."""
+    assert len({header(path, "Fault") for path in BAD}) == len(BAD) >= 25
+    VALIDATOR.validate(triangle())
+    assert SCHEMA_FILE.read_text(encoding="utf-8") == schema_text()
+    shown: dict[str, Any] = {}
+    for model in problem_schema()["$defs"].values():
+        assert model["additionalProperties"] is False
+        assert model["description"]
+        for name, entry in model["properties"].items():
+            assert "description" in entry or "$ref" in entry, name
+            shown |= {name: entry["default"]} if "default" in entry else {}
+    for name, value in {"speed": 1.0, "assign": "auto", "height": 0.3, "jerk": 20.0}.items():
+        assert shown[name] == value
+
+
+def test_files_are_read_without_solvers() -> None:
+    """What is wrong with a file is told before anything that plans is imported."""
+    script = (
+        "import sys, hitchopt as ho\n"
+        f"ho.read_problem({str(PROBLEMS / 'grip_drum.yaml')!r})\n"
+        "print(*{name.partition('.')[0] for name in sys.modules})"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True
+    )
+    assert not {"scipy", "casadi", "toppra", "ruckig", "mujoco", "numba"} & set(told.stdout.split())

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,8 +14,6 @@ from plans import PROBLEMS
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
 from hitchopt.storage.yaml_file import (
-    MAX_BYTES,
-    MAX_NODES,
     parse_yaml,
     read_yaml,
     split_key,
@@ -43,27 +40,16 @@ def test_scalars_follow_the_core_schema_of_yaml_1_2(text: str, value: object) ->
     assert type(data["key"]) is type(value)
 
 
-def test_a_number_of_many_digits_costs_nothing() -> None:
-    assert parse_yaml("n: " + "9" * 400_000) == {"n": math.inf}
-    data: Any = parse_yaml("n: " + "9" * 301)
-    assert data["n"] == pytest.approx(1e301)
-
-
 # fmt: off
 REFUSED: list[tuple[str, type[HitchoptError], str]] = [
     ("a: 1\nb: [1,\n", FileError, "text:3:1: is not YAML"),
     ("a: b: c", FileError, "text:1:5: is not YAML"),
-    ("a:\n\t- 1", FileError, "text:2:1: is not YAML"),
     ('x: "\\U99999999"', FileError, "is not YAML"),
-    ('x: "\\ud800 \\xZZ"', FileError, "is not YAML"),
     ("x: \x07", FileError, "is not YAML"),
     ("x: !!python/none", FileError, "text:1:4: tags (!) are not allowed; remove it"),
-    ("x: &a 1", FileError, "text:1:4: anchors (&) are not allowed"),
     ("x: *a", FileError, "aliases (*) are not allowed; write the value out"),
     ("? [1, 2]\n: 3", FileError, "text:1:3: a key must be a word"),
-    ("a: 1\n---\nb: 2", FileError, "text:2:1: a second document begins here"),
     ("", FileError, "text: is empty; `hitchopt init` writes"),
-    ("# only a comment", FileError, "text: is empty"),
     (f"? {'x' * 10_001}\n: 1", FileError, "a key must have at most 10000 characters"),
     ("a:\n  - b: 1\n  - c: {d: 1, d: 2}\n", InputError, "text:3:15: a[1].c.d = '(twice)'"),
     ("a: {b: {1.5: 2}}", InputError, "a.b = 1.5: must be a mapping whose keys are text"),
@@ -76,9 +62,7 @@ REFUSED: list[tuple[str, type[HitchoptError], str]] = [
 
 
 @pytest.mark.parametrize(("text", "kind", "words"), REFUSED, ids=range(len(REFUSED)))
-def test_other_yaml_is_refused_with_line_and_column_or_key(
-    text: str, kind: type[HitchoptError], words: str
-) -> None:
+def test_other_yaml_is_refused_by_place(text: str, kind: type[HitchoptError], words: str) -> None:
     with pytest.raises(kind) as caught:
         parse_yaml(text)
     assert words in str(caught.value)
@@ -86,30 +70,26 @@ def test_other_yaml_is_refused_with_line_and_column_or_key(
 
 def test_depth_and_count_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse_yaml("[" * 20 + "1" + "]" * 20) is not None
-    assert MAX_NODES > 8 * 3 * 10_000  # several polygons of the largest team
+    assert parse_yaml("n: " + "9" * 400_000) == {"n": math.inf}
     monkeypatch.setattr("hitchopt.storage.yaml_file.MAX_NODES", 100)
     assert parse_yaml(f"a: [{'1, ' * 98}]") is not None
     with pytest.raises(InputError, match=r"a\[98\] = '101 values': must be within 100"):
         parse_yaml(f"a: [{'1, ' * 120}]")
 
 
-def write(path: Path, data: bytes) -> Path:
-    path.write_bytes(data)
-    return path
-
-
 def test_files_that_are_no_utf_8_text_are_refused(tmp_path: Path) -> None:
-    text = "team: {robots: 3}\n"
+    text, path = "team: {robots: 3}\n", tmp_path / "x.yaml"
     for data, words in (
         *((text.encode(f"utf-{kind}"), "UTF-(16|8)|not YAML") for kind in ("16-le", "16-be", "32")),
         (text.encode("utf-16"), r"not UTF-8 text \(byte 0\)"),
         (b"title: \xfcber", r"not UTF-8 text \(byte 7\)"),
         *((binary, "x.yaml") for binary in (b"\x00" * 50, b"PK\x03\x04\x14", bytes(range(256)))),
     ):
+        path.write_bytes(data)
         with pytest.raises(FileError, match=words):
-            read_yaml(write(tmp_path / "x.yaml", data))
-    dos = "a: 1\r\nb:\r\n  - ü\r\n".encode("utf-8-sig")
-    assert read_yaml(write(tmp_path / "x.yaml", dos)) == {"a": 1, "b": ["ü"]}
+            read_yaml(path)
+    path.write_bytes("a: 1\r\nb:\r\n  - ü\r\n".encode("utf-8-sig"))
+    assert read_yaml(path) == {"a": 1, "b": ["ü"]}
 
 
 def test_large_files_and_paths_that_are_no_files_are_refused(tmp_path: Path) -> None:
@@ -117,12 +97,10 @@ def test_large_files_and_paths_that_are_no_files_are_refused(tmp_path: Path) -> 
     with path.open("wb") as file:
         file.truncate(50 * 2**30)  # sparse
     for wrong, words in (
-        (path, f"larger than the {MAX_BYTES} bytes"),
+        (path, r"larger than the \d+ bytes"),
         (tmp_path / "missing.yaml", "no such file; check the path"),
         (tmp_path, r"cannot be read \(Is a directory\)"),
         ("a\0b", r"cannot be read \(embedded null byte\)"),
-        (tmp_path / ("x" * 300), r"cannot be read \(File name too long\)"),
-        (path / "x.yaml", r"cannot be read \(Not a directory\)"),
     ):
         with pytest.raises(FileError, match=words):
             load_problem(wrong)
@@ -139,16 +117,15 @@ def test_no_text_makes_anything_but_plain_data_or_a_told_error(text: str) -> Non
 
 
 def test_outlines_of_objects_are_read_beside_the_problem(tmp_path: Path) -> None:
-    corners = [[0.1, 0.2], [0.1, -0.2], [-0.1, -0.2], [-0.1, 0.2]]
-    write(tmp_path / "box.csv", "\n".join(f"{x},{y}" for x, y in corners).encode())
-    text = (PROBLEMS / "triangle.yaml").read_text(encoding="utf-8")
-    body = "objects: {{box: {{file: {}, to: 0.3, mass: 0.1, at: [5, 5, 0]}}}}\n"
-    path = write(tmp_path / "problem.yaml", (text + body.format("box.csv")).encode())
-    outline = load_problem(path).objects["box"].section.outline
-    assert outline is not None
-    np.testing.assert_allclose(sorted(outline.tolist()), sorted(corners), atol=1e-9)
-    with pytest.raises(FileError, match=r"bag\.csv"):
-        load_problem(write(tmp_path / "other.yaml", (text + body.format("bag.csv")).encode()))
+    corners, path = [[-0.1, -0.2], [-0.1, 0.2], [0.1, 0.2], [0.1, -0.2]], tmp_path / "problem.yaml"
+    (tmp_path / "box.csv").write_text("\n".join(f"{x},{y}" for x, y in corners))
+    body = "objects: {box: {file: box.csv, to: 0.3, mass: 0.1, at: [5, 5, 0]}}\n"
+    path.write_text((PROBLEMS / "triangle.yaml").read_text("utf-8") + body, "utf-8")
+    section = load_problem(path).objects["box"].section
+    assert sorted(section.core.round(9).tolist()) == sorted(corners)
+    (tmp_path / "box.csv").unlink()
+    with pytest.raises(FileError, match=r"box\.csv"):
+        load_problem(path)
 
 
 TEXT = """\
@@ -190,7 +167,6 @@ MISSION = ("mission",)
         ("mission[2].morph.optimize", True, "      optimize: true"),
         ("arena.lower", [0, 0, 0], "arena: {lower: [0, 0, 0]}"),
         ("title", "yes: no", 'title: "yes: no"   # quoted'),
-        ("title", "true", 'title: "true"   # quoted'),
         ("limits", {"speed": 1, "jerk": 2}, "  {speed: 1, jerk: 2}  # slow"),
     ],
 )
@@ -228,17 +204,18 @@ def test_steps_go_with_the_comments_above_them() -> None:
 def test_the_file_holds_what_was_done(order: list[int], line: str, brackets: bool) -> None:
     text = "a: [{b: 1}, {c: 2}, {d: 3}]" if brackets else TEXT.replace("\n", line).rstrip()
     path = ("a",) if brackets else MISSION
+    land: Any = {"land": {}}
     steps = value_at(parse_yaml(text), path)
     moved = with_entries(text, path, order)
-    assert value_at(parse_yaml(moved), path) == [steps[i] for i in order]
     assert with_entries(moved, path, [order.index(i) for i in range(3)]) == text
-    few = with_entries(text, path, order[:2])
-    assert value_at(parse_yaml(few), path) == [steps[i] for i in order[:2]]
-    added = with_entries(text, path, [order[0], {"land": {}}, *order[1:]])
-    found = value_at(parse_yaml(added), path)
-    assert found == [steps[order[0]], {"land": {}}, *(steps[i] for i in order[1:])]
-    assert brackets or ("\r\n" in added) is (line == "\r\n")
     empty = with_entries(text, path, [])
-    assert value_at(parse_yaml(empty), path) == []
-    again = with_entries(empty, path, [{"land": {}}])
-    assert value_at(parse_yaml(again), path) == [{"land": {}}]
+    added = with_entries(text, path, [order[0], land, *order[1:]])
+    for found, expected in (
+        (moved, [steps[i] for i in order]),
+        (with_entries(text, path, order[:2]), [steps[i] for i in order[:2]]),
+        (added, [steps[order[0]], land, *(steps[i] for i in order[1:])]),
+        (empty, []),
+        (with_entries(empty, path, [land]), [land]),
+    ):
+        assert value_at(parse_yaml(found), path) == expected
+    assert brackets or ("\r\n" in added) is (line == "\r\n")

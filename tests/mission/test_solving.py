@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 from plans import PROBLEMS, planned
-from problem_cases import hitch_start, random_chain
+from problem_cases import hitch_start
 
 import hitchopt as ho
-from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.loading import any_problem_from_dict, problem_from_dict
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
@@ -40,13 +40,14 @@ def moved(problem: ho.Problem, change: Callable[[Any], Any]) -> ho.Problem:
 Map = Callable[[Array], Array]
 """How positions (times, 2n, 3) of a plan become those of the changed problem's."""
 
+Change = Callable[[ho.Problem], tuple[ho.Problem, Map]]
+
 
 def turned(problem: ho.Problem) -> tuple[ho.Problem, Map]:
-    angle, offset = 0.7, np.array([3.0, -1.0])
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = np.cos(0.7), np.sin(0.7)
     turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    other = moved(problem, lambda p: p.rotated(angle).translated(offset))
-    return other, lambda x: x @ turn.T + [*offset, 0.0]
+    other = moved(problem, lambda p: p.rotated(0.7).translated([3.0, -1.0]))
+    return other, lambda x: x @ turn.T + [3.0, -1.0, 0.0]
 
 
 def renumbered(problem: ho.Problem) -> tuple[ho.Problem, Map]:
@@ -72,13 +73,10 @@ def mirrored(problem: ho.Problem) -> tuple[ho.Problem, Map]:
         (turned, random_morph(5, 2)),
         (renumbered, random_morph(6, 5)),
         (mirrored, random_morph(5, 7)),
-        (mirrored, random_chain(2, 1)),
-        (mirrored, random_chain(5, 6)),
+        (mirrored, read_yaml(PROBLEMS / "open_arc.yaml")),
     ],
 )
-def test_the_changed_problem_has_the_changed_plan(
-    change: Callable[[ho.Problem], tuple[ho.Problem, Map]], data: dict[str, Any]
-) -> None:
+def test_the_changed_problem_has_the_changed_plan(change: Change, data: dict[str, Any]) -> None:
     problem = problem_from_dict(data)
     changed, mapped = change(problem)
     plan, other = ho.solve(problem), ho.solve(changed)
@@ -89,11 +87,9 @@ def test_the_changed_problem_has_the_changed_plan(
 def test_reversing_start_and_end_reverses_the_path() -> None:
     problem = problem_from_dict(random_morph(6, 9))
     plan = ho.solve(problem)
-    first, last = plan.at(0.0), plan.at(plan.duration)
-    (step,) = problem.mission
-    assert isinstance(step, ho.Morph)
-    start, goal = ho.Hitch(problem.team, step.polygon, 1.0, last.legs[:, 0]), hitch_start(problem)
-    back = ho.morph(start, goal.polygon, first.legs[:, 0], separation=problem.separation)
+    legs = plan.at(0.0).legs[:, 0]
+    goal = hitch_start(problem).polygon
+    back = ho.morph(plan.end, goal, legs, separation=problem.separation)
     assert back.duration == pytest.approx(plan.duration, rel=5e-3)
     np.testing.assert_allclose(places(back)[::-1], places(plan), atol=5e-3)
 
@@ -104,8 +100,10 @@ def test_a_given_duration_is_met_exactly_and_a_short_one_refused() -> None:
     assert (plan.duration, plan.certificate["speed"].limit) == (4.125, 0.8)
     np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-9)
     np.testing.assert_allclose(plan.at(4.125).vertices[:, :2], PULLED_IN, atol=1e-9)
-    with pytest.raises(ho.InfeasibleError, match=r"duration: 0\.5 s is below"):
-        ho.morph(start, PULLED_IN, duration=0.5)
+    assert ho.adjust(start, "spread", duration=3.125).duration == 3.125
+    assert ho.transport(start, [1.0, -1.0, 1.5], duration=5.125).duration == 5.125
+    with pytest.raises(ho.InfeasibleError, match=r"duration: 0\.2 s is below .* \(move_edge\)"):
+        ho.move_edge(start, 0, by=[-0.05, 0.0], duration=0.2)
     with pytest.raises(ho.InfeasibleError, match="duration") as caught:
         ho.morph(start, PULLED_IN, limits=ho.Limits(duration=1.0))
     assert caught.value.violations[0].limit == 1.0
@@ -116,7 +114,7 @@ def test_moves_of_next_to_nothing_are_planned(offset: float) -> None:
     goal = np.array(TRIANGLE) + offset
     plan = ho.morph(ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE), goal)
     assert plan.duration <= 0.2
-    np.testing.assert_allclose(plan.at(1.0).vertices[:, :2], goal, atol=1e-12)
+    np.testing.assert_allclose(plan.end.vertices[:, :2], goal, atol=1e-12)
 
 
 def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
@@ -128,9 +126,7 @@ def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
     assert ho.morph(start, goal, optimize=True, duration=3.0).duration == 3.0
 
 
-def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_shut_way_is_gone_round_or_the_refusal_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     start = ho.Hitch.spread(ho.Team(4, 2.4), SQUARE)
     half = ho.morph(start, SQUARE.renumbered(2))
     assert "the step's own route is infeasible" in half.phases[0].remark
@@ -145,27 +141,31 @@ def test_a_way_that_is_shut_is_gone_round_or_the_refusal_says_what_was_tried(
 
 
 def noisy(points: Any, rng: np.random.Generator) -> Any:
-    """Return lists of coordinates [m] with noise in the last places."""
+    """Return coordinates [m] of a start or goal with noise in the last places."""
+    if isinstance(points, dict):
+        return {key: noisy(value, rng) for key, value in points.items()}
     if isinstance(points, list):
         return [noisy(point, rng) for point in points]
-    return points + 1e-14 * float(rng.uniform(-1.0, 1.0))
+    return points if isinstance(points, str) else points + 1e-14 * float(rng.uniform(-1.0, 1.0))
 
 
 @pytest.mark.parametrize(
-    ("name", "tie"),
+    "name",
     [
-        ("transport", "legs of a symmetric triangle are split one way or the mirrored one"),
-        ("form_square", "two assignments of robots are as short, and two ways to turn a cable"),
-        ("move_edge", "the acceleration jumps where the mesh of a flight looks at it"),
+        "transport",  # legs of a symmetric triangle are split one way or the mirrored one
+        "form_square",  # two assignments of robots are as short, and two ways to turn a cable
+        "move_edge",  # the acceleration jumps where the mesh of a flight looks at it
+        pytest.param("swarms/door", marks=pytest.mark.slow),  # who gives way in the middle
+        pytest.param("swarms/stack", marks=pytest.mark.slow),
     ],
 )
-def test_ties_are_settled_by_a_rule(name: str, tie: str) -> None:
+def test_ties_are_settled_by_a_rule(name: str) -> None:
     data: Any = read_yaml(PROBLEMS / f"{name}.yaml")
-    rng, before = np.random.default_rng(1), ho.solve(problem_from_dict(data)).duration
-    for start in data["start"].values():
-        for key in sorted({"polygon", "q", "r"} & set(start)):
-            start[key] = noisy(start[key], rng)
-    assert ho.solve(problem_from_dict(data)).duration == pytest.approx(before, rel=1e-6), tie
+    rng = np.random.default_rng(1)
+    changed = {key: noisy(data[key], rng) for key in ("start", "goal") if key in data}
+    plan, before = ho.solve(any_problem_from_dict({**data, **changed})), planned(name)
+    assert plan.duration == pytest.approx(before.duration, rel=1e-6)
+    np.testing.assert_allclose(places(plan), places(before), atol=1e-5)
 
 
 def test_the_published_scripts_case() -> None:

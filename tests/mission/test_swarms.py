@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import PROBLEMS
-from problem_cases import VALIDATOR, header
+from plans import PROBLEMS, header
+from problem_cases import VALIDATOR
 
 import hitchopt as ho
 from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm
@@ -19,19 +19,18 @@ from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = PROBLEMS / "swarms"
 INFEASIBLE = sorted((SWARMS / "infeasible").glob("*.yaml"))
-LARGE = {"circle_64", "circle_200", "door", "grids"}
-SMALL = [path for path in sorted(SWARMS.glob("*.yaml")) if path.stem not in LARGE]
 
 
 def full() -> dict[str, Any]:
     """A problem with every key."""
+    wall = [[0, 1], [0.3, 1.4], [0.4, 0.9]]
     return {
         "title": "Every key",
         "team": {"drones": 2, "quadrotor": [{"mass": 0.1}, {"max_thrust": 3.0}]},
         "limits": {"speed": 0.8, "acceleration": 1.5, "jerk": 12.0, "tilt_deg": 30, "duration": 9},
         "separation": {"radius": 0.1, "height": 0.25},
         "arena": {"lower": [-2, -2, 0], "upper": [2, 2.5, 3]},
-        "keep_out": [{"polygon": [[0, 1], [0.3, 1.4], [0.4, 0.9]], "lower": 0.0, "upper": 2.0}],
+        "keep_out": [{"polygon": wall, "lower": 0.0, "upper": 2.0}],
         "objects": {"pole": {"circle": 0.1, "to": 1.5, "at": [1.0, 1.5, 0.0], "fixed": True}},
         "start": [[-1, 0.1, 1.0], [1.0, 0, 1.1]],
         "goal": [[1, 0.2, 1.1], [-1.0, 0.3, 1.2]],
@@ -51,28 +50,16 @@ def test_every_key_is_read_and_kept() -> None:
     assert problem.arena is not None
     assert problem.team.mass.tolist() == [0.1, 0.132]
     assert problem.team.max_thrust.tolist() == [2.6, 3.0]
-    assert math.degrees(problem.limits.tilt) == pytest.approx(30.0)
-    assert problem.limits == ho.Limits(0.8, 1.5, 12.0, problem.limits.tilt, duration=9.0)
+    assert problem.limits == ho.Limits(0.8, 1.5, 12.0, math.radians(30.0), duration=9.0)
     assert problem.separation == ho.Separation(0.1, 0.25)
     assert problem.arena.upper.tolist() == [2.0, 2.5, 3.0]
     assert problem.keep_out[0].polygon.vertices[1].tolist() == [0.3, 1.4]
-    assert problem.goal[1].tolist() == [-1.0, 0.3, 1.2]
     plan = ho.separate(problem)
+    ends = plan.at([0.0, 6.5]).positions
+    np.testing.assert_allclose(ends, [full()["start"], full()["goal"]], atol=1e-9)
     assert plan.duration == pytest.approx(6.5)
     assert plan.certificate.certified
     assert {"keep_out", "arena", "duration"} <= {check.name for check in plan.certificate.checks}
-
-
-@pytest.mark.parametrize("path", SMALL, ids=lambda path: path.stem)
-def test_problems_are_planned_and_samples_keep_what_is_certified(path: Path) -> None:
-    problem = load_swarm(path)
-    plan = ho.separate(problem)
-    assert plan.certificate.certified
-    x = plan.at(np.linspace(0.0, plan.duration, 1001)).positions
-    i, j = np.triu_indices(problem.team.drones, 1)
-    ratios = np.linalg.norm((x[:, i] - x[:, j]) * problem.separation.scale, axis=-1)
-    assert np.min(ratios) >= plan.certificate["separation"].worst
-    np.testing.assert_allclose(x[[0, -1]], [problem.start, problem.goal], atol=1e-9)
 
 
 @pytest.mark.slow
@@ -84,9 +71,6 @@ def test_infeasible_problems_say_what_binds(path: Path) -> None:
     assert caught.value.violations[0].constraint == header(path, "Binds")
 
 
-FROM_TO = {"lower": 0, "upper": 1}
-
-
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
@@ -94,11 +78,8 @@ FROM_TO = {"lower": 0, "upper": 1}
         ("team", {"drones": 3}, "3 points"),
         ("team", {"drones": 2, "tension": 0.4}, "team.tension"),
         ("start", [[0, 0], [1, 1, 1]], "start[0]"),
-        ("duration", -1.0, "duration"),
         ("limits", {"leg": 0.2}, "limits.leg"),
-        ("arena", {"lower": [0, 0, 0], "upper": [0, 1, 1]}, "arena"),
-        ("keep_out", [{"polygon": [[0, 0], [1, 0], [1, 1]], **FROM_TO}], "keep_out[0]"),
-        ("keep_out", [{"polygon": [[0, 0], [0, 1], [1, 1]], "lower": 2, "upper": 1}], "upper"),
+        ("keep_out", [{"polygon": [[0, 0], [1, 0], [1, 1]]}], "keep_out[0]"),
     ],
 )
 def test_faults_are_named(key: str, value: object, words: str) -> None:

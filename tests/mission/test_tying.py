@@ -36,31 +36,23 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
     assert [p.formed for p in plan.phases] == [False] * 5 + [True] * 5 + [False] * 4
     assert [p.step for p in plan.phases] == [0] * 6 + [1, 2, 3] + [4] * 4 + [5]
     assert plan.certificate.certified
-    order = [check.name for check in plan.certificate.checks]
-    assert order.index("span") == order.index("cable_length") + 1
-    assert order.index("interlacing") == order.index("continuity") + 1
     assert plan.certificate["interlacing"].worst == 0.0
-    start, end = plan.at(0.0), plan.at(plan.duration)
-    for state in (start, end):
-        assert not state.formed
-        np.testing.assert_allclose(state.positions[:, 2], 0.0, atol=1e-12)
+    ends = plan.at([0.0, plan.duration])
+    assert not np.any(ends.formed)
+    np.testing.assert_allclose(ends.positions[..., 2], 0.0, atol=1e-12)
     tensions = plan.at(np.array([p.end for p in plan.phases if p.name in {"tension", "hold"}]))
     np.testing.assert_allclose(tensions.tensions, 0.4, atol=1e-12)
 
 
-def test_a_saved_plan_knows_its_hitch_and_roles(tmp_path: Path) -> None:
+def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Path) -> None:
     plan = planned("tie_carry_untie")
     plan.save(tmp_path, rate=10.0)
-    rows = (tmp_path / "vertices.csv").read_text().splitlines()[1:]
-    times = [float(row.split(",")[0]) for row in rows]
-    formed = [phase for phase in plan.phases if phase.formed]
-    assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
-    read, roles = ho.load(tmp_path).motion, plan.motion.assignment
+    roles, rows = plan.motion.assignment, (tmp_path / "vertices.csv").read_text().splitlines()[1:]
     assert roles is not None
-    assert (read.phases, read.assignment) == (plan.motion.phases, roles)
     told = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
     assert json.loads((tmp_path / "certificate.json").read_text())["assignment"] == told
-    assert json.loads(str(np.load(tmp_path / "plan.npz")["settings"]))["assignment"] == told
+    times, formed = [float(row.split(",")[0]) for row in rows], [p for p in plan.phases if p.formed]
+    assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
 
 
 def test_drones_start_where_the_robots_of_their_roles_are() -> None:
@@ -74,30 +66,26 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     other = forming(q, r)
     t = np.linspace(0.0, plan.duration, 101)
     np.testing.assert_allclose(other.at(t).positions, plan.at(t).positions, atol=1e-9)
-    assignment = other.motion.assignment
-    assert assignment is not None
-    given = np.stack([q, r], axis=1)[list(assignment.robots)]
-    ends = np.where(np.array(assignment.flipped)[:, None, None], given[:, ::-1], given)
+    roles = other.motion.assignment
+    assert roles is not None
+    given = np.stack([q, r], axis=1)[list(roles.robots)]
+    ends = np.where(np.array(roles.flipped)[:, None, None], given[:, ::-1], given)
     np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
 
 
-def test_a_hitch_that_is_there_at_first_is_released() -> None:
-    start = ho.Hitch.spread(TEAM, TRIANGLE, 1.6)
-    plan = ho.release(start)
-    assert [p.name for p in plan.phases] == ["relax", "loosen", "unswap 1", "unswap 2"]
-    np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-12)
-    assert plan.at(0.0).tensions == pytest.approx(TEAM.tension)
-    assert plan.certificate.certified
-
-
 def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
+    """And raised before they are released."""
     plan = forming(LINES, LINES * MIRROR, altitude=0.5)
     assert plan.phases[-1].name == "lower"
     assert "hang" in plan.phases[-1].remark
     np.testing.assert_allclose(plan.at(plan.duration).positions[:, 2], 0.5, atol=1e-9)
-    up = ho.release(ho.Hitch.spread(TEAM, TRIANGLE, 0.5))
-    assert up.phases[0].name == "raise"
-    assert up.certificate["cable_clearance"].bound > 0.1
+    for altitude, raised in ((0.5, ["raise"]), (1.6, [])):
+        start = ho.Hitch.spread(TEAM, TRIANGLE, altitude)
+        up = ho.release(start)
+        names = [*raised, "relax", "loosen", "unswap 1", "unswap 2"]
+        assert [phase.name for phase in up.phases] == names
+        assert up.certificate["cable_clearance"].bound > 0.1
+        np.testing.assert_allclose(up.at(0.0).positions, start.drones, atol=1e-12)
 
 
 def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
@@ -106,18 +94,17 @@ def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
         arena = ho.Arena([-3, -3, low], [3, 3, 3])
         landed = ho.land(TEAM, HIGH, HIGH * MIRROR, arena=arena)
         assert [p.name for p in landed.phases] == ["land"]
-        end = landed.at(landed.duration).positions
-        np.testing.assert_allclose(end[:, :2], landed.at(0.0).positions[:, :2], atol=1e-12)
-        np.testing.assert_allclose(end[:, 2], low, atol=1e-12)
+        expected = landed.at(0.0).positions
+        expected = np.column_stack([expected[:, :2], np.full(6, low)])
+        np.testing.assert_allclose(landed.at(landed.duration).positions, expected, atol=1e-12)
         assert landed.certificate["arena"].worst == pytest.approx(0.0, abs=1e-11)
         assert landed.certificate["arena"].holds
 
 
 def test_open_chains_are_tied_as_well() -> None:
-    team = ho.Team(3, 2.0, topology="open")
     q = np.array([[-2.0, -1, 0], [-0.5, -1, 0], [1, -1, 0]])
-    r = np.array([[-1.0, -1, 0], [0.5, -1, 0], [2, -1, 0]])
-    plan = ho.form(team, q, r, [[-1.5, 0], [-0.6, 0.8], [0.6, 0.8], [1.5, 0]], 1.5)
+    arc = [[-1.5, 0], [-0.6, 0.8], [0.6, 0.8], [1.5, 0]]
+    plan = ho.form(ho.Team(3, 2.0, topology="open"), q, q + [1.0, 0.0, 0.0], arc, 1.5)
     assert plan.certificate.certified
     assert plan.certificate["interlacing"].worst == 0.0
 
@@ -131,34 +118,27 @@ def test_steps_last_as_long_as_they_are_given() -> None:
 
 def test_scattered_robots_in_the_wrong_order_gather_first() -> None:
     """Straight ways would tangle: cables are drawn together and carried around each other."""
-    rng = np.random.default_rng(1)
-    middles = np.column_stack([1.6 * (np.arange(4) % 2), 1.6 * (np.arange(4) // 2), np.zeros(4)])
-    angles = rng.uniform(-np.pi, np.pi, 4)
+    angles = np.random.default_rng(1).uniform(-np.pi, np.pi, 4)
     arms = 0.5 * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(4)])
-    middles = middles[[0, 3, 1, 2]]
+    middles = 1.6 * np.array([[0, 0, 0], [1, 1, 0], [1, 0, 0], [0, 1, 0]])
     square = [[0.3, 1.3], [1.3, 1.3], [1.3, 0.3], [0.3, 0.3]]
     plan = ho.form(ho.Team(4, 2.0), middles - arms, middles + arms, square, 1.5, assign="fixed")
     names = [phase.name for phase in plan.phases]
     assert plan.motion.assignment == Assignment((0, 1, 2, 3), (False,) * 4)
     assert names[:5] == ["take-off", "gather", "turn", "approach", "open"]
     assert plan.certificate["interlacing"].worst == 0.0
-    assert plan.certificate["cable_clearance"].bound >= 0.1
 
 
 @pytest.mark.parametrize(
     ("q", "r", "keys", "binds"),
     [
         (LINES * [1, 0.05, 1], LINES * [-1, 0.05, 1], {}, "separation"),
-        (LINES * [2.1, 1, 1], LINES * [-2.1, 1, 1], {}, "span"),
         (LINES * [1, 0.5, 1], LINES[::-1] * [-1, 0.5, 1], {}, "crossing"),
         (LINES, LINES * MIRROR, {"legs": [0.05, 0.7, 0.7]}, "legs"),
         (LINES, LINES * MIRROR, {"limits": ho.Limits(tilt=0.1)}, "tilt"),
-        (LINES, LINES * MIRROR, {"arena": ho.Arena([-3, -3, 0], [3, 3, 1.6])}, "arena"),
     ],
 )
-def test_what_binds_at_the_start_or_later_is_named(
-    q: Array, r: Array, keys: dict[str, Any], binds: str
-) -> None:
+def test_what_binds_is_told_with_time(q: Array, r: Array, keys: dict[str, Any], binds: str) -> None:
     with pytest.raises(ho.InfeasibleError) as told:
         forming(q, r, **keys)
     when = "step 0" if keys else "at the start (t = 0)"
@@ -175,13 +155,11 @@ def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused(
     assert told.value.violations[0].constraint in {"cable_clearance", "crossing"}
 
 
-@pytest.mark.parametrize(("low", "altitude"), [(0.0, -1.0), (-1.0, 1.2)])
-def test_nobody_flies_below_the_ground(low: float, altitude: float) -> None:
-    below = [0.0, 0.0, low]
-    with pytest.raises(ho.InfeasibleError, match="over the ground"):
-        forming(LINES + below, LINES * MIRROR + below, altitude=altitude)
-
-
-def test_an_arena_may_have_a_lower_floor() -> None:
-    below, arena = [0.0, 0.0, -3.0], ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0])
+def test_nobody_flies_below_the_ground() -> None:
+    """Which is where an arena has its floor."""
+    for low, altitude in ((0.0, -1.0), (-1.0, 1.2)):
+        below = [0.0, 0.0, low]
+        with pytest.raises(ho.InfeasibleError, match="over the ground"):
+            forming(LINES + below, LINES * MIRROR + below, altitude=altitude)
+    arena, below = ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0]), [0.0, 0.0, -3.0]
     forming(LINES + below, LINES * MIRROR + below, altitude=-1.0, arena=arena)

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import itertools
-import math
 import re
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from refusals import assert_refused
 
 import hitchopt as ho
-from hitchopt.planners.morph.actions import vertex_track
 
 SHAPES = {3: (1.4, 2.5), 4: (1.1, 2.1), 5: (1.3, 2.0), 6: (1.3, 2.0), 9: (1.3, 2.0)}
 """Edge and shortest cable [m] of regular hitches in which drones keep well apart."""
@@ -35,18 +30,11 @@ def movers(plan: ho.Plan) -> set[str]:
     places = plan.at(np.linspace(0.0, plan.duration, 501)).positions
     away = np.max(np.linalg.norm(places - places[0], axis=-1), axis=0)
     assert not np.any((away > 1e-9) & (away < 1e-4)), "neither still nor moving"
-    return {
-        name for name, moved in zip(plan.motion.team.drone_names, away > 1e-9, strict=True) if moved
-    }
+    return set(np.array(plan.motion.team.drone_names)[away > 1e-9])
 
 
 def names(n: int, q: list[int], r: list[int]) -> set[str]:
     return {f"q{k % n}" for k in q} | {f"r{k % n}" for k in r}
-
-
-def end_of(plan: ho.Plan) -> ho.Hitch:
-    state = plan.at(plan.duration)
-    return ho.Hitch(plan.motion.team, state.vertices[:, :2], state.vertices[0, 2], state.legs[:, 0])
 
 
 @pytest.mark.parametrize(("n", "k"), [(3, 2), (4, 1), (9, 5)])
@@ -55,14 +43,13 @@ def test_moving_a_vertex_moves_the_four_drones_of_the_paper(n: int, k: int) -> N
     plan = ho.move_vertex(start, k, by=[-0.05, 0.06])
     assert movers(plan) == names(n, q=[k, k + 1], r=[k - 1, k - 2])
     assert plan.phases[0].remark == ""
-    state = plan.at(np.linspace(0.0, plan.duration, 101))
     kept = np.ones((n, 2), dtype=bool)
     kept[k, 0] = kept[k - 1, 1] = False  # the two that make up for the edges
-    still = np.broadcast_to(start.legs[kept], (101, 2 * n - 2))
-    np.testing.assert_allclose(state.legs[:, kept], still, atol=1e-7)
-    moved = state.vertices[-1] - start.vertices
-    np.testing.assert_allclose(moved[k], [-0.05, 0.06, 0.0], atol=1e-12)
-    np.testing.assert_array_equal(np.delete(moved, k, axis=0), 0.0)
+    legs = plan.at(np.linspace(0.0, plan.duration, 101)).legs[:, kept]
+    np.testing.assert_allclose(legs, np.broadcast_to(start.legs[kept], legs.shape), atol=1e-7)
+    moved = np.zeros((n, 3))
+    moved[k] = -0.05, 0.06, 0.0
+    np.testing.assert_allclose(plan.end.vertices - start.vertices, moved, atol=1e-12)
 
 
 def test_where_tensions_differ_legs_turn_with_both_edges_of_their_vertex() -> None:
@@ -83,20 +70,15 @@ CHAIN = ho.Hitch.spread(
 
 @pytest.mark.parametrize(
     ("k", "expected"),
-    [
-        (0, {"q0", "q1", "r0"}),  # cable 0 has one leg only, which makes up for its edge
-        (1, {"q1", "r0", "q2"}),
-        (2, {"q2", "r1", "q3", "r0"}),
-        (3, {"q3", "r2", "r1"}),
-        (4, {"r3", "r2", "q3"}),
-    ],
+    [*enumerate(("q0 q1 r0", "q1 r0 q2", "q2 r1 q3 r0", "q3 r2 r1", "r3 r2 q3"))],
 )
-def test_in_a_chain_the_drones_beyond_its_ends_are_left_out(k: int, expected: set[str]) -> None:
+def test_in_a_chain_the_drones_beyond_its_ends_are_left_out(k: int, expected: str) -> None:
+    """A chain's first and last cable have one leg only, which makes up for its edge."""
     plan = ho.move_vertex(CHAIN, k, by=[0.01, 0.03])
-    assert movers(plan) == expected
+    assert movers(plan) == set(expected.split())
     assert plan.phases[0].remark == ""
-    back = ho.move_vertex(end_of(plan), k, by=[-0.01, -0.03])
-    np.testing.assert_allclose(end_of(back).drones, CHAIN.drones, atol=1e-9)
+    back = ho.move_vertex(plan.end, k, by=[-0.01, -0.03])
+    np.testing.assert_allclose(back.end.drones, CHAIN.drones, atol=1e-9)
 
 
 @pytest.mark.parametrize(("n", "k"), [(4, 3), (9, 8)])
@@ -119,8 +101,8 @@ def test_adjusting_moves_only_the_drones_of_cables_whose_legs_change() -> None:
     states = plan.at(np.linspace(0.0, plan.duration, 101))
     still = np.broadcast_to(start.vertices, states.vertices.shape)
     np.testing.assert_allclose(states.vertices, still, atol=1e-12)
-    np.testing.assert_allclose(end_of(plan).q_legs, wanted, atol=1e-12)
-    balanced = end_of(ho.adjust(start, "balanced"))
+    np.testing.assert_allclose(plan.end.q_legs, wanted, atol=1e-12)
+    balanced = ho.adjust(start, "balanced").end
     np.testing.assert_allclose(balanced.legs[:, 0], balanced.legs[:, 1], atol=1e-12)
 
 
@@ -140,32 +122,29 @@ THERE_AND_BACK: dict[str, Callable[[ho.Hitch, int], ho.Plan]] = {
 @pytest.mark.parametrize("name", THERE_AND_BACK)
 def test_an_action_and_its_reverse_come_back(name: str) -> None:
     start, action = uneven(5), THERE_AND_BACK[name]
-    middle = end_of(action(start, 1))
+    middle = action(start, 1).end
     assert np.max(np.abs(middle.drones - start.drones)) > 1e-3
-    end = end_of(action(middle, -1))
+    end = action(middle, -1).end
     np.testing.assert_allclose(end.vertices, start.vertices, atol=1e-9)
-    np.testing.assert_allclose(end.legs, start.legs, atol=1e-9)
     np.testing.assert_allclose(end.drones, start.drones, atol=1e-9)
 
 
 def test_where_a_limit_binds_the_nearest_sharing_is_taken_and_said() -> None:
-    """A vertex of a square pushed out: the drones that stay with it come too close."""
+    """A vertex of a square pushed out: q0 and r3, which stay with it, come too close."""
     team = ho.Team(4, 2.0)
     start = ho.Hitch.balanced(team, [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
     plan = ho.move_vertex(start, 0, by=[0.3, 0.3])
-    end, kept = end_of(plan), start.q_legs.copy()
+    end, kept = plan.end, start.q_legs.copy()
     kept[0] = end.slack[0] - start.legs[0, 1]
 
     def ratio(first: float, last: float) -> float:
-        """Distance of q0 and r3 over its limit, for legs of cables 0 and 3."""
+        """Their distance over its limit, for legs of cables 0 and 3."""
         places = ho.Hitch(team, end.polygon, 1.0, [first, kept[1], kept[2], last]).drones[[0, 7]]
         return float(np.linalg.norm(places[0] - places[1])) / 0.24
 
-    assert ratio(kept[0], kept[3]) < 1.0
-    remark = plan.phases[0].remark
     words = f"separation: {ratio(kept[0], kept[3]):.6g} is below the limit of 1 at q0, r3"
-    assert remark.startswith("r0, q3 slide as well: ")
-    assert words in remark
+    assert plan.phases[0].remark.startswith("r0, q3 slide as well: ")
+    assert words in plan.phases[0].remark
     assert movers(plan) == {"q0", "q1", "r3", "r2", "r0", "q3"}
     # No sharing of the two cables on a grid is nearer and keeps the distances.
     deviation = float(np.sum((end.q_legs - kept) ** 2))
@@ -179,54 +158,16 @@ def test_where_a_limit_binds_the_nearest_sharing_is_taken_and_said() -> None:
 def test_a_limit_that_binds_on_the_way_only_lets_cables_slide_there(far: float) -> None:
     start = ho.Hitch(ho.Team(6, 2.0), ho.regular_polygon(6, 1.3), 1.0, [0.45] * 6)
     tip = start.vertices[0, 0]
-    plan = ho.follow_vertex(
-        start, 0, [[4.0, tip + far, 0.0], [5.0, tip + far, 0.0], [9.0, tip, 0.0]]
-    )
-    remark = plan.phases[0].remark
-    assert remark.startswith("r0, q5 slide as well: ")
-    assert "of the path" in remark
+    path = [[4.0, tip + far, 0.0], [5.0, tip + far, 0.0], [9.0, tip, 0.0]]
+    plan = ho.follow_vertex(start, 0, path)
+    assert plan.phases[0].remark.startswith("r0, q5 slide as well: ")
+    assert "of the path" in plan.phases[0].remark
     assert movers(plan) == names(6, q=[0, 1, 5], r=[5, 4, 0])
-    np.testing.assert_allclose(end_of(plan).legs, start.legs, atol=1e-9)
-    state = plan.at(4.5)
+    np.testing.assert_allclose(plan.end.legs, start.legs, atol=1e-9)
     slack = 2.0 - np.linalg.norm(start.vertices[5] - [tip + far, 0.0, 1.0])
-    assert slack - 0.45 < 0.15  # the kept law's r-leg of cable 5 there
-    assert state.legs[5, 1] >= 0.15
-    for t in (0.0, 9.0):
-        np.testing.assert_allclose(plan.at(t).velocities, 0.0, atol=1e-9)
-        np.testing.assert_allclose(plan.at(t).accelerations, 0.0, atol=1e-9)
-
-
-def test_a_duration_is_met_exactly_or_refused() -> None:
-    start = uneven(5)
-    for plan in (
-        ho.move_vertex(start, 0, by=[-0.05, 0.0], duration=3.125),
-        ho.move_edge(start, 0, by=[-0.05, 0.0], duration=3.125),
-        ho.adjust(start, duration=3.125),
-        ho.transport(start, [3.0, -1.0, 1.5], duration=3.125),
-    ):
-        assert plan.duration == 3.125
-    with pytest.raises(ho.InfeasibleError, match=r"duration: 0\.2 s is below .* \(move_edge\)"):
-        ho.move_edge(start, 0, by=[-0.05, 0.0], duration=0.2)
-
-
-@pytest.mark.parametrize(
-    ("action", "given", "key", "words"),
-    [
-        (ho.move_vertex, {"vertex": 5, "by": [0.0, 0.1]}, "vertex", "5: must be from 0 to 4"),
-        (ho.move_edge, {"edge": -1, "by": [0, 0.1]}, "edge", "must be a whole number, at least 0"),
-        (ho.move_vertex, {"vertex": 0}, "to", "None: must be given where by is not"),
-        (ho.move_vertex, {"vertex": 0, "to": [1.0, 1.0], "by": [1, 1]}, "to", "where by is not"),
-        (ho.move_vertex, {"vertex": 0, "by": [-5.0, 3.0]}, "by", "must be such that the outline"),
-        (ho.move_edge, {"edge": 0, "to": [1.0, 1.0]}, "to", "must be two points"),
-        (ho.follow_vertex, {"vertex": 0, "path": [[2, 3, 1], [1, 3, 1]]}, "path", "times increase"),
-        (ho.transport, {"to": [1.0, 1.0]}, "to", "must be a point [x, y, z]"),
-        (ho.transport, {"to": [1.0, 1.0, 1.0], "yaw": math.nan}, "yaw", "nan: must be finite"),
-    ],
-)
-def test_wrong_arguments_are_told_by_their_own_names(
-    action: Callable[..., object], given: dict[str, Any], key: str, words: str
-) -> None:
-    assert_refused(lambda: action(uneven(5), **given), key, words)
+    assert slack - 0.45 < 0.15 <= plan.at(4.5).legs[5, 1]  # the kept law's r-leg of cable 5 there
+    ends = plan.at([0.0, 9.0])
+    np.testing.assert_allclose([ends.velocities, ends.accelerations], 0.0, atol=1e-9)
 
 
 START = ho.Hitch(
@@ -237,43 +178,20 @@ START = ho.Hitch(
 )
 K = 3
 HERE = START.vertices[K, :2]
-TIMES, X = [2.0, 3.5, 5.0, 6.25, 9.0], [0.08, 0.15, 0.15, 0.05, 0.0]
-Y = [0.05, -0.02, -0.02, -0.04, 0.03]
-POINTS = [[t, *(HERE + [x, y])] for t, x, y in zip(TIMES, X, Y, strict=True)]
+ROWS = [(2.0, 0.08, 0.05), (3.5, 0.15, -0.02), (5.0, 0.15, -0.02), (6.25, 0.05, -0.04)]
+POINTS = [[t, *(HERE + [x, y])] for t, x, y in (*ROWS, (9.0, 0.0, 0.03))]
 
 
 def test_points_are_met_at_their_times_and_standing_stands() -> None:
     plan = ho.follow_vertex(START, K, POINTS)
     assert plan.duration == 9.0
-    for t, x, y in POINTS:
-        np.testing.assert_allclose(plan.at(t).vertices[K], [x, y, 1.4], atol=1e-9)
-    for t in (3.5, 4.2, 5.0):
-        np.testing.assert_allclose(plan.at(t).velocities, 0.0, atol=1e-9)
-    for t in (0.0, 3.5, 5.0, 9.0):
-        np.testing.assert_allclose(plan.at(t).accelerations, 0.0, atol=1e-8)
+    met = plan.at([t for t, *_ in POINTS]).vertices[:, K]
+    np.testing.assert_allclose(met, [[x, y, 1.4] for _, x, y in POINTS], atol=1e-9)
+    np.testing.assert_allclose(plan.at([3.5, 4.2, 5.0]).velocities, 0.0, atol=1e-9)
+    np.testing.assert_allclose(plan.at([0.0, 3.5, 5.0, 9.0]).accelerations, 0.0, atol=1e-8)
     assert np.max(np.abs(plan.at(2.0).velocities)) > 0.01  # passed, not stopped at
     others = np.delete(plan.at(np.linspace(0.0, 9.0, 200)).vertices, K, axis=1)
     np.testing.assert_allclose(others, np.broadcast_to(others[0], others.shape), atol=1e-12)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(2, 8))
-@settings(max_examples=30)
-def test_between_rests_no_wiggle_of_the_track_has_less_jerk(seed: int, count: int) -> None:
-    """Adding what vanishes at the points, and with two derivatives at the ends, only adds jerk."""
-    rng = np.random.default_rng(seed)
-    times = np.cumsum(rng.uniform(0.5, 1.5, count))
-    places = rng.normal(size=(count, 2))
-    track = vertex_track(times, places)
-    np.testing.assert_allclose(track.at(times), places, atol=1e-9)
-    t, span = np.linspace(times[0], times[-1], 4001), times[-1] - times[0]
-    x = (t - times[0]) / span
-    rest = np.poly1d([1.0, -1.0, 0.0]) ** 3  # x³(x-1)³
-    wiggle = rest * np.poly1d((times[1:-1] - times[0]) / span, r=True)
-    bump = wiggle.deriv(3)(x) / (np.max(np.abs(wiggle(x))) * span**3)
-    jerk = track.at(t, 3)
-    least = np.trapezoid(np.sum(jerk**2, axis=1), t)
-    for size in (-0.1, 0.01, 0.1):
-        assert np.trapezoid((jerk[:, 0] + size * bump) ** 2 + jerk[:, 1] ** 2, t) > least
 
 
 def test_points_that_cannot_be_met_are_told() -> None:
@@ -285,20 +203,14 @@ def test_points_that_cannot_be_met_are_told() -> None:
         ho.follow_vertex(START, K, [[0.4, *(HERE + [0.2, 0.0])]])
     fast = next(v for v in caught.value.violations if v.constraint == "vertex_speed")
     assert fast.value == pytest.approx(15.0 / 8.0 * 0.2 / 0.4, rel=1e-3)
-    found = re.fullmatch(r"at t = (\S+) s, in step 0 \(follow_vertex\)", fast.when)
-    assert found is not None
-    assert float(found[1]) == pytest.approx(0.2, abs=0.002)  # a flat maximum
+    assert re.fullmatch(r"at t = 0\.(199|2|201)\S* s, in step 0 \(follow_vertex\)", fast.when)
     assert fast.remedy.endswith("or give the points more time")
 
 
+KINDS = [ho.Quadrotor(0.13 + 0.01 * k, 2.6) for k in range(4)]
+UNLIKE: Any = {"tension": [0.4, 0.42, 0.41, 0.4], "cable_density": 0.003, "quadrotor": KINDS}
 TURNED = ho.Hitch(
-    ho.Team(
-        4,
-        [2.1, 2.2, 2.15, 2.1],
-        tension=[0.4, 0.42, 0.41, 0.4],
-        cable_density=0.003,
-        quadrotor=[ho.Quadrotor(0.13 + 0.01 * k, 2.6) for k in range(4)],
-    ),
+    ho.Team(4, [2.1, 2.2, 2.15, 2.1], **UNLIKE),
     [[2.6, 1.0], [2.5, -0.1], [1.4, -0.2], [1.5, 1.1]],
     1.3,
     [0.5, 0.55, 0.45, 0.5],
@@ -307,27 +219,24 @@ TURNED = ho.Hitch(
 
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -4.7, 4.0 * np.pi])
 def test_the_centroid_goes_straight_and_the_hitch_turns_all_the_way(yaw: float) -> None:
-    to = np.array([1.2, 1.4, 1.9])
+    begin, to = np.append(TURNED.polygon.centroid, 1.3), np.array([1.2, 1.4, 1.9])
     plan = ho.transport(TURNED, to, yaw=yaw)
-    state = plan.at(np.linspace(0.0, plan.duration, 301))
-    middle = np.array([ho.ConvexPolygon(p[:, :2]).centroid for p in state.vertices])
-    gone = np.column_stack([middle, state.vertices[:, 0, 2]]) - [*TURNED.polygon.centroid, 1.3]
-    np.testing.assert_allclose(middle[-1], to[:2], atol=1e-9)
-    way = to - [*TURNED.polygon.centroid, 1.3]
+    vertices = plan.at(np.linspace(0.0, plan.duration, 301)).vertices
+    middle = [[*ho.ConvexPolygon(p[:, :2]).centroid, p[0, 2]] for p in vertices]
+    np.testing.assert_allclose(middle[-1], to, atol=1e-9)
+    gone, way = np.array(middle) - begin, to - begin
     share = gone @ way / (way @ way)
     np.testing.assert_allclose(gone, share[:, None] * way, atol=1e-6)
-    np.testing.assert_allclose(state.vertices[-1, :, 2], 1.9, atol=1e-12)
-    edge = state.vertices[:, 1] - state.vertices[:, 0]
+    edge = vertices[:, 1] - vertices[:, 0]
     turned = np.unwrap(np.arctan2(edge[:, 1], edge[:, 0]))
     assert turned[-1] - turned[0] == pytest.approx(yaw, abs=1e-9)
     np.testing.assert_allclose(turned - turned[0], share * yaw, atol=1e-5)  # on one clock
+    np.testing.assert_allclose(plan.end.vertices, vertices[-1], atol=1e-9)
 
 
 def test_where_it_cannot_go_is_told() -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"arena: .*end of step 0 \(transport\)"):
-        ho.transport(TURNED, [1.2, 1.4, 2.1], arena=ho.Arena([-4, -4, 0], [4, 4, 2]))
+    """Both ends are inside; half way through the turn a corner's drone is not."""
     x = TURNED.drones
     around = ho.Arena(x.min(axis=0) - 0.02, x.max(axis=0) + 0.02)
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* in step 0 \(transport\)"):
-        # Both ends are inside; half way through the turn a corner's drone is not.
         ho.transport(TURNED, [*TURNED.polygon.centroid, 1.3], yaw=2.0 * np.pi, arena=around)

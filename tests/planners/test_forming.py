@@ -16,24 +16,17 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assigned
 from hitchopt.planners.forming.prehitch import find_prehitch
-from hitchopt.planners.forming.stages import (
-    PULL_SECONDS,
-    rise_seconds,
-    straight,
-    tied,
-    undone,
-)
+from hitchopt.planners.forming.stages import rise_seconds, straight, tied, undone
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 
 IRREGULAR = np.array([[0, 1.0], [1.1, 0.5], [0.8, -0.6], [-0.4, -0.8], [-0.9, 0.3]]) + [3.0, -2.0]
 LENGTHS = np.array([2.2, 2.3, 2.1, 2.4, 2.2])
 
+KINDS = [ho.Quadrotor(0.12 + 0.01 * k, 2.4 + 0.1 * k) for k in range(5)]
+SLACK = LENGTHS - ho.ConvexPolygon(IRREGULAR).edge_lengths
 PENTAGON = Hitch(
-    Team(5, LENGTHS, quadrotor=[ho.Quadrotor(0.12 + 0.01 * k, 2.4 + 0.1 * k) for k in range(5)]),
-    IRREGULAR,
-    1.7,
-    (LENGTHS - ho.ConvexPolygon(IRREGULAR).edge_lengths) * [0.5, 0.45, 0.55, 0.5, 0.6],
+    Team(5, LENGTHS, quadrotor=KINDS), IRREGULAR, 1.7, SLACK * [0.5, 0.45, 0.55, 0.5, 0.6]
 )
 """Unequal cables, drones and legs, off the origin."""
 
@@ -64,9 +57,8 @@ def test_release_is_form_reversed() -> None:
     assert [s.phases[0].name for s in back] == ["relax", "loosen", "unswap 1", "unswap 2"]
     for there, again in zip(stages, reversed(back), strict=True):
         np.testing.assert_allclose(sampled(there), sampled(again)[::-1], atol=1e-9)
-    pulls, team = back[0].tensions, PENTAGON.team
-    np.testing.assert_array_equal(pulls.at(0.0), team.tension)
-    np.testing.assert_array_equal(pulls.at(pulls.duration), 0.0)
+    pulls = back[0].tensions.at([0.0, back[0].duration])
+    np.testing.assert_array_equal(pulls, [PENTAGON.team.tension, np.zeros(5)])
 
 
 @pytest.mark.parametrize(
@@ -80,60 +72,49 @@ def test_tensions_rise_in_three_periods_of_the_slowest_cable(team: Team, mass: f
     """A string of length L, mass m and tension T swings in ``2 √(L m / T)``."""
     period = 2.0 * math.sqrt(team.cable_length[0] * mass / team.tension[0])
     assert rise_seconds(team) == pytest.approx(3.0 * period, rel=1e-12)
-    assert 3.0 * period > PULL_SECONDS
+    assert 3.0 * period > 1.0  # the shortest rise
 
 
 def test_moving_and_turning_the_hitch_moves_and_turns_the_plan() -> None:
     turn, polygon = np.array([[0.6, -0.8], [0.8, 0.6]]), PENTAGON.polygon.vertices
     moved = Hitch(PENTAGON.team, polygon @ turn.T + [2.0, 5.0], 2.7, PENTAGON.q_legs)
     for one, other in zip(stages_of(PENTAGON), stages_of(moved), strict=True):
-        expected = sampled(one)
-        expected[..., :2] = expected[..., :2] @ turn.T
-        np.testing.assert_allclose(sampled(other), expected + [2.0, 5.0, 1.0], atol=1e-7)
+        here, there = sampled(one), sampled(other) - [2.0, 5.0, 1.0]
+        np.testing.assert_allclose(there[..., :2], here[..., :2] @ turn.T, atol=1e-7)
+        np.testing.assert_allclose(there[..., 2], here[..., 2], atol=1e-7)
 
 
 def test_heavy_cables_leave_less_to_accelerate_with() -> None:
     """A drone of little thrust that carries half a heavy cable: slower, or none at all."""
-    weak = [ho.Quadrotor(0.12, 1.45)] * 5
-    light, heavy = (
-        Team(5, LENGTHS, cable_density=density, quadrotor=weak) for density in (0.0, 0.01)
-    )
     start = PENTAGON.drones
-    end = start + [0.0, 1.5, 0.0]
-    quick = straight(light, Limits(), start, end)
-    slow = straight(heavy, Limits(), start, end)
-    assert slow.duration > 1.05 * quick.duration
+
+    def seconds(density: float) -> float:
+        team = Team(5, LENGTHS, cable_density=density, quadrotor=ho.Quadrotor(0.12, 1.45))
+        return straight(team, Limits(), start, start + [0.0, 1.5, 0.0]).duration
+
+    assert seconds(0.01) > 1.05 * seconds(0.0)
     with pytest.raises(ho.InfeasibleError, match=r"^thrust: .* hovering with a hanging cable"):
-        straight(Team(5, LENGTHS, cable_density=0.05, quadrotor=weak), Limits(), start, end)
+        seconds(0.05)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_the_assignment_is_the_best_of_all(seed: int) -> None:
     """Against all permutations and orientations of four robots."""
-    rng = np.random.default_rng(seed)
-    team = Team(4, 2.0)
     outline = ho.ConvexPolygon(np.array([[-0.5, 0.5], [0.6, 0.5], [0.5, -0.5], [-0.5, -0.4]]))
-    drones = rng.uniform(-2.0, 2.0, (8, 3))
-    found = assigned(team, drones, outline, 0.15)
+    drones = np.random.default_rng(seed).uniform(-2.0, 2.0, (8, 3))
     ends = np.stack([outline.vertices, np.roll(outline.vertices, -1, axis=0)], axis=1)
 
-    def cost(robots: tuple[int, ...], flipped: tuple[bool, ...]) -> float:
-        places = Assignment(robots, flipped).drones(drones).reshape(4, 2, 3)[..., :2]
+    def cost(assignment: Assignment) -> float:
+        places = assignment.drones(drones).reshape(4, 2, 3)[..., :2]
         return float(np.sum((places - ends) ** 2))
 
-    best = min(
-        cost(robots, flipped)
-        for robots in permutations(range(4))
-        for flipped in product((False, True), repeat=4)
-    )
-    assert cost(found.robots, found.flipped) == pytest.approx(best, rel=1e-12)
+    all_of_them = product(permutations(range(4)), product((False, True), repeat=4))
+    best = min(cost(Assignment(*each)) for each in all_of_them)
+    assert cost(assigned(Team(4, 2.0), drones, outline, 0.15)) == pytest.approx(best, rel=1e-12)
 
 
 def test_long_edges_go_to_long_cables() -> None:
     team = Team(3, [1.5, 2.6, 2.6])
     outline = ho.ConvexPolygon(np.array([[0.0, 1.8], [0.4, 0.0], [-0.4, 0.0]]))
-    drones = np.zeros((6, 3))
-    drones[:, 0] = np.arange(6)
-    found = assigned(team, drones, outline, 0.15)
+    found = assigned(team, np.arange(6.0)[:, None] * [1.0, 0.0, 0.0], outline, 0.15)
     assert found.team(team).cable_length[1] == 1.5  # the only edge that it can hold
-    assert sorted(found.robots) == [0, 1, 2]

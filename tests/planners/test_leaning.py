@@ -8,22 +8,23 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clasp_balance import unit
 
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.friction import FARTHEST, ROOM, Leaning, leaning
-from hitchopt.values import Array
+from hitchopt.steps import Step
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
 GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
 LENGTHS, TENSIONS = [2.9, 2.8, 2.7, 3.0], [0.5, 0.45, 0.55, 0.5]
 
 
-def morphed(goal: Array = GOAL, seconds: float | None = 4.0) -> Motion:
+def morphed() -> Motion:
     """A morph of cables without friction, by fractions that stay, so that laws are exact."""
     start = ho.Hitch.balanced(ho.Team(4, LENGTHS, tension=TENSIONS), POLYGON, altitude=1.2)
-    motion = ho.morph(start, goal, legs="balanced", duration=seconds).motion
+    motion = ho.morph(start, GOAL, legs="balanced", duration=4.0).motion
     assert isinstance(motion, Motion)
     return motion
 
@@ -35,19 +36,10 @@ def leaned(motion: Motion, friction: float = 0.1, share: float = 1.0) -> Leaning
     return found
 
 
-def legs_of(motion: Motion, s: Array) -> Array:
-    """Vectors (times, 2n, 3) of legs at shares of a motion's time."""
-    t = s * motion.duration
-    legs: Array = motion.drones.at(t) - motion.vertices.at(t)[:, motion.team.layout.anchors]
-    return legs
-
-
 @pytest.mark.parametrize("friction", [0.05, 0.3])
 def test_legs_that_grow_pull_harder_and_all_by_no_more_than_friction(friction: float) -> None:
-    plain = morphed()
-    motion = leaned(plain, friction).motion
-    t = np.linspace(0.0, motion.duration, 201)
-    inner = t[40:-40]
+    motion = leaned(morphed(), friction).motion
+    inner = motion.duration * np.linspace(0.2, 0.8, 121)
     rates = motion.legs.at(inner, 1).reshape(len(inner), -1)
     ratio = np.log(motion.pulls.at(inner) / np.repeat(motion.tensions.at(inner), 2, axis=1))
     sliding = np.abs(rates) > 0.3 * np.max(np.abs(rates))
@@ -61,13 +53,9 @@ def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
     """Of unequal tensions the weaker cable turns by more than the other one, by half of V each."""
     team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
     start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
-    legs = start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0]
-    plain = ho.adjust(start, legs, duration=6.0).motion
-    assert isinstance(plain, Motion)
-    found = plain.leg_tensions
-    assert found is not None
-    ratio = np.log(found.at(3.0) / plain.tensions.at(3.0)[:, None])
-    p, x = plain.vertices.at(3.0), start.drones
+    motion = ho.adjust(start, start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0], duration=6.0).motion
+    ratio = np.log(motion.pulls.at(3.0).reshape(4, 2) / motion.tensions.at(3.0)[:, None])
+    p, x = motion.vertices.at(3.0), start.drones
     for end, sign in ((0, 1.0), (1, -1.0)):  # both of cable 1, one let out, one drawn in
         arriving, leaving = p[1 + end] - x[2 + end], p[2 - end] - p[1 + end]
         cosine = arriving @ leaving / np.linalg.norm(arriving) / np.linalg.norm(leaving)
@@ -80,16 +68,18 @@ def test_one_cable_that_slides_alone_counts_on_all_that_it_wraps() -> None:
 def test_no_leg_leans_farther_than_it_may_and_drones_keep_apart(friction: float) -> None:
     """At large friction both limits bind: a sharp vertex would lock."""
     plain = morphed()
-    found, s = leaned(plain, friction), np.linspace(0.0, 1.0, 401)
-    ways = [legs_of(m, s) for m in (found.motion, plain)]
-    here, there = (way / np.linalg.norm(way, axis=-1, keepdims=True) for way in ways)
+    found, s, layout = leaned(plain, friction), np.linspace(0.0, 1.0, 401), plain.team.layout
+    motions = (found.motion, plain)
+    places = [m.drones.at(s * m.duration) for m in motions]
+    here, there = (
+        unit(x - m.vertices.at(s * m.duration)[:, layout.anchors])
+        for x, m in zip(places, motions, strict=True)
+    )
     most = np.max(np.arccos(np.clip(np.sum(here * there, axis=-1), -1.0, 1.0)))
     assert most <= FARTHEST * 1.05
     assert found.turned == pytest.approx(most, rel=0.02)
-    layout, radius = plain.team.layout, plain.requirements.separation.radius
-    places = [m.drones.at(s * m.duration) for m in (found.motion, plain)]
     pairs = [x[:, 2 * layout.ahead] - x[:, 2 * layout.behind + 1] for x in places]
-    gaps = [np.linalg.norm(pair, axis=-1) / (2.0 * radius) for pair in pairs]
+    gaps = [np.linalg.norm(pair, axis=-1) / 0.24 for pair in pairs]
     assert np.all(gaps[0] >= np.minimum(gaps[1], ROOM) - 0.01)
 
 
@@ -98,52 +88,51 @@ def test_it_leans_as_much_as_is_counted_on() -> None:
     np.testing.assert_allclose(turned[1:], [2.0 * turned[0], 4.0 * turned[0]], rtol=0.1)
 
 
-SLIDING = [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
-WORKED = [[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]]
-Q = [[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]]
-R = [[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]]
+SLIDING = ho.ConvexPolygon([[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]])
+WORKED = ho.ConvexPolygon([[3.0, -0.25], [3.65, -1.375], [2.35, -1.375]])
+Q = np.array([[2.2, 0.4, 0.9], [3.9, -0.6, 0.9], [2.9, -2.2, 0.9]])
+R = np.array([[3.1, 0.5, 0.9], [3.9, -1.6, 0.9], [2.1, -1.8, 0.9]])
 LEANING = "legs lean against friction, by up to"
-Steps = list[dict[str, Any]]
 
 
-def planned(steps: Steps, start: dict[str, Any], friction: float, **keys: Any) -> ho.Plan:
-    team = {"robots": 3, "cable_length": 2.4, "cable_friction": friction} | keys.pop("team")
-    given = {"team": team, "start": start, "mission": steps, **keys}
-    plan = ho.solve(ho.problem_from_dict(given))
+def planned(steps: tuple[Step, ...], start: Any, team: ho.Team, kept: Any) -> ho.Plan:
+    plan = ho.solve(ho.Problem(team, start, steps, **kept))
     assert plan.certificate.certified
     return plan
 
 
-def slid(steps: Steps, friction: float = 0.1, **keys: Any) -> ho.Plan:
-    start = {"hitch": {"polygon": SLIDING, "altitude": 1.0}}
-    return planned(steps, start, friction, team={"tension": 0.5}, **keys)
+def slid(*steps: Step, friction: float = 0.1, **kept: Any) -> ho.Plan:
+    team = ho.Team(3, 2.4, tension=0.5, cable_friction=friction)
+    return planned(steps, ho.HitchStart(SLIDING, 1.0), team, kept)
 
 
-def settled(steps: Steps, tied: bool = True, friction: float = 0.1, **keys: Any) -> ho.Plan:
-    hitch = {"hitch": {"polygon": WORKED, "altitude": 1.2}}
-    start = hitch if tied else {"drones": {"q": Q, "r": R}}
-    return planned(steps, start, friction, team={"tension": 0.6} | keys.pop("team", {}), **keys)
+def settled(
+    *steps: Step, tied: bool = True, friction: float = 0.1, density: float = 0.0, **kept: Any
+) -> ho.Plan:
+    team = ho.Team(3, 2.4, tension=0.6, cable_friction=friction, cable_density=density)
+    start = ho.HitchStart(WORKED, 1.2) if tied else ho.DronesStart(Q, R)
+    return planned(steps, start, team, kept)
 
 
-def moved(by: list[float], seconds: float) -> dict[str, Any]:
-    return {"move_vertex": {"vertex": 0, "by": by, "duration": seconds}}
+def moved(x: float, y: float, seconds: float) -> Step:
+    return ho.MoveVertex(0, by=np.array([x, y]), duration=seconds)
 
 
-MOVE = moved([0.1, 0.3], 4.0)
+MOVE = moved(0.1, 0.3, 4.0)
 
 
 @pytest.mark.parametrize(
-    ("step", "friction", "keys", "leans"),
+    ("step", "friction", "cable", "leans"),
     [
-        (MOVE, 1e-3, {}, False),  # too little to lean for
-        (MOVE, 0.1, {"separation": {"cable": 0.0}}, True),
-        (moved([0.0, 0.4], 8.0), 0.5, {}, True),
+        (MOVE, 1e-3, 0.1, False),  # too little to lean for
+        (MOVE, 0.1, 0.0, True),
+        (moved(0.0, 0.4, 8.0), 0.5, 0.1, True),
     ],
 )
 def test_remarks_say_whether_legs_lean(
-    step: dict[str, Any], friction: float, keys: dict[str, Any], leans: bool
+    step: Step, friction: float, cable: float, leans: bool
 ) -> None:
-    plan = slid([step], friction, **keys)
+    plan = slid(step, friction=friction, separation=ho.Separation(cable=cable))
     remark = plan.phases[0].remark
     assert LEANING in remark if leans else "lean" not in remark
     assert "no more" not in remark
@@ -151,9 +140,8 @@ def test_remarks_say_whether_legs_lean(
 
 
 def test_only_the_steps_that_slide_lean() -> None:
-    turned = {"transport": {"to": [0.5, 0.0, 1.4], "yaw_deg": 20}}
-    adjusted = {"adjust": {"legs": "balanced", "duration": 4.0}}
-    plan = slid([{"hold": {"seconds": 0.5}}, MOVE, turned, adjusted])
+    turned = ho.Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
+    plan = slid(ho.Hold(0.5), MOVE, turned, ho.Adjust("balanced", duration=4.0))
     assert [LEANING in phase.remark for phase in plan.phases] == [False, True, False, True]
     for phase in plan.phases[::2]:
         t = np.linspace(phase.start, phase.end, 50)
@@ -163,16 +151,11 @@ def test_only_the_steps_that_slide_lean() -> None:
 
 def test_where_limits_leave_little_room_legs_lean_less() -> None:
     """A limit of tilt just above what the hitch needs at rest lets no leg pull much harder."""
-    inward, t = moved([0.0, -0.25], 6.0), np.linspace(0.0, 6.0, 2_000)
-    free, plain = slid([inward]), slid([inward], 0.0)
-    thrusts = [plan.at(t).thrusts(plan.motion.team) for plan in (free, plain)]
-    most, least = (
-        float(np.max(np.degrees(np.arctan2(np.hypot(f[..., 0], f[..., 1]), f[..., 2]))))
-        for f in thrusts
-    )
+    inward, t = moved(0.0, -0.25, 6.0), np.linspace(0.0, 6.0, 2_000)
+    free = slid(inward)
+    most, least = (p.certificate["tilt"].bound for p in (free, slid(inward, friction=0.0)))
     assert most > least + 0.1
-    tight = slid([inward], limits={"tilt_deg": 0.5 * (most + least)})
-    assert tight.certificate["tilt"].bound <= 0.5 * (most + least)
+    tight = slid(inward, limits=ho.Limits(tilt=np.radians(0.5 * (most + least))))
     assert "limits leave room for no more" in tight.phases[0].remark
     ratios = [np.max(np.abs(plan.motion.pulls.at(t) - 0.5)) for plan in (tight, free)]
     assert 0.0 < ratios[0] < ratios[1]
@@ -180,23 +163,21 @@ def test_where_limits_leave_little_room_legs_lean_less() -> None:
 
 def test_what_leaning_would_break_is_flown_without_it() -> None:
     """Within walls that the drones just reach; vertices go as without friction anyway."""
-    step, t = moved([0.2, 0.0], 4.0), np.linspace(0.0, 4.0, 4_001)
-    plain, free = slid([step], 0.0).at(t), slid([step])
-    assert free.duration == 4.0
-    np.testing.assert_allclose(free.at(t).vertices, plain.vertices, atol=1e-9)
-    away = np.linalg.norm(free.at(t).positions - plain.positions, axis=-1)
+    step, t = moved(0.2, 0.0, 4.0), np.linspace(0.0, 4.0, 4_001)
+    plain, free = slid(step, friction=0.0).at(t), slid(step).at(t)
+    np.testing.assert_allclose(free.vertices, plain.vertices, atol=1e-9)
+    away = np.linalg.norm(free.positions - plain.positions, axis=-1)
     np.testing.assert_allclose(away[[0, -1]], 0.0, atol=1e-7)
     assert 0.01 < np.max(away) < 0.2
     places = plain.positions.reshape(-1, 3)
-    ends = np.min(places, axis=0) - 1e-4, np.max(places, axis=0) + 1e-4
-    plan = slid([step], arena={"lower": ends[0].tolist(), "upper": ends[1].tolist()})
+    plan = slid(step, arena=ho.Arena(places.min(axis=0) - 1e-4, places.max(axis=0) + 1e-4))
     assert "legs do not lean against friction: limits leave no room" in plan.phases[0].remark
     np.testing.assert_array_equal(plan.at(t).positions, plain.positions)
 
 
 def test_drones_swing_to_both_sides_by_less_and_less_and_vertices_stay() -> None:
     """Their legs balance the edges as friction that is fully used would have them."""
-    plan = settled([{"settle": {}}])
+    plan = settled(ho.Settle())
     assert (plan.phases[0].name, plan.duration) == ("settle", 17.0)
     samples = plan.at(np.linspace(0.0, 17.0, 4_001))
     p, x, pulls = samples.vertices, samples.positions, plan.motion.pulls.at(samples.t)
@@ -210,39 +191,34 @@ def test_drones_swing_to_both_sides_by_less_and_less_and_vertices_stay() -> None
         assert len(turned) == 16
         assert np.all(turned[1:] * turned[:-1] < 0.0)
         np.testing.assert_allclose(np.diff(np.abs(turned)), -np.abs(turned[0]) / 17.0, rtol=0.1)
-    u = np.roll(p, -1, axis=1) - p
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
+    u = unit(np.roll(p, -1, axis=1) - p)
     force = 0.6 * (u - np.roll(u, 1, axis=1))
     for of_q, at in ((0, p), (1, np.roll(p, -1, axis=1))):
-        leg = x[:, of_q::2] - at
-        pulled = pulls[:, of_q::2, None] * leg / np.linalg.norm(leg, axis=-1, keepdims=True)
-        force += np.roll(pulled, of_q, axis=1)
+        force += np.roll(pulls[:, of_q::2, None] * unit(x[:, of_q::2] - at), of_q, axis=1)
     assert np.max(np.abs(force)) < 1e-3 * 0.6
     # Cables bend by half of the angle between the edges at a clasp, each, and once more at a leg.
     wrapped = np.arccos(np.sum(u * np.roll(u, 1, axis=1), axis=-1))[0]
     assert np.max(pulls) <= 0.6 * np.exp(0.1 * np.max(wrapped)) * 1.001
 
 
-def form(**keys: Any) -> Steps:
-    return [{"form": {"polygon": WORKED, "altitude": 1.2, **keys}}]
+def form(settle: Any = "auto") -> Step:
+    return ho.Form(WORKED, 1.2, settle=settle)
 
 
 def test_a_hitch_that_is_formed_of_cables_with_friction_ends_with_it() -> None:
-    worked, left = settled(form(), tied=False), settled(form(settle=False), tied=False)
+    worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 20.0))
+    smooth = settled(form(), tied=False, friction=0.0)
     assert worked.phases[-1].name == "settle"
     assert worked.duration == pytest.approx(left.duration + 17.0)
-    given = settled(form(settle=20), tied=False)
     assert given.duration == pytest.approx(left.duration + 20.0)
-    smooth = settled(form(), tied=False, friction=0.0)
     assert "settle" not in {phase.name for phase in (*left.phases, *smooth.phases)}
-    ends = [plan.at([plan.duration]).positions for plan in (worked, left, given)]
-    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
-    np.testing.assert_allclose(ends[2], ends[1], atol=1e-9)
+    ends = [plan.at(plan.duration).positions for plan in (worked, left, given)]
+    np.testing.assert_allclose(ends, [ends[1]] * 3, atol=1e-9)
 
 
 @pytest.mark.slow
 def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
-    plan = settled([{"settle": {"seconds": 18}}], team={"cable_density": 0.01})
+    plan = settled(ho.Settle(18.0), density=0.01)
     assert plan.duration == 18.0
     plan.save(tmp_path)
     assert verify.main([str(tmp_path)]) == 0
@@ -250,33 +226,23 @@ def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None
 
 @pytest.mark.slow
 def test_limits_make_swings_smaller_or_slower() -> None:
-    limits = {"speed": 0.2}
-    free, slow = settled([{"settle": {}}]), settled([{"settle": {}}], limits=limits)
-    quick = settled([{"settle": {"seconds": 12}}], limits=limits)
+    limits = ho.Limits(speed=0.2)
+    free, slow = settled(ho.Settle()), settled(ho.Settle(), limits=limits)
+    quick = settled(ho.Settle(12.0), limits=limits)
     assert 17.0 < slow.duration < 25.6
-    assert ["no more" in p.phases[0].remark for p in (free, slow, quick)] == [False, False, True]
-    widest = [
-        np.max(np.ptp(plan.at(np.linspace(0.0, plan.duration, 999)).positions, axis=0))
-        for plan in (free, slow, quick)
-    ]
+    plans = (free, slow, quick)
+    assert ["no more" in p.phases[0].remark for p in plans] == [False, False, True]
+    times = [np.linspace(0.0, plan.duration, 999) for plan in plans]
+    paths = [plan.at(t).positions for plan, t in zip(plans, times, strict=True)]
+    widest = [np.max(np.ptp(path, axis=0)) for path in paths]
     assert widest[1] == pytest.approx(widest[0], rel=1e-3)
     assert widest[2] < 0.9 * widest[0]
     with pytest.raises(ho.InfeasibleError, match="speed"):
-        settled([{"settle": {"seconds": 2}}], limits=limits)
-    tight = settled(form(), tied=False, limits={"tilt_deg": 25.2})
+        settled(ho.Settle(2.0), limits=limits)
+    tight = settled(form(), tied=False, limits=ho.Limits(tilt=np.radians(25.2)))
     assert "limits leave no room" in tight.phases[-1].remark
 
 
-@pytest.mark.parametrize(
-    ("steps", "friction", "named"),
-    [
-        ([{"settle": {}}], 0.0, "settle"),
-        ([{"settle": {"seconds": -1}}], 0.1, "seconds"),
-        ([{"settle": {"seconds": "long"}}], 0.1, "seconds"),
-        ([{"release": {}}, {"settle": {}}], 0.1, "settle"),
-        (form(settle="no"), 0.1, "settle"),
-    ],
-)
-def test_settling_that_cannot_be_is_refused(steps: Steps, friction: float, named: str) -> None:
-    with pytest.raises(ho.InputError, match=named):
-        settled(steps, friction=friction)
+def test_settling_needs_friction() -> None:
+    with pytest.raises(ho.InputError, match="settle"):
+        settled(ho.Settle(), friction=0.0)

@@ -1,23 +1,153 @@
-"""Morphs: legs that make way, lead and lag; shut ways and their diagnosis."""
+"""Morphs: legs that make way, shut ways, and the optimiser's guesses, routes and programs."""
 
+from __future__ import annotations
+
+import os
+import signal
+from contextlib import suppress
+from typing import Any
+
+import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plans import planned
+from scipy.spatial.distance import pdist
 
 import hitchopt as ho
-from hitchopt import Hitch, InfeasibleError, Limits, Quadrotor, Separation, Team, regular_polygon
+from hitchopt.geometry import ConvexPolygon, regular_polygon
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.legs import reference_margin
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.morph.legs import leading, leg_task_along, with_legs_clear
+from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
-from hitchopt.planners.morph.path import ShapePath, drones_along, shapes_along
+from hitchopt.planners.morph.path import ShapePath, shapes_along
+from hitchopt.planners.optimise.knots import KnotPath, Search, SolverStep
+from hitchopt.planners.optimise.program import iterates
+from hitchopt.planners.optimise.search import OptimisedMorph, guesses
+from hitchopt.planners.timing.flight import Flight, fly
+from problems.random_morph import random_convex_polygon
+
+FREE, FOUR = Requirements(), Team(4, 2.4)
+SQUARE = regular_polygon(4, 1.2, np.pi / 4)
+PENTAGON = ConvexPolygon([[0.0, 0.0], [0.1, 1.2], [1.1, 1.9], [2.2, 1.2], [1.6, -0.1]])
+
+
+def ends(team: Team, first: ConvexPolygon, last: ConvexPolygon) -> tuple[Hitch, Hitch]:
+    kept: dict[str, Any] = {"limits": FREE.limits, "separation": FREE.separation}
+    start = Hitch.spread(team, first)
+    return start, Hitch.nearest(team, last, 1.0, start.fractions, **kept)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(3, 12))
+@settings(max_examples=25)
+def test_guesses_join_the_ends_and_those_by_edges_stay_convex(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    first = random_convex_polygon(n, 1.2, rng)
+    last = random_convex_polygon(n, 1.2, rng).translated(rng.normal(size=2))
+    found = guesses(first, last, 13)
+    assert next(iter(found)) == "straight"
+    kinds = {name.split(" ")[0] for name in found}
+    assert {"straight", "turned"} <= kinds <= {"straight", "turned", "edges"}
+    for name, polygons in found.items():
+        np.testing.assert_allclose(polygons[0], first.vertices, atol=1e-6)
+        np.testing.assert_allclose(polygons[-1], last.vertices, atol=1e-6)
+        if name.startswith("edges"):
+            for polygon in polygons:
+                ConvexPolygon(polygon)  # refuses what is not convex
+
+
+WEAK = Team(4, 2.4, tension=0.8, quadrotor=ho.Quadrotor(0.132, 1.6))
+
+
+@pytest.mark.parametrize(
+    "name", ["narrow_arena", "octagon_turned", "pentagon_turned", "square_half_turn"]
+)
+def test_hard_morphs_are_found_and_certified(name: str) -> None:
+    plan = planned(name)
+    assert "on an optimised route" in plan.phases[0].remark
+    assert plan.certificate.certified
+
+
+def test_renumbering_gives_the_same_duration() -> None:
+    seconds = [
+        ho.morph(Hitch.spread(Team(5, 2.6), first), first.renumbered(2), optimize=True).duration
+        for first in (PENTAGON, PENTAGON.renumbered(3))
+    ]
+    assert seconds[1] == pytest.approx(seconds[0], rel=0.01)
+
+
+def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Flight]:
+    """What the optimiser finds where every flight will do, the fastest first."""
+    given = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE.limits), tension).solve()
+    flights = [candidate.flight for candidate in given]
+    durations = [flight.duration for flight in flights]
+    assert durations == sorted(durations) != []
+    return flights
+
+
+@pytest.mark.parametrize("least", [0.3, 0.7])
+def test_free_tensions_are_eased_within_their_range_and_restored(least: float) -> None:
+    start, end = ends(WEAK, SQUARE, SQUARE.rotated(0.9).translated([0.5, 0.2]))
+    eased = found(start, end, (least, 0.8))
+    for flight in eased:
+        tensions = flight.tensions.at(np.linspace(0.0, flight.duration, 20001))
+        np.testing.assert_allclose(tensions[[0, -1]], 0.8, atol=1e-9)
+        assert least <= np.min(tensions) < least + 0.3
+        assert np.max(tensions) <= 0.8 + 1e-9
+    assert eased[0].duration < found(start, end)[0].duration
+
+
+def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
+    last = PENTAGON.renumbered(2)
+    polygons = list(guesses(PENTAGON, last, 9).values())[1]
+    first = KnotPath.through("turned", *ends(Team(5, 2.6), PENTAGON, last), polygons)
+    bounds = Search(FREE, lambda _: None, None, (1.5, 1.5), 1.03)
+
+    def apart(path: KnotPath, parts: int) -> bool:
+        """Whether drones are at the ends of all parts of steps."""
+        table = path.at(np.linspace(0.0, 1.0, parts * path.steps + 1)).table
+        return min(float(np.min(pdist(x))) for x in table[:, path.columns.drones]) > 0.24
+
+    for parts, kept in ((1, False), (8, True)):
+        *_, path = iterates(first, bounds, SolverStep(0.17, parts), 12)
+        assert apart(path, 1)
+        assert apart(path, 8) is kept
+
+
+def test_the_optimiser_ends_on_ctrl_c_at_the_first_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also of a solver that keeps signals to itself, as IPOPT does."""
+    built: list[str] = []
+    build = ca.nlpsol
+
+    def disturbed(name: str, plugin: str, *given: Any) -> Any:
+        built.append(plugin)
+        solver = build(name, plugin, *given)
+
+        def solve(**numbers: Any) -> Any:
+            with suppress(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
+            return solver(**numbers)
+
+        solve.stats = solver.stats  # type: ignore[attr-defined]
+        return solve
+
+    monkeypatch.setattr(ca, "nlpsol", disturbed)
+    triangle = ho.regular_polygon(3, 1.0)
+    start, before = ho.Hitch.spread(ho.Team(3, 2.4), triangle), signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        ho.morph(start, triangle.rotated(0.5), optimize=True)
+    assert built == ["ipopt"]
+    assert signal.getsignal(signal.SIGINT) is before
+
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
-ENDS = np.array([0.0, 1.0])
 
 
 def distances_on_the_way(path: ShapePath) -> float:
     s = np.linspace(0.0, 1.0, 301)
-    return reference_margin(leg_task_along(path, Requirements(), s, 1.0))
+    return reference_margin(leg_task_along(path, FREE, s, 1.0))
 
 
 def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
@@ -27,72 +157,55 @@ def test_legs_make_way_where_a_linear_change_of_sharing_does_not() -> None:
     end = Hitch(team, TRIANGLE, 1.0, start.slack - start.q_legs)
     linear = ShapePath.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
-    clear = with_legs_clear(linear, Requirements())
+    clear = with_legs_clear(linear, FREE)
     assert distances_on_the_way(clear) >= 1.0
-    legs = shapes_along(clear, ENDS).legs
+    legs = shapes_along(clear, np.array([0.0, 1.0])).legs
     np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
-    flight = StraightMorph(start, end, Requirements()).solve()
+    flight = StraightMorph(start, end, FREE).solve()
     assert flight is not None
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
-    assert StraightMorph(start, start, Requirements()).solve() is None  # nothing to do
+    assert StraightMorph(start, start, FREE).solve() is None  # nothing to do
 
 
 def test_a_straight_way_that_loses_convexity_says_where() -> None:
-    """PAPER.md's pair of quadrilaterals: convex at both ends, not half way."""
-    team = Team(4, 6.0)
+    """PAPER.md's pair of quadrilaterals; half turns, which collapse to a point."""
     first = [[1.0, 1.0], [1.0, 2.0], [2.0, 0.0], [2.0, -1.0]]
     second = [[1.0, 0.0], [-1.0, 1.0], [1.0, 1.0], [2.0, 0.0]]
-    start, end = (Hitch.balanced(team, p) for p in (first, second))
-    with pytest.raises(InfeasibleError, match="convexity") as caught:
-        StraightMorph(start, end, Requirements()).solve()
-    violation = caught.value.violations[0]
-    assert violation.value == pytest.approx(0.0, abs=0.01)  # p0 goes flat half way, no farther
-    assert violation.where[0].startswith("p")
-    assert "of the path" in violation.when
-
-
-def test_too_weak_drones_are_told_apart_from_slow_ones() -> None:
-    """Hovering needs 1.356 N."""
-
-    def flight(thrust: float) -> object:
-        team = Team(3, 2.4, quadrotor=Quadrotor(0.132, thrust))
-        start, end = (Hitch.spread(team, [[0.0, y], *TRIANGLE[1:]]) for y in (-1.0, -0.8))
-        return StraightMorph(start, end, Requirements()).solve()
-
-    with pytest.raises(InfeasibleError, match="thrust") as caught:
-        flight(1.35)
-    needed = np.hypot(0.132 * 9.81, 0.4)
-    assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
-    assert flight(1.37) is not None
-
-
-@pytest.mark.parametrize("topology", ["closed", "open"])
-def test_a_half_turn_that_collapses_to_a_point_says_so(topology: str) -> None:
     square = np.array([[0.0, 0.0], [0.0, 1.3], [1.3, 1.3], [1.3, 0.0]])
-    team = Team(4 if topology == "closed" else 3, 2.2, topology=topology)
-    start, end = (Hitch.balanced(team, p) for p in (square, np.roll(square, 2, axis=0)))
-    with pytest.raises(InfeasibleError, match=r"convexity: 0 deg .* at p"):
-        StraightMorph(start, end, Requirements()).solve()
+    turned, arc = np.roll(square, 2, axis=0), Team(3, 2.2, topology="open")
+    for team, one, other in (
+        (Team(4, 6.0), first, second),
+        (Team(4, 2.2), square, turned),
+        (arc, square, turned),
+    ):
+        start, end = (Hitch.balanced(team, p) for p in (one, other))
+        with pytest.raises(
+            ho.InfeasibleError, match=r"convexity: .* at p\d .*of the path"
+        ) as caught:
+            StraightMorph(start, end, FREE).solve()
+        assert caught.value.violations[0].value == pytest.approx(0.0, abs=0.01)
 
 
-def test_legs_that_lead_leave_ends_vertices_and_edges_as_they_are() -> None:
-    first, last = (regular_polygon(9, 1.3).rotated(a).translated([2.0, -1.0]) for a in (0.0, 0.3))
-    start = Hitch.balanced(Team(9, 2.0), first)
-    path = ShapePath.straight(start, Hitch.balanced(start.team, last))
-    s = np.linspace(0.0, 1.0, 11)
-    (led,) = leading(path, Limits())
-    there, here = (drones_along(each, ENDS).positions[..., 0] for each in (led, path))
-    np.testing.assert_allclose(there, here)
-    np.testing.assert_array_equal(led.flat(s).vertices, path.flat(s).vertices)
-    assert np.max(np.abs(led.flat(s).q_legs - path.flat(s).q_legs)) > 0.01
+@pytest.mark.parametrize("thrust", [1.35, 1.37])
+def test_too_weak_drones_are_told_apart_from_slow_ones(thrust: float) -> None:
+    needed = np.hypot(0.132 * 9.81, 0.4)  # 1.356 N
+    team = Team(3, 2.4, quadrotor=ho.Quadrotor(0.132, thrust))
+    start, end = (Hitch.spread(team, [[0.0, y], *TRIANGLE[1:]]) for y in (-1.0, -0.8))
+    morph = StraightMorph(start, end, FREE)
+    if thrust > needed:
+        assert morph.solve() is not None
+        return
+    with pytest.raises(ho.InfeasibleError, match="thrust") as caught:
+        morph.solve()
+    assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
 
 
 def test_an_optimised_turn_is_faster_than_its_vertices_would_be_with_drones_in_step() -> None:
     """At ``v`` on a chord D with drones in step: at least D/v + v/a, here with a ramp a/j more."""
-    polygon, close = regular_polygon(12, 1.3), Separation(cable=0.07, crossing=0.05)
+    polygon, close = regular_polygon(12, 1.3), ho.Separation(cable=0.07, crossing=0.05)
     start = Hitch.spread(Team(12, 2.0), polygon, separation=close)
     goal = polygon.rotated(0.24)
-    limits = Limits()
+    limits = ho.Limits()
     plan = ho.morph(start, goal, limits=limits, separation=close, optimize=True)
     plan.certificate.raise_if_violated()
     chord = float(np.max(np.linalg.norm(goal.vertices - polygon.vertices, axis=1)))

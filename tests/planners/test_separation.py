@@ -2,34 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from importlib import import_module
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import osqp
 import pytest
+import scipy.sparse as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import assert_refused
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.leg_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import Separated, SeparatedFlight, SeparationTask
 from hitchopt.planners.separation.guesses import points_along, routes_around
-from hitchopt.planners.separation.program import hull_points
+from hitchopt.planners.separation.program import hull_points, solve_program
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle
 
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
 
 
-def prism(
-    x: float, y: tuple[float, float], lower: float, upper: float, width: float = 0.2
-) -> Prism:
-    low, high = y
-    outline = [[x, low], [x, high], [x + width, high], [x + width, low]]
+def prism(x: float, y: tuple[float, float], lower: float, upper: float, size: float = 0.2) -> Prism:
+    outline = [[x, y[0]], [x, y[1]], [x + size, y[1]], [x + size, y[0]]]
     return Prism(outline, lower, upper)
 
 
@@ -59,33 +58,31 @@ def circle(n: int, radius: float, **required: Any) -> SeparationTask:
 def scattered(n: int, seed: int) -> SeparationTask:
     """Drones between random places."""
     rng = np.random.default_rng(seed)
-    ends = []
-    for _ in range(2):
-        points = np.empty((0, 3))
+    ends: list[list[Array]] = [[], []]
+    for points in ends:
         while len(points) < n:
             point = rng.uniform([-1.0, -2.0, 0.5], [2.0, 1.0, 2.0])
-            if np.all(np.linalg.norm((points - point) * SEPARATION.scale, axis=1) > 1.1):
-                points = np.vstack([points, point])
-        ends.append(points)
+            if all(np.linalg.norm((other - point) * SEPARATION.scale) > 1.1 for other in points):
+                points.append(point)
     return task_of(*ends)
 
 
 def assert_kept(task: SeparationTask, found: Separated) -> None:
     """Samples keep all of the task, and never beat the bound."""
-    curves, required = found.drones, task.requirements
+    curves, required, limits = found.drones, task.requirements, task.requirements.limits
     t = np.linspace(0.0, curves.duration, 1500)
     x = curves.at(t)
     np.testing.assert_allclose(x[[0, -1]], [task.start, task.goal], atol=1e-9)
-    np.testing.assert_allclose(curves.at([0.0, curves.duration], 1), 0.0, atol=1e-8)
-    np.testing.assert_allclose(curves.at([0.0, curves.duration], 2), 0.0, atol=1e-8)
-    for order in (0, 1, 2):
-        first, last = curves.ends(order)
-        np.testing.assert_allclose(last[:-1], first[1:], atol=1e-9)
-    limits = required.limits
-    for order, cap in enumerate((limits.speed, limits.acceleration, limits.jerk), start=1):
-        assert np.max(np.linalg.norm(curves.at(t, order), axis=-1)) <= cap * (1.0 + 1e-9)
-    i, j = np.triu_indices(task.drones, 1)
+    for order, cap in enumerate((np.inf, limits.speed, limits.acceleration, limits.jerk)):
+        rates = curves.at(t, order)
+        assert np.max(np.linalg.norm(rates, axis=-1)) <= cap * (1.0 + 1e-9)
+        if order < 3:
+            first, last = curves.ends(order)
+            np.testing.assert_allclose(last[:-1], first[1:], atol=1e-9)
+        if order in (1, 2):
+            np.testing.assert_allclose(rates[[0, -1]], 0.0, atol=1e-8)
     if task.drones > 1:
+        i, j = np.triu_indices(task.drones, 1)
         ratios = np.linalg.norm((x[:, i] - x[:, j]) * required.separation.scale, axis=-1)
         assert np.min(ratios) >= found.closest >= 1.0
     if required.arena is not None:
@@ -95,11 +92,11 @@ def assert_kept(task: SeparationTask, found: Separated) -> None:
     for one, other, longest in task.tethers:
         assert np.max(np.linalg.norm(x[:, one] - x[:, other], axis=-1)) <= longest
     assert found.bound <= curves.duration
-    if task.duration is not None:
-        assert curves.duration == pytest.approx(task.duration, rel=1e-12)
+    assert curves.duration == pytest.approx(task.duration or curves.duration, rel=1e-12)
 
 
 ROOM = Arena([-1.3, -3.3, 1.0], [2.7, 0.7, 1.7])
+TIED = replace(circle(6, 1.8, arena=ROOM), tethers=((0, 1, 2.0), (2, 3, 1.9)))
 PAST = task_of(
     [[-1.5, 0.0, 1.0], [1.5, 0.1, 1.0], [-1.4, 0.6, 1.0]],
     [[1.5, 0.0, 1.0], [-1.5, 0.1, 1.0], [1.4, -0.6, 1.0]],
@@ -115,11 +112,7 @@ PAST = task_of(
         pytest.param(scattered(12, 0), 1.2, id="scattered"),
         pytest.param(scattered(13, 1), 1.2, id="scattered too"),
         pytest.param(task_of([[0.1, 0.2, 1.0]], [[2.0, 1.0, 1.5]]), 1.06, id="one"),
-        pytest.param(
-            replace(circle(6, 1.8, arena=ROOM), tethers=((0, 1, 2.0), (2, 3, 1.9))),
-            np.inf,
-            id="walls and cables",
-        ),
+        pytest.param(TIED, np.inf, id="walls and cables"),
         pytest.param(PAST, np.inf, id="post"),
     ],
 )
@@ -134,17 +127,17 @@ def test_what_is_moved_turned_and_renumbered_takes_as_long() -> None:
     """As exactly as OSQP, which stops at 1e-4, lets it."""
     task, s = scattered(9, 7), np.linspace(0.0, 1.0, 50)
     found = separate(task).drones
-    expected = found.at(s * found.duration)
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     order = np.random.default_rng(1).permutation(9)
-    changes: list[Callable[[Array], Array]] = [
-        lambda x: x @ turn.T + [4.0, -3.0, 1.0],
-        lambda x: x[..., order, :],
-    ]
-    for change in changes:
-        other = separate(replace(task, start=change(task.start), goal=change(task.goal))).drones
-        assert other.duration == pytest.approx(found.duration, rel=1e-3)
-        np.testing.assert_allclose(other.at(s * other.duration), change(expected), atol=5e-3)
+
+    def changed(x: Array) -> Array:
+        moved: Array = (x @ turn.T + [4.0, -3.0, 1.0])[..., order, :]
+        return moved
+
+    other = separate(replace(task, start=changed(task.start), goal=changed(task.goal))).drones
+    assert other.duration == pytest.approx(found.duration, rel=1e-3)
+    expected = changed(found.at(s * found.duration))
+    np.testing.assert_allclose(other.at(s * other.duration), expected, atol=5e-3)
 
 
 def test_quicker_drones_fly_the_same_ways_in_less_time_and_weak_ones_as_they_can() -> None:
@@ -157,40 +150,12 @@ def test_quicker_drones_fly_the_same_ways_in_less_time_and_weak_ones_as_they_can
     assert np.all(np.max(rates, axis=0) <= np.array([0.5, 2.0, 1.0, 2.5]) * (1.0 + 1e-9))
 
 
-def door() -> SeparationTask:
-    """Mirror images that trade places through a door: who gives route is left to a rule."""
-    one = np.column_stack([np.full(3, -1.6), [-0.5, 0.0, 0.5], np.full(3, 1.2)])
-    other = one * [-1.0, 1.0, 1.0]
-    walls = tuple(prism(-0.1, y, 0.0, 3.0) for y in ((0.6, 2.0), (-2.0, -0.6)))
-    room = Arena([-2.5, -2.0, 0.0], [2.5, 2.0, 2.6])
-    ends = np.vstack([one, other]), np.vstack([other, one])
-    return task_of(*ends, arena=room, keep_out=walls)
-
-
-STACK = np.column_stack([np.full(5, 0.3), np.full(5, -0.2), 0.5 + 0.65 * np.arange(5)])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "task", [circle(36, 2.4), task_of(STACK, STACK[::-1]), door()], ids=["crowd", "stack", "door"]
-)
-def test_noise_on_the_input_changes_nothing(task: SeparationTask) -> None:
-    expected, rng = separate(task).drones, np.random.default_rng(8)
-    for _ in range(2):
-        noise = 1e-14 * rng.uniform(-1.0, 1.0, (2, *task.start.shape))
-        found = separate(replace(task, start=task.start + noise[0], goal=task.goal + noise[1]))
-        assert found.drones.duration == pytest.approx(expected.duration, rel=1e-6)
-        here, there = (each.at(0.4 * each.duration) for each in (found.drones, expected))
-        np.testing.assert_allclose(here, there, atol=1e-5)
-
-
 def astray(task: SeparationTask, found: Separated) -> float:
     """Mean distance [m] to the straight ways."""
     x = found.drones.at(np.linspace(0.0, found.drones.duration, 300)) - task.start
     along = task.goal - task.start
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
-    aside = x - np.sum(x * along, axis=-1, keepdims=True) * along
-    return float(np.mean(np.linalg.norm(aside, axis=-1)))
+    return float(np.mean(np.linalg.norm(np.cross(x, along), axis=-1)))
 
 
 def test_a_given_duration_is_met_and_leaves_ways_nearer_to_straight() -> None:
@@ -209,37 +174,22 @@ def test_who_is_there_stays_and_the_same_task_gives_the_same_plan_to_the_last_bi
     np.testing.assert_allclose(points, np.broadcast_to(still.start, points.shape), atol=1e-6)
     first, second = separate(circle(7, 1.5)).drones, separate(circle(7, 1.5)).drones
     np.testing.assert_array_equal(first.coefficients, second.coefficients)
-    np.testing.assert_array_equal(first.breaks, second.breaks)
 
 
 PAIR = np.array([[-1.0, 0, 1], [1.0, 0, 1]])
-# fmt: off
-SLIT = {"arena": Arena([-2, -0.05, 0.9], [2, 0.05, 1.1])}
-REFUSED: list[tuple[SeparationTask, str, tuple[str, ...], str]] = [
-    (task_of(PAIR, [[0.0, 0, 1], [0.1, 0, 1]]), "separation", ("d0", "d1"), "goals"),
-    (task_of([[1.0, 0, 1], [1.1, 0, 1]], PAIR[::-1]), "separation", ("d0", "d1"), "start"),
-    (task_of(PAIR, PAIR[::-1], arena=Arena([-1.5, -1, 0], [0.9, 1, 2])), "arena", ("d1",), "start"),
-    (task_of(PAIR, [[0.0, 0, 1], [-1, 0, 1]], keep_out=(POST,)), "keep_out", ("d0",), "goal"),
-    (replace(task_of(PAIR, PAIR[::-1]), tethers=((0, 1, 1.5),)), "span", ("d0", "d1"), "start"),
-    (replace(task_of(PAIR, PAIR[::-1]), duration=1.5), "duration", (), "2.372 s"),
-    (task_of(PAIR, PAIR[::-1], **SLIT), "separation", ("d0", "d1"), "t ="),
-]
-# fmt: on
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("task", "constraint", "where", "words"), REFUSED)
-def test_what_cannot_be_is_told_with_names_and_time(
-    task: SeparationTask, constraint: str, where: tuple[str, ...], words: str
-) -> None:
-    with pytest.raises(InfeasibleError) as caught:
-        separate(task)
-    violation = caught.value.violations[0]
-    assert violation.constraint == constraint
-    assert violation.where[: len(where)] == where
-    assert words in str(violation)
-    value, limit = violation.value, violation.limit
-    assert value < limit if violation.sense == "min" else value > limit
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"tethers": ((0, 1, 1.5),)}, r"span: .*at d0, d1 at the start"),
+        ({"requirements": Requirements(keep_out=(POST,))}, "keep_out: .*at d0.* at the goal"),
+        ({"requirements": Requirements(arena=Arena([-2, -1, 0], [0.9, 1, 2]))}, "arena: .*at d1"),
+    ],
+)
+def test_ends_that_cannot_be_are_told_with_names(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(InfeasibleError, match=words):
+        separate(replace(task_of(PAIR, [[0.0, 0, 1], [-1, 0, 1]]), **change))
 
 
 @pytest.mark.slow
@@ -252,21 +202,6 @@ def test_a_duration_that_would_do_is_offered() -> None:
         separate(replace(task, duration=1.001 * fast.bound))
     enough = replace(task, duration=1.0001 * caught.value.violations[0].value)
     assert_kept(enough, separate(enough))
-
-
-@pytest.mark.parametrize(
-    ("change", "key"),
-    [
-        ({"start": [[0, 0]]}, "start"),
-        ({"start": [[0, 0, np.nan]]}, "start"),
-        ({"goal": [[0, 0, 1], [1, 1, 1]]}, "goal"),
-        ({"duration": -1.0}, "duration"),
-        ({"names": ("a", "b")}, "names"),
-    ],
-)
-def test_tasks_that_are_wrong_in_themselves(change: dict[str, Any], key: str) -> None:
-    task = task_of(np.zeros((1, 3)), np.ones((1, 3)))
-    assert_refused(lambda: replace(task, **change), key, "")
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 3.0))
@@ -293,20 +228,14 @@ def route(start: list[float], goal: list[float], *walls: Prism) -> Array:
 def test_the_way_around_a_pillar_is_the_shortest_and_a_low_one_is_flown_over() -> None:
     start, goal = [-2.0, 0.1, 1.0], [2.0, 0.0, 1.0]
     found, off = route(start, goal, PILLAR), 1.25 * 0.12
-    corners = [[-0.3 - off, 0.4 + off], [0.5 + off, 0.4 + off]]
-    by_hand = np.vstack([start[:2], corners, goal[:2]])
-    lengths = [np.sum(np.linalg.norm(np.diff(x, axis=0), axis=1)) for x in (found, by_hand)]
-    assert lengths[0] == pytest.approx(lengths[1], rel=1e-6)
+    corners = [[-0.3 - off, 0.4 + off, 1.0], [0.5 + off, 0.4 + off, 1.0]]
+    np.testing.assert_allclose(found, [start, *corners, goal], atol=1e-6)
     points = points_along(found, np.linspace(0.0, 1.0, 500))
     assert np.min(PILLAR.clearance(points).distance) > 0.12
     np.testing.assert_allclose(points[[0, -1]], [start, goal], atol=1e-12)
     over = route([-2.0, 0.1, 0.8], [2.0, 0.0, 0.8], Prism(PILLAR.polygon, 0.0, 0.9))
-    assert np.max(points_along(over, np.linspace(0.0, 1.0, 99))[:, 2]) > 1.0
+    assert np.max(over[:, 2]) > 1.0
     assert np.sum(np.linalg.norm(np.diff(over, axis=0), axis=1)) < 4.2
-    walls = [prism(-0.1, y, 0.0, 3.0) for y in ((0.08, 5.0), (-5.0, -0.08))]
-    with pytest.raises(InfeasibleError, match="keep_out") as caught:
-        route([-1.0, 0.3, 1.0], [1.0, 0.2, 1.0], *walls)
-    assert caught.value.violations[0].where == ("d0",)
 
 
 def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -317,10 +246,18 @@ def test_drones_that_nobody_meets_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     away = np.column_stack([x.ravel(), y.ravel(), np.full(30, 1.5)])
     start, goal = (np.vstack([ring[end], away]) for end in ("start", "goal"))
     plan = ho.separate(ho.SwarmProblem(ho.Swarm(42), start, goal))
-    plan.certificate.raise_if_violated()
+    assert plan.certificate.certified
     drones = plan.motion.drones.at(np.linspace(0.0, plan.duration, 300))
-    i, j = np.triu_indices(42, 1)
-    apart = (drones[:, i] - drones[:, j]) / [0.24, 0.24, 0.6]
-    assert np.min(np.linalg.norm(apart, axis=-1)) >= 1.0
     np.testing.assert_allclose(drones[:, 12:], np.broadcast_to(away, (300, 30, 3)), atol=1e-12)
     np.testing.assert_allclose(drones[-1], goal, atol=1e-9)
+
+
+def test_osqp_that_was_interrupted_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It says so after Ctrl-C, which it keeps to itself."""
+    one, eye = np.ones(2), sp.csc_array(sp.eye(2))
+    program = QuadraticProgram(eye, 0.3 * one, eye, -one, one)
+    np.testing.assert_allclose(solve_program(program), -0.3 * one, atol=1e-3)
+    found = SimpleNamespace(info=SimpleNamespace(status_val=int(osqp.SolverStatus.OSQP_SIGINT)))
+    monkeypatch.setattr(osqp.OSQP, "solve", lambda *_, **__: found)
+    with pytest.raises(KeyboardInterrupt):
+        solve_program(program)
