@@ -22,7 +22,7 @@ from hitchopt.checks.clearance import moved_by
 from hitchopt.checks.distances import Moving, smallest
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.rule import Finding, Findings, Found, ReportRule
-from hitchopt.checks.spans import ROUNDING
+from hitchopt.checks.spans import ROUNDING, position_margin
 from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
@@ -94,13 +94,9 @@ def _least_pair(motion: Motion, check: Check, least: Finding) -> Finding:
     lower = max(min(separation.radius, separation.height) * (check.bound - 1.0), 0.0)
     if least.worst <= lower:
         return least
-    moving = Moving.of(
-        motion,
-        motion.drones.coefficients[:, :, None],
-        None,
-        (names, names),
-        shape=Ellipsoid(1.0 / separation.scale),
-    )
+    drones, shape = motion.drones, Ellipsoid(1.0 / separation.scale)
+    points, margin = drones.coefficients[:, :, None], position_margin(motion)
+    moving = Moving(drones.breaks, points, margin=margin, shape=shape, names=(names, names))
     pair = smallest(moving, known=2.0 * least.worst)
     radius = max(0.5 * pair.worst, lower)
     if radius >= least.worst or pair.item < 0:

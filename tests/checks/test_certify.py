@@ -29,7 +29,7 @@ from motions import (
 )
 from numpy.typing import ArrayLike
 
-from hitchopt.checks import Certificate, Check, certify
+from hitchopt.checks import Check, certify
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Prism, Separation
 from hitchopt.motion.motion import Motion
