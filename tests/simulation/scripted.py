@@ -10,14 +10,25 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.control import PositionGains
 from hitchopt.simulation.flight import Film, Flight, Record
-from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.task import Setpoints, Task
+from hitchopt.simulation.ropes import Ropes
+from hitchopt.simulation.settings import FAST, Preset, Settings
+from hitchopt.simulation.task import RATE, Setpoints, Task
+from hitchopt.simulation.world import World
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 
-RATE = 100.0
+def world_of(
+    *lengths: float,
+    preset: Preset = FAST,
+    friction: float = 0.1,
+    objects: dict[str, SolidObject] | None = None,
+) -> World:
+    """Return the world of straight cables of some lengths [m], 10 g/m, and objects."""
+    ropes = Ropes(np.array(lengths), 0.01, friction, preset)
+    return World(ropes, np.full(2 * len(lengths), 0.13), 0.0, objects or {})
 
 
 def smooth(x: Array) -> Array:

@@ -1,8 +1,9 @@
-"""Where hitches come to rest: laws, closed forms, and residuals computed apart."""
+"""Where hitches come to rest, in which bands friction holds them, and in which ranges errors do."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import numpy as np
@@ -10,31 +11,61 @@ import pytest
 from clasp_balance import clasp_residuals
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from resting_hitches import random_hitch, regular_hitch, settled, standing
-from scipy.optimize import brentq
+from scipy.optimize import brentq, root
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState
 from hitchopt.statics.energy import HitchEnergy
-from hitchopt.statics.settle import conditions_of, energy_of, samples_of
+from hitchopt.statics.settle import Settled, conditions_of, energy_of, samples_of
+from hitchopt.statics.tolerance import Tolerance, responses, taut_times
+from hitchopt.steps.certified_motions import resting
+from hitchopt.trajectory import PiecewisePolynomial
+from problems.random_morph import random_convex_polygon
 
 seeds = st.integers(0, 2**32 - 1)
-sizes = st.integers(3, 8)
 topologies = st.sampled_from(["closed", "open"])
 
 
-def errors(seed: int, n: int, density: float) -> dict[str, Any]:
-    rng = np.random.default_rng(seed + 1)
-    return {
-        "cable_density": density,
-        "offsets": rng.uniform(-0.02, 0.02, (2 * n, 3)),
-        "forces": rng.uniform(-0.03, 0.03, (2 * n, 3)),
-    }
+def standing(hitch: ho.Hitch) -> ho.Motion:
+    return resting(hitch, Requirements(), 2.0, ho.Phase("hold", 0, 0.0, 2.0))
 
 
-@given(seeds, sizes, topologies)
+def random_hitch(
+    seed: int, n: int, topology: str = "closed", *, density: float = 0.0, stiffness: float = 5.0
+) -> ho.Hitch:
+    """Unequal cables, tensions, masses, stiffness, leg lengths, at a random place."""
+    rng = np.random.default_rng(seed)
+    sides = n if topology == "closed" else n + 3
+    outline: Any = random_convex_polygon(sides, 1.3, rng).translated(rng.normal(size=2))
+    if topology == "open":
+        outline = ho.ConvexArc(outline.vertices[: n + 1])
+    length = outline.edge_lengths + rng.uniform(0.7, 1.1, n)
+    kinds = [ho.Quadrotor(0.1 + 0.01 * k, 2.6, stiffness * (1.0 + 0.1 * k)) for k in range(n)]
+    given = {"topology": topology, "cable_density": density, "quadrotor": kinds}
+    team = ho.Team(n, length, tension=rng.uniform(0.45, 0.55, n), **given)
+    slack = length - outline.edge_lengths
+    legs = team.layout.q_legs_of(slack * rng.uniform(0.35, 0.65, n), slack)
+    return ho.Hitch(team, outline, 0.8 + rng.uniform(), legs)
+
+
+def regular_hitch(n: int, tension: float = 0.5, **team: Any) -> ho.Hitch:
+    made = ho.Team(n, 2.4, tension=tension, **team)
+    return ho.Hitch.balanced(made, ho.regular_polygon(n, 1.2), 1.3)
+
+
+def settled(hitch: ho.Hitch, **conditions: Any) -> Settled:
+    return ho.settle(standing(hitch), 1.0, **conditions)
+
+
+def resting_energy(hitch: ho.Hitch, **given: Any) -> HitchEnergy:
+    motion, conditions = standing(hitch), conditions_of(hitch.team, **given)
+    return energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
+
+
+@given(seeds, st.integers(3, 8), topologies)
 @settings(max_examples=15)
 def test_plans_come_back_but_for_their_own_error_of_weight(
     seed: int, n: int, topology: str
@@ -58,39 +89,30 @@ def test_plans_come_back_but_for_their_own_error_of_weight(
     assert away[0] < 0.4 * away[1]
 
 
-@given(seeds, sizes, topologies, st.sampled_from([0.0, 0.01]))
+@given(seeds, st.integers(3, 8), topologies, st.sampled_from([0.0, 0.01]))
 @settings(max_examples=30)
 def test_forces_balance_as_another_module_computes_them(
     seed: int, n: int, topology: str, density: float
 ) -> None:
-    hitch = random_hitch(seed, n, topology)
-    given_errors = errors(seed, n, density)
-    found = settled(hitch, **given_errors)
+    hitch, rng = random_hitch(seed, n, topology), np.random.default_rng(seed + 1)
+    offsets, forces = (rng.uniform(-size, size, (2 * n, 3)) for size in (0.02, 0.03))
+    found = settled(hitch, cable_density=density, offsets=offsets, forces=forces)
     assert found.force_residual < 1e-8
     assert found.length_residual < 1e-9
     layout, w = hitch.team.layout, 9.81 * density
     q, r = found.drones[0::2], found.drones[1::2]
+    away = found.drones - hitch.drones - offsets
+    spring = -hitch.team.stiffness[:, None] * away
+    outer = spring + forces - hitch.cable_forces
     if density == 0.0:
         force = clasp_residuals(found.vertices, q, r, found.tensions, topology=topology)
         assert np.max(np.linalg.norm(force, axis=-1)) < 1e-8
         # Drones: what their springs pull with is what their cables pull with.
         legs = unit(found.drones - found.vertices[layout.pulled_to])
-        pull = np.repeat(found.tensions, 2)[:, None] * legs
-        away = found.drones - hitch.drones - given_errors["offsets"]
-        spring = hitch.team.stiffness[:, None] * away
-        outer = given_errors["forces"] - hitch.cable_forces
-        np.testing.assert_allclose(spring, outer - pull, atol=1e-8)
+        np.testing.assert_allclose(outer, np.repeat(found.tensions, 2)[:, None] * legs, atol=1e-8)
     else:  # all forces from outside and all weight add up to nothing
-        away = found.drones - hitch.drones - given_errors["offsets"]
-        spring = -hitch.team.stiffness[:, None] * away
-        total = np.sum(spring + given_errors["forces"] - hitch.cable_forces, axis=0)
-        total[2] -= w * np.sum(hitch.team.cable_length)  # their arcs are as long
-        np.testing.assert_allclose(total, 0.0, atol=2e-5)
-
-
-def resting_energy(hitch: ho.Hitch, **given: Any) -> HitchEnergy:
-    motion, conditions = standing(hitch), conditions_of(hitch.team, **given)
-    return energy_of(hitch.team, conditions, samples_of(motion, [1.0], conditions)[1])
+        weight = [0.0, 0.0, w * np.sum(hitch.team.cable_length)]  # their arcs are as long
+        np.testing.assert_allclose(np.sum(outer, axis=0), weight, atol=2e-5)
 
 
 def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
@@ -184,8 +206,9 @@ def test_a_hitch_of_a_thousand_robots_settles() -> None:
     assert np.all(np.abs(found.tensions - 0.5) < 0.15)
 
 
-def test_wrong_conditions_are_refused() -> None:
-    for conditions, words in (
+@pytest.mark.parametrize(
+    ("conditions", "words"),
+    [
         (
             {"stiffness": 0.0},
             r"stiffness = 0\.0: must be one positive number, or an array \(…, 6\)",
@@ -199,21 +222,21 @@ def test_wrong_conditions_are_refused() -> None:
         ({"axial_stiffness": 0.0}, r"axial_stiffness = 0\.0: must be one positive"),
         ({"friction": -0.1}, "friction"),
         ({"fiction": 0.1}, "fiction = 0.1: must be one of cable_length"),
-    ):
-        with pytest.raises(ho.InputError, match="^" + words):
-            settled(regular_hitch(3), **conditions)
+    ],
+)
+def test_wrong_conditions_are_refused(conditions: dict[str, Any], words: str) -> None:
+    with pytest.raises(ho.InputError, match="^" + words):
+        settled(regular_hitch(3), **conditions)
 
 
 def test_times_without_hitch_are_refused() -> None:
     motion = standing(regular_hitch(3))
     (hold,) = motion.phases
     free = dataclasses.replace(motion, phases=(dataclasses.replace(hold, state=CableState.FREE),))
-    with pytest.raises(
-        ho.InputError, match=r"t = 1\.0: must be within a hitch: never in this plan"
-    ):
-        ho.settle(free, 1.0)
-    with pytest.raises(ho.InputError, match=r"t = -1\.0"):
-        ho.settle(motion, -1.0)
+    words = r"t = 1\.0: must be within a hitch: never in this plan"
+    for plan, t, told in ((free, 1.0, words), (motion, -1.0, r"t = -1\.0")):
+        with pytest.raises(ho.InputError, match=told):
+            ho.settle(plan, t)
 
 
 @pytest.mark.parametrize(("seed", "density"), [(1, 0.006), (2, 0.012), (3, 0.018)])
@@ -222,10 +245,9 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
 
     The forces that then miss a balance would move vertices by less than a millimetre.
     """
-    hitch = random_hitch(seed, 5, density=density)
-    n, w = hitch.team.robots, 9.81 * density
-    found = settled(hitch)
-    clasps, drones = np.zeros((n, 3)), np.zeros((2 * n, 3))
+    hitch, n, w = random_hitch(seed, 5, density=density), 5, 9.81 * density
+    found, clasps = settled(hitch), np.zeros((n, 3))
+    drones = -hitch.cable_forces + hitch.team.stiffness[:, None] * (hitch.drones - found.drones)
 
     def curve(first: np.ndarray, last: np.ndarray, tension: float) -> tuple[float, np.ndarray]:
         """Length of the curve of that tension at its first end, and the forces on its ends."""
@@ -254,8 +276,6 @@ def test_exact_catenaries_would_rest_there_too(seed: int, density: float) -> Non
         clasps[(k + 1) % n] += edge[1] + r_leg[0]
         drones[2 * k] += q_leg[1]
         drones[2 * k + 1] += r_leg[1]
-    springs = hitch.team.stiffness[:, None] * (found.planned_drones - found.drones)
-    drones += springs - hitch.cable_forces
     energy = resting_energy(hitch)
     x = np.concatenate([found.drones, found.vertices])[None]
     missed = np.concatenate([drones, clasps])[None]
@@ -286,3 +306,231 @@ def test_no_rest_is_found_where_a_drone_comes_to_its_vertex() -> None:
     beyond[2] = -2.0  # q1 is led through its vertex, as far again
     with pytest.raises(ho.InfeasibleError, match="lead drones farther from vertices"):
         settled(hitch, stiffness=3.0, cable_density=0.01, offsets=beyond * legs)
+
+
+STIFFNESS, TENSION = 4.75, 0.6
+
+
+def triangle(**team: Any) -> ho.Hitch:
+    return regular_hitch(3, TENSION, quadrotor=ho.Quadrotor(stiffness=STIFFNESS), **team)
+
+
+@pytest.mark.slow
+@given(seeds, st.integers(3, 6), topologies, st.sampled_from([0.0, 0.006]))
+@settings(max_examples=10)
+def test_bands_hold_the_place_without_friction_and_grow_with_friction(
+    seed: int, n: int, topology: str, density: float
+) -> None:
+    hitch = random_hitch(seed, n, topology, density=density, stiffness=20.0)
+    bands = [settled(hitch, friction=friction).band for friction in (0.0, 0.002, 0.004)]
+    np.testing.assert_array_equal(bands[0][:, 0], bands[0][:, 1])
+    for narrow, wide in itertools.pairwise(bands):
+        assert np.all(wide[:, 0] <= narrow[:, 0] + 1e-6)
+        assert np.all(wide[:, 1] >= narrow[:, 1] - 1e-6)
+    inner = hitch.team.layout.clasps
+    assert np.all(np.ptp(bands[1][inner], axis=-1) > 1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.01, 0.05, 0.1])
+def test_the_ends_of_a_triangles_band_are_those_of_its_five_equations(friction: float) -> None:
+    """One vertex, one drone, one length: the half turn about a vertex's bisector does the rest."""
+    hitch = triangle()
+    side, length = 1.2, float(hitch.team.cable_length[0])
+    centre = np.mean(hitch.vertices, axis=0)
+    place, planned = hitch.drones[0], hitch.vertices[0]
+    outward = (planned - centre) / np.linalg.norm(planned - centre)
+    edge = (hitch.vertices[1] - planned) / side
+    fed = TENSION * (place - planned) / np.linalg.norm(place - planned)
+
+    def missing(unknowns: np.ndarray, friction: float) -> np.ndarray:
+        drone, out, tension = unknowns[:3], unknowns[3], unknowns[4]
+        leg = drone - (planned + out * outward)
+        size = float(np.linalg.norm(leg))
+        bend = np.arccos(-(leg / size) @ edge)
+        pull = tension * np.exp(friction * bend)
+        balance = STIFFNESS * (place - drone) + fed - pull * leg / size
+        clasp = pull * (leg @ outward) / size - tension * np.cos(np.pi / 6)
+        total = 2.0 * size + side + np.sqrt(3.0) * out - length
+        return np.array([*balance, clasp, total])
+
+    found = settled(hitch, friction=friction, axial_stiffness=1e6)
+    for column, sense in enumerate((-1.0, 1.0)):
+        start = np.array([*place, 0.0, TENSION])
+        for share in np.linspace(0.0, 1.0, 41):
+            solved = root(missing, start, args=(sense * share * friction,), tol=1e-12)
+            assert solved.success
+            start = solved.x
+        np.testing.assert_allclose(found.band[:, column], start[3], atol=1e-5)
+        moved = (found.rests[column, 0] - planned) @ outward
+        assert moved == pytest.approx(start[3], abs=1e-5)  # legs that pull more lead it outward
+
+
+def test_tolerance_has_the_band_of_the_team() -> None:
+    hitch = triangle(cable_friction=0.05)
+    found = ho.tolerance(standing(hitch), [0.5, 1.0])
+    np.testing.assert_allclose(found.band, [settled(hitch).band] * 2, atol=1e-7)
+    assert np.all(np.sign(found.band) == [-1.0, 1.0])
+    assert np.all(np.abs(found.band) > 0.05)
+
+
+def test_without_rest_the_band_has_no_end() -> None:
+    found = settled(triangle(), friction=3.0)
+    assert np.all(np.isinf(found.band).any(axis=-1))
+
+
+def ranges(hitch: ho.Hitch, **given: Any) -> Tolerance:
+    return ho.tolerance(standing(hitch), [1.0], **given)
+
+
+def gradients(hitch: ho.Hitch, **given: Any) -> list[np.ndarray]:
+    """Derivatives of tensions and points by lengths, set points and forces."""
+    found, n = settled(hitch, **given), hitch.team.robots
+    at = np.concatenate([found.drones, found.vertices[hitch.team.layout.clasps]])
+    rows = responses(resting_energy(hitch, **given), at[None])
+    return np.split(rows, [n, 3 * n], axis=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("topology", ["closed", "open"])
+@pytest.mark.parametrize("held", [False, True])
+def test_gradients_are_those_of_settled_hitches(topology: str, held: bool) -> None:
+    hitch = random_hitch(3, 4, topology)
+    team, h = hitch.team, 1e-5
+    stiffness = team.stiffness.copy()
+    if held:
+        stiffness[[0, 3]] = np.inf
+    base: dict[str, Any] = {"stiffness": stiffness, "cable_density": 0.008, "axial_stiffness": 500}
+    by_length, by_place, by_force = gradients(hitch, **base)
+
+    def difference(name: str, middle: Any, step: np.ndarray) -> np.ndarray:
+        up, down = (settled(hitch, **(base | {name: middle + s * step})) for s in (h, -h))
+        apart = up.tensions - down.tensions, (up.vertices - down.vertices).ravel()
+        return np.concatenate(apart) / (2 * h)
+
+    for k in range(team.robots):
+        slope = difference("cable_length", team.cable_length, np.eye(team.robots)[k])
+        np.testing.assert_allclose(by_length[:, k, 0], slope, rtol=1e-4, atol=2e-5)
+    for i in range(0, team.drones, 3):
+        for axis in range(3):
+            step = np.zeros((team.drones, 3))
+            step[i, axis] = 1.0
+            for name, rows in (("offsets", by_place), ("forces", by_force)):
+                slope = difference(name, 0.0, step)
+                np.testing.assert_allclose(rows[:, i, axis], slope, rtol=1e-4, atol=2e-5)
+
+
+@pytest.mark.slow
+@given(seeds, st.integers(3, 6), topologies, st.sampled_from([0.0, 0.01]))
+@settings(max_examples=6)
+def test_sampled_hitches_stay_within_bounds(
+    seed: int, n: int, topology: str, density: float
+) -> None:
+    hitch, rng = random_hitch(seed, n, topology), np.random.default_rng(seed)
+    errors = {"cable_error": 0.01, "position_error": 0.01, "force_error": 0.02}
+    found = ranges(hitch, **errors, cable_density=density)
+    offsets, forces = unit(rng.normal(size=(2, 150, 2 * n, 3)))  # on the bounds' surface
+    lengths = hitch.team.cable_length + 0.01 * rng.choice([-1.0, 1.0], (150, n))
+    samples = settled(
+        hitch, cable_density=density, cable_length=lengths, offsets=0.01 * offsets,
+        forces=0.02 * forces,
+    )  # fmt: skip
+    low, high = found.tensions[0, :, 0], found.tensions[0, :, 1]
+    assert np.all(samples.tensions >= low - 1e-9)
+    assert np.all(samples.tensions <= high + 1e-9)
+    away = samples.vertices - found.settled.vertices[0]
+    most = found.vertex_halves[0] + found.vertex_remainders[0]
+    assert np.all(np.abs(away) <= most + 1e-9)
+    # Each within its ellipsoid, widened by what is beyond first order.
+    shapes = found.ellipsoids[0] + 1e-18 * np.eye(3)
+    for k in range(away.shape[1]):
+        sizes, axes = np.linalg.eigh(shapes[k])
+        wide = np.sqrt(np.maximum(sizes, 0.0)) + found.vertex_remainders[0] + 1e-9
+        assert np.all(np.sum((away[:, k] @ axes / wide) ** 2, axis=-1) <= 1.0)
+    assert np.all(np.linalg.norm(away, axis=-1) <= found.radii[0] + 1e-9)
+    # They are not much wider than what is needed: the worst errors reach their ends.
+    assert found.tension_remainders[0] < 0.25 * np.max(found.tension_halves)
+
+
+def test_ends_of_ranges_are_reached() -> None:
+    hitch = random_hitch(21, 4)
+    found = ranges(hitch, cable_error=0.004)
+    signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 4)).reshape(4, -1).T
+    corners = settled(hitch, cable_length=hitch.team.cable_length + 0.004 * signs)
+    most, spare = found.tensions[0], 3.0 * found.tension_remainders[0] + 1e-9
+    low, high = np.min(corners.tensions, axis=0), np.max(corners.tensions, axis=0)
+    assert np.all((most[:, 0] <= low) & (low <= most[:, 0] + spare))
+    assert np.all((most[:, 1] >= high) & (high >= most[:, 1] - spare))
+
+
+@pytest.mark.slow
+def test_standard_deviations_are_those_of_samples() -> None:
+    hitch, rng = random_hitch(5, 4), np.random.default_rng(1)
+    found = ranges(hitch, cable_error="sd:0.002", position_error="sd:0.003")
+    samples = settled(
+        hitch,
+        cable_length=hitch.team.cable_length + 0.002 * rng.normal(size=(1500, 4)),
+        offsets=0.003 * rng.normal(size=(1500, 8, 3)),
+    )
+    spread = np.std(samples.tensions, axis=0)
+    np.testing.assert_allclose(found.tension_halves[0], 3.0 * spread, rtol=0.08)
+    spread = np.std(samples.vertices, axis=0)
+    np.testing.assert_allclose(found.vertex_halves[0], 3.0 * spread, rtol=0.1, atol=1e-4)
+    shapes = [np.cov(samples.vertices[:, k].T) * 9.0 for k in range(4)]
+    np.testing.assert_allclose(found.ellipsoids[0], shapes, atol=0.15 * np.max(shapes))
+
+
+def test_bounds_add_and_no_error_has_no_width() -> None:
+    hitch, one, two = random_hitch(9, 5), {"cable_error": 0.003}, {"force_error": 0.01}
+    cable, force, both, nothing = (ranges(hitch, **each) for each in (one, two, one | two, {}))
+    for name in ("tension_halves", "vertex_halves"):
+        total = getattr(cable, name) + getattr(force, name)
+        np.testing.assert_allclose(getattr(both, name), total, rtol=1e-9)
+        assert not np.any(getattr(nothing, name))
+    assert not np.any(nothing.ellipsoids)
+    assert np.max(nothing.tension_remainders) < 1e-9
+    np.testing.assert_allclose(nothing.tensions[0, :, 0], hitch.team.tension, atol=1e-8)
+
+
+def test_what_is_beyond_first_order_is_found_at_the_worst_of_three_deviations() -> None:
+    """For one cable's error that is where it is three times its deviation, both ways."""
+    hitch, step = random_hitch(9, 3, stiffness=2.0), 1e-5 * np.array([[1.0], [-1.0]])
+    lengths, made = hitch.team.cable_length, []
+    for size in (0.002, 0.004):
+        made.append(ranges(hitch, cable_error=f"sd:{size}"))
+        assert 0.0 < made[-1].tension_remainders[0] < 0.2 * np.max(made[-1].tension_halves)
+    up, down = (settled(hitch, cable_length=lengths + h * np.eye(3)).tensions for h in step)
+    slopes = (up - down).T / 2e-5  # of each tension by each length
+    worst = 3.0 * 0.004 * unit(slopes)
+    beyond = []
+    for errors in (worst, -worst):
+        found = settled(hitch, cable_length=lengths + errors).tensions
+        beyond.append(np.abs(found - hitch.team.tension - errors @ slopes.T))
+    assert made[1].tension_remainders[0] >= 2.0 * np.max(beyond) * (1.0 - 1e-3)
+    grown = made[1].tension_remainders / made[0].tension_remainders
+    np.testing.assert_allclose(grown, 4.0, rtol=0.1)  # as it is of second order
+
+
+def test_slack_is_found_where_a_range_reaches_nothing() -> None:
+    assert ranges(regular_hitch(3), cable_error=0.01, stiffness=20.0).slack_cables == ()
+    loose = ranges(regular_hitch(3), cable_error=0.01, stiffness=120.0)
+    assert loose.slack_cables == ("c0", "c1", "c2")
+    assert np.all(loose.tensions[..., 0] == 0.0)
+
+
+def test_sizes_are_read_and_refused_in_words() -> None:
+    assert ho.ErrorSize.of("--x", "0.01") == ho.ErrorSize.of("--x", 0.01) == ho.ErrorSize(0.01)
+    assert ho.ErrorSize.of("--x", "sd:0.02") == ho.ErrorSize(deviation=0.02)
+    for text in ("", "sd:", "sd:-1", "-1", "nan", "1 cm"):
+        with pytest.raises(ho.InputError, match=r"^--x = "):
+            ho.ErrorSize.of("--x", text)
+    with pytest.raises(ho.InputError, match=r"^cable_error = -1"):
+        ho.ErrorSize.of("cable_error", -1.0)
+
+
+def test_taut_times_leave_out_rising_tensions() -> None:
+    motion = standing(regular_hitch(3))
+    np.testing.assert_allclose(taut_times(motion, 5), [0.0, 0.5, 1.0, 1.5, 2.0], atol=0.02)
+    assert taut_times(motion, 1).tolist() == [0.0]
+    rising = PiecewisePolynomial(np.array([0.0, 2.0]), 0.5 * np.outer(np.ones(3), [0.0, 1.0])[None])
+    found = taut_times(dataclasses.replace(motion, tensions=rising), 5)
+    np.testing.assert_allclose(found[[0, -1]], [1.8, 2.0], atol=0.03)
