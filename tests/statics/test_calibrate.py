@@ -35,21 +35,19 @@ K = np.repeat([4.0, 9.0, 4.0], 2)
 POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
 ARC = np.array([[1.0, 0.0], [1.6, 1.0], [2.9, 1.1], [3.6, 0.0]])
 
-Pair = tuple[ho.Hitch, ho.Hitch]
+Pair, Wind = tuple[ho.Hitch, ho.Hitch], tuple[float, float]
 
 
 def balanced(
     team: ho.Team, density: float, drones: Array, guess: Array, rates: Array, friction: float
 ) -> tuple[Array, Array]:
     """Points (points, 3) [m] at which clasps are in balance, and forces (2n, 3) [N] on drones."""
-    layout, n = team.layout, team.robots
-    zero = np.zeros((1, 2 * n, 3))
+    layout, many = team.layout, team.drones
     conditions = conditions_of(team, cable_density=density, stiffness=1.0, feed_forward=False)
-    none = dict.fromkeys(("cable_forces", "offsets", "forces"), zero)
-    plan = {"positions": drones, "vertices": guess, "tensions": team.tension}
+    plan = dict.fromkeys(("cable_forces", "offsets", "forces"), 0.0 * drones)
+    plan |= {"positions": drones, "vertices": guess, "tensions": team.tension}
     plan |= {"cable_length": team.cable_length}
-    energy = energy_of(team, conditions, none | {name: v[None] for name, v in plan.items()})
-
+    energy = energy_of(team, conditions, {name: value[None] for name, value in plan.items()})
     nodes, ahead, behind = energy.nodes, layout.ahead, layout.behind
 
     def pulls(x: Array) -> Array:
@@ -63,24 +61,19 @@ def balanced(
         forces = energy.forces(at[:, nodes], team.tension[None], used)[0]
         return np.asarray(energy.pulls(forces)[0])
 
-    x = root(lambda x: pulls(x)[2 * n :].ravel(), guess[layout.clasps].ravel(), tol=1e-12).x
-    assert np.max(np.abs(pulls(x)[2 * n :])) < 1e-9
+    x = root(lambda x: pulls(x)[many:].ravel(), guess[layout.clasps].ravel(), tol=1e-12).x
+    assert np.max(np.abs(pulls(x)[many:])) < 1e-9
     points = guess.copy()
     points[layout.anchors] = drones  # a chain's ends
     points[layout.clasps] = x.reshape(-1, 3)
-    return points, -pulls(x)[: 2 * n]
+    return points, -pulls(x)[:many]
 
 
 def recorded(
-    first: ho.Hitch,
-    second: ho.Hitch,
-    stiffness: Array,
-    density: float,
-    friction: float = 0.0,
-    wind: tuple[float, float] = (0.0, 0.0),
+    pair: Pair, density: float, friction: float = 0.0, wind: Wind = (0.0, 0.0)
 ) -> tuple[Task, Recording]:
     """Return a plan from one hitch to another, whose drones do not know the cables' weight."""
-    team, layout = first.team, first.team.layout
+    (first, second), team, layout = pair, pair[0].team, pair[0].team.layout
     t = np.arange(round((2.0 * HELD + MOVED) * RATE) + 1) / RATE
     s = np.clip((t - HELD) / MOVED, 0.0, 1.0)
     s = s * s * (3.0 - 2.0 * s)
@@ -98,9 +91,8 @@ def recorded(
         rates = np.gradient(np.linalg.norm(drones - points[:, layout.anchors], axis=-1), t, axis=0)
         rates = rates[np.clip(np.arange(len(t)), moving[0], moving[-1])]
     known = -np.repeat(team.tension, 2)[:, None] * unit(drones - points[:, layout.pulled_to])
-    commanded = drones - (forces + [*wind, 0.0] - known) / stiffness[:, None]
-    zero = np.zeros_like(drones)
-    setpoints = Setpoints(commanded, zero, zero, zero, known)
+    commanded = drones - (forces + [*wind, 0.0] - known) / K[:, None]
+    setpoints = Setpoints(commanded, *[0.0 * drones] * 3, known)
     formed, tensions = np.ones(len(t), dtype=np.bool_), np.tile(team.tension, (len(t), 1))
     return Task(team, t, setpoints, formed, points, tensions), Recording(t, drones, points)
 
@@ -124,7 +116,7 @@ def hitches(topology: str = "closed", *, outward: bool = False) -> Pair:
 
 @cache
 def weighted(friction: float = 0.0) -> tuple[Task, Recording]:
-    return recorded(*hitches(), K, DENSITY, friction)
+    return recorded(hitches(), DENSITY, friction)
 
 
 @pytest.mark.slow
@@ -137,14 +129,10 @@ def weighted(friction: float = 0.0) -> tuple[Task, Recording]:
     ],
 )
 def test_without_noise_stiffness_and_friction_are_exact(
-    pair: Pair,
-    friction: float,
-    within: float,
-    wind: tuple[float, float],
-    monkeypatch: pytest.MonkeyPatch,
+    pair: Pair, friction: float, within: float, wind: Wind, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("hitchopt.statics.calibrate.BLURRED", 1e-4)  # the law alone does not creep
-    task, recording = recorded(*pair, K, DENSITY, friction, wind)
+    task, recording = recorded(pair, DENSITY, friction, wind)
     found = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in found.stiffness)
     np.testing.assert_allclose([one.value for one in found.stiffness], K[::2], rtol=0.01)
@@ -175,10 +163,10 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
     (task, recording), scores = weighted(MU), []
     for seed in range(6):
         rng, noise = np.random.default_rng(seed), 1.5e-3
-        names = ("drones", "vertices")
-        noisy = {name: getattr(recording, name) for name in names}
-        noisy = {name: each + noise * rng.normal(size=each.shape) for name, each in noisy.items()}
-        found = ho.calibrate(replace(recording, **noisy), task, density=DENSITY)
+        places = recording.drones, recording.vertices
+        drones, vertices = (each + noise * rng.normal(size=each.shape) for each in places)
+        noisy = replace(recording, drones=drones, vertices=vertices)
+        found = ho.calibrate(noisy, task, density=DENSITY)
         soft, hard = found.stiffness[0], found.stiffness[1]
         assert abs(found.friction.value - MU) < 0.05
         scores.append([(soft.value - 4.0) / soft.error, (hard.value - 9.0) / hard.error])
@@ -188,13 +176,12 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
 
 @pytest.mark.slow
 def test_what_a_recording_does_not_determine_is_said() -> None:
-    first, second = hitches()
-    task, recording = recorded(first, second, K, 0.0)
+    task, recording = recorded(hitches(), 0.0)
     weightless = ho.calibrate(recording, task, density=0.0)
     assert not any(one.known for one in weightless.stiffness)
     assert "displaced by too little" in weightless.stiffness[0].remark
     assert "neither determined nor stated" in weightless.friction.remark
-    task, recording = recorded(first, first, K, DENSITY)
+    task, recording = recorded((hitches()[0],) * 2, DENSITY)
     still = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in still.stiffness)
     assert "slide through clasps by 0.0 cm" in still.friction.remark
@@ -271,9 +258,7 @@ def run(*arguments: str | Path) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-def test_a_flight_as_planned_has_the_plans_lengths_and_no_errors(
-    solved: Path, tmp_path: Path
-) -> None:
+def test_flights_as_planned_have_lengths_and_no_errors(solved: Path, tmp_path: Path) -> None:
     table = write(tmp_path / "flight.csv", rows_of(read_task(solved)))
     output, picture = tmp_path / "team.yaml", tmp_path / "flight.png"
     result = run("calibrate", table, "--plan", solved, "-o", output, "--picture", picture)
@@ -314,17 +299,16 @@ def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
 
 def test_windows_count_of_which_half_was_seen(solved: Path) -> None:
     task = read_task(solved)
-    drones, vertices = task.setpoints.positions, task.vertices.copy()
-    vertices[55:100, 0] = np.nan  # of 50 samples 5 are left
-    vertices[100:120, 0] = np.nan  # of 50 samples 30 are left
-    found = windows_of(Recording(task.t, drones, vertices), task, 0.5)
+    vertices = task.vertices.copy()
+    vertices[55:120, 0] = np.nan  # of 50 samples 5, of the next 30 are left
+    found = windows_of(Recording(task.t, task.setpoints.positions, vertices), task, 0.5)
     np.testing.assert_allclose(found["t"][:2], [0.245, 1.345])
     np.testing.assert_allclose(found["tensions"], 0.5)
 
 
 def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path) -> None:
     rows = rows_of(read_task(solved))
-    for header, lines, words in (
+    tables = (
         ("t,name,x,y", rows, "'z' is not in list"),
         (HEADER, [r for r in rows if ",r1," not in r], "r1 is not recorded"),
         (HEADER, [*rows, rows[0]], "holds a name twice at the same time"),
@@ -333,15 +317,16 @@ def test_tables_that_are_no_recordings_are_refused(solved: Path, tmp_path: Path)
         (HEADER, [*rows, "inf,q0,1,2,3"], "a time is not finite"),
         (HEADER, rows[:0], "q0 is not recorded"),
         (HEADER, [r for r in rows if ",p" not in r], "record the vertices too"),
-    ):
-        result = run("calibrate", write(tmp_path / "x.csv", lines, header), "--plan", solved)
-        assert (result.exit_code, words in result.stderr) == (2, True), result.output
-    table = write(tmp_path / "flight.csv", rows)
-    for arguments, words in (
-        ((tmp_path / "none.csv", "--plan", solved), "there is no such file"),
+    )
+    table, plan = write(tmp_path / "flight.csv", rows), ("--plan", solved)
+    cases: list[tuple[tuple[str | Path, ...], str]] = [
+        ((tmp_path / "none.csv", *plan), "there is no such file"),
         ((table,), "plan.npz: there is no such file"),
-        ((table, "--plan", solved, "--density", "-1"), "density = -1.0: must be at least 0"),
-    ):
+        ((table, *plan, "--density", "-1"), "density = -1.0: must be at least 0"),
+    ]
+    for k, (header, lines, words) in enumerate(tables):
+        cases.append(((write(tmp_path / f"{k}.csv", lines, header), *plan), words))
+    for arguments, words in cases:
         result = run("calibrate", *arguments)
         assert (result.exit_code, words in result.stderr) == (2, True), result.output
 
@@ -366,8 +351,8 @@ def test_a_simulated_flight_is_calibrated_from_its_files(solved: Path) -> None:
 
 def test_a_team_of_different_kinds_lists_them(solved: Path) -> None:
     task = read_task(solved)
-    drones, vertices = task.setpoints.positions, task.vertices
-    plain = ho.calibrate(Recording(task.t, drones, vertices), task, density=0.01)
+    seen = Recording(task.t, task.setpoints.positions, task.vertices)
+    plain = ho.calibrate(seen, task, density=0.01)
     stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))
     text = team_text(replace(plain, stiffness=stiffness, friction=Estimate(0.123, 0.02)))
     given: Any = parse_yaml(text)
