@@ -64,13 +64,12 @@ def ran(player: Player, seconds: float) -> ho.Setpoints:
 
 def test_at_full_rate_it_is_the_plan() -> None:
     plan, player = plan_of("carried"), Player(plan_of("carried"))
+    close = {"positions": 1e-12, "velocities": 1e-10, "accelerations": 1e-8, "jerks": 1e-5}
     for _ in range(30):
         here = player.step(0.07)
-        states = plan.at(here.time)
-        np.testing.assert_allclose(here.positions, states.positions, atol=1e-12)
-        np.testing.assert_allclose(here.velocities, states.velocities, atol=1e-10)
-        np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-8)
-        np.testing.assert_allclose(here.jerks, states.jerks, atol=1e-5)
+        for name, atol in close.items():
+            wanted = getattr(plan.at(here.time), name)
+            np.testing.assert_allclose(getattr(here, name), wanted, atol=atol)
 
 
 CHANGES: list[Callable[[Player, float], float]] = [
@@ -115,10 +114,6 @@ def test_seeking_and_going_back_end_at_the_plan_time() -> None:
         ran(player, player.seek(share * plan.duration))
         assert player.resting
         assert player.time == pytest.approx(share * plan.duration, abs=1e-9)
-    player.back()
-    last = ran(player, plan.duration + 2.0)
-    assert (last.time, last.rate) == (0.0, 0.0)
-    np.testing.assert_allclose(last.positions, plan.at(0.0).positions, atol=1e-12)
 
 
 def test_where_legs_lean_there_is_no_way_back() -> None:
@@ -127,26 +122,26 @@ def test_where_legs_lean_there_is_no_way_back() -> None:
     first, last = np.searchsorted(breaks, [0.4, 0.7]).tolist()
     pulls[first:last, :, 0] *= 1.05
     leaning = replace(motion, leg_tensions=PiecewisePolynomial(breaks, pulls))
-    begin, end = (float(breaks[i]) for i in (first, last))
-    player = Player(leaning, 0.5 * (begin + end))
-    with pytest.raises(ho.InfeasibleError, match="lean against friction"):
-        player.back()
-    assert player.clock_rate == 1.0
-    player = Player(leaning, 1.5)
-    with pytest.raises(ho.InfeasibleError, match="lean against friction"):
-        player.rate(-0.5)
-    ran(player, player.back())
-    assert player.time == pytest.approx(end)
+    within, after = (Player(leaning, t) for t in (float(np.mean(breaks[[first, last]])), 1.5))
+    for player, asked in ((within, within.back), (after, lambda: after.rate(-0.5))):
+        with pytest.raises(ho.InfeasibleError, match="lean against friction"):
+            asked()
+        assert player.clock_rate == 1.0
+    ran(after, after.back())
+    assert after.time == pytest.approx(breaks[last])
     with pytest.raises(ho.InfeasibleError, match="no change of the clock"):
-        player.seek(0.2)
+        after.seek(0.2)
 
 
-def test_drones_that_swing_about_their_places_can_go_back() -> None:
+def test_plans_go_back_to_their_start_also_where_drones_swing_about_their_places() -> None:
     team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
-    player = Player(ho.Mission(team, ho.Hitch.spread(team, TRIANGLE, 1.2)).settle().solve(), 5.0)
-    player.back()
-    last = ran(player, 8.0)
-    assert (last.time, last.rate) == (0.0, 0.0)
+    swinging = ho.Mission(team, ho.Hitch.spread(team, TRIANGLE, 1.2)).settle().solve()
+    for plan in (swinging, plan_of("carried")):
+        player = Player(plan, 5.0 if plan is swinging else 0.6 * plan.duration)
+        player.back()
+        last = ran(player, 8.0)
+        assert (last.time, last.rate) == (0.0, 0.0)
+        np.testing.assert_allclose(last.positions, plan.at(0.0).positions, atol=1e-12)
 
 
 def test_wrong_arguments_are_named() -> None:
@@ -229,27 +224,25 @@ class Rig:
         assert not landed or abs(np.min(series[-1].positions[:, 2])) <= 1e-9
 
 
-def test_a_plan_is_flown_to_its_end_and_landed() -> None:
-    rig, plan = Rig(), plan_of()
+@pytest.mark.parametrize("swarm", [False, True])
+def test_a_plan_is_flown_to_its_end_and_landed(*, swarm: bool) -> None:
+    """Drones without cables end where the plan lands."""
+    rig = Rig(swarm=swarm)
     rig.run(1.0)
     assert rig.course.resting
     rig.run(LONG / 4, "resume")
-    there = plan.at(plan.duration).positions
-    np.testing.assert_allclose(rig.sent[-1].setpoints.positions, there, atol=1e-9)
-    rig.run(LONG, "land")
+    there = rig.plan.at(rig.plan.duration).positions
+    np.testing.assert_allclose(rig.sent[-1].setpoints.positions, there, atol=1e-8)
+    rig.run(LONG, *([] if swarm else ["land"]))
     rig.check(landed=True)
-    assert rig.flight.late == 0
+    assert (rig.flight.late, rig.course.descending) == (0, not swarm)
 
 
-@pytest.mark.parametrize("aborted", [False, True])
-def test_drones_without_cables_end_where_the_plan_lands(*, aborted: bool) -> None:
+def test_drones_without_cables_land_where_they_are_aborted() -> None:
     rig = Rig(swarm=True)
     rig.begin(0.8)
-    rig.run(LONG, *(["abort"] if aborted else []))
+    rig.run(LONG, "abort")
     rig.check(landed=True)
-    assert rig.course.descending == aborted
-    there = [[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]]
-    assert aborted or np.allclose(rig.sent[-1].setpoints.positions, there, atol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -266,10 +259,10 @@ def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
 def test_what_is_sent_belongs_to_the_cables() -> None:
     rig, plan = Rig(rate=1000.0), plan_of()
     rig.begin(0.7)
-    flown, team = rig.sent[-1], plan.motion.team
-    states = plan.at(flown.setpoints.time)
-    expected = team.mass[:, None] * (flown.setpoints.accelerations + [0, 0, 9.81])
-    np.testing.assert_allclose(flown.thrusts, expected - states.cable_forces, atol=1e-3)
+    flown, mass = rig.sent[-1], plan.motion.team.mass[:, None]
+    expected = mass * (flown.setpoints.accelerations + [0, 0, 9.81])
+    expected -= plan.at(flown.setpoints.time).cable_forces
+    np.testing.assert_allclose(flown.thrusts, expected, atol=1e-3)
     thrusts, rates = (
         np.array([getattr(each, name) for each in rig.sent[-400:]])
         for name in ("thrusts", "thrust_rates")
@@ -294,9 +287,7 @@ def test_a_lost_link_ends_in_a_hold_and_then_on_the_ground(who: str, refused: in
     assert rig.speed > 0.0
     rig.operator, rig.silent, refusals[:] = who != "operator", {who}, [refuse] * refused
     rig.run(PATIENCE)
-    assert rig.going
-    assert rig.course.resting
-    assert rig.speed == 0.0
+    assert (rig.going, rig.course.resting, rig.speed) == (True, True, 0.0)
     assert np.max(np.abs(rig.sent[-1].setpoints.positions - begun)) < 0.6
     assert f"lost: {who}" in rig.said
     rig.run(LONG)
