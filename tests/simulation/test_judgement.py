@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
-from scripted import flight_of, formed_where, regular_hitch, standing, unformed
+from scripted import flight_of, regular_hitch, standing
 
 import hitchopt as ho
 from hitchopt.live.lost import Reactions, reacting
@@ -33,7 +33,7 @@ from hitchopt.simulation.judgement import (
 )
 from hitchopt.simulation.report import drawn_flight, flight_scene
 from hitchopt.simulation.settings import Loss, Perturbations, Settings
-from hitchopt.simulation.task import read_task
+from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import InvalidRunError
 from hitchopt.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.view.style import save_figure
@@ -65,12 +65,8 @@ def flown(
     bearing = np.ones((len(t), 4))
     if lost is not None:
         vertices[:, lost], bearing[:, lost] = np.nan, 0.2
-    task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
     known |= {"vertices": vertices, "bearing": bearing, "linking": linking, "rested": 3.0}
-    share = np.linspace(0.0, 1.0, 12)[:, None]  # ropes are straight
-    nodes = np.concatenate([(1 - share) * q + share * r for q, r in HITCH.drones.reshape(4, 2, 3)])
-    known |= {"nodes": np.repeat(nodes[None], len(t), axis=0), "cables": 12 * np.arange(5)}
-    flight = flight_of(task, HITCH, t, pulled=pulled, **known)
+    flight = flight_of(standing(HITCH, 2.0, formed=formed), HITCH, t, pulled=pulled, **known)
     return Simulation(flight, judge(flight), vertex_errors(flight))
 
 
@@ -122,10 +118,7 @@ def test_flights_are_judged_by_links_contact_and_pull(
 
 def test_clasps_tell_their_movement_and_force() -> None:
     slipped, lost = flown(moved=0.13).outcome, flown(lost=2).outcome
-    moved = [
-        [round(clasp.moved, 9) for clasp in each.clasps] for each in (flown().outcome, slipped)
-    ]
-    assert moved == [[0.0, 0.02, 0.0, 0.0], [0.0, 0.13, 0.0, 0.0]]
+    assert [round(clasp.moved, 9) for clasp in slipped.clasps] == [0.0, 0.13, 0.0, 0.0]
     assert flown(moved=0.0, swing=0.07).outcome.clasps[1].moved < 0.04
     assert "moves 0.130 m" in slipped.failures[0].words
     assert "presses with 0.200 N, less than 0.212 N" in lost.failures[0].words
@@ -138,8 +131,7 @@ def test_clasps_tell_their_movement_and_force() -> None:
 
 def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> None:
     hitch = regular_hitch(3)
-    task = standing(hitch, 0.2)
-    late = formed_where(task, hitch, np.arange(len(task.t)) >= 10)
+    task, late = (standing(hitch, 0.2, since=since) for since in (0, 10))
     t = np.append(np.minimum(task.t + 0.003, 0.2), 0.9)  # the last one is after the flight
     found = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
     found[-2, 1] = np.nan
@@ -160,8 +152,8 @@ def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> No
     rested = vertex_errors(flight_of(moving, hitch, t, rested=0.7))
     np.testing.assert_allclose(rested.t, t[10:-1])
     np.testing.assert_array_equal(rested.moving, [False, *[True] * 10, False, False])
-    free = unformed(task)
-    flight = flight_of(free, hitch, task.t, drones=free.setpoints.positions + [0.03, 0.0, 0.04])
+    off = task.setpoints.positions + [0.03, 0.0, 0.04]
+    flight = flight_of(standing(hitch, 0.2, formed=False), hitch, task.t, drones=off)
     assert vertex_errors(flight).errors.shape == (0, 3)
     np.testing.assert_allclose(tracking_errors(flight), 0.05)
 
@@ -198,26 +190,21 @@ def test_friction_that_is_left_at_0_is_warned_of() -> None:
 
 def test_a_loss_that_cannot_be_is_refused() -> None:
     assert Loss.parsed("r2@0.5") == Loss("r2", 0.5)
-    for text in ("q0", "q0@", "@1.0", "q0@soon", "q0@nan"):
-        with pytest.raises(ho.InputError, match=r"write q0@12\.5"):
-            Loss.parsed(text)
-    task = standing(regular_hitch(3), 0.5)
-    for loss, words in (
-        (Loss("q9", 0.1), "one of q0"),
-        (Loss("q0", 9.0), "before the flight ends"),
-    ):
+    wrong = dict.fromkeys(("q0", "q0@", "@1.0", "q0@soon", "q0@nan"), r"write q0@12\.5")
+    wrong |= {"q9@0.1": "one of q0", "q0@9.0": "before the flight ends"}
+    for text, words in wrong.items():
         with pytest.raises(ho.InputError, match=words):
-            fly(task, Settings(lost=loss))
+            fly(standing(regular_hitch(3), 0.5), Settings(lost=Loss.parsed(text)))
 
 
 @pytest.mark.slow
-def test_a_reaction_lowers_the_tension(tmp_path: Path) -> None:
+def test_a_reaction_lowers_the_tension() -> None:
     """The lost drone falls, none of the others touch, and their cables pull less."""
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
-    task, loss = read_task(plan.save(tmp_path)), Loss("r1", 0.3)
-    flight = fly(reacting(task, Reactions(plan.motion).found("r1", 0.3)), Settings(lost=loss))
+    task = reacting(Task.of(plan.motion), Reactions(plan.motion).found("r1", 0.3))
+    flight = fly(task, Settings(lost=Loss("r1", 0.3)))
     after = loss_outcome(flight)
     assert after is not None
     assert after.apart
@@ -247,8 +234,7 @@ def test_contacts_are_those_of_survivors() -> None:
     assert outcome.linked == ("p0", "p1", "p2")
     assert outcome.moved == pytest.approx(0.05)
     assert outcome.peak_tension == 2.0
-    mean = (11 * hitch.drones[0, 2] + 20 * 0.5) / 31
-    assert outcome.hangs == pytest.approx(mean - 0.03)
+    assert outcome.hangs == pytest.approx((11 * hitch.drones[0, 2] + 20 * 0.5) / 31 - 0.03)
     assert loss_outcome(flight_of(task, hitch, t)) is None
     found = [failure.where for failure in judge(flight).failures]
     assert found == [("r0", "r1"), ("q1", "r2"), ("q0", "r2"), ("r1", "cable 0")]
@@ -287,7 +273,7 @@ def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
 
 
 def test_flights_that_cannot_begin_are_failures_of_that_run(tmp_path: Path) -> None:
-    free = unformed(standing(regular_hitch(3), 0.05))
+    free = standing(regular_hitch(3), 0.05, formed=False)
     apart = replace(free.setpoints, positions=free.setpoints.positions * 1.6)
     campaign = run_campaign(replace(free, setpoints=apart), BRIEF, 2, processes=1)
     assert campaign.successes == 0

@@ -9,14 +9,14 @@ import pytest
 from plans import planned
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from scripted import regular_hitch, standing, unformed
+from scripted import regular_hitch, standing
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
 from hitchopt.simulation import ropes as shapes
 from hitchopt.simulation.flight import fly
 from hitchopt.simulation.ropes import Ropes
-from hitchopt.simulation.settings import ACCURATE, DENSITY, FAST, Perturbations, Preset, Settings
+from hitchopt.simulation.settings import ACCURATE, DENSITY, FAST, Preset, Settings
 from hitchopt.simulation.task import Task
 from hitchopt.values import Array
 
@@ -55,23 +55,6 @@ def test_density_and_friction_are_those_given_or_the_teams(
 ) -> None:
     ropes = ropes_of(ho.Team(3, 2.4, cable_density=density, cable_friction=0.3), **given)
     assert (ropes.density, ropes.friction) == expected
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "value"),
-    [
-        (Perturbations, "noise", -1.0),
-        (Perturbations, "lag", float("nan")),
-        (Perturbations, "cable_error", 0.5),
-        (Perturbations, "object_mass", 1.0),
-        (Settings, "seed", -1),
-        (Settings, "friction", -0.1),
-        (Settings, "density", 0.0),
-    ],
-)
-def test_wrong_numbers_are_refused_by_name(kind: type, name: str, value: float) -> None:
-    with pytest.raises(ho.InputError, match=f"^{name} = "):
-        kind(**{name: value})
 
 
 def assert_exact(cables: list[Array], ropes: Ropes) -> None:
@@ -121,16 +104,16 @@ def test_hitches_begin_linked_apart_and_near_their_drones(name: str, preset: Pre
 
 
 @pytest.mark.parametrize("across", [(1.2, 0.0, 0.0), (0.3, -0.4, 0.5), (1.5, 0.9, -0.4)])
-def test_hanging_cables_are_catenaries(across: tuple[float, float, float]) -> None:
+def test_hanging_cables_end_at_their_drones(across: tuple[float, float, float]) -> None:
+    """They are as long as they are, and their slope grows evenly, as along a catenary."""
     ropes = Ropes(np.array([2.0]), 0.01, 0.0, replace(ACCURATE, segment=0.002))
     q = np.array([0.4, -0.7, 3.0])
     (cable,) = shapes.hanging(ropes, np.array([q, q + across]), 0.0)
     assert_exact([cable], ropes)
     np.testing.assert_allclose(cable[[0, -1]], [q, q + across], atol=1e-4)
-    # The slope grows evenly along a catenary, which ends at both drones.
     steps = np.diff(cable, axis=0)
-    slopes = steps[:, 2] / np.hypot(*steps[:, :2].T)
-    np.testing.assert_allclose(np.diff(slopes), np.mean(np.diff(slopes)), rtol=1e-3)
+    bends = np.diff(steps[:, 2] / np.hypot(*steps[:, :2].T))
+    np.testing.assert_allclose(bends, np.mean(bends), rtol=1e-3)
     with pytest.raises(shapes.ShapeError, match=r"cable 0: its drones start 2\.1 m apart"):
         shapes.hanging(ropes, np.array([q, q + [2.1, 0.0, 0.0]]), 0.0)
 
@@ -200,7 +183,7 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
     coarse = shapes.thickness_allowance(task, diameter, 0.02)
     wanted = 2.0 * shapes.COARSENESS * 0.02**2 / diameter * np.cos(0.5 * turn)
     np.testing.assert_allclose(coarse - found, wanted)
-    free = unformed(task)
+    free = standing(hitch, 0.1, formed=False)
     np.testing.assert_array_equal(
         shapes.thickness_allowance(free, FAST.diameter, 0.03), np.zeros(n)
     )
