@@ -19,7 +19,7 @@ from scipy.stats import norm
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.sweeps.study import ParameterKeys, points, study_from_dict, with_values
+from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
 from hitchopt.sweeps.sweep import ROWS, Share, load_sweep, summary, write_row
 from hitchopt.sweeps.work import SETTINGS, row_of
 
@@ -94,27 +94,30 @@ def test_cases_are_told_apart_by_all_that_counts() -> None:
 
 def test_drawings_can_be_a_parameter(tmp_path: Path) -> None:
     """Cases hold their outlines, and digests depend on these."""
-    for name, width in (("a", 0.4), ("b", 0.6)):
+
+    def drawn(name: str, width: float) -> None:
         shape = f'<rect x="0" y="0" width="{width}" height="0.3"/>'
         svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1">{shape}</svg>'
-        (tmp_path / f"{name}.svg").write_text(svg)
-    box = {"file": "a.svg", "at": [3.0, 0.0, 0.0], "fixed": True}
-    study = {
-        "problem": PROBLEM | {"objects": {"box": box}},
-        "parameters": {"objects.box.file": ["a.svg", "b.svg"]},
-    }
-    first, second = study_from_dict(study, tmp_path).cases()
-    assert [first.point, second.point] == [{"objects.box.file": f} for f in ("a.svg", "b.svg")]
-    for case, width in ((first, 0.4), (second, 0.6)):
+        (tmp_path / name).write_text(svg)
+
+    def cases(*files: str) -> list[Case]:
+        box = {"file": "a.svg", "at": [3.0, 0.0, 0.0], "fixed": True}
+        study = {"problem": PROBLEM | {"objects": {"box": box}}}
+        study["parameters"] = {"objects.box.file": list(files)}
+        return list(study_from_dict(study, tmp_path).cases())
+
+    drawn("a.svg", 0.4)
+    drawn("b.svg", 0.6)
+    first, second = cases("a.svg", "b.svg")
+    for case, file, width in ((first, "a.svg", 0.4), (second, "b.svg", 0.6)):
         made: Any = case.problem["objects"]
-        assert "file" not in made["box"]
-        outline = np.array(made["box"]["outline"], dtype=np.float64)
-        np.testing.assert_allclose(np.ptp(outline, axis=0), [width, 0.3], atol=1e-9)
-    (tmp_path / "b.svg").write_text((tmp_path / "a.svg").read_text())
-    again = list(study_from_dict(study, tmp_path).cases())
+        assert (case.point, "file" in made["box"]) == ({"objects.box.file": file}, False)
+        np.testing.assert_allclose(np.ptp(made["box"]["outline"], axis=0), [width, 0.3], atol=1e-9)
+    drawn("b.svg", 0.4)
+    again = cases("a.svg", "b.svg")
     assert (again[0].digest, again[1].digest != second.digest) == (first.digest, True)
     with pytest.raises(ho.FileError, match=r"c\.svg"):
-        study_from_dict({**study, "parameters": {"objects.box.file": ["c.svg"]}}, tmp_path)
+        cases("c.svg")
 
 
 STUDY: dict[str, Any] = {
