@@ -1,4 +1,4 @@
-"""Aborts: the plan until the command's stop, then a certified continuation to rest."""
+"""Aborts end in rest as commands say; survivors of a lost drone let go and sink, clear of it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,14 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.abort import Aborts, abort_table
+from hitchopt.live.lost import DELAY, LETTING_GO, Reactions, free_fall, reacting, survivable
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
+from hitchopt.simulation.task import Task
+from hitchopt.trajectory import PiecewisePolynomial
 
 UNFORMED = "untied", "swarms/head_on"
 
@@ -128,3 +133,135 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
         motion = read_plan(tmp_path / "plans" / entry["plan"])
         assert certify(motion, part=True).certified
         assert motion.duration == pytest.approx(entry["ends"])
+
+
+TIME = 0.8
+SQUARE = ho.regular_polygon(4, 1.0)
+
+
+@cache
+def plan_of(altitude: float) -> ho.Plan:
+    start = ho.Hitch.spread(ho.Team(4, 2.2, tension=0.5), SQUARE, altitude)
+    return ho.transport(start, to=[0.7, 0.3, altitude])
+
+
+@pytest.mark.parametrize("altitude", [1.0, 2.4])
+def test_survivors_sink_as_a_whole(altitude: float) -> None:
+    plan, found = plan_of(altitude), Reactions(plan_of(altitude).motion).found("q1", TIME)
+    motion, limits = found.motion, plan.motion.requirements.limits
+    t = np.linspace(0.0, motion.duration, 2001)
+    places, before = motion.drones.at(t), t <= TIME + DELAY
+    assert found.begins == pytest.approx(TIME + DELAY)
+    np.testing.assert_allclose(places[before], plan.at(t[before]).positions, atol=1e-9)
+    every = np.concatenate([places, motion.vertices.at(t)], axis=1)
+    shape = every - every[:, :1]
+    np.testing.assert_allclose(shape, np.broadcast_to(shape[0], shape.shape), atol=1e-6)
+    for order, limit in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
+        assert np.max(np.linalg.norm(motion.drones.at(t, order), axis=-1)) <= limit + 1e-6
+    assert np.min(places[-1, :, 2]) == pytest.approx(0.0, abs=1e-9)
+    assert np.max(np.abs(motion.drones.at(t[-1], 1))) <= 1e-9
+
+
+@pytest.mark.parametrize("lost", [0, 3, 5, 6])
+def test_survivors_keep_off_the_swing_of_the_lost_drone(lost: int) -> None:
+    """Turned about its clasp in its vertical plane, its cable longer by what its partner gives."""
+    team = ho.Team(4, 2.3, tension=0.5)
+    polygon = ho.regular_polygon(4, 0.9).vertices + [1.0, 2.0]
+    hitch = ho.Hitch.balanced(team, polygon, 1.6, np.radians([20.0, -15.0, 10.0, -25.0]))
+    hitch = ho.Hitch(team, polygon, 1.6, hitch.slack * [0.4, 0.47, 0.53, 0.6], hitch.roll)
+    plan = ho.hold(hitch, 2.0)
+    clasps = hitch.vertices[team.layout.pulled_to]
+    leg, partner = (hitch.drones - clasps)[[lost, lost ^ 1]]
+    size = float(np.linalg.norm(partner))
+    level = np.hypot(*leg[:2])
+    down = np.array([*leg[:2] * leg[2] / level, -level])  # across the leg
+    turns = np.linspace(0.0, np.radians(155.0) + 2.0 * np.arctan2(leg[2], level), 300)[:, None]
+    longer = 1.0 + np.linspace(0.0, size - 0.05, 60)[:, None, None] / np.linalg.norm(leg)
+    swing = clasps[lost] + longer * (np.cos(turns) * leg + np.sin(turns) * down)
+    others = np.delete(hitch.drones, lost, axis=0)[:, None]
+    swing = np.maximum(swing.reshape(-1, 3), [-9.0, -9.0, 0.0])
+    apart = np.min(np.linalg.norm(others - swing, axis=-1)) / 0.24
+    drawn = hitch.drones.copy()
+    drawn[lost ^ 1] -= min(0.36, size - 0.05) / size * partner
+    drawn = np.delete(drawn, lost, axis=0) / [0.24, 0.24, 0.6]
+    between = np.min(np.linalg.norm(drawn[:, None] - drawn, axis=-1) + 9.0 * np.eye(7))
+    found = Reactions(plan.motion).found(team.drone_names[lost], 1.0)
+    assert found.nearest == pytest.approx(min(apart, between), abs=0.02)
+
+
+def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
+    position, velocity = np.array([0.3, -0.2, 1.7]), np.array([0.4, 0.1, 0.6])
+    t, places = free_fall(position, velocity, 0.2)
+    assert places[-1, 2] == pytest.approx(0.2)
+    np.testing.assert_allclose(places[-1, :2], position[:2] + t[-1] * velocity[:2])
+    speeds = velocity - t[:, None] * [0.0, 0.0, GRAVITY]
+    energy = 0.5 * np.sum(speeds**2, axis=-1) + GRAVITY * places[:, 2]
+    np.testing.assert_allclose(energy, energy[0])
+
+
+@pytest.mark.slow
+def test_a_flown_reaction_is_the_plan_and_then_lets_go() -> None:
+    plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).found("r2", TIME)
+    task = Task.of(plan.motion)
+    flown = reacting(task, found)
+    assert 0.0 < np.min(np.diff(flown.t)) <= np.max(np.diff(flown.t)) <= 0.011
+    assert flown.duration == pytest.approx(found.motion.duration)
+    early, places = flown.t < found.begins, flown.setpoints.positions
+    before = task.setpoints.positions[: np.sum(early)]
+    np.testing.assert_allclose(places[early], before, atol=1e-8)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
+    forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
+    np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
+    letting_go = (flown.t > found.begins) & (flown.t < found.begins + LETTING_GO)
+    assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
+    times = found.begins + np.array([0.1, 0.5, 0.9]) * LETTING_GO
+    there = np.interp(times, flown.t, forces[:, 0])
+    np.testing.assert_allclose(there + there[::-1], 0.5, atol=5e-3)  # as fast at first as at last
+    assert np.max(forces[flown.t >= found.begins + LETTING_GO]) == 0.0
+
+
+def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
+    team = ho.Team(4, 2.2, tension=0.5, quadrotor=ho.Quadrotor(max_thrust=1.7))
+    start = ho.Hitch.spread(team, SQUARE, 2.4)
+    with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a thrust"):
+        Reactions(ho.hold(start, 2.0).motion).found("q1", 1.0)
+    for drone, time, words in (("d7", 0.5, "one of q0, r0"), ("q0", 1e3, "ask within the plan")):
+        with pytest.raises(ho.InputError, match=words):
+            Reactions(plan_of(1.0).motion).found(drone, time)
+
+
+@pytest.mark.parametrize("share", [0.49, 0.6533])
+def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
+    """Just then polynomials do not follow the soonest stop closely enough, later they do."""
+    motion = planned("form_triangle").motion
+    assert Reactions(motion).found("q0", share * motion.duration).nearest >= 1.0
+
+
+@pytest.mark.slow
+def test_the_command_line_tells_losses(tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["check", str(plan_of(1.0).save(tmp_path)), "--survivable"])
+    (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
+    assert (shown.exit_code, row.split()[1]) == (0, "1")
+
+
+@pytest.mark.parametrize(("altitude", "share"), [(1.6, 1.0), (2.2, 0.0)])
+def test_no_drone_carries_two(altitude: float, share: float) -> None:
+    """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
+    places = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 2, 0]]) + [0, 0, altitude]
+    team = ho.Team(robots=2, topology="open", cable_length=2.0)
+    phase = ho.Phase("hover", 0, 0.0, 2.0, state=CableState.FREE)
+    hovering = PiecewisePolynomial.constant([0.0, 2.0], places, 7)
+    found, without = survivable(ho.Motion.single(team, Requirements(), hovering, [phase]))
+    assert (found.bound, found.where) == (share, tuple(each.drone for each in without))
+    told = [(each.drone, each.start, each.end) for each in without]
+    assert told == ([] if share else [(name, 0.0, 2.0) for name in team.drone_names])
+    assert all(f"{each.drone} hangs on its partner 0.19" in each.reason for each in without)
+
+
+def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
+    motion = planned("swarms/head_on").motion
+    found, _ = survivable(motion, every=0.5 * motion.duration)
+    assert (found.bound, found.method) == (1.0, "sampled")
+    last = Reactions(motion).found("d0", 1.0).motion.drones
+    assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3
