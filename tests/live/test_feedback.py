@@ -119,7 +119,7 @@ def test_what_is_wrong_is_named() -> None:
     feedback, motion = ho.Feedback(plan), plan.motion
     for key in ("vertices", "drones"):
         with pytest.raises(ho.InputError, match=key):
-            feedback.step(0.0, STEP, **{key: np.zeros((2, 3))})
+            feedback.step(0.0, STEP, **{key: np.zeros((2, 3))})  # type: ignore[arg-type]
     wall = ho.Prism([[5, 5], [5, 6], [6, 6], [6, 5]], 0.0, 1.0)
     need = replace(motion.requirements, keep_out=(wall,))
     with pytest.raises(ho.UnsupportedError, match="keep-outs"):

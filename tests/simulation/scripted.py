@@ -54,7 +54,7 @@ def standing(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 
     there = (np.arange(count) >= since) & formed
     vertices = np.where(there[:, None, None], hitch.vertices, 0.0)
     tensions = np.where(there[:, None], hitch.team.tension, 0.0)
-    given = {"formed": there, "vertices": vertices, "tensions": tensions}
+    given: Any = {"formed": there, "vertices": vertices, "tensions": tensions}
     return replace(hanging_task(hitch.team, still, forces), **given)
 
 

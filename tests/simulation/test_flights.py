@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import RATE, hanging_task, regular_hitch, smooth, standing, world_of
+from scripted import hanging_task, regular_hitch, smooth, standing, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -17,7 +17,7 @@ from hitchopt.simulation.flight import ground_of
 from hitchopt.simulation.judgement import judge, simulate
 from hitchopt.simulation.report import summary
 from hitchopt.simulation.settings import ACCURATE, CALM, FAST, USUAL, Preset, Settings
-from hitchopt.simulation.task import Cargo, Task, read_task
+from hitchopt.simulation.task import RATE, Cargo, Task, read_task
 from hitchopt.values import Array
 
 BRIEF = Settings(pull_test=False)

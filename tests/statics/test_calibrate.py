@@ -35,7 +35,8 @@ K = np.repeat([4.0, 9.0, 4.0], 2)
 POLYGON = np.array([[3.0, -1.1], [2.4, 0.4], [3.5, 0.5]])
 ARC = np.array([[1.0, 0.0], [1.6, 1.0], [2.9, 1.1], [3.6, 0.0]])
 
-Pair, Wind = tuple[ho.Hitch, ho.Hitch], tuple[float, float]
+Pair = tuple[ho.Hitch, ho.Hitch]
+Wind = tuple[float, float]
 
 
 def balanced(
@@ -61,8 +62,11 @@ def balanced(
         forces = energy.forces(at[:, nodes], team.tension[None], used)[0]
         return np.asarray(energy.pulls(forces)[0])
 
-    x = root(lambda x: pulls(x)[many:].ravel(), guess[layout.clasps].ravel(), tol=1e-12).x
-    assert np.max(np.abs(pulls(x)[many:])) < 1e-9
+    def missing(x: Array) -> Array:
+        return pulls(x)[many:].ravel()
+
+    x = root(missing, guess[layout.clasps].ravel(), tol=1e-12).x
+    assert np.max(np.abs(missing(x))) < 1e-9
     points = guess.copy()
     points[layout.anchors] = drones  # a chain's ends
     points[layout.clasps] = x.reshape(-1, 3)
@@ -92,7 +96,7 @@ def recorded(
         rates = rates[np.clip(np.arange(len(t)), moving[0], moving[-1])]
     known = -np.repeat(team.tension, 2)[:, None] * unit(drones - points[:, layout.pulled_to])
     commanded = drones - (forces + [*wind, 0.0] - known) / K[:, None]
-    setpoints = Setpoints(commanded, *[0.0 * drones] * 3, known)
+    setpoints = Setpoints(commanded, 0.0 * drones, 0.0 * drones, 0.0 * drones, known)
     formed, tensions = np.ones(len(t), dtype=np.bool_), np.tile(team.tension, (len(t), 1))
     return Task(team, t, setpoints, formed, points, tensions), Recording(t, drones, points)
 

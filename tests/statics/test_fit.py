@@ -81,9 +81,9 @@ def test_what_rests_is_limited_by_clasps_thrust_and_support(
     """Carried at 1 m/s² the force line from half of the height leans by that over g."""
     monkeypatch.setattr("hitchopt.statics.fit.TABLE_ROBOTS", ())
 
-    def held(most: float = 5.0, **given: float) -> Holding:
+    def held(most: float = 5.0, height: float = 0.3) -> Holding:
         kind = ho.Quadrotor(max_thrust=most)
-        return ho.fit(0.3, 4, cable_length=1.4, tension=1.0, quadrotor=kind, **given).holding
+        return ho.fit(0.3, 4, cable_length=1.4, tension=1.0, quadrotor=kind, height=height).holding
 
     weak, strong = (held(most, height=0.2).rest_capacity for most in (1.9, 5.0))
     assert weak.binding == "thrust"

@@ -44,7 +44,7 @@ def random_hitch(
         outline = ho.ConvexArc(outline.vertices[: n + 1])
     length = outline.edge_lengths + rng.uniform(0.7, 1.1, n)
     kinds = [ho.Quadrotor(0.1 + 0.01 * k, 2.6, stiffness * (1.0 + 0.1 * k)) for k in range(n)]
-    given = {"topology": topology, "cable_density": density, "quadrotor": kinds}
+    given: Any = {"topology": topology, "cable_density": density, "quadrotor": kinds}
     team = ho.Team(n, length, tension=rng.uniform(0.45, 0.55, n), **given)
     slack = length - outline.edge_lengths
     legs = team.layout.q_legs_of(slack * rng.uniform(0.35, 0.65, n), slack)
