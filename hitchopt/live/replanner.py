@@ -52,8 +52,8 @@ WAITS = (0.0, 0.05, 0.1, 0.2, 0.4)  # how long the old plan is flown on first [s
 # shift where they are no shorter, so that a cable's length is right within 1e-6 of it; least number
 PIECE, PIECES, FEWEST = 0.3, 10, 4
 
-# Whether the slack is split anew; factors of a shift's duration, and of its pieces' lengths
-ATTEMPTS = ((False, 1.0, 1.0), (False, 1.1, 0.5), (True, 1.1, 0.5))
+# Factors of a shift's duration, and of its pieces' lengths: of distances neither changes much
+ATTEMPTS = ((1.0, 1.0), (1.1, 0.5))
 
 JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, the zeroth included
 BRAKES = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # durations of the brake that are tried [s]
@@ -158,7 +158,7 @@ class Replanner(OneLine):
             self._limits = replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
         self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # loads the solver before the first goal is given
-            self._end(self._goal.polygon, self._goal.altitude, chosen=True)
+            self._end(self._goal.polygon, self._goal.altitude)
         if not self._certificate.certified:
             raise infeasible(self._certificate, self.motion)
 
@@ -255,40 +255,38 @@ class Replanner(OneLine):
         if brake is None:
             raise NotNowError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
         recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
+        end = self._end(outline, altitude)
+        path = RetargetPath.to(past.team, still.state, end, yaw)
+        shortest = path.shortest_shift(self._limits, brake)
+        if shortest is None:
+            raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
         refusal: InfeasibleError | None = None
-        for chosen, slower, finer in ATTEMPTS:
-            try:
-                end = self._end(outline, altitude, chosen=chosen)
-                path = RetargetPath.to(past.team, still.state, end, yaw)
-                shift = path.shortest_shift(self._limits, brake)
-                if shift is None:
-                    raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
-                phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, slower * shift))
-                breaks = _breaks(brake if path.state.moves else 0.0, slower * shift, finer)
-                flight = path.flight(breaks, brake, slower * shift)
-                fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
-                ahead = followed(recent, fresh)
-                found = _certificate(ahead)
-                if found.certified:
-                    motion = followed(past, fresh)
-                    return Retarget(True, past.duration, motion, ahead, found), end
-                raise infeasible(found, ahead)
-            except InfeasibleError as error:
-                refusal = refusal or error
+        for slower, finer in ATTEMPTS:
+            shift = slower * shortest
+            phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
+            breaks = _breaks(brake if path.state.moves else 0.0, shift, finer)
+            flight = path.flight(breaks, brake, shift)
+            fresh = beside_objects(past, flying(flight, path.team, self.requirements, [phase]))
+            ahead = followed(recent, fresh)
+            found = _certificate(ahead)
+            if found.certified:
+                return Retarget(True, past.duration, followed(past, fresh), ahead, found), end
+            refusal = refusal or infeasible(found, ahead)
         assert refusal is not None
         raise refusal
 
-    def _end(self, outline: Outline, altitude: float, *, chosen: bool) -> Hitch:
-        """Return the hitch of a goal: with the present split of the slack, or one within limits."""
+    def _end(self, outline: Outline, altitude: float) -> Hitch:
+        """Return the hitch of a goal: the present split of the slack if it keeps all distances.
+
+        Else the nearest one that does. A longer shift would not help: only the certificate of what
+        is flown takes long.
+        """
         team, need = self.motion.team, self.requirements
         slack = cable_slack(team, outline)
-        q_legs = self._goal.fractions * slack
-        if chosen:
-            wanted = team.layout.q_legs_of(q_legs, slack)[None]
-            shortest = LIMIT_MARGIN * need.limits.leg
-            task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
-            q_legs = split_slack(task, first=True).q_legs[0]
-        return Hitch(team, outline, altitude, q_legs)
+        wanted = team.layout.q_legs_of(self._goal.fractions * slack, slack)[None]
+        shortest = LIMIT_MARGIN * need.limits.leg
+        task = LegTask(team, need, outline.vertices[None], wanted, shortest, LIMIT_MARGIN)
+        return Hitch(team, outline, altitude, split_slack(task, first=True).q_legs[0])
 
     def _past(self, at: float) -> Motion:
         """Return the present plan until a time, resting after its end."""

@@ -108,14 +108,12 @@ def test_a_turn_that_has_hardly_begun_is_finished_on_the_way_to_the_next_goal() 
     assert np.min(radii) > 1.29
 
 
-def test_a_goal_that_brings_drones_too_near_gets_another_split_of_the_slack() -> None:
-    """The nearest to the present one: drones of the shortest leg are just far enough apart."""
-    middle = ho.Hitch.balanced(ho.Team(3, 2.4), TRIANGLE, 1.0)
-    start = ho.Hitch(middle.team, TRIANGLE, 1.0, middle.slack * [0.25, 0.5, 0.5])
-    replanner = ho.Replanner(start.team, start)
-    wide = 1.1 * (TRIANGLE - [1.0, 2.0]) + [1.0, 2.0]
-    assert replanner.retarget(wide, at=0.5).accepted
-    assert replanner.goal.q_legs[0] / replanner.goal.slack[0] > 0.26
+def test_a_leg_that_would_be_too_short_at_the_goal_is_as_long_as_it_may_be() -> None:
+    outline, team = ho.regular_polygon(3, 1.3).vertices, ho.Team(3, 2.4)
+    replanner = ho.Replanner(team, ho.Hitch(team, outline, 1.0, [0.19, 0.55, 0.55]))
+    answer = replanner.retarget(1.2 * outline, at=0.5)
+    assert answer.accepted, answer.reason
+    np.testing.assert_allclose(replanner.goal.q_legs, [0.15, 0.42, 0.42], atol=1e-3)
 
 
 def test_what_cannot_be_steered_is_refused() -> None:
