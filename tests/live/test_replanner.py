@@ -108,7 +108,7 @@ def test_a_turn_that_has_hardly_begun_is_finished_on_the_way_to_the_next_goal() 
     assert np.min(radii) > 1.29
 
 
-def test_a_leg_that_would_be_too_short_at_the_goal_is_as_long_as_it_may_be() -> None:
+def test_a_leg_that_would_be_too_short_at_the_goal_gets_another_split() -> None:
     outline, team = ho.regular_polygon(3, 1.3).vertices, ho.Team(3, 2.4)
     replanner = ho.Replanner(team, ho.Hitch(team, outline, 1.0, [0.19, 0.55, 0.55]))
     answer = replanner.retarget(1.2 * outline, at=0.5)
