@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
@@ -23,11 +24,12 @@ def world_of(
     *lengths: float,
     preset: Preset = FAST,
     friction: float = 0.1,
+    mass: ArrayLike = 0.13,
     objects: dict[str, SolidObject] | None = None,
 ) -> World:
     """Return the world of straight cables of some lengths [m], 10 g/m, and objects."""
     ropes = Ropes(np.array(lengths), 0.01, friction, preset)
-    return World(ropes, np.full(2 * len(lengths), 0.13), 0.0, objects or {})
+    return World(ropes, np.broadcast_to(mass, 2 * len(lengths)), 0.0, objects or {})
 
 
 def smooth(x: Array) -> Array:

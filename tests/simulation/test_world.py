@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,30 +15,17 @@ from scripted import hanging_task, world_of
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
 from hitchopt.simulation import control
+from hitchopt.simulation import world as worlds
 from hitchopt.simulation.contacts import touching
 from hitchopt.simulation.control import ATTITUDE_GAIN, RATE_GAIN, Disturbances, Drift, PositionGains
 from hitchopt.simulation.judgement import simulate
 from hitchopt.simulation.ropes import Ropes, clasped, hanging
-from hitchopt.simulation.settings import (
-    ACCURATE,
-    CALM,
-    FAST,
-    USUAL,
-    Perturbations,
-    Preset,
-    Settings,
-)
+from hitchopt.simulation.settings import ACCURATE, CALM, USUAL, Perturbations, Preset, Settings
 from hitchopt.simulation.task import Setpoints
-from hitchopt.simulation.world import (
-    BODY_HALF_HEIGHT,
-    BODY_RADIUS,
-    MOST_STRAIN,
-    InvalidRunError,
-    World,
-    check_valid,
-)
+from hitchopt.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
 from hitchopt.values import Array
 
+Text = pytest.CaptureFixture[str]
 PLACES = np.array([[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 2.0, 3.0], [1.0, 2.0, 3.0]])
 WEIGHT = 9.81 * 0.1375  # Of a drone and half of its cable [N]
 INERTIA = np.array([[1.6e-4, 1.7e-4, 2.7e-4], [2.0e-4, 2.1e-4, 3.0e-4]])
@@ -46,12 +34,17 @@ WOUND = ho.Quadrotor(mass=0.13, max_thrust=2.0, stiffness=4.0, integral=True)
 TEAM = ho.Team(2, 1.5, topology="open", quadrotor=[WOUND, DEAF])
 
 
+def hung(drones: Array = PLACES, **given: Any) -> World:
+    """Return two cables that hang between four drones."""
+    world = world_of(1.5, 1.5, **given)
+    world.place(hanging(world.ropes, drones, 0.0))
+    return world
+
+
 def pilots(lag: float = 0.0) -> tuple[control.Pilots, World]:
     """Return drones that hover upright with two hanging cables."""
-    ropes = Ropes(np.array([1.5, 1.5]), 0.01, 0.1, FAST)
-    world = World(ropes, TEAM.mass, 0.0, {})
-    world.place(hanging(ropes, PLACES, 0.0))
-    return control.Pilots(world, TEAM, Settings(perturbations=replace(CALM, lag=lag))), world
+    world, disturbed = hung(mass=TEAM.mass), Settings(perturbations=replace(CALM, lag=lag))
+    return control.Pilots(world, TEAM, disturbed), world
 
 
 def test_the_thrust_is_that_of_the_law() -> None:
@@ -202,13 +195,6 @@ def test_the_teams_stiffness_is_used_and_an_option_replaces_it(
     np.testing.assert_array_equal(gains.feed_forward, [True] * 4 + [False] * 2)
 
 
-def hung(drones: Array = PLACES, preset: Preset = FAST) -> World:
-    """Return two cables that hang between four drones."""
-    world = world_of(1.5, 1.5, preset=preset)
-    world.place(hanging(world.ropes, drones, 0.0))
-    return world
-
-
 @pytest.mark.slow
 def test_ropes_that_become_firmer_do_not_jerk() -> None:
     """What they have yielded under their tension is not to pull at once when steps are refined."""
@@ -233,20 +219,14 @@ def test_ropes_that_become_firmer_do_not_jerk() -> None:
     ],
 )
 def test_what_leaves_its_range_ends_the_run_and_writes_nothing(
-    place: Path,
-    capfd: pytest.CaptureFixture[str],
-    pull: float,
-    shift: float,
-    steps: int,
-    words: str,
-    where: str,
+    place: Path, capfd: Text, pull: float, shift: float, steps: int, words: str, where: str
 ) -> None:
     world = hung()
     if shift:
         world.place([world.cables[0].copy(), world.cables[0] + [0.0, shift, 0.0]])
     world.data.xfrc_applied[world.drone_bodies, 2] = WEIGHT
     world.data.xfrc_applied[world.drone_bodies[2:], 0] = [-pull, pull]
-    with pytest.raises(InvalidRunError, match=words) as caught:  # noqa: PT012
+    with pytest.raises(worlds.InvalidRunError, match=words) as caught:  # noqa: PT012
         for _ in range(steps):
             world.step()
             check_valid(world, 0.25)
@@ -274,8 +254,8 @@ def test_a_rope_picked_up_from_the_ground_is_valid_since_its_lengths_answer_fast
             assert world.data.time == pytest.approx(5 * step * (k + 1))
         assert np.min(world.nodes[:, 2]) > 0.1  # all of it has left the ground
         lifted.append(worst)
-    assert lifted[0] > 1.3 * MOST_STRAIN
-    assert lifted[1] < 0.8 * MOST_STRAIN
+    assert lifted[0] > 1.3 * worlds.MOST_STRAIN
+    assert lifted[1] < 0.8 * worlds.MOST_STRAIN
 
 
 @pytest.mark.parametrize("depth", [1.5, 3.0])
