@@ -13,7 +13,6 @@ from hitchopt.live.feedback import LARGEST, Cell, cells_of, vertex_responses
 from hitchopt.values import Array
 
 STEP = 0.01
-DELAYED = 5
 STIFF = np.full(6, 4.75)
 START = ho.Hitch.spread(ho.Team(3, 2.4), [[1.0, 1.0], [0.6, 2.5], [1.4, 2.5]], 1.0)
 
@@ -38,7 +37,7 @@ def test_a_constant_error_is_taken_away_while_vertices_move() -> None:
         forward = responses[min(int(time / plan.duration * 100), 99)][0]
         moved += STEP / 0.4 * ((forward @ before.ravel()).reshape(-1, 3) - moved)
         seen.append(plan.at(time).vertices + off + moved)
-        vertices = seen[max(i - DELAYED, 0)] + rng.normal(0.0, 0.01, off.shape)
+        vertices = seen[max(i - 5, 0)] + rng.normal(0.0, 0.01, off.shape)
         feedback.step(time, STEP, vertices)
         assert np.max(np.linalg.norm(feedback.offsets - before, axis=-1)) <= 0.1 * STEP + 1e-9
         sizes.append(np.linalg.norm(off + moved, axis=-1).mean())
@@ -53,18 +52,17 @@ def test_vertices_that_rest_in_their_places_change_nothing() -> None:
         for time in np.linspace(first, last, 40):
             states = plan.at(time)
             here = feedback.step(float(time), STEP, states.vertices, states.positions)
-            np.testing.assert_allclose(here.positions, states.positions, atol=1e-8)
-            np.testing.assert_allclose(here.velocities, states.velocities, atol=1e-6)
-            np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-6)
+            for name, atol in (("positions", 1e-8), ("velocities", 1e-6), ("accelerations", 1e-6)):
+                np.testing.assert_allclose(getattr(here, name), getattr(states, name), atol=atol)
 
 
 def test_setpoints_lead_vertices_that_move_as_planned() -> None:
     """By 0.4 s, as far as the damped response moves them: friction is to be overcome first."""
-    plan, feedback = plan_of(), ho.Feedback(plan_of(), delay=0.0)
+    motion, feedback = plan_of().motion, ho.Feedback(plan_of(), delay=0.0)
     for time in np.arange(4.0, 5.0, STEP).tolist():
-        feedback.step(time, STEP, plan.at(time).vertices)
-    speeds = plan.motion.vertices.at(5.0, 1).ravel()
-    ((forward, inverse),) = vertex_responses(plan.motion, 5.0, 36.0 * plan.motion.team.mass)
+        feedback.step(time, STEP, motion.vertices.at(time))
+    speeds = motion.vertices.at(5.0, 1).ravel()
+    ((forward, inverse),) = vertex_responses(motion, 5.0, 36.0 * motion.team.mass)
     led = inverse @ (0.4 * speeds)
     assert np.linalg.norm(feedback.offsets.ravel() - led) < 0.1 * np.linalg.norm(led)
     assert forward @ led @ speeds > 0.0
@@ -72,9 +70,9 @@ def test_setpoints_lead_vertices_that_move_as_planned() -> None:
 
 def test_missing_or_false_measurements_let_corrections_fade() -> None:
     plan, feedback = plan_of(), ho.Feedback(plan_of(), delay=0.0)
-    feedback.step(0.2, STEP, plan.at(0.0).vertices + [5.0, 0.0, 0.0])
-    assert np.all(feedback.offsets == 0.0)
     sizes, there = list[float](), plan.at(0.0).vertices
+    feedback.step(0.2, STEP, there + [5.0, 0.0, 0.0])
+    assert np.all(feedback.offsets == 0.0)
     for seen, steps in ((-0.05, 300), (np.nan, 100), (None, 1200)):
         vertices = None if seen is None else there + [0.0, 0.0, seen]
         for _ in range(steps):
