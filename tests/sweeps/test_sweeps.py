@@ -15,12 +15,11 @@ import numpy as np
 import pandas
 import pytest
 from click.testing import CliRunner
-from scipy.stats import norm
 
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
-from hitchopt.sweeps.sweep import ROWS, Share, load_sweep, summary, write_row
+from hitchopt.sweeps.sweep import ROWS, load_sweep, summary, write_row
 from hitchopt.sweeps.work import SETTINGS, row_of
 
 PROBLEM: dict[str, Any] = {
@@ -226,13 +225,6 @@ def test_a_scheduler_that_is_not_there_is_refused(
 def test_a_limit_of_time_is_a_row() -> None:
     (case,) = study_from_dict({"problem": PROBLEM, "limit": 1e-6}).cases()
     assert row_of(case, "")["status"] == "time limit"
-
-
-def test_shares_have_wilsons_interval() -> None:
-    z, p, n = norm.ppf(0.975), 4 / 6, 6
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
-    assert Share(4, 6).interval == pytest.approx((middle - half, middle + half))
 
 
 @pytest.mark.slow
