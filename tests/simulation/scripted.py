@@ -60,10 +60,10 @@ def standing(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 
     return replace(hanging_task(hitch.team, still, forces), **given)
 
 
-def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
+def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:
     """Return a regular hitch with legs of 0.5 m."""
     given = {"tension": 0.5, "cable_density": 0.01, "cable_friction": 0.1, **of_team}
-    team = Team(n, edge + 1.0, **given)  # type: ignore[arg-type]
+    team = Team(n, edge + 1.0, **given)
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
 
 
