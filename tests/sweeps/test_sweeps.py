@@ -45,6 +45,8 @@ def test_values_are_set_in_a_copy() -> None:
     made: Any = with_values(PROBLEM, {"team.tension": 0.3, "mission[0].morph.duration": 9.0})
     assert made["team"] == {**PROBLEM["team"], "tension": 0.3}
     assert made["mission"][0]["morph"] == {**PROBLEM["mission"][0]["morph"], "duration": 9.0}
+    assert "tension" not in PROBLEM["team"]
+    assert "duration" not in PROBLEM["mission"][0]["morph"]
     assert with_values(PROBLEM, {"limits.speed": 2})["limits"] == {"speed": 2}
     wrong = "mission[1].hold mission.morph team.robots.x team[0] team..x mission[0]x"
     for key in wrong.split():
