@@ -133,16 +133,11 @@ def _statics_tables(content: dict[str, Any]) -> str:
     """
     --plan DIR (path): Plan flown; else where RECORDING lies.
     -o, --output FILE (path): Team with the estimates (YAML).
-    --picture FILE (path): Recording and plan, .png or .pdf.
     --density KG/M (float): Cable density, as weighed.
     """,
 )
 def calibrate(
-    recording: Path,
-    plan: Path | None,
-    output: Path | None,
-    picture: Path | None,
-    density: float | None,
+    recording: Path, plan: Path | None, output: Path | None, density: float | None
 ) -> None:
     """Estimate cable lengths, stiffness and friction from a recorded flight.
 
@@ -151,7 +146,7 @@ def calibrate(
     come with standard errors, and what the recording does not determine is said so. Distances to
     the plan are in three dimensions.
     """
-    from hitchopt.statics.files import save_calibration_picture, save_team
+    from hitchopt.statics.files import save_team
 
     place = None if plan is None else plan_path(plan).parent
     with ProgressBar("estimating"):
@@ -165,9 +160,6 @@ def calibrate(
     if output is not None:
         save_team(output, found)
         say(f"the team is in {output}")
-    if picture is not None:
-        save_calibration_picture(picture, found)
-        say(f"the picture is {picture}")
 
 
 def _calibration_tables(found: ho.Calibration) -> str:

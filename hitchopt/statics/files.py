@@ -27,14 +27,13 @@ from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, new_figure, 
 STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
 # Widths and heights [inch]
-STATICS_SIZE, FLIGHT_SIZE, FIT_SIZE = (10.0, 4.8), (11.0, 5.0), (12.0, 4.6)
+STATICS_SIZE, FIT_SIZE = (10.0, 4.8), (12.0, 4.6)
 
 # Lines of the plan, and points of a circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 
-# Times at which vertices are drawn, and most curves for which a legend has space
-DRAWN_TIMES, LABELLED = 3, 12
+DRAWN_TIMES = 3  # Times at which vertices are drawn
 
 
 def save_statics(directory: Path, settled: Settled, ranges: Tolerance | None) -> Path:
@@ -163,35 +162,6 @@ def team_text(calibration: Calibration) -> str:
 def _yaml(value: object) -> str:
     """Return a value in YAML."""
     return json.dumps(value, default=lambda array: np.round(array, 9).tolist())
-
-
-def save_calibration_picture(path: Path, calibration: Calibration) -> None:
-    """Draw where drones and vertices were and should have been, and how far they were off."""
-    task, recording, team = calibration.task, calibration.recording, calibration.task.team
-    seen = np.isfinite(calibration.vertex_errors).all(axis=1)
-    figure = new_figure(FLIGHT_SIZE)
-    above, *right = (figure.add_subplot(1, 2, 1), *(figure.add_subplot(2, 2, k) for k in (2, 4)))
-    for places, style in (
-        (task.setpoints.positions, {"color": "0.75", "lw": 0.8}),
-        (recording.drones, {"color": "0.35", "lw": 0.8}),
-        (task.vertices[task.formed], {"color": INK, "lw": 0.9, "ls": ":"}),
-        (recording.vertices[seen], {"lw": 1.2}),
-    ):
-        above.plot(places[..., 0], places[..., 1], **style)
-    for name, point in zip(team.point_names, recording.vertices[seen][-1], strict=True):
-        above.text(float(point[0]), float(point[1]), name, fontsize=8)
-    above.set(xlabel="x [m]", ylabel="y [m]", title="recorded; dotted and pale: the plan")
-    above.set_aspect("equal", "datalim")
-    for axes, errors, names, label in (
-        (right[0], calibration.vertex_errors, team.point_names, "vertex error [cm]"),
-        (right[1], calibration.drone_errors, team.drone_names, "drone to set point [cm]"),
-    ):
-        axes.plot(recording.t, 100.0 * errors, lw=0.9, label=names)
-        if len(names) <= LABELLED:
-            axes.legend(fontsize=7, ncols=3)
-        axes.set(ylabel=label, xlabel="t [s]")
-        axes.grid(alpha=0.3)
-    save_figure(figure, path)
 
 
 def save_fit(directory: Path, fit: Fit) -> None:

@@ -1,4 +1,4 @@
-"""Aborts: the plan until the command's stop, then a certified continuation to rest."""
+"""Aborts end in rest as commands say; survivors of a lost drone let go and sink, clear of it."""
 
 from __future__ import annotations
 
@@ -15,92 +15,100 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
-from hitchopt.geometry import regular_polygon
-from hitchopt.live.abort import Abort, Aborts, abort_table
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.live.abort import Aborts, abort_table
+from hitchopt.live.lost import DELAY, LETTING_GO, Reactions, free_fall, reacting, survivable
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import read_plan
+from hitchopt.simulation.task import Task
+from hitchopt.trajectory import PiecewisePolynomial
+
+UNFORMED = "untied", "swarms/head_on"
 
 
 @cache
-def aborts_of(stem: str) -> Aborts:
-    return Aborts(planned(stem).motion)
+def aborts_of(name: str) -> Aborts:
+    """Aborts of a problem's plan, of a release, or of legs that are rolled, or lean."""
+    if name == "untied":
+        start = ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]])
+        return Aborts(ho.release(start).motion)
+    if name == "rolled":  # what cables weigh on a clasp depends on its roll
+        team, roll = (
+            ho.Team(5, 2.2, tension=0.8, cable_density=0.01, load=0.01),
+            [10, 35, 0, -15, 20],
+        )
+        corners = ho.regular_polygon(5, 1.0)
+        start = ho.Hitch(team, corners, 1.5, np.full(5, 0.6), np.radians(roll))
+        return Aborts(ho.transport(start, to=[0.5, 0.0, 1.5]).motion)
+    if name == "leaning":
+        team = ho.Team(4, 2.2, cable_friction=0.1)
+        start = ho.Hitch.balanced(team, ho.regular_polygon(4, 1.0), 1.5)
+        slow = ho.Limits(speed=0.06)
+        return Aborts(ho.move_vertex(start, 0, by=[0.1, 0.1], limits=slow).motion)
+    return Aborts(planned(name).motion)
 
 
-def check_abort(aborts: Aborts, time: float, how: str) -> Abort:
-    """It is certified, the plan until it begins, and ends at rest, on the ground if it lands."""
-    found, plan = aborts.found(time, how), aborts.motion
+@pytest.mark.parametrize(
+    ("name", "share", "how"),
+    [
+        *(("triangle", 0.31, how) for how in ("hold", "land", "release_and_land")),
+        ("form_triangle", 0.97, "back"),
+        ("form_triangle", CableState.CLASPING, "hold"),
+        ("form_triangle", CableState.TIGHTENING, "hold"),
+        ("swarms/head_on", 0.4, "land"),
+        ("untied", 0.8, "land"),  # the last swap goes on to its end, wherever the clock has stopped
+        ("rolled", 0.1, "land"),
+        ("leaning", 0.2, "land"),
+        ("leaning", 0.2, "release_and_land"),
+    ],
+)
+def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, how: str) -> None:
+    plan = aborts_of(name).motion
+    if isinstance(share, CableState):
+        phase = next(p for p in plan.phases if p.state is share)
+        share = (phase.start + 0.3 * (phase.end - phase.start)) / plan.duration
+    found = aborts_of(name).found(share * plan.duration, how)
     whole = found.motion
     assert found.certificate.certified
     assert certify(whole, reports=()).certified
-    assert found.start >= time
+    assert found.start >= share * plan.duration
     until = np.linspace(0.0, min(found.start, plan.duration), 9)
     np.testing.assert_allclose(whole.drones.at(until), plan.drones.at(until), atol=1e-12)
     np.testing.assert_allclose(whole.drones.at(until, 2), plan.drones.at(until, 2), atol=1e-7)
     stopped = whole.drones.at(min(found.start + found.seconds, whole.duration))
     np.testing.assert_allclose(stopped, plan.drones.at(found.rest), atol=1e-9)
     assert np.max(np.abs(whole.drones.at(whole.duration, 1))) <= 1e-9
-    lowest = np.min(whole.drones.at(whole.duration)[:, 2])
-    assert how in ("hold", "back") or lowest == pytest.approx(0.0, abs=1e-9)
-    return found
-
-
-def test_a_hitch_is_held_lowered_and_untied() -> None:
-    aborts = aborts_of("triangle")
-    time = 0.31 * aborts.motion.duration
-    held = check_abort(aborts, time, "hold")
-    there = held.motion.drones
-    at_rest = aborts.motion.drones.at(held.rest)
-    np.testing.assert_allclose(there.at(there.duration), at_rest, atol=1e-12)
-    for how in ("land", "release_and_land"):
-        assert check_abort(aborts, time, how).motion.phases[-1].formed == (how == "land")
-    with pytest.raises(ho.InfeasibleError, match="have not hung free before"):
-        aborts.found(time, "back")
-
-
-def test_going_back_unties_what_was_tied() -> None:
-    aborts = aborts_of("form_triangle")
-    free = next(p for p in reversed(aborts.motion.phases) if p.state is CableState.FREE)
-    found = check_abort(aborts, aborts.motion.duration - 0.5, "back").motion
-    assert found.phases[-1].state is CableState.FREE
-    there = aborts.motion.drones.at(free.end)
-    np.testing.assert_allclose(found.drones.at(found.duration), there, atol=1e-9)
-
-
-@pytest.mark.parametrize("state", [CableState.CLASPING, CableState.TIGHTENING])
-def test_while_a_hitch_is_tied_every_command_ends_in_rest(state: CableState) -> None:
-    aborts = aborts_of("form_triangle")
-    phase = next(p for p in aborts.motion.phases if p.state is state)
-    check_abort(aborts, phase.start + 0.3 * (phase.end - phase.start), "hold")
-
-
-def test_drones_land_where_a_hitch_is_untied() -> None:
-    """A command in the last swap lets it go on to its end, wherever the clock has stopped."""
-    plan = ho.release(ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]]))
-    found = check_abort(Aborts(plan.motion), 0.8 * plan.duration, "land")
-    assert found.rest < 0.9 * plan.duration
-    there, end = (each.drones.at(each.duration)[:, :2] for each in (found.motion, plan.motion))
-    np.testing.assert_allclose(there, end, atol=1e-9)
+    end, last, free = whole.drones.at(whole.duration), whole.phases[-1], CableState.FREE
+    if how in ("hold", "back"):
+        at = [found.rest] if how == "hold" else [p.end for p in plan.phases if p.state is free]
+        np.testing.assert_allclose(end, plan.drones.at(at[-1]), atol=1e-9)
+        assert how == "hold" or last.state is free
+    else:
+        assert np.min(end[:, 2]) == pytest.approx(0.0, abs=1e-9)
+        assert last.formed == (how == "land" and name not in UNFORMED)
+    if name == "untied":
+        assert found.rest < 0.9 * plan.duration
+        np.testing.assert_allclose(end[:, :2], plan.drones.at(plan.duration)[:, :2], atol=1e-9)
+    if name == "leaning":  # they stand straight where the plan rests
+        assert (found.start, found.seconds) == (plan.duration, 0.0)
 
 
 def test_no_rest_while_tensions_rise() -> None:
-    aborts = aborts_of("form_triangle")
-    motion, last = aborts.motion, aborts.motion.phases[-1]
+    motion, last = aborts_of("form_triangle").motion, aborts_of("form_triangle").motion.phases[-1]
     assert np.ptp(motion.tensions.at(np.array([last.start, last.end]))) > 0.1
-    found = check_abort(aborts, last.start + 0.3, "hold")
+    found = aborts_of("form_triangle").found(last.start + 0.3, "hold")
     assert (found.rest, found.seconds) == (motion.duration, 0.0)
 
 
-def test_single_drones_land_where_they_stop() -> None:
-    """Those of a stack end above each other: they can land only until they pass each other."""
-    aborts = aborts_of("swarms/head_on")
-    check_abort(aborts, 0.4 * aborts.motion.duration, "land")
+def test_what_cannot_be_is_refused() -> None:
+    """Drones of a stack end above each other: they can land only until they pass each other."""
     table = abort_table(aborts_of("swarms/stack").motion, "land", 0.5)
     assert table.missing == [(table.entries[-1].start, table.end)]
     with pytest.raises(ho.InfeasibleError, match="separation"):
         aborts_of("swarms/stack").found(2.2, "land")
-
-
-def test_wrong_arguments_are_named() -> None:
+    with pytest.raises(ho.InfeasibleError, match="have not hung free before"):
+        aborts_of("triangle").found(1.0, "back")
     for time, how, key in ((-1.0, "hold", "t"), (1e3, "hold", "t"), (0.1, "stay", "how")):
         with pytest.raises(ho.InputError, match=f"^{key} "):
             aborts_of("triangle").found(time, how)
@@ -127,18 +135,133 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
         assert motion.duration == pytest.approx(entry["ends"])
 
 
-def test_legs_that_lean_against_friction_stand_straight_where_the_plan_rests() -> None:
-    team = ho.Team(4, 2.2, cable_friction=0.1)
-    start = ho.Hitch.balanced(team, regular_polygon(4, 1.0).vertices, 1.5)
-    plan = ho.move_vertex(start, 0, by=[0.1, 0.1], limits=ho.Limits(speed=0.06))
-    for how in ("land", "release_and_land"):
-        found = check_abort(Aborts(plan.motion), 0.2 * plan.duration, how)
-        assert (found.start, found.seconds) == (plan.duration, 0.0)
+TIME = 0.8
+SQUARE = ho.regular_polygon(4, 1.0)
 
 
-def test_heavy_hitches_on_rolled_legs_land() -> None:
-    """What cables weigh on a clasp depends on its roll, which is found again at rest."""
-    team = ho.Team(5, 2.2, tension=0.8, cable_density=0.01, load=0.01)
-    roll = np.radians([10.0, 35.0, 0.0, -15.0, 20.0])
-    hitch = ho.Hitch(team, regular_polygon(5, 1.0).vertices, 1.5, np.full(5, 0.6), roll)
-    check_abort(Aborts(ho.transport(hitch, to=[0.5, 0.0, 1.5]).motion), 0.4, "land")
+@cache
+def plan_of(altitude: float) -> ho.Plan:
+    start = ho.Hitch.spread(ho.Team(4, 2.2, tension=0.5), SQUARE, altitude)
+    return ho.transport(start, to=[0.7, 0.3, altitude])
+
+
+@pytest.mark.parametrize("altitude", [1.0, 2.4])
+def test_survivors_sink_as_a_whole(altitude: float) -> None:
+    plan, found = plan_of(altitude), Reactions(plan_of(altitude).motion).found("q1", TIME)
+    motion, limits = found.motion, plan.motion.requirements.limits
+    t = np.linspace(0.0, motion.duration, 2001)
+    places, before = motion.drones.at(t), t <= TIME + DELAY
+    assert found.begins == pytest.approx(TIME + DELAY)
+    np.testing.assert_allclose(places[before], plan.at(t[before]).positions, atol=1e-9)
+    every = np.concatenate([places, motion.vertices.at(t)], axis=1)
+    shape = every - every[:, :1]
+    np.testing.assert_allclose(shape, np.broadcast_to(shape[0], shape.shape), atol=1e-6)
+    for order, limit in ((1, limits.speed), (2, limits.acceleration), (3, limits.jerk)):
+        assert np.max(np.linalg.norm(motion.drones.at(t, order), axis=-1)) <= limit + 1e-6
+    assert np.min(places[-1, :, 2]) == pytest.approx(0.0, abs=1e-9)
+    assert np.max(np.abs(motion.drones.at(t[-1], 1))) <= 1e-9
+
+
+@pytest.mark.parametrize("lost", [0, 3, 5, 6])
+def test_survivors_keep_off_the_swing_of_the_lost_drone(lost: int) -> None:
+    """Turned about its clasp in its vertical plane, its cable longer by what its partner gives."""
+    team = ho.Team(4, 2.3, tension=0.5)
+    polygon = ho.regular_polygon(4, 0.9).vertices + [1.0, 2.0]
+    hitch = ho.Hitch.balanced(team, polygon, 1.6, np.radians([20.0, -15.0, 10.0, -25.0]))
+    hitch = ho.Hitch(team, polygon, 1.6, hitch.slack * [0.4, 0.47, 0.53, 0.6], hitch.roll)
+    plan = ho.hold(hitch, 2.0)
+    clasps = hitch.vertices[team.layout.pulled_to]
+    leg, partner = (hitch.drones - clasps)[[lost, lost ^ 1]]
+    size = float(np.linalg.norm(partner))
+    level = np.hypot(*leg[:2])
+    down = np.array([*leg[:2] * leg[2] / level, -level])  # across the leg
+    turns = np.linspace(0.0, np.radians(155.0) + 2.0 * np.arctan2(leg[2], level), 300)[:, None]
+    longer = 1.0 + np.linspace(0.0, size - 0.05, 60)[:, None, None] / np.linalg.norm(leg)
+    swing = clasps[lost] + longer * (np.cos(turns) * leg + np.sin(turns) * down)
+    others = np.delete(hitch.drones, lost, axis=0)[:, None]
+    swing = np.maximum(swing.reshape(-1, 3), [-9.0, -9.0, 0.0])
+    apart = np.min(np.linalg.norm(others - swing, axis=-1)) / 0.24
+    drawn = hitch.drones.copy()
+    drawn[lost ^ 1] -= min(0.36, size - 0.05) / size * partner
+    drawn = np.delete(drawn, lost, axis=0) / [0.24, 0.24, 0.6]
+    between = np.min(np.linalg.norm(drawn[:, None] - drawn, axis=-1) + 9.0 * np.eye(7))
+    found = Reactions(plan.motion).found(team.drone_names[lost], 1.0)
+    assert found.nearest == pytest.approx(min(apart, between), abs=0.02)
+
+
+def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
+    position, velocity = np.array([0.3, -0.2, 1.7]), np.array([0.4, 0.1, 0.6])
+    t, places = free_fall(position, velocity, 0.2)
+    assert places[-1, 2] == pytest.approx(0.2)
+    np.testing.assert_allclose(places[-1, :2], position[:2] + t[-1] * velocity[:2])
+    speeds = velocity - t[:, None] * [0.0, 0.0, GRAVITY]
+    energy = 0.5 * np.sum(speeds**2, axis=-1) + GRAVITY * places[:, 2]
+    np.testing.assert_allclose(energy, energy[0])
+
+
+@pytest.mark.slow
+def test_a_flown_reaction_is_the_plan_and_then_lets_go() -> None:
+    plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).found("r2", TIME)
+    task = Task.of(plan.motion)
+    flown = reacting(task, found)
+    assert 0.0 < np.min(np.diff(flown.t)) <= np.max(np.diff(flown.t)) <= 0.011
+    assert flown.duration == pytest.approx(found.motion.duration)
+    early, places = flown.t < found.begins, flown.setpoints.positions
+    before = task.setpoints.positions[: np.sum(early)]
+    np.testing.assert_allclose(places[early], before, atol=1e-8)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1)
+    assert np.max(steps / np.diff(flown.t)[:, None]) <= 1.0 + 1e-3
+    forces = np.linalg.norm(flown.setpoints.cable_forces, axis=-1)
+    np.testing.assert_allclose(forces[early], 0.5, atol=1e-3)
+    letting_go = (flown.t > found.begins) & (flown.t < found.begins + LETTING_GO)
+    assert np.all(np.diff(forces[letting_go], axis=0) < 0.0)
+    times = found.begins + np.array([0.1, 0.5, 0.9]) * LETTING_GO
+    there = np.interp(times, flown.t, forces[:, 0])
+    np.testing.assert_allclose(there + there[::-1], 0.5, atol=5e-3)  # as fast at first as at last
+    assert np.max(forces[flown.t >= found.begins + LETTING_GO]) == 0.0
+
+
+def test_a_lost_drone_that_nobody_can_carry_has_no_reaction() -> None:
+    team = ho.Team(4, 2.2, tension=0.5, quadrotor=ho.Quadrotor(max_thrust=1.7))
+    start = ho.Hitch.spread(team, SQUARE, 2.4)
+    with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a thrust"):
+        Reactions(ho.hold(start, 2.0).motion).found("q1", 1.0)
+    for drone, time, words in (("d7", 0.5, "one of q0, r0"), ("q0", 1e3, "ask within the plan")):
+        with pytest.raises(ho.InputError, match=words):
+            Reactions(plan_of(1.0).motion).found(drone, time)
+
+
+@pytest.mark.parametrize("share", [0.49, 0.6533])
+def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
+    """Just then polynomials do not follow the soonest stop closely enough, later they do."""
+    motion = planned("form_triangle").motion
+    assert Reactions(motion).found("q0", share * motion.duration).nearest >= 1.0
+
+
+@pytest.mark.slow
+def test_the_command_line_tells_losses(tmp_path: Path) -> None:
+    shown = CliRunner().invoke(main, ["check", str(plan_of(1.0).save(tmp_path)), "--survivable"])
+    (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
+    assert (shown.exit_code, row.split()[1]) == (0, "1")
+
+
+@pytest.mark.parametrize(("altitude", "share"), [(1.6, 1.0), (2.2, 0.0)])
+def test_no_drone_carries_two(altitude: float, share: float) -> None:
+    """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
+    places = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 2, 0]]) + [0, 0, altitude]
+    team = ho.Team(robots=2, topology="open", cable_length=2.0)
+    phase = ho.Phase("hover", 0, 0.0, 2.0, state=CableState.FREE)
+    hovering = PiecewisePolynomial.constant([0.0, 2.0], places, 7)
+    found, without = survivable(ho.Motion.single(team, Requirements(), hovering, [phase]))
+    assert (found.bound, found.where) == (share, tuple(each.drone for each in without))
+    told = [(each.drone, each.start, each.end) for each in without]
+    assert told == ([] if share else [(name, 0.0, 2.0) for name in team.drone_names])
+    assert all(f"{each.drone} hangs on its partner 0.19" in each.reason for each in without)
+
+
+def test_single_drones_end_on_the_ground_beside_the_lost_one() -> None:
+    motion = planned("swarms/head_on").motion
+    found, _ = survivable(motion, every=0.5 * motion.duration)
+    assert (found.bound, found.method) == (1.0, "sampled")
+    last = Reactions(motion).found("d0", 1.0).motion.drones
+    assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
-from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.live.feedback import LARGEST, Cell, cells_of, vertex_responses
 from hitchopt.values import Array
 
 STEP = 0.01
-DELAYED = 5
+STIFF = np.full(6, 4.75)
 START = ho.Hitch.spread(ho.Team(3, 2.4), [[1.0, 1.0], [0.6, 2.5], [1.4, 2.5]], 1.0)
 
 
@@ -38,7 +37,7 @@ def test_a_constant_error_is_taken_away_while_vertices_move() -> None:
         forward = responses[min(int(time / plan.duration * 100), 99)][0]
         moved += STEP / 0.4 * ((forward @ before.ravel()).reshape(-1, 3) - moved)
         seen.append(plan.at(time).vertices + off + moved)
-        vertices = seen[max(i - DELAYED, 0)] + rng.normal(0.0, 0.01, off.shape)
+        vertices = seen[max(i - 5, 0)] + rng.normal(0.0, 0.01, off.shape)
         feedback.step(time, STEP, vertices)
         assert np.max(np.linalg.norm(feedback.offsets - before, axis=-1)) <= 0.1 * STEP + 1e-9
         sizes.append(np.linalg.norm(off + moved, axis=-1).mean())
@@ -53,31 +52,29 @@ def test_vertices_that_rest_in_their_places_change_nothing() -> None:
         for time in np.linspace(first, last, 40):
             states = plan.at(time)
             here = feedback.step(float(time), STEP, states.vertices, states.positions)
-            np.testing.assert_allclose(here.positions, states.positions, atol=1e-8)
-            np.testing.assert_allclose(here.velocities, states.velocities, atol=1e-6)
-            np.testing.assert_allclose(here.accelerations, states.accelerations, atol=1e-6)
+            for name, atol in (("positions", 1e-8), ("velocities", 1e-6), ("accelerations", 1e-6)):
+                np.testing.assert_allclose(getattr(here, name), getattr(states, name), atol=atol)
 
 
 def test_setpoints_lead_vertices_that_move_as_planned() -> None:
     """By 0.4 s, as far as the damped response moves them: friction is to be overcome first."""
-    plan, feedback = plan_of(), ho.Feedback(plan_of(), delay=0.0)
+    motion, feedback = plan_of().motion, ho.Feedback(plan_of(), delay=0.0)
     for time in np.arange(4.0, 5.0, STEP).tolist():
-        feedback.step(time, STEP, plan.at(time).vertices)
-    speeds = plan.motion.vertices.at(5.0, 1).ravel()
-    ((forward, inverse),) = vertex_responses(plan.motion, 5.0, 36.0 * plan.motion.team.mass)
+        feedback.step(time, STEP, motion.vertices.at(time))
+    speeds = motion.vertices.at(5.0, 1).ravel()
+    ((forward, inverse),) = vertex_responses(motion, 5.0, 36.0 * motion.team.mass)
     led = inverse @ (0.4 * speeds)
     assert np.linalg.norm(feedback.offsets.ravel() - led) < 0.1 * np.linalg.norm(led)
     assert forward @ led @ speeds > 0.0
 
 
 def test_missing_or_false_measurements_let_corrections_fade() -> None:
-    plan = plan_of()
-    feedback = ho.Feedback(plan, delay=0.0)
-    feedback.step(0.2, STEP, plan.at(0.0).vertices + [5.0, 0.0, 0.0])
+    plan, feedback = plan_of(), ho.Feedback(plan_of(), delay=0.0)
+    sizes, there = list[float](), plan.at(0.0).vertices
+    feedback.step(0.2, STEP, there + [5.0, 0.0, 0.0])
     assert np.all(feedback.offsets == 0.0)
-    sizes = []
     for seen, steps in ((-0.05, 300), (np.nan, 100), (None, 1200)):
-        vertices = None if seen is None else plan.at(0.0).vertices + [0.0, 0.0, seen]
+        vertices = None if seen is None else there + [0.0, 0.0, seen]
         for _ in range(steps):
             feedback.step(0.5, STEP, vertices)
         sizes.append(float(np.max(np.abs(feedback.offsets))))
@@ -90,8 +87,7 @@ def test_missing_or_false_measurements_let_corrections_fade() -> None:
 
 @pytest.mark.parametrize("missing", [[], [1]])
 def test_corrections_do_not_grow_while_a_drone_is_far_from_its_place(missing: list[int]) -> None:
-    plan = plan_of()
-    states = plan.at(0.5)
+    plan, states = plan_of(), plan_of().at(0.5)
     vertices, drones = states.vertices - [0.0, 0.0, 0.05], states.positions.copy()
     drones[3, 0] += 0.4
     drones[missing] = np.nan
@@ -106,29 +102,25 @@ def test_corrections_are_over_before_the_hitch_is_untied() -> None:
     plan = ho.release(ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]]))
     last = max(phase.end for phase in plan.phases if phase.formed)
     feedback = ho.Feedback(plan, delay=0.0)
-    for time in np.arange(0.0, last, STEP).tolist():
-        vertices = plan.at(time).vertices - [0.0, 0.0, 0.05]
-        feedback.step(time, STEP, vertices)
-    assert np.max(np.abs(feedback.offsets)) < 0.005
-    for _ in range(20):
-        feedback.step(last + 0.1, STEP, vertices)
+    for time in np.append(np.arange(0.0, last, STEP), [last + 0.1] * 20).tolist():
+        assert time < last or np.max(np.abs(feedback.offsets)) < 0.005
+        feedback.step(time, STEP, plan.at(min(time, last)).vertices - [0.0, 0.0, 0.05])
     assert np.all(np.abs(feedback.offsets) < 1e-12)
 
 
 def test_what_is_wrong_is_named() -> None:
     plan = plan_of()
-    for key, value in (("rate", 0.0), ("reserve", -0.1), ("delay", np.nan), ("stiffness", -4.0)):
-        with pytest.raises(InputError, match=key):
-            ho.Feedback(plan, **{key: value})
+    wrong: dict[str, object] = {"rate": 0.0, "reserve": -0.1, "delay": np.nan, "stiffness": -4.0}
+    for key, value in ({"plan": "out"} | wrong).items():
+        with pytest.raises(ho.InputError, match=key):
+            ho.Feedback(**({"plan": plan} | {key: value}))  # type: ignore[arg-type]
     feedback, motion = ho.Feedback(plan), plan.motion
-    for key, given in (("vertices", (np.zeros((2, 3)),)), ("drones", (None, np.zeros((2, 3))))):
-        with pytest.raises(InputError, match=key):
-            feedback.step(0.0, STEP, *given)
-    with pytest.raises(InputError, match="plan"):
-        ho.Feedback("out")
+    for key in ("vertices", "drones"):
+        with pytest.raises(ho.InputError, match=key):
+            feedback.step(0.0, STEP, **{key: np.zeros((2, 3))})  # type: ignore[arg-type]
     wall = ho.Prism([[5, 5], [5, 6], [6, 6], [6, 5]], 0.0, 1.0)
     need = replace(motion.requirements, keep_out=(wall,))
-    with pytest.raises(UnsupportedError, match="keep-outs"):
+    with pytest.raises(ho.UnsupportedError, match="keep-outs"):
         ho.Feedback(replace(motion, requirements=need))
 
 
@@ -139,21 +131,17 @@ def test_vertices_answer_setpoints_as_in_the_statics(topology: str) -> None:
     if topology == "open":
         outline = np.array([[-1.5, 0.0], [-0.8, 0.9], [0.4, 1.0], [1.3, 0.1]])
     team = ho.Team(3, [2.4, 2.5, 2.3], topology=topology, tension=0.4)
-    plan, push, stiffness = ho.hold(ho.Hitch.spread(team, outline, 1.2), 1.0), 1e-4, 4.75
-    ((forward, inverse),) = vertex_responses(plan.motion, 0.5, np.full(6, stiffness))
+    plan, push = ho.hold(ho.Hitch.spread(team, outline, 1.2), 1.0), 1e-4
+    ((forward, inverse),) = vertex_responses(plan.motion, 0.5, STIFF)
     pushes = push * np.eye(18).reshape(-1, 6, 3)
-    sides = [
-        ho.settle(
-            plan, 0.5, offsets=sign * pushes, stiffness=stiffness, axial_stiffness=1e7
-        ).vertices[:, team.layout.clasps]
-        for sign in (1.0, -1.0)
-    ]
-    expected = (sides[0] - sides[1]).reshape(len(pushes), -1).T / (2.0 * push)
+    given, both = {"stiffness": STIFF, "axial_stiffness": 1e7}, np.stack([pushes, -pushes])
+    up, down = ho.settle(plan, 0.5, offsets=both, **given).vertices[:, :, team.layout.clasps]
+    expected = (up - down).reshape(len(pushes), -1).T / (2.0 * push)
     np.testing.assert_allclose(forward, expected, atol=2e-3)
-    both = forward @ inverse
-    np.testing.assert_allclose(both, both.T, atol=1e-9)
+    reached = forward @ inverse
+    np.testing.assert_allclose(reached, reached.T, atol=1e-9)
     modes = np.linalg.svd(forward, compute_uv=False)[::-1] ** 2
-    np.testing.assert_allclose(np.linalg.eigvalsh(both), modes / (modes + 0.3**2), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.eigvalsh(reached), modes / (modes + 0.3**2), atol=1e-9)
 
 
 ALONG = np.linspace(0.0, 1.0, 41)[:, None, None]
@@ -185,7 +173,7 @@ def test_corrections_keep_every_distance_whatever_is_asked(*, moving: bool) -> N
     """Drones and vertices may be off by the reserve besides; a common shift moves both."""
     plan = plan_of() if moving else ho.hold(START, 1.0)
     reserve, rng, found = 0.01 if moving else 0.02, np.random.default_rng(3), []
-    breaks, cells = cells_of(plan.motion, reserve, np.full(6, 4.75))
+    breaks, cells = cells_of(plan.motion, reserve, STIFF)
     for k in rng.integers(0, len(cells), 200 if moving else 400).tolist():
         cell, time = cells[k], rng.uniform(breaks[k], breaks[min(k + 2, len(cells))])
         assert cell is not None
@@ -197,6 +185,16 @@ def test_corrections_keep_every_distance_whatever_is_asked(*, moving: bool) -> N
     assert cable >= 0.1 - 1e-9
     assert leg >= 0.15 - 1e-9
     assert moving or cable < 0.12  # they are used
+
+
+def test_a_hitch_that_turns_leaves_the_room_of_one_that_rests() -> None:
+    """Directions that part bodies turn too: cells have to be short."""
+    turning, rest = ho.transport(START, to=[2.5, 1.5, 1.3], yaw=2.0), ho.hold(START, 1.0)
+    rooms = [
+        min(float(np.min(cell.bounds)) for cell in cells_of(plan.motion, 0.01, STIFF)[1] if cell)
+        for plan in (turning, rest)
+    ]
+    assert 0.75 * rooms[1] < rooms[0] <= 1.1 * rooms[1]
 
 
 def test_offsets_stay_within_half_spaces_that_leave_little_room() -> None:
@@ -226,7 +224,7 @@ def test_offsets_stay_within_half_spaces_that_leave_little_room() -> None:
 
 def test_the_arena_limits_a_common_correction() -> None:
     plan = ho.hold(plan_of().end, 3.0, arena=ho.Arena([-4, -4, 0], [4, 4, 1.3]))
-    feedback = ho.Feedback(plan, delay=0.0)
-    for time in np.arange(0.0, 3.0, STEP):
-        here = feedback.step(float(time), STEP, plan.at(time).vertices - [0.0, 0.0, 0.3])
+    feedback, low = ho.Feedback(plan, delay=0.0), plan.end.vertices - [0.0, 0.0, 0.3]
+    for time in np.arange(0.0, 3.0, STEP).tolist():
+        here = feedback.step(time, STEP, low)
         assert np.max(here.positions[:, 2]) <= 1.3 - 0.01

@@ -1,48 +1,246 @@
-"""Flights by commands and by lost links: nothing jumps, limits hold, and they end on the ground."""
+"""Plans on a clock, by commands and by lost links: nothing jumps, limits hold, drones land."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from plans import planned
-from streamed_flights import PATIENCE, Rig, plan_of
 
 import hitchopt as ho
-from hitchopt.live.abort import abort_table
-from hitchopt.live.fly import COMMANDS, Course
+from hitchopt.live.abort import AbortTable, abort_table
+from hitchopt.live.fly import COMMANDS, Course, Flight, Flown
+from hitchopt.live.player import Player
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
-LONG = 60.0
+TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]) + [1.0, 2.0]
+PATIENCE, LONG, STEP = 2.0, 60.0, 0.01
 
 
-def test_a_plan_is_flown_to_its_end_and_landed() -> None:
-    rig, plan = Rig(), plan_of()
+@cache
+def plan_of(what: str = "moved") -> ho.Plan:
+    """A triangle off the origin whose vertex moves, and that is ``carried`` besides.
+
+    Or a ``swarm`` of two drones without cables that change places and end on the ground.
+    """
+    if what == "swarm":
+        start = np.array([[1.0, 0.0, 1.0], [2.0, 0.5, 1.2]])
+        goal = np.array([[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]])
+        return ho.separate(ho.SwarmProblem(ho.Swarm(2), start, goal))
+    hitch = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE)
+    mission = ho.Mission(hitch.team, hitch).move_vertex(0, by=[0.0, 0.4])
+    return (mission if what == "moved" else mission.transport(to=[1.4, 2.2, 1.3], yaw=0.5)).solve()
+
+
+@cache
+def tables(*, swarm: bool) -> dict[str, AbortTable]:
+    motion = plan_of("swarm" if swarm else "moved").motion
+    if swarm:
+        return dict.fromkeys(("land", "abort"), abort_table(motion, "land", 0.5))
+    return {"land": abort_table(motion, "land"), "abort": abort_table(motion, "release_and_land")}
+
+
+def check_setpoints(series: list[ho.Setpoints], limits: ho.Limits, step: float) -> None:
+    """Setpoints, a step [s] apart, keep the limits, and each follows from the one before."""
+    names = "positions", "velocities", "accelerations", "jerks"
+    p, v, a, j = (np.array([getattr(each, name) for each in series]) for name in names)
+    for values, most in ((v, limits.speed), (a, limits.acceleration), (j, limits.jerk)):
+        assert np.max(np.linalg.norm(values, axis=-1)) <= most * (1.0 + 1e-6)
+    led = p[:-1] + 0.5 * step * (v[1:] + v[:-1])
+    assert np.max(np.abs(p[1:] - led), initial=0.0) <= limits.jerk * step**3
+
+
+def ran(player: Player, seconds: float) -> ho.Setpoints:
+    """Return the last setpoints over some time; all keep the limits, without a jump."""
+    found = [player.step(0.0), *(player.step(STEP) for _ in range(int(seconds / STEP) + 1))]
+    check_setpoints(found, player.motion.requirements.limits, STEP)
+    return found[-1]
+
+
+def test_at_full_rate_it_is_the_plan() -> None:
+    plan, player = plan_of("carried"), Player(plan_of("carried"))
+    close = {"positions": 1e-12, "velocities": 1e-10, "accelerations": 1e-8, "jerks": 1e-5}
+    for _ in range(30):
+        here = player.step(0.07)
+        for name, atol in close.items():
+            wanted = getattr(plan.at(here.time), name)
+            np.testing.assert_allclose(getattr(here, name), wanted, atol=atol)
+
+
+CHANGES: list[Callable[[Player, float], float]] = [
+    *(lambda player, _: player.pause(), lambda player, _: player.resume()),
+    *(lambda player, _: player.back(), lambda player, _: player.rate(0.5), Player.seek),
+]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_changes_keep_all_limits_and_a_pause_ends_in_rest(seed: int) -> None:
+    plan, rng = plan_of("carried"), np.random.default_rng(seed)
+    player = Player(plan, rng.uniform() * plan.duration)
+    for k in rng.choice(len(CHANGES), 2):
+        share = float(rng.uniform())
+        ran(player, share * CHANGES[k](player, share * plan.duration))
+    seconds = player.pause()
+    assert seconds <= max(np.max(player.stops.longest[0]) * 3.0, 3.0)
+    last = ran(player, seconds)
+    assert player.resting
+    assert np.max(np.abs(last.velocities)) <= 1e-9
+    np.testing.assert_allclose(last.positions, plan.at(last.time).positions, atol=1e-12)
+
+
+def test_a_pause_takes_no_longer_than_the_certificate_reports() -> None:
+    plan = plan_of("carried")
+    for time in np.random.default_rng(3).uniform(0.0, plan.duration, 12):
+        player = Player(plan, float(time))
+        seconds = player.pause()
+        assert seconds <= plan.certificate["stoppable"].bound + 1e-9
+        player.step(0.3 * seconds)
+        assert player.pause() <= 0.7 * seconds + 1e-9  # asked again
+        before, here, after = (player.step(each) for each in (0.0, 1e-4, 1e-4))
+        for values, slopes in (("positions", "velocities"), ("accelerations", "jerks")):
+            change = getattr(after, values) - getattr(before, values)
+            np.testing.assert_allclose(change / 2e-4, getattr(here, slopes), atol=0.02)
+
+
+def test_seeking_and_going_back_end_at_the_plan_time() -> None:
+    plan = plan_of("carried")
+    player = Player(plan, 0.3 * plan.duration)
+    for share in (0.8, 0.1, 0.0, 1.0, 0.6):
+        ran(player, player.seek(share * plan.duration))
+        assert player.resting
+        assert player.time == pytest.approx(share * plan.duration, abs=1e-9)
+
+
+def test_where_legs_lean_there_is_no_way_back() -> None:
+    motion = plan_of("carried").motion
+    breaks, pulls = motion.drones.breaks, np.repeat(motion.tensions.coefficients[:, :, None], 2, 2)
+    first, last = np.searchsorted(breaks, [0.4, 0.7]).tolist()
+    pulls[first:last, :, 0] *= 1.05
+    leaning = replace(motion, leg_tensions=PiecewisePolynomial(breaks, pulls))
+    within, after = (Player(leaning, t) for t in (float(np.mean(breaks[[first, last]])), 1.5))
+    for player, asked in ((within, within.back), (after, lambda: after.rate(-0.5))):
+        with pytest.raises(ho.InfeasibleError, match="lean against friction"):
+            asked()
+        assert player.clock_rate == 1.0
+    ran(after, after.back())
+    assert after.time == pytest.approx(breaks[last])
+    with pytest.raises(ho.InfeasibleError, match="no change of the clock"):
+        after.seek(0.2)
+
+
+def test_plans_go_back_to_their_start_also_where_drones_swing_about_their_places() -> None:
+    team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
+    swinging = ho.Mission(team, ho.Hitch.spread(team, TRIANGLE, 1.2)).settle().solve()
+    for plan in (swinging, plan_of("carried")):
+        player = Player(plan, 5.0 if plan is swinging else 0.6 * plan.duration)
+        player.back()
+        last = ran(player, 8.0)
+        assert (last.time, last.rate) == (0.0, 0.0)
+        np.testing.assert_allclose(last.positions, plan.at(0.0).positions, atol=1e-12)
+
+
+def test_wrong_arguments_are_named() -> None:
+    player = Player(plan_of())
+    cases = (
+        ("plan", lambda: Player(3)),
+        ("time", lambda: Player(plan_of(), -0.1)),
+        ("rate", lambda: player.rate(1.2)),
+        ("time", lambda: player.seek(1e3)),
+        ("command = 'dance'", lambda: Course(plan_of().motion, {}).obey("dance")),
+    )
+    for key, call in cases:
+        with pytest.raises(ho.InputError, match=f"^{key}"):
+            call()
+
+
+Later = Callable[[Callable[[], str]], Future[str]]
+
+
+def at_once(compute: Callable[[], str]) -> Future[str]:
+    """Compute now."""
+    done: Future[str] = Future()
+    try:
+        done.set_result(compute())
+    except ho.HitchoptError as error:
+        done.set_exception(error)
+    return done
+
+
+class Rig:
+    """Operator and fleet at once; time passes with ``run`` only."""
+
+    def __init__(self, later: Later = at_once, rate: float = 50.0, *, swarm: bool = False) -> None:
+        self.plan = plan_of("swarm" if swarm else "moved")
+        self.names = self.plan.motion.team.drone_names
+        self.course = Course(self.plan.motion, tables(swarm=swarm))
+        self.pressed, self.said, self.sent = list[str](), list[str](), list[Flown]()
+        self.operator, self.silent, self.off = True, set[str](), np.zeros(3)
+        self.now, self.going, self.rate = 100.0, True, rate
+        parts = self.course, self, self.commands, self.names, later, self.said.append
+        self.flight = Flight(*parts, rate=rate, patience=PATIENCE)
+
+    def send(self, flown: Flown, now: float) -> None:
+        assert now == self.now
+        self.sent.append(flown)
+
+    def measured(self) -> dict[str, Array]:
+        places = [p + self.off for p in self.sent[-1].setpoints.positions] if self.sent else []
+        found = zip(self.names, places, strict=False)
+        return {name: place for name, place in found if name not in self.silent}
+
+    def close(self, *, landed: bool) -> None:
+        raise AssertionError(landed)
+
+    def commands(self) -> tuple[list[str], bool]:
+        found, self.pressed = self.pressed, []
+        return found, self.operator
+
+    def run(self, seconds: float, *commands: str) -> None:
+        self.pressed += commands
+        end = self.now + seconds
+        while self.going and self.now < end - 1e-9:
+            self.now += 1.0 / self.rate
+            self.going = self.flight.tick(self.now)
+
+    def begin(self, seconds: float) -> None:
+        """Look at the start, and fly for some time."""
+        self.run(0.1)
+        self.run(seconds, "resume")
+
+    @property
+    def speed(self) -> float:
+        return float(np.max(np.abs(self.sent[-1].setpoints.velocities)))
+
+    def check(self, *, landed: bool) -> None:
+        """All that was sent keeps the limits, and follows from the setpoint before."""
+        series = [flown.setpoints for flown in self.sent]
+        check_setpoints(series, self.plan.motion.requirements.limits, 1.0 / self.rate)
+        assert self.flight.landed == landed
+        assert not landed or abs(np.min(series[-1].positions[:, 2])) <= 1e-9
+
+
+@pytest.mark.parametrize("swarm", [False, True])
+def test_a_plan_is_flown_to_its_end_and_landed(*, swarm: bool) -> None:
+    """Drones without cables end where the plan lands."""
+    rig = Rig(swarm=swarm)
     rig.run(1.0)
     assert rig.course.resting
     rig.run(LONG / 4, "resume")
-    there = plan.at(plan.duration).positions
-    np.testing.assert_allclose(rig.sent[-1].setpoints.positions, there, atol=1e-9)
-    rig.run(LONG, "land")
+    there = rig.plan.at(rig.plan.duration).positions
+    np.testing.assert_allclose(rig.sent[-1].setpoints.positions, there, atol=1e-8)
+    rig.run(LONG, *([] if swarm else ["land"]))
     rig.check(landed=True)
-    assert rig.flight.late == 0
-
-
-@pytest.mark.parametrize("aborted", [False, True])
-def test_drones_without_cables_end_where_the_plan_lands(*, aborted: bool) -> None:
-    rig = Rig(swarm=True)
-    rig.begin(0.8)
-    rig.run(LONG, *(["abort"] if aborted else []))
-    rig.check(landed=True)
-    assert rig.course.descending == aborted
-    there = [[2.0, 0.5, 0.0], [1.0, 0.1, 0.0]]
-    assert aborted or np.allclose(rig.sent[-1].setpoints.positions, there, atol=1e-8)
+    assert (rig.flight.late, rig.course.descending) == (0, not swarm)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
-    rig, rng = Rig(), np.random.default_rng(seed)
+    rig, rng = Rig(swarm=seed == 3), np.random.default_rng(seed)
     rig.begin(0.5)
     for command in rng.choice([*COMMANDS[:-1], "toggle", "toggle"], 6):
         rig.run(float(rng.uniform(0.1, 0.9)), str(command))
@@ -54,10 +252,10 @@ def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
 def test_what_is_sent_belongs_to_the_cables() -> None:
     rig, plan = Rig(rate=1000.0), plan_of()
     rig.begin(0.7)
-    flown, team = rig.sent[-1], plan.motion.team
-    states = plan.at(flown.setpoints.time)
-    expected = team.mass[:, None] * (flown.setpoints.accelerations + [0, 0, 9.81])
-    np.testing.assert_allclose(flown.thrusts, expected - states.cable_forces, atol=1e-3)
+    flown, mass = rig.sent[-1], plan.motion.team.mass[:, None]
+    expected = mass * (flown.setpoints.accelerations + [0, 0, 9.81])
+    expected -= plan.at(flown.setpoints.time).cable_forces
+    np.testing.assert_allclose(flown.thrusts, expected, atol=1e-3)
     thrusts, rates = (
         np.array([getattr(each, name) for each in rig.sent[-400:]])
         for name in ("thrusts", "thrust_rates")
@@ -68,19 +266,24 @@ def test_what_is_sent_belongs_to_the_cables() -> None:
     assert np.max(np.abs(rates)) > 0.02
 
 
-@pytest.mark.parametrize("who", ["operator", "r1"])
-def test_a_lost_link_ends_in_a_hold_and_then_on_the_ground(who: str) -> None:
-    rig = Rig()
-    rig.begin(0.6)
+@pytest.mark.parametrize(("who", "refused"), [("operator", 0), ("r1", 0), ("r1", 1)])
+def test_a_lost_link_ends_in_a_hold_and_then_on_the_ground(who: str, refused: int) -> None:
+    """Holds that are refused are tried again."""
+    refusals = list[Callable[[], str]]()
+
+    def refuse() -> str:
+        raise ho.InfeasibleError([], "not now")
+
+    rig = Rig(lambda compute: at_once(refusals.pop() if refusals else compute))
+    rig.begin(0.4)
     begun = rig.sent[-1].setpoints.positions
     assert rig.speed > 0.0
-    rig.operator, rig.silent = who != "operator", {who}
+    rig.operator, rig.silent, refusals[:] = who != "operator", {who}, [refuse] * refused
     rig.run(PATIENCE)
-    assert rig.going
-    assert rig.course.resting
-    assert rig.speed == 0.0
+    assert (rig.going, rig.course.resting, rig.speed) == (True, True, 0.0)
     assert np.max(np.abs(rig.sent[-1].setpoints.positions - begun)) < 0.6
     assert f"lost: {who}" in rig.said
+    assert who == "operator" or any(words.startswith("pause: takes") for words in rig.said)
     rig.run(LONG)
     rig.check(landed=True)
 
@@ -144,17 +347,16 @@ def test_setpoints_go_on_while_a_command_is_computed(*, ticks: int, late: bool) 
     rig.check(landed=False)
 
 
-def test_refusals_leave_the_flight_as_it_is() -> None:
-    rig = Rig()
-    with pytest.raises(ho.InputError, match="command = 'dance'"):
-        rig.course.obey("dance")
-    rig.begin(0.4)
+def test_a_landing_begins_ahead_even_where_a_rest_behind_is_nearer() -> None:
+    rig, rests = Rig(), [entry.rest for entry in tables(swarm=False)["land"].entries]
+    rig.begin(0.75)
     times = [rig.sent[-1].setpoints.time]
+    assert rests[0] < times[0] < 0.5 * (rests[0] + rests[1])
     rig.pressed.append("land")
     while not rig.course.descending:
         rig.run(1.0 / rig.rate)
         times.append(rig.sent[-1].setpoints.time)
-    assert times[-1] > times[0]  # to a rest ahead
+    assert np.max(times) == pytest.approx(rests[1], abs=0.02)
     with pytest.raises(ho.InfeasibleError, match="the landing has begun"):
         rig.course.obey("back")
 
@@ -164,10 +366,9 @@ def test_the_clock_is_led_back_to_where_a_landing_begins() -> None:
     motion = planned("swarms/stack").motion
     course = Course(motion, {"land": abort_table(motion, "land", 0.5)})
     course.obey("resume")
-    for _ in range(300):
-        course.step(0.01)
+    course.step(3.0)
     assert course.obey("land").startswith("land: begins in ")
-    for _ in range(1200):
-        sent = course.step(0.01)
+    for _ in range(12):
+        sent = course.step(1.0)
     assert course.landed
     assert np.all(sent.setpoints.positions[:, 2] <= motion.requirements.floor + 1e-6)

@@ -17,21 +17,14 @@ from unittest.mock import Mock, call
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plans import planned
 from pymavlink.dialects.v20 import common as mavlink
-from streamed_flights import Rig, plan_of
 
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.live.fly import Flown
-from hitchopt.live.links import (
-    Address,
-    CrazyflieOutlet,
-    JsonOutlet,
-    MavlinkOutlet,
-    Operator,
-    address,
-)
+from hitchopt.live.fly import Course, Flown
+from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, Operator, address
 
 HOME = "127.0.0.1"
 PLACE = (3.0, -2.0, 0.5), 0.7
@@ -39,7 +32,7 @@ PLACE = (3.0, -2.0, 0.5), 0.7
 
 
 @contextmanager
-def receivers(count: int) -> Iterator[tuple[list[socket.socket], list[Address]]]:
+def receivers(count: int) -> Iterator[tuple[list[socket.socket], list[tuple[str, int]]]]:
     with ExitStack() as stack:
         found = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(count)]
         for each in found:
@@ -50,23 +43,21 @@ def receivers(count: int) -> Iterator[tuple[list[socket.socket], list[Address]]]
 
 @cache
 def moving() -> Flown:
-    rig = Rig()
-    rig.begin(0.7)
-    assert rig.speed > 0.05
-    return rig.sent[-1]
+    course = Course(planned("triangle").motion, {})
+    course.obey("resume")
+    return course.step(0.7)
 
 
-def names() -> tuple[str, ...]:
-    return plan_of().motion.team.drone_names
+NAMES = "q0", "r0", "q1", "r1", "q2", "r2"
 
 
 def test_json_arrives_and_answers_are_read() -> None:
     flown, frame = moving(), ReferenceFrame("enu", *PLACE)
     places = frame.points(flown.setpoints.positions)
     with receivers(6) as (found, addresses):
-        outlet = JsonOutlet(names(), addresses, frame, (HOME, 0))
+        outlet = JsonOutlet(NAMES, addresses, frame, (HOME, 0))
         outlet.send(flown, 12.5)
-        for i, (name, each) in enumerate(zip(names(), found, strict=True)):
+        for i, (name, each) in enumerate(zip(NAMES, found, strict=True)):
             data, sender = each.recvfrom(65536)
             got = json.loads(data)
             assert (got["drone"], got["number"], got["time"]) == (name, 0, 12.5)
@@ -75,10 +66,8 @@ def test_json_arrives_and_answers_are_read() -> None:
             w, x, y, z = got["quaternion"]
             up = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
             np.testing.assert_allclose(up, thrust / np.linalg.norm(thrust), atol=1e-3)
-            own = {
-                "drone": name,
-                "position": [*got["position"][:2], None] if i else got["position"],
-            }
+            place = [*got["position"][:2], None] if i else got["position"]
+            own = {"drone": name, "position": place}
             other = b'{"drone": "q9", "position": [1, 2, 3]}'
             for answer in (b"{", b"[]", other, json.dumps(own).encode()):
                 each.sendto(answer, sender)
@@ -93,7 +82,7 @@ def test_mavlink_is_understood_by_its_own_parser() -> None:
     east, north, up = ReferenceFrame("enu", *PLACE).points(flown.setpoints.positions).T
     forward = frame.vectors(flown.feed_forward)
     with receivers(1) as ([router], addresses):
-        outlet = MavlinkOutlet(names(), addresses * 6, frame, (HOME, 0))
+        outlet = MavlinkOutlet(NAMES, addresses * 6, frame, (HOME, 0))
         outlet.send(flown, 50.0)
         outlet.send(flown, 50.25)
         parser, got = mavlink.MAVLink(None), []
@@ -144,7 +133,7 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
     ros = {"rclpy": SimpleNamespace(spin_once=spin_once), "geometry_msgs.msg": poses}
     for name, module in (ros | {"crazyflie_py": client}).items():
         monkeypatch.setitem(sys.modules, name, module)
-    outlet = CrazyflieOutlet(names(), robots, frame)
+    outlet = CrazyflieOutlet(NAMES, robots, frame)
     outlet.send(flown, 1.0)
     for i, robot in enumerate(node.crazyfliesByName.values()):
         *vectors, yaw, omega = robot.cmdFullState.call_args.args
@@ -159,7 +148,7 @@ def test_crazyflies_get_full_states_and_are_given_back(monkeypatch: pytest.Monke
     ended = [call.notifySetpointsStop(500), call.land(0.04, 1.0)]
     assert node.crazyfliesByName["cf3"].mock_calls[1:] == ended
     with pytest.raises(ho.InputError, match="fleet = 'cf9'"):
-        CrazyflieOutlet(names(), ["cf9"] * 6, frame)
+        CrazyflieOutlet(NAMES, ["cf9"] * 6, frame)
 
 
 def test_keys_are_read_until_the_terminal_goes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,13 +173,13 @@ def test_what_is_wrong_or_not_here_is_refused() -> None:
         with pytest.raises(ho.InputError, match="--to"):
             address("--to", text)
     with pytest.raises(ho.UnsupportedError, match="ROS 2 workspace"):
-        CrazyflieOutlet(names(), names(), ReferenceFrame())
+        CrazyflieOutlet(NAMES, NAMES, ReferenceFrame())
     with pytest.raises(ho.UnsupportedError, match="cannot be listened on"):
-        JsonOutlet(names(), [], ReferenceFrame(), ("192.0.2.1", 0))
+        JsonOutlet(NAMES, [], ReferenceFrame(), ("192.0.2.1", 0))
 
 
 def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Path) -> None:
-    plan_of().save(tmp_path / "plan")
+    planned("triangle").save(tmp_path / "plan")
     runner = CliRunner()
     with receivers(1) as ([receiver], [(host, port)]):
         options = ["--over", "json", "--to", f"{host}:{port}", "--patience", "0.1"]
@@ -199,7 +188,9 @@ def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Pa
         assert "at rest at the plan's start" in done.output
         assert "no operator is heard of" in done.output
         got = json.loads(receiver.recv(65536))
-        np.testing.assert_allclose(got["position"], plan_of().at(0.0).positions[0], atol=1e-9)
+        np.testing.assert_allclose(
+            got["position"], planned("triangle").at(0.0).positions[0], atol=1e-9
+        )
     wrong = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options, "--to", f"{host}:9"])
     assert wrong.exit_code == 2
     assert "--to = 2: must be given once, or 6 times" in wrong.output

@@ -1,4 +1,4 @@
-"""Tasks written by hand, such as a formed hitch at rest; and flights in which nothing moves."""
+"""Worlds and tasks by hand, such as of a hitch at rest; and flights in which nothing moves."""
 
 from __future__ import annotations
 
@@ -6,18 +6,30 @@ from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
+from hitchopt.objects import SolidObject
 from hitchopt.simulation.control import PositionGains
 from hitchopt.simulation.flight import Film, Flight, Record
-from hitchopt.simulation.settings import Settings
-from hitchopt.simulation.task import Setpoints, Task
+from hitchopt.simulation.ropes import Ropes
+from hitchopt.simulation.settings import FAST, Preset, Settings
+from hitchopt.simulation.task import RATE, Setpoints, Task
+from hitchopt.simulation.world import World
+from hitchopt.values import Array
 
-Array = NDArray[np.float64]
 
-RATE = 100.0
+def world_of(
+    *lengths: float,
+    preset: Preset = FAST,
+    friction: float = 0.1,
+    mass: ArrayLike = 0.13,
+    objects: dict[str, SolidObject] | None = None,
+) -> World:
+    """Return the world of straight cables of some lengths [m], 10 g/m, and objects."""
+    ropes = Ropes(np.array(lengths), 0.01, friction, preset)
+    return World(ropes, np.broadcast_to(mass, 2 * len(lengths)), 0.0, objects or {})
 
 
 def smooth(x: Array) -> Array:
@@ -37,32 +49,21 @@ def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     return Task(team, t, setpoints, np.zeros(len(t), dtype=np.bool_), vertices, tensions)
 
 
-def formed_where(task: Task, hitch: Hitch, formed: NDArray[np.bool_]) -> Task:
-    """Return a task whose plan has the hitch in some samples only."""
-    vertices = np.where(formed[:, None, None], hitch.vertices, 0.0)
-    tensions = np.where(formed[:, None], hitch.team.tension, 0.0)
-    return replace(task, formed=formed, vertices=vertices, tensions=tensions)
-
-
-def unformed(task: Task) -> Task:
-    """Return the task of the same setpoints without a hitch."""
-    vertices, tensions = np.zeros_like(task.vertices), np.zeros_like(task.tensions)
-    return replace(task, formed=np.zeros_like(task.formed), vertices=vertices, tensions=tensions)
-
-
-def standing(hitch: Hitch, seconds: float) -> Task:
-    """Return the task of a formed hitch at rest."""
+def standing(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 0) -> Task:
+    """Return the task of a hitch at rest, ``formed`` from a sample on; or of its drones alone."""
     count = round(seconds * RATE) + 1
-    still = np.repeat(hitch.drones[None], count, axis=0)
-    forces = np.repeat(hitch.cable_forces[None], count, axis=0)
-    task = hanging_task(hitch.team, still, forces)
-    return formed_where(task, hitch, np.ones(count, dtype=np.bool_))
+    still, forces = (np.repeat(x[None], count, axis=0) for x in (hitch.drones, hitch.cable_forces))
+    there = (np.arange(count) >= since) & formed
+    vertices = np.where(there[:, None, None], hitch.vertices, 0.0)
+    tensions = np.where(there[:, None], hitch.team.tension, 0.0)
+    given: Any = {"formed": there, "vertices": vertices, "tensions": tensions}
+    return replace(hanging_task(hitch.team, still, forces), **given)
 
 
-def regular_hitch(n: int, edge: float = 1.3, **of_team: float) -> Hitch:
+def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:
     """Return a regular hitch with legs of 0.5 m."""
     given = {"tension": 0.5, "cable_density": 0.01, "cable_friction": 0.1, **of_team}
-    team = Team(n, edge + 1.0, **given)  # type: ignore[arg-type]
+    team = Team(n, edge + 1.0, **given)
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
 
 
@@ -78,7 +79,10 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     no_poses, index = np.zeros((count, 0, 7)), np.array([task.index(each) for each in t])
     places, others = (t, index, drones, drones, vertices), (no_poses, no_poses[..., 0] > 0.0)
     record = Record(*places, ones, ones, ones, many, *others)
-    film = Film(t, np.zeros((count, 4, 3)), np.array([0, 4]), no_poses)  # type: ignore[arg-type]
+    share = np.linspace(0.0, 1.0, 12)[:, None]  # cables are drawn straight
+    nodes = [(1.0 - share) * q + share * r for q, r in hitch.drones.reshape(n, 2, 3)]
+    shapes = np.repeat(np.concatenate(nodes)[None], count, axis=0), 12 * np.arange(n + 1)
+    film = Film(t, *shapes, no_poses)  # type: ignore[arg-type]
     parts: list[Any] = []
     for part in (record, film):
         names = {each.name for each in fields(part)} & known.keys()

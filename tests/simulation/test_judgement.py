@@ -1,7 +1,9 @@
-"""Flights made by hand: which of them are failures, how far off they are, and how they look."""
+"""Judged flights, made by hand and simulated: failures, errors, losses of drones, campaigns."""
 
 from __future__ import annotations
 
+import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,35 +12,28 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
-from scripted import flight_of, formed_where, regular_hitch, standing, unformed
+from scripted import flight_of, regular_hitch, standing
 
 import hitchopt as ho
-from hitchopt.cli.simulating import INEXACT, flight_tables
-from hitchopt.geometry import regular_polygon
-from hitchopt.hitch import Hitch, Team
-from hitchopt.simulation.judgement import (
-    FAILED,
-    NOT_SIMULATED,
-    SUCCEEDED,
-    Failure,
-    Outcome,
-    Simulation,
-    judge,
-    tracking_errors,
-    vertex_errors,
-    warnings,
-)
+from hitchopt.live.lost import Reactions, reacting
+from hitchopt.simulation import judgement
+from hitchopt.simulation.flight import fly
+from hitchopt.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
 from hitchopt.simulation.report import drawn_flight, flight_scene
-from hitchopt.simulation.settings import ACCURATE, FAST, Settings
+from hitchopt.simulation.settings import Loss, Perturbations, Settings
+from hitchopt.simulation.task import Task
 from hitchopt.simulation.world import InvalidRunError
+from hitchopt.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.view.style import save_figure
 
+FAILED, NOT_SIMULATED, SUCCEEDED = "failed", "not simulated", "succeeded"
 HITCH = regular_hitch(4)
 NEIGHBOURS = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]])
+UNLINKED = 0 * NEIGHBOURS
 STRAIN = InvalidRunError("strain", "strain of 5 %", 1.25, "cable 3")
 
 
-def judged(
+def flown(
     linking: NDArray[np.int64] | None = NEIGHBOURS,
     moved: float = 0.02,
     lost: int | None = None,
@@ -46,24 +41,22 @@ def judged(
     formed: bool = True,
     pulled: float = 5.0,
     swing: float = 0.0,
-    touches: dict[tuple[str, str], float] | None = None,
-    error: InvalidRunError | None = None,
-) -> Outcome:
-    """Return the outcome of a flight of which the second vertex moves under the pull test.
+    **known: Any,
+) -> Simulation:
+    """Return a flight of 2 s, rest, and pull test under which the second vertex moves.
 
     It swings about its place besides, by ``swing`` to either side.
     """
-    t = np.arange(0.0, 5.005, 0.01)
+    t = np.arange(0.0, known.pop("end", 5.0) + 0.005, 0.01)
     vertices = np.repeat(HITCH.vertices[None], len(t), axis=0)
     vertices[t > 3.005, 1] += [moved, 0.0, 0.0]
     vertices[:, 1, 1] += swing * np.sin(1.5 * np.pi * t)  # farthest at 3 and at 5 s
     bearing = np.ones((len(t), 4))
     if lost is not None:
         vertices[:, lost], bearing[:, lost] = np.nan, 0.2
-    task = standing(HITCH, 2.0) if formed else unformed(standing(HITCH, 2.0))
-    known = {"vertices": vertices, "bearing": bearing, "linking": linking, "rested": 3.0}
-    flight = flight_of(task, HITCH, t, pulled=pulled, touches=touches or {}, error=error, **known)
-    return judge(flight)
+    known |= {"vertices": vertices, "bearing": bearing, "linking": linking, "rested": 3.0}
+    flight = flight_of(standing(HITCH, 2.0, formed=formed), HITCH, t, pulled=pulled, **known)
+    return Simulation(flight, judge(flight), judgement.vertex_errors(flight))
 
 
 def linked(i: int, j: int, number: int) -> NDArray[np.int64]:
@@ -96,7 +89,7 @@ BROKEN = ("invalid", ("cable 3",), 1.25)
         ({"moved": 0.13}, FAILED, [("slipped", ("p1",), 5.0)], False),
         ({"lost": 2}, FAILED, [("lost", ("p2",), 3.0)], False),
         ({"lost": 2, **UNTESTED}, FAILED, [("lost", ("p2",), 3.0)], False),
-        ({"linking": 0 * NEIGHBOURS, "formed": False}, SUCCEEDED, [], False),
+        ({"linking": UNLINKED, "formed": False}, SUCCEEDED, [], False),
         ({"formed": False}, FAILED, [("tangled", pair, 3.0) for pair in PAIRS], False),
         (UNENDED, NOT_SIMULATED, [BROKEN], False),
         ({"touches": TOUCH, **UNENDED}, FAILED, [("touch", *TOUCH, 0.5), BROKEN], False),
@@ -106,32 +99,32 @@ BROKEN = ("invalid", ("cable 3",), 1.25)
 def test_flights_are_judged_by_links_contact_and_pull(
     given: dict[str, Any], verdict: str, failures: list[Any], hitched: bool
 ) -> None:
-    outcome = judged(**given)
+    outcome = flown(**given).outcome
     assert [(found.kind, found.where, found.time) for found in outcome.failures] == failures
     assert (outcome.verdict, outcome.hitched) == (verdict, hitched)
     assert outcome.succeeded is (verdict == SUCCEEDED)
 
 
 def test_clasps_tell_their_movement_and_force() -> None:
-    assert [round(clasp.moved, 9) for clasp in judged().clasps] == [0.0, 0.02, 0.0, 0.0]
-    assert judged(moved=0.0, swing=0.07).clasps[1].moved < 0.04
-    assert "moves 0.130 m" in judged(moved=0.13).failures[0].words
-    assert "presses with 0.200 N, less than 0.212 N" in judged(lost=2).failures[0].words
-    assert [clasp.holds for clasp in judged(lost=2).clasps] == [True, True, False, True]
-    assert all(np.isnan(clasp.moved) for clasp in judged(lost=2, pulled=np.nan).clasps)
-    pulling = judged(error=STRAIN, pulled=np.nan).clasps
+    slipped, lost = flown(moved=0.13).outcome, flown(lost=2).outcome
+    assert [round(clasp.moved, 9) for clasp in slipped.clasps] == [0.0, 0.13, 0.0, 0.0]
+    assert flown(moved=0.0, swing=0.07).outcome.clasps[1].moved < 0.04
+    assert "moves 0.130 m" in slipped.failures[0].words
+    assert "presses with 0.200 N, less than 0.212 N" in lost.failures[0].words
+    assert [clasp.holds for clasp in lost.clasps] == [True, True, False, True]
+    assert all(np.isnan(clasp.moved) for clasp in flown(lost=2, pulled=np.nan).outcome.clasps)
+    pulling = flown(error=STRAIN, pulled=np.nan).outcome.clasps
     assert [(clasp.bears, clasp.holds) for clasp in pulling] == [(True, False)] * 4
-    assert judged(None, error=STRAIN, pulled=np.nan).clasps == ()
+    assert flown(None, error=STRAIN, pulled=np.nan).outcome.clasps == ()
 
 
 def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> None:
     hitch = regular_hitch(3)
-    task = standing(hitch, 0.2)
-    late = formed_where(task, hitch, np.arange(len(task.t)) >= 10)
+    task, late = (standing(hitch, 0.2, since=since) for since in (0, 10))
     t = np.append(np.minimum(task.t + 0.003, 0.2), 0.9)  # the last one is after the flight
     found = np.repeat(hitch.vertices[None], len(t), axis=0) + [0.0, 0.03, -0.04]
     found[-2, 1] = np.nan
-    errors = vertex_errors(flight_of(late, hitch, t, vertices=found))
+    errors = judgement.vertex_errors(flight_of(late, hitch, t, vertices=found))
     np.testing.assert_allclose(errors.t, t[10:-1])
     np.testing.assert_allclose(errors.errors[:-1], 0.05)
     np.testing.assert_array_equal(np.isnan(errors.errors[-1]), [False, True, False])
@@ -142,89 +135,138 @@ def test_errors_are_distances_where_there_is_a_hitch_until_it_has_rested() -> No
     moving = replace(late, vertices=late.vertices + shift[:, None, None])
     drawn = replace(late, tensions=late.tensions * (1.0 + shift[:, None]))
     for changed in (moving, drawn):
-        again = vertex_errors(flight_of(changed, hitch, t, vertices=found))
+        again = judgement.vertex_errors(flight_of(changed, hitch, t, vertices=found))
         np.testing.assert_array_equal(again.moving, [False, *[True] * 10])
     t = np.append(task.t, [0.4, 0.7, 0.9])  # rest, then the pull test
-    rested = vertex_errors(flight_of(moving, hitch, t, rested=0.7))
+    rested = judgement.vertex_errors(flight_of(moving, hitch, t, rested=0.7))
     np.testing.assert_allclose(rested.t, t[10:-1])
     np.testing.assert_array_equal(rested.moving, [False, *[True] * 10, False, False])
-    free = unformed(task)
-    flight = flight_of(free, hitch, task.t, drones=free.setpoints.positions + [0.03, 0.0, 0.04])
-    assert vertex_errors(flight).errors.shape == (0, 3)
-    np.testing.assert_allclose(tracking_errors(flight), 0.05)
-
-
-# Time of the plan, and of the flight with rest and pull test [s]; points of a recorded rope
-SECONDS, END, NODES = 0.5, 1.5, 12
-
-LINKED = np.ones((3, 3), dtype=np.int64) - np.eye(3, dtype=np.int64)
-
-TRIANGLE = Hitch.balanced(
-    Team(3, [2.3, 2.4, 2.5], tension=0.5), regular_polygon(3, 1.2).vertices + [1.5, -0.5], 2.0
-)
-MOTION = ho.hold(TRIANGLE, SECONDS).motion
-
-
-def flown(
-    linking: NDArray[np.int64] | None,
-    *,
-    formed: bool = True,
-    end: float = END,
-    settings: Settings = Settings(),  # noqa: B008
-) -> Simulation:
-    """Return a flight in which everything stays where it is planned, 1 cm too low."""
-    task = standing(TRIANGLE, SECONDS)
-    t, lower = np.arange(0.0, end + 1e-9, 0.01), np.array([0.0, 0.0, -0.01])
-    share = np.linspace(0.0, 1.0, NODES)[:, None]
-    ends = zip(TRIANGLE.drones[0::2], TRIANGLE.drones[1::2], strict=True)
-    ropes = np.concatenate([(1 - share) * a + share * b for a, b in ends])
-    flight = flight_of(
-        task if formed else unformed(task),
-        TRIANGLE,
-        t,
-        vertices=np.repeat(TRIANGLE.vertices[None] + lower, len(t), axis=0),
-        nodes=np.repeat(ropes[None], len(t), axis=0),
-        cables=NODES * np.arange(4),
-        linking=linking,
-        rested=1.0 if end > SECONDS else np.nan,
-        pulled=end if end > SECONDS else np.nan,
-        settings=settings,
-    )
-    return Simulation(flight, judge(flight), vertex_errors(flight))
+    off = task.setpoints.positions + [0.03, 0.0, 0.04]
+    flight = flight_of(standing(hitch, 0.2, formed=False), hitch, task.t, drones=off)
+    assert judgement.vertex_errors(flight).errors.shape == (0, 3)
+    np.testing.assert_allclose(judgement.tracking_errors(flight), 0.05)
 
 
 def test_the_picture_tells_what_a_flight_was(tmp_path: Path) -> None:
-    figure = drawn_flight(flown(LINKED), MOTION, "Three ropes")
+    motion = ho.hold(HITCH, 2.0).motion
+    figure = drawn_flight(flown(), motion, "Four ropes")
     titles = [axes.get_title() for axes in figure.axes]
-    assert titles[:2] == ["start, 0.0 s", f"after the pull test, {END:.1f} s"]
-    words = "Three ropes\n3 robots, 6 drones, 0.5 s, simulated: every vertex holds"
+    assert titles[:2] == ["start, 0.0 s", "after the pull test, 5.0 s"]
+    words = "Four ropes\n4 robots, 8 drones, 2 s, simulated: every vertex holds"
     assert figure.get_suptitle() == words
-    path = tmp_path / "flight.png"
-    save_figure(figure, path)
-    assert imread(path).shape[:2] == (864, 1560)
-    untied, failure = 0 * LINKED, Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
+    save_figure(figure, tmp_path / "flight.png")
+    assert imread(tmp_path / "flight.png").shape[:2] == (864, 1560)
+    failure = Failure("dropped", ("tray",), 0.3, "tray is dropped: far below")
     for simulation, words in (
-        (flown(untied), "not hitched"),
+        (flown(UNLINKED), "not hitched"),
         (flown(None), "not simulated to its end"),
-        (flown(untied, formed=False), "untied, as planned"),
-        (flown(LINKED, formed=False), "not untied"),
-        (replace(flown(LINKED), outcome=Outcome((), (failure,))), f"but {failure.words}"),
+        (flown(UNLINKED, formed=False), "untied, as planned"),
+        (flown(formed=False), "not untied"),
+        (replace(flown(), outcome=Outcome((), (failure,))), f"but {failure.words}"),
     ):
-        assert drawn_flight(simulation, MOTION).get_suptitle().endswith(words)
-    brief = flown(None, end=0.005)  # without frames
-    assert flight_scene(brief, MOTION) is None
-    assert len(drawn_flight(brief, MOTION).axes) == 3
-
-
-def test_centimetres_are_those_of_the_accurate_preset() -> None:
-    for preset in (ACCURATE, FAST):
-        text, exact = flight_tables(flown(LINKED, settings=Settings(preset))), preset is ACCURATE
-        assert ("1.0 ± 0.0 (1.0)" in text) is ("without sag" in text) is exact
-        assert text.count(INEXACT) == (not exact)
+        assert drawn_flight(simulation, motion).get_suptitle().endswith(words)
+    brief = flown(None, end=0.0)  # without frames
+    assert flight_scene(brief, motion) is None
+    assert len(drawn_flight(brief, motion).axes) == 3
 
 
 def test_friction_that_is_left_at_0_is_warned_of() -> None:
-    task = standing(TRIANGLE, 0.1)
-    assert "friction is left at 0" in warnings(task, Settings())[0]
-    assert warnings(task, Settings(friction=0.0)) == ()
-    assert warnings(standing(regular_hitch(3), 0.1), Settings()) == ()
+    task = standing(regular_hitch(3, cable_friction=0.0), 0.1)
+    assert "friction is left at 0" in judgement.warnings(task, Settings())[0]
+    assert judgement.warnings(task, Settings(friction=0.0)) == ()
+    assert judgement.warnings(standing(HITCH, 0.1), Settings()) == ()
+
+
+def test_a_loss_that_cannot_be_is_refused() -> None:
+    assert Loss.parsed("r2@0.5") == Loss("r2", 0.5)
+    wrong = dict.fromkeys(("q0", "q0@", "@1.0", "q0@soon", "q0@nan"), r"write q0@12\.5")
+    wrong |= {"q9@0.1": "one of q0", "q0@9.0": "before the flight ends"}
+    for text, words in wrong.items():
+        with pytest.raises(ho.InputError, match=words):
+            fly(standing(regular_hitch(3), 0.5), Settings(lost=Loss.parsed(text)))
+
+
+@pytest.mark.slow
+def test_a_reaction_lowers_the_tension() -> None:
+    """The lost drone falls, none of the others touch, and their cables pull less."""
+    team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
+    corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+    plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
+    task = reacting(Task.of(plan.motion), Reactions(plan.motion).found("r1", 0.3))
+    flight = fly(task, Settings(lost=Loss("r1", 0.3)))
+    after, record = judgement.loss_outcome(flight), flight.record
+    assert after is not None
+    assert after.apart
+    assert after.peak_tension < 4.4  # less than any without a reaction
+    assert after.hangs < 0.1
+    assert np.max(record.thrusts[record.t > 0.5, team.drone_names.index("r1")]) < 1e-3
+    assert judge(flight).failures == ()
+
+
+def test_contacts_are_those_of_survivors() -> None:
+    hitch, loss = regular_hitch(3), Loss("q0", 0.05)
+    task, t = standing(hitch, 0.3), np.linspace(0.0, 0.3, 31)
+    touches = {("r0", "r1"): 0.01, ("q0", "cable 2"): 0.1, ("q1", "r2"): 0.1}
+    touches |= {("q0", "r2"): 0.2, ("r1", "cable 0"): 0.2}
+    drones = np.repeat(hitch.drones[None], len(t), axis=0)
+    drones[t > 0.1, 0, 2] = 0.5  # q0 falls
+    drones[t > 0.1, 3] += [0.03, 0.04, 0.0]
+    peaks = np.where(t > 0.04, 2.0, 7.0)[:, None] * np.ones(3)
+    parts = {"drones": drones, "peak_tensions": peaks, "touches": touches}
+    parts["linking"] = np.ones((3, 3), dtype=np.int64) - np.eye(3, dtype=np.int64)
+    flight = flight_of(task, hitch, t, settings=Settings(lost=loss), **parts)
+    outcome = judgement.loss_outcome(flight)
+    assert outcome is not None
+    assert (outcome.among, outcome.others) == ((("q1", "r2"),), (("q0", "r2"), ("r1", "cable 0")))
+    assert (outcome.linked, outcome.peak_tension) == (("p0", "p1", "p2"), 2.0)
+    assert outcome.moved == pytest.approx(0.05)
+    assert outcome.hangs == pytest.approx((11 * hitch.drones[0, 2] + 20 * 0.5) / 31 - 0.03)
+    assert judgement.loss_outcome(flight_of(task, hitch, t)) is None
+    found = [failure.where for failure in judge(flight).failures]
+    assert found == [("r0", "r1"), ("q1", "r2"), ("q0", "r2"), ("r1", "cable 0")]
+
+
+NOISY = Perturbations(noise=0.005, start_error=0.01)
+BRIEF = Settings(perturbations=NOISY, pull_test=False, seed=40)
+
+
+@pytest.mark.slow
+def test_several_processes_give_the_runs_that_one_gives(tmp_path: Path) -> None:
+    task = standing(regular_hitch(3), 0.05)
+    vertices = task.vertices.copy()
+    vertices[4:, :, 0] += [[0.01], [0.02]]  # by its plan it should move at the end
+    task, messages = replace(task, vertices=vertices), list[str]()
+    campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
+    alone = simulate(task, BRIEF)
+    for name, value in alone.figures.items():
+        np.testing.assert_equal(campaign.runs[0].figures[name], value)
+    assert campaign.runs[0].figures["tracking_mean"] != campaign.runs[1].figures["tracking_mean"]
+    assert messages[-1] == "2 of 2 flown, 2 succeeded"
+    save_campaign(tmp_path, campaign)
+    content = json.loads((tmp_path / "campaign.json").read_text(encoding="utf-8"))
+    assert content["successes"] == content["runs"] == campaign.successes == 2
+    assert content["rate_95_percent"] == list(campaign.interval)
+    with (tmp_path / "runs.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["seed"], row["verdict"]) for row in rows] == [(s, SUCCEEDED) for s in ("40", "41")]
+    done = alone.errors
+    moves = (done.t > 0.035) & (done.t < 0.055)
+    for name, chosen in (("moving", moves), ("resting", ~moves), ("vertex_error", moves | True)):
+        expected = np.mean(done.errors[chosen])
+        assert float(rows[0][f"{name}_mean"]) == pytest.approx(expected, rel=1e-5)
+    assert float(rows[0]["without_sag_mean"]) < float(rows[0]["vertex_error_mean"])
+
+
+def test_flights_that_cannot_begin_are_failures_of_that_run(tmp_path: Path) -> None:
+    free = standing(regular_hitch(3), 0.05, formed=False)
+    apart = replace(free.setpoints, positions=free.setpoints.positions * 1.6)
+    campaign = run_campaign(replace(free, setpoints=apart), BRIEF, 2, processes=1)
+    assert (campaign.successes, campaign.failures) == (0, {("start", ""): 2})
+    assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
+    save_campaign(tmp_path, campaign)
+    assert (tmp_path / "runs.csv").read_text(encoding="utf-8").count("its drones start") == 2
+    with pytest.raises(ho.InputError, match="time_step"):  # nobody could fly this
+        run_campaign(free, replace(BRIEF, density=1e-6), 2, processes=1)
+    for runs, processes, name in ((0, None, "runs"), (1, 0, "processes")):
+        with pytest.raises(ho.InputError, match=f"^{name} = 0"):
+            run_campaign(free, BRIEF, runs, processes)

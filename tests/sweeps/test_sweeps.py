@@ -1,7 +1,8 @@
-"""Sweeps: rows that arrive whole, stay, and do not depend on who computed them."""
+"""Studies and sweeps: cases, refusals, and rows that stay, whoever computed them."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -10,18 +11,115 @@ from pathlib import Path
 from typing import Any
 
 import distributed
+import numpy as np
 import pandas
 import pytest
 from click.testing import CliRunner
-from scipy.stats import norm
-from test_studies import PROBLEM
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.errors import FileError, InputError
-from hitchopt.sweeps.study import study_from_dict
-from hitchopt.sweeps.sweep import ROWS, Share, load_sweep, summary, write_row
+from hitchopt.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
+from hitchopt.sweeps.sweep import ROWS, load_sweep, summary, write_row
 from hitchopt.sweeps.work import SETTINGS, row_of
+
+PROBLEM: dict[str, Any] = {
+    "team": {"robots": 3, "cable_length": 2.4},
+    "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}},
+    "mission": [{"morph": {"polygon": [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}],
+}
+LOG = {"from": 0, "to": 2, "count": 3, "log": True}
+
+
+def test_every_combination_occurs_once() -> None:
+    log = {"grid": {"from": 1.0, "to": 4.0, "count": 3, "log": True}}
+    even = {"grid": {"from": -1.0, "to": 1.0, "count": 5}}
+    spans = {key: ParameterKeys.model_validate(each) for key, each in (("b", log), ("c", even))}
+    found = points({"a": [1, 2], **spans})
+    wanted = itertools.product((1, 2), (1.0, 2.0, 4.0), (-1.0, -0.5, 0.0, 0.5, 1.0))
+    assert [list(point) for point in found] == [["a", "b", "c"]] * 30
+    rows = [[float(str(x)) for x in point.values()] for point in found]
+    np.testing.assert_allclose(rows, list(wanted))
+
+
+def test_values_are_set_in_a_copy() -> None:
+    made: Any = with_values(PROBLEM, {"team.tension": 0.3, "mission[0].morph.duration": 9.0})
+    assert made["team"] == {**PROBLEM["team"], "tension": 0.3}
+    assert made["mission"][0]["morph"] == {**PROBLEM["mission"][0]["morph"], "duration": 9.0}
+    assert "tension" not in PROBLEM["team"]
+    assert "duration" not in PROBLEM["mission"][0]["morph"]
+    assert with_values(PROBLEM, {"limits.speed": 2})["limits"] == {"speed": 2}
+    wrong = "mission[1].hold mission.morph team.robots.x team[0] team..x mission[0]x"
+    for key in wrong.split():
+        with pytest.raises(ho.InputError, match="parameters"):
+            with_values(PROBLEM, {key: 1})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"parameters": {"team.tensoin": [0.3]}}, "did you mean tension"),
+        ({"parameters": {"team.tension": [0.3, -1.0]}}, "team.tension"),
+        ({"parameters": {"team.tension": {"grid": {"from": 1, "to": 0, "count": 3}}}}, "below"),
+        ({"parameters": {"team.tension": {"grid": LOG}}}, "log"),
+        ({"parameters": {"team.tension": {"list": [1]}}}, "team.tension"),
+        ({"parameters": {"team.tension": []}}, "team.tension"),
+        ({"parameters": {"simulate.wind": [0.1]}}, "add simulate"),
+        ({"simulate": {"wind": -1}}, "simulate.wind"),
+        ({"simulate": {}, "parameters": {"simulate.wnd": [0.1]}}, "simulate.wnd"),
+        ({"paramters": {}}, "did you mean parameters"),
+        ({"limit": 0}, "limit"),
+        ({"problem": []}, "write triangle.yaml"),
+        ({"problem": [3]}, "problem = "),
+        ({"problem": "no_such_file.yaml"}, "no such file"),
+    ],
+)
+def test_studies_that_are_wrong_say_where(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(ho.HitchoptError, match=words):
+        study_from_dict({"problem": PROBLEM, **change})
+
+
+def test_cases_are_told_apart_by_all_that_counts() -> None:
+    parameters = {"team.tension": [0.3, 0.4], "simulate.wind": [0.0, 0.1]}
+    given = {"problem": PROBLEM, "parameters": parameters, "simulate": {"seeds": 3, "seed": 5}}
+    cases = list(study_from_dict(given).cases())
+    assert len({case.digest for case in cases}) == len(cases) == 12
+    assert [case.seed for case in cases[:4]] == [5, 6, 7, 5]
+    assert cases[0].simulate is not None
+    assert cases[0].simulate["wind"] == 0.0
+    assert "seeds" not in cases[0].simulate  # more seeds leave the rows of the first ones
+    assert "simulate" not in cases[0].problem
+    sections = [{**PROBLEM["team"], "tension": value} for value in (0.3, 0.4)]
+    whole = study_from_dict({"problem": PROBLEM, "parameters": {"team": sections}})
+    assert [case.problem["team"] for case in whole.cases()] == sections
+
+
+def test_drawings_can_be_a_parameter(tmp_path: Path) -> None:
+    """Cases hold their outlines, and digests depend on these."""
+
+    def drawn(name: str, width: float) -> None:
+        shape = f'<rect x="0" y="0" width="{width}" height="0.3"/>'
+        svg = f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1 1">{shape}</svg>'
+        (tmp_path / name).write_text(svg)
+
+    def cases(*files: str) -> list[Case]:
+        box = {"file": "a.svg", "at": [3.0, 0.0, 0.0], "fixed": True}
+        study = {"problem": PROBLEM | {"objects": {"box": box}}}
+        study["parameters"] = {"objects.box.file": list(files)}
+        return list(study_from_dict(study, tmp_path).cases())
+
+    drawn("a.svg", 0.4)
+    drawn("b.svg", 0.6)
+    first, second = cases("a.svg", "b.svg")
+    for case, file, width in ((first, "a.svg", 0.4), (second, "b.svg", 0.6)):
+        made: Any = case.problem["objects"]
+        assert (case.point, "file" in made["box"]) == ({"objects.box.file": file}, False)
+        np.testing.assert_allclose(np.ptp(made["box"]["outline"], axis=0), [width, 0.3], atol=1e-9)
+    drawn("b.svg", 0.4)
+    again = cases("a.svg", "b.svg")
+    assert (again[0].digest, again[1].digest != second.digest) == (first.digest, True)
+    with pytest.raises(ho.FileError, match=r"c\.svg"):
+        cases("c.svg")
+
 
 STUDY: dict[str, Any] = {
     "title": "Tension",
@@ -36,9 +134,8 @@ def fixed(rows: pandas.DataFrame) -> pandas.DataFrame:
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[distributed.LocalCluster]:
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
-    ) as cluster:
+    given = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with distributed.LocalCluster(**given) as cluster:
         yield cluster
 
 
@@ -92,16 +189,15 @@ def test_what_is_lost_is_computed_again_and_nothing_else(
 def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     row: dict[str, Any] = {"problem": "p", "seed": None, "status": "failed", "message": "none"}
     write_row(tmp_path, {**row, "digest": "a"})
-    (tmp_path / "study.json").write_text(
-        json.dumps({"format": "hitchopt-sweep/1", "parameters": [], "cases": ["a", "b"]})
-    )
+    study = {"format": "hitchopt-sweep/1", "parameters": [], "cases": ["a", "b"]}
+    (tmp_path / "study.json").write_text(json.dumps(study))
 
     def full(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", full)
-        with pytest.raises(FileError, match="only what is missing is computed"):
+        with pytest.raises(ho.FileError, match="only what is missing is computed"):
             write_row(tmp_path, {**row, "digest": "b"})
     assert list(load_sweep(tmp_path)["digest"]) == ["a"]
 
@@ -109,7 +205,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
 @pytest.mark.slow
 def test_plans_are_simulated() -> None:
     study = {"problem": PROBLEM, "simulate": {"perturbed": False, "density": 0.01}}
-    case = next(iter(study_from_dict(study).cases()))
+    (case,) = study_from_dict(study).cases()
     row = row_of(case, case.digest)
     plan = ho.solve(ho.problem_from_dict(case.problem))
     assert (row["status"], row["duration"]) == ("planned", plan.duration)
@@ -124,13 +220,13 @@ def test_a_scheduler_that_is_not_there_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(SETTINGS, "distributed.comm.timeouts.connect", "0.5s")
-    with pytest.raises(InputError, match="start `dask scheduler`"):
+    with pytest.raises(ho.InputError, match="start `dask scheduler`"):
         ho.run_sweep(STUDY, tmp_path, scheduler="tcp://127.0.0.1:1")
 
 
 def test_a_limit_of_time_is_a_row() -> None:
-    study = study_from_dict({**STUDY, "parameters": {}, "limit": 1e-6})
-    assert row_of(next(iter(study.cases())), "")["status"] == "time limit"
+    (case,) = study_from_dict({"problem": PROBLEM, "limit": 1e-6}).cases()
+    assert row_of(case, "")["status"] == "time limit"
 
 
 @pytest.mark.slow
@@ -140,11 +236,6 @@ def test_what_rows_come_to(swept: tuple[Path, pandas.DataFrame]) -> None:
     assert (found.planned.count, found.planned.rows, found.cases) == (4, 6, 7)
     assert sum(count for _, count in found.binding) == 2
     assert found.medians["duration"][0] == pytest.approx(rows["duration"].dropna().median())
-    low, high = Share(4, 6).interval  # Wilson's formula by hand
-    z, p, n = norm.ppf(0.975), 4 / 6, 6
-    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
-    half = z / (1 + z * z / n) * (p * (1 - p) / n + z * z / (4 * n * n)) ** 0.5
-    assert (low, high) == pytest.approx((middle - half, middle + half))
 
 
 @pytest.mark.slow
