@@ -35,10 +35,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import InputError
 from hitchopt.mission.keys import translated
 from hitchopt.steps.step import Keys
-from hitchopt.storage.yaml_file import plain, read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
 
@@ -102,16 +102,8 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
     """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan."""
-    data = read_yaml(path)
-    if not isinstance(data, dict):
-        raise FileError(f"{path}: is no mapping; a fleet file has the key drones or robots")
-    return fleet_from_dict(data, roles)
-
-
-def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
-    """Return the fleet that ``data`` describes; errors as those of ``read_fleet``."""
     try:
-        keys = FleetKeys.model_validate(plain(data))
+        keys = FleetKeys.model_validate(read_yaml(path))
     except ValidationError as error:
         raise translated(error, FleetKeys) from None
     root = "robots" if keys.robots else "drones"
@@ -210,13 +202,11 @@ class ReferenceFrame:
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""
-        c = np.moveaxis(self.points(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
-        return PiecewisePolynomial(part.breaks, c)
+        return part.alike(self.rotation @ part.coefficients + self.shift[:, None])
 
     def in_plan(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the file in the plan's axes [m]."""
-        c = np.moveaxis(self.planned(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
-        return PiecewisePolynomial(part.breaks, c)
+        return part.alike(self.rotation.T @ (part.coefficients - self.shift[:, None]))
 
     def to_dict(self) -> dict[str, object]:
         """Return what a file says of its frame."""

@@ -35,11 +35,11 @@ from plans import planned
 from ruamel.yaml import YAML
 
 import hitchopt as ho
-from hitchopt.errors import FileError, InfeasibleError, InputError
+from hitchopt.errors import InfeasibleError, InputError
 from hitchopt.exports.exporting import Export
 from hitchopt.exports.formats.crazyflie import POLY
 from hitchopt.exports.lint import lint
-from hitchopt.exports.placing import PER_RADIO, fleet_from_dict, placeholder_fleet, read_fleet
+from hitchopt.exports.placing import PER_RADIO, placeholder_fleet, read_fleet
 from hitchopt.exports.recording import read_manifest
 from hitchopt.mission.loading import any_problem_from_dict
 from hitchopt.motion.motion import Motion
@@ -140,9 +140,9 @@ def test_a_fleet_is_read_from_the_settings_that_were_written(tmp_path: Path) -> 
         for i, role in enumerate(reversed(roles))
     }
     data = {"drones": drones, "types": {"cf21": {"big_quad": True}}, "settings": {"a": {"b": 1}}}
-    fleets, texts = [fleet_from_dict(data, roles)], []
     path = tmp_path / "fleet.yaml"
     path.write_text(json.dumps(data))
+    fleets, texts = [read_fleet(path, roles)], []
     for turn in ("first", "second"):
         exported(motion, "crazyswarm2", tmp_path / turn, fleet=path)
         path = tmp_path / turn / "crazyflies.yaml"
@@ -171,13 +171,14 @@ ROBOTS: dict[str, dict[str, Any]] = {
 
 def test_robots_fly_their_roles_else_their_names(tmp_path: Path) -> None:
     data = {"fileversion": 3, "robots": ROBOTS, "robot_types": {"cf21": {}}, "all": {"a": 1}}
-    fleet = fleet_from_dict(data, ("q0", "r0"))
+    path = tmp_path / "fleet.yaml"
+    path.write_text(json.dumps(data))
+    fleet = read_fleet(path, ("q0", "r0"))
     assert [(m.role, m.name) for m in fleet.members] == [("q0", "q0"), ("r0", "cf7")]
     assert [m.type for m in fleet.members] == ["cf21", "default"]
     assert (fleet.types, fleet.settings, fleet.given) == ({"cf21": {}}, {"a": 1}, True)
-    path = tmp_path / "fleet.yaml"
     path.write_text("- q0\n")
-    with pytest.raises(FileError, match="no mapping"):
+    with pytest.raises(InputError, match="a mapping"):
         read_fleet(path, ("q0", "r0"))
 
 
@@ -202,7 +203,7 @@ MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
 
 @pytest.mark.parametrize(("root", "name", "keys", "reported"), MISTAKES)
 def test_mistakes_of_fleets_are_reported_by_key(
-    root: str, name: str, keys: dict[str, object] | None, reported: str
+    root: str, name: str, keys: dict[str, object] | None, reported: str, tmp_path: Path
 ) -> None:
     entries: dict[str, Any] = {"drones": DRONES, "robots": ROBOTS}.get(root, {})
     entry = {k: v for k, v in {**entries.get(name, {}), **(keys or {})}.items() if v is not None}
@@ -210,8 +211,9 @@ def test_mistakes_of_fleets_are_reported_by_key(
     if keys is None:
         del given[name]
     data: dict[str, Any] = {root: given}
+    (tmp_path / "fleet.yaml").write_text(json.dumps(data if name else {}))
     with pytest.raises(InputError, match=reported):
-        fleet_from_dict(data if name else {}, ("q0", "r0"))
+        read_fleet(tmp_path / "fleet.yaml", ("q0", "r0"))
 
 
 @pytest.fixture(scope="module")

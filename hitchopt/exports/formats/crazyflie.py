@@ -29,7 +29,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +56,6 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
 BYTES = 4096  # Size of the memory for all trajectories of one drone [B]
-CLOSER = 0.3  # Share of the error within which parts are refitted where coarser ones lose a limit
 DEGREE = 7  # Degree of pieces and segments
 STEADY = 2e-3  # [rad] Yaw that changes less is constant: bytes have tenths of a degree
 
@@ -97,44 +96,35 @@ class CrazyflieFormat(Format):
         frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
         return Recording.of_curves(drones, frame, self.smooth, findings)
 
-    def parts(self, task: Task) -> Iterator[Sequence[Task]]:
-        """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
-        breaks, counts = task.motion.drones.breaks, [1]
-        for share in (1.0, CLOSER):
-            parts = self._parts(task.motion, share)
-            if len(parts) in counts:
-                continue
-            counts.append(len(parts))
-            why = (
-                f"the plan is cut into {len(parts)} parts at rests, since as a whole it does not "
-                f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
-                "drones hover, goTo the point where each hovers, wait, only then upload the next "
-                "(uploads overwrite the memory that a finished trajectory is flown from), go on"
-            )
-            tasks = []
-            for i, (first, part) in enumerate(parts):
-                begins = float(breaks[first])
-                told = f"part {i + 1} of {len(parts)}, t = {begins:.3f} s to "
-                told += f"{begins + part.duration:.3f} s of the plan"
-                here = replace(task, motion=part, begins=begins, number=i + 1, part=told)
-                tasks.append(replace(here, notes=(*task.notes, f"{told}: {why}")))
-            yield tasks
+    def parts(self, task: Task, share: float) -> Sequence[Task]:
+        """Return the task cut at rests into the fewest parts that memory holds; nothing if none."""
+        motion, most = task.motion, self.most_pieces(task.motion.drones)
 
-    def _parts(self, motion: Motion, share: float) -> list[tuple[int, Motion]]:
-        """Return the fewest parts between rests that memory holds, and the break of each start."""
-        parts, at, most = [], rests(motion).tolist(), self.most_pieces(motion.drones)
-
-        def held(part: Motion) -> bool:
+        def held(end: int) -> bool:
+            part = cut(motion, starts[-1], end)
             return len(breaks_within(part.drones, self.kind, share, most)) - 1 <= most
 
-        while len(at) > 1:
-            tried = (cut(motion, at[0], end) for end in at[1:])
-            fitting = list(takewhile(held, tried))
+        at = rests(motion).tolist()
+        starts = at[:1]
+        while starts[-1] < at[-1]:
+            fitting = list(takewhile(held, (end for end in at if end > starts[-1])))
             if not fitting:
-                raise self.refusal(cut(motion, at[0], at[1]))
-            parts.append((at[0], fitting[-1]))
-            at = at[len(fitting) :]
-        return parts
+                return ()
+            starts.append(fitting[-1])
+        spans, count = list(pairwise(starts)), len(starts) - 1
+        why = (
+            f"the plan is cut into {count} parts at rests, since as a whole it does not "
+            f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
+            "drones hover, goTo the point where each hovers, wait, only then upload the next "
+            "(uploads overwrite the memory that a finished trajectory is flown from), go on"
+        )
+        tasks = []
+        for i, (first, last) in enumerate(spans if count > 1 else (), 1):
+            begins, end = motion.drones.breaks[[first, last]].tolist()
+            told = f"part {i} of {count}, t = {begins:.3f} s to {end:.3f} s of the plan"
+            here = replace(task, motion=cut(motion, first, last), begins=begins, number=i)
+            tasks.append(replace(here, part=told, notes=(*task.notes, f"{told}: {why}")))
+        return tasks
 
     def refusal(self, motion: Motion) -> InfeasibleError:
         """Return the error that memory does not hold a motion."""
@@ -161,7 +151,6 @@ LEAST = 2  # Rows of a file at least: the usual reader fails on one
 MAX_ROWS = 100_000  # Rows of a file that is read
 NOTHING = 1e-10  # Powers that never add more than this are left out [m]
 
-CLOSE = 1.0 - 1e-4  # Share of an ellipsoid's width within which drones, from above, block others
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
 
 
@@ -317,8 +306,8 @@ def _template(name: str) -> str:
 
 def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
     """Give a warning where drones start, or land, below one another: fly.py goes straight up."""
-    width = 2.0 * task.motion.requirements.separation.radius
-    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(CLOSE * width))[:1]:
+    width = 1.9999 * task.motion.requirements.separation.radius
+    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(width))[:1]:
         words = (
             f"{task.names[i]} and {task.names[j]}, perhaps others too, would {what} one place, as"
         )

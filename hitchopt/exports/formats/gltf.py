@@ -180,18 +180,13 @@ def y_up(vectors: Array) -> Array:
 
 
 def _along(vectors: Array) -> Array:
-    """Return quaternions (S, m, 4) x, y, z, w from y to vectors (S, m, 3), smooth in time."""
-    found = np.empty((*vectors.shape[:2], 4))
-    last = Rotation.identity(vectors.shape[1])
-    for s, now in enumerate(vectors):
-        # The least rotation from the direction before; from y down to -y it is about x.
-        before, towards = last.apply([0.0, 1.0, 0.0]), unit(now + [0.0, 1e-12, 0.0])
-        w = 1.0 + np.sum(before * towards, axis=-1, keepdims=True)
-        least = np.concatenate([np.cross(before, towards), w], axis=-1)
-        last = Rotation.from_quat(np.where(w > 1e-9, least, [1.0, 0.0, 0.0, 0.0])) * last
-        found[s] = last.as_quat()
-        if s:
-            found[s] *= np.where(np.sum(found[s] * found[s - 1], -1, keepdims=True) < 0.0, -1, 1)
+    """Return quaternions (S, m, 4) x, y, z, w from y to vectors (S, m, 3), of one sign in time."""
+    x, y, z = np.moveaxis(unit(vectors + [0.0, 1e-12, 0.0]), -1, 0)
+    down = np.array([1.0, 0.0, 0.0, 0.0])  # from y to -y, about x
+    half = np.stack([z, 0.0 * x, -x, 1.0 + y], axis=-1)
+    found = unit(np.where(half[..., 3:] > 1e-9, half, down))
+    turns = np.sum(found[1:] * found[:-1], axis=-1, keepdims=True) < 0.0
+    found[1:] *= np.cumprod(np.where(turns, -1.0, 1.0), axis=0)
     return found
 
 
