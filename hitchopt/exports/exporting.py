@@ -228,7 +228,7 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         moved[place] = {MANIFEST: first.folder.parent / MANIFEST}
         write_strict_json(moved[place][MANIFEST], content)
     old = [place / name for name in listed(place, "parts") if place / name not in moved]
-    for folder, sources in (moved | dict.fromkeys(old, {})).items():
+    for folder, sources in (moved | {folder: {} for folder in old}).items():
         _move(folder, sources, _owned(folder, tuple(sources)), MANIFEST)
     for folder in old:  # it was cut into more
         with contextlib.suppress(OSError):  # not empty

@@ -109,9 +109,8 @@ class Recording:
             times = times[:1]
         spans = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
         if spans * len(each) > MAX_SPANS:
-            words = f"{len(each)} drones with {spans} spans of time between their points are more "
-            words += f"than {MAX_SPANS} together; give all drones the same times, or fewer points"
-            raise FileError(words)
+            words = f"{len(each)} drones with {spans} spans of time are too many to be read"
+            raise FileError(f"{words}; give all drones the same times, or fewer points")
         breaks, size = merged_breaks(times), max(1, WINDOW // len(each))
 
         def windows() -> Iterator[PiecewisePolynomial]:
@@ -159,10 +158,9 @@ def check_times(t: Array, source: str = "") -> None:
     if not np.all(np.isfinite(t)):
         raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
     for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
-        if t[i + 1] >= t[i] - SAME_TIME:
-            raise FileError(f"{place}repeats the time t = {t[i]:g} s; keep one row of every time")
-        words = f"its times go back from t = {t[i]:g} s to {t[i + 1]:g} s; sort its rows"
-        raise FileError(f"{place}{words}")
+        back = t[i + 1] < t[i] - SAME_TIME
+        words = "its times go back from" if back else "repeats the time"
+        raise FileError(f"{place}{words} t = {t[i]:g} s; sort its rows, one of every time")
 
 
 def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, float]:
