@@ -1,10 +1,9 @@
 """A certified plan, written as fleets read it, and verified by what was written.
 
 There is one path: files are written into a hidden folder, read back, verified against the plan, and
-moved to their place. An export that loses a limit of what is flown by its rounding or refitting is
-refused, and nothing that was there before is touched. Drones are read from the files, after
-rounding; vertices, legs and tensions are the plan's. So every ``worst`` bounds what is flown, for
-all t, as in the plan's certificate. Lint uses the same rules.
+moved to their place. An export that loses a limit by its rounding or refitting is refused, and what
+was there before stays. Drones are those of the files; vertices, legs and tensions are the plan's.
+So every ``worst`` bounds what is flown, for all t, as in the plan's certificate.
 """
 
 from __future__ import annotations
@@ -73,13 +72,8 @@ def export_motion(
     The plan is certified first, stretched as the options say. The folder is made if it is missing,
     and only files of an earlier export there are replaced; a name that ends as the format's only
     file does is that file, its manifest next to it. ``progress`` is called with what is being done.
-
-    Raises
-    ------
-    InputError, FileError: what was asked is wrong in itself, or cannot be written.
-    CertificateError: the plan's certificate does not hold.
-    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
-    UnsupportedError: a library that the format needs is not installed.
+    InfeasibleError tells that the format cannot hold the plan, or loses a limit; nothing is written
+    then, nor where the certificate does not hold or what was asked is wrong.
     """
     say = progress or (lambda _: None)
     kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
@@ -102,8 +96,7 @@ def export_motion(
     )
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or sealed):
-        words = "is there already, and no export's: an export is a folder"
-        raise FileError(f"{place}: {words}; choose another name")
+        raise FileError(f"{place}: is there already, and from no export; choose another name")
     certify(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
@@ -263,13 +256,12 @@ EASIER = "fly it slower with --stretch, plan below the limit, or choose another 
 CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
 """Remedies for checks that a slower flight eases, and for the others."""
 
-NOT_CARRIED = {
-    0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
-    "are not in these files",
-    1: "acceleration jumps between pieces, so jerk is not in these files; thrust and tilt are "
-    "those within the pieces",
-    2: "jerk jumps between pieces; acceleration is smooth",
-}
+NOT_CARRIED = (
+    "acceleration, jerk, thrust and tilt: straight lines between samples, where velocity jumps",
+    "jerk: acceleration jumps between pieces; thrust and tilt are those within the pieces",
+    "a smooth jerk: it jumps between pieces",
+)
+"""What is not in files, by the highest derivative that does not jump."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,9 +77,7 @@ class Flight:
     duration: float  # [s]
     speed: float  # the largest of any drone [m/s]
     acceleration: float  # [m/s²]; nan where the files have none
-    separation: (
-        float  # smallest ratio over pairs; inf for one drone, nan where places are not known
-    )
+    separation: float  # smallest ratio over pairs; inf for one drone, nan of unknown places
     jumps: tuple[float, ...]  # the largest between pieces, of position, velocity, acceleration
     reach: float  # the largest coordinate, control points included [m]
     speed_limit: float  # [m/s]; inf where only the show's own limits apply
@@ -130,15 +128,8 @@ class Rules:
 def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     """Return the report on a file or folder; of an export that was cut, one for every part.
 
-    Parameters
-    ----------
-    path: a file of a known format, or a folder of such files.
-    rules: limits of the flight.
-
-    Raises
-    ------
-    FileError: nothing there that is known, or a damaged file.
-    UnsupportedError: a library that its format needs is not installed.
+    FileError tells of a damaged file, or of nothing there that is known, UnsupportedError of a
+    library that its format needs. ``rules`` are the limits of the flight.
     """
     place = checked_path("path", path)
     parts = listed(place, "parts") if place.is_dir() else []
@@ -213,7 +204,6 @@ def _flown_together(
     windows = recording.windows()
     last = next(windows)
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
-    # Several drones that begin at one point have an origin each.
     relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < SAME_START
     reach, longest = (0.0, ""), 0.0
     for window in (last, *windows):
@@ -224,16 +214,14 @@ def _flown_together(
         jumps = [max(jump, largest_jump(whole, order)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
-    values = {name: check.bound for name, check in checks.items()}
+    values = defaultdict(lambda: math.nan, {name: check.bound for name, check in checks.items()})
     flight = Flight(
         float(last.breaks[-1]) - start,
-        values.get("speed", math.nan),
-        values.get("acceleration", math.nan),
-        values.get("separation", math.nan) if len(names) > 1 else math.inf,
+        *(values["speed"], values["acceleration"]),
+        values["separation"] if len(names) > 1 else math.inf,
         tuple(jump[0] for jump in jumps),
         reach[0],
-        limits["speed"],
-        limits["acceleration"],
+        *(limits["speed"], limits["acceleration"]),
         tuple(checks[key] for key in own if key in checks),
     )
     found = [*map(_broken, (check for check in checks.values() if not check.holds))]

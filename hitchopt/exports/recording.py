@@ -30,7 +30,7 @@ from hitchopt.values import Array
 
 WINDOW = 20_000  # Pieces times drones that are read together: about 40 MB with their bounds
 MAX_SPANS = 20_000_000  # Largest number of them with all drones' breaks merged; no show has more
-SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
+SAME_TIME = 1e-9  # Largest difference of samples of one time [s]
 ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
 
@@ -205,8 +205,7 @@ def read_columns(
     """Return the wanted columns of a table's lines, as numbers or text; blank ones are left out.
 
     ``header`` is the first line, ``lines`` are the others, ``source`` is the file's name. FileError
-    tells of a column that is missing, fewer rows than ``least``, rows that are too short, or text
-    that is no number.
+    tells of a missing column, fewer rows than ``least``, short rows, or text that is no number.
     """
     labels = header.split(",")
     if missing := [name for name in wanted if name not in labels]:

@@ -1,10 +1,9 @@
 """Formats crazyswarm2 and compressed: trajectories that are uploaded into Crazyflies' memory.
 
 Feed-forward: the drone's own controller (Mellinger's) takes acceleration from the curve and adds
-gravity, so the cable's pull ``F`` (a static tilt of ``atan(T / (m g))``) cannot be in it. The
-controller's integral does not find it: it brings the drone to its place, where any tension may be.
-Stream full-state setpoints (ros2bag, csv) with ``a_ff = a - F / m``, or turn the integral off and
-export with ``--hold-tension``.
+gravity, so the cable's pull ``F`` cannot be in it, and its integral brings the drone to its place,
+where any tension may be. Stream full states (ros2bag, csv) with ``a_ff = a - F / m``, or turn the
+integral off and export with ``--hold-tension``.
 
 **crazyswarm2**: settings of the fleet, how to start, and a CSV file per drone, a header, then 33
 numbers per piece: ``duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7``: ascending powers of the
@@ -66,10 +65,8 @@ class CrazyflieFormat(Format):
     frames = ("enu", "nwu")
     receiver_integral = True
     feed_forward = (
-        "not in these files: the on-board controller takes acceleration from the curve and adds "
-        "gravity, but not the cable's pull; its integral brings drones to their places and leaves "
-        "the tension to the cables' lengths: stream full states (ros2bag), or turn it off and "
-        "export with --hold-tension"
+        "not in these files: the on-board controller knows no cable, and its integral leaves the "
+        "tension to the cables' lengths: stream full states (ros2bag), or export --hold-tension"
     )
     kind: Kind  # of its pieces
     smooth: int  # highest derivative that does not jump
@@ -145,7 +142,6 @@ HEADER = ",".join(("duration", *POWERS))
 PIECE_BYTES = 4 * (1 + len(POWERS))  # Size of a piece in the drone's memory [B]
 MOST = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
 LEAST = 2  # Rows of a file at least: the usual reader fails on one
-NOTHING = 1e-10  # Powers that never add more than this are left out [m]
 
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
 
@@ -223,9 +219,7 @@ class Crazyswarm2(CrazyflieFormat):
 def to_powers(curves: PiecewisePolynomial) -> Array:
     """Return ascending powers of seconds (pieces, D, 3, 8) of curves (D, 3) of degree 7."""
     basis = BPoly(np.moveaxis(curves.coefficients, -1, 0), curves.breaks)
-    powers = np.moveaxis(PPoly.from_bernstein_basis(basis).c[::-1], 0, -1)
-    local = powers * curves.durations[:, None, None, None] ** np.arange(DEGREE + 1)
-    return np.where(np.abs(local) < NOTHING, 0.0, powers)  # differences that are rounding alone
+    return np.moveaxis(PPoly.from_bernstein_basis(basis).c[::-1], 0, -1)
 
 
 def of_powers(durations: Array, powers: Array) -> PiecewisePolynomial:
