@@ -96,7 +96,7 @@ def export_motion(
     )
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or sealed):
-        raise FileError(f"{place}: is there already, and from no export; choose another name")
+        raise FileError(f"{place}: is there already; an export is a folder, so name another")
     certify(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
