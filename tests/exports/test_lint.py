@@ -336,7 +336,6 @@ def test_small_files_that_unpack_to_very_much(
 
 def polys(folder: Path, *drones: tuple[list[float], list[list[float]]]) -> None:
     """Files d0.csv, …: durations, and per piece the powers of x; y tells the drones apart."""
-    folder.mkdir(exist_ok=True)
     for i, (durations, pieces) in enumerate(drones):
         powers = np.zeros((len(durations), 4, 8))
         for k, piece in enumerate(pieces):
@@ -418,21 +417,18 @@ def test_tables_without_rates(
 ) -> None:
     """They are joined by lines or cubics: at most as fast, without a rest at every row."""
     whole = report(exports / name / file)
-    header, *lines = (line.split(",") for line in (exports / name / file).read_text().splitlines())
-    kept = [i for i, label in enumerate(header) if label not in columns]
-    path = tmp_path / file
-    path.write_text("\n".join(",".join(row[i] for i in kept) for row in (header, *lines)) + "\n")
-    found = report(path)
+    lines = [line.split(",") for line in (exports / name / file).read_text().splitlines()]
+    kept = [i for i, label in enumerate(lines[0]) if label not in columns]
+    (tmp_path / file).write_text("\n".join(",".join(row[i] for i in kept) for row in lines))
+    found = report(tmp_path / file)
     assert found.flight.speed == pytest.approx(whole.flight.speed, rel=0.01)
     assert math.isnan(found.flight.acceleration) is (missing == "velocities")
     assert missing in {finding.rule for finding in found.findings if finding.level == "note"}
 
 
-def show_of(path: Path, validation: dict[str, Any], **routes: list[Any]) -> Path:
-    drones = [
-        {"settings": {"name": name, "home": points[0][1][:2], "trajectory": {"points": points}}}
-        for name, points in routes.items()
-    ]
+def show_of(path: Path, validation: dict[str, Any], late: float, **routes: list[Any]) -> Path:
+    each = {name: {"points": points, "takeoffTime": late} for name, points in routes.items()}
+    drones = [{"settings": {"name": name, "trajectory": route}} for name, route in each.items()]
     content = {"swarm": {"drones": drones}, "settings": {"validation": validation}}
     return write_zip(path, {"show.json": content})
 
@@ -442,12 +438,7 @@ def test_lines_parabolas_cubics_and_late_starts_are_read(tmp_path: Path) -> None
     places = chance.normal(size=(7, 3)).tolist()
     inner = [[], *(chance.normal(size=(k % 3, 3)).tolist() for k in range(6))]
     points = [[k, place, each] for k, (place, each) in enumerate(zip(places, inner, strict=True))]
-    path = show_of(tmp_path / "a.skyc", {}, d0=points)
-
-    def late(files: dict[str, Any]) -> None:
-        files["show.json"]["swarm"]["drones"][0]["settings"]["trajectory"]["takeoffTime"] = 3.0
-
-    edit(path, late)
+    path = show_of(tmp_path / "a.skyc", {}, 3.0, d0=points)
     curve = read_show(path).curves["d0"]
     np.testing.assert_allclose(curve.at(1.7), places[0], atol=1e-12)
     for k, controls in enumerate(inner[1:]):
@@ -462,7 +453,7 @@ def two_drones(path: Path, **validation: Any) -> Path:
     d0 = [[0, [0, 0, 1], []], [2, [0, 0, 9], []], [4, [0, 0, 9], []]]
     d1 = [[0, [0, 3, 1], []], [2, [10, 3, 1], []], [4, [10, 3, 1], []]]
     usual = {"maxAltitude": 10, "maxVelocityXY": 8, "maxVelocityZ": 5, "minDistance": 2}
-    return show_of(path, usual | validation if validation else {}, d0=d0, d1=d1)
+    return show_of(path, usual | validation if validation else {}, 0.0, d0=d0, d1=d1)
 
 
 @pytest.mark.parametrize(
