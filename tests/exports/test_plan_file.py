@@ -261,19 +261,18 @@ def test_the_command_line_refuses_a_lie_too(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "words"),
+    "words",
     [
-        ("stiffness", -1.0, r"stiffness = -1\.0: must be greater than 0"),
-        ("integral", 0.5, r"integral = 0\.5: must be true or false"),
-        ("feed_forward", "np.nan", "feed_forward = nan: must be true or false"),
+        "stiffness = -1.0: must be greater than 0",
+        "integral = 0.5: must be true or false",
+        "feed_forward = nan: must be true or false",
     ],
 )
-def test_damaged_controllers_are_refused(
-    name: str, value: object, words: str, tmp_path: Path
-) -> None:
+def test_damaged_controllers_are_refused(words: str, tmp_path: Path) -> None:
+    name, value = words.partition(":")[0].split(" = ")
     write_plan(tmp_path / "plan.npz", controlled())
-    changed(tmp_path / "plan.npz", f"a[{name!r}] = np.array([{value}, *a[{name!r}][1:]], float)")
-    refused(tmp_path / "plan.npz", words)
+    changed(tmp_path / "plan.npz", f"a[{name!r}] = np.array([{value!r}, *a[{name!r}][1:]], float)")
+    refused(tmp_path / "plan.npz", re.escape(words))
 
 
 @pytest.mark.parametrize(("lie", "key"), OTHERS, ids=range(len(OTHERS)))

@@ -6,24 +6,19 @@ import json
 import re
 import zipfile
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import Array, exported, flown_checks, hitch_plan, swarm_of, swarm_plan, task_of
+from exported_plans import Array, exported, hitch_plan, swarm_of, swarm_plan, task_of
 from format_readers import as_stored
 
-from hitchopt.checks import Certificate
 from hitchopt.errors import FileError, InfeasibleError, InputError
-from hitchopt.exports import exporting
 from hitchopt.exports.format import format_of
 from hitchopt.exports.formats.mavsdk import LATE, read_tables
 from hitchopt.exports.formats.skybrush import read_show, storage_scale, stored, write_show
-from hitchopt.hitch import Swarm
-from hitchopt.hitch.requirements import Limits, Separation
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 
 MOTIONS = pytest.mark.parametrize("motion", [hitch_plan(), swarm_plan()], ids=["hitch", "swarm"])
@@ -72,30 +67,6 @@ def test_millimetres_that_lie_below_themselves_are_not_cut_off(tmp_path: Path) -
     curve = stored(read_show(path).curves["d0"])
     assert (storage_scale(curve), storage_scale(curve, 2e-3)) == (1, 2)
     np.testing.assert_allclose(curve.coefficients[0], points[0, 0], rtol=0.0, atol=1e-9)
-
-
-@pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
-def test_csv_is_refused_where_lines_between_samples_lose_a_limit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Two drones on one circle, always opposite, at just their distance: lines cut corners."""
-    t = np.linspace(0.0, 4.0, 200)
-    turned = np.exp(1j * np.pi * t)
-    circles = [np.stack([z.real, z.imag, 0.0 * t], axis=-1) for z in (turned, 1j * np.pi * turned)]
-    ends = 0.1201 * np.stack([np.stack([s, -s], axis=1) for s in circles])
-    ends[0] += [0.0, 0.0, 1.0]
-    limits = Limits(speed=5.0, acceleration=1e3, jerk=1e6)
-    pair = Motion.single(
-        Swarm(2),
-        replace(swarm_plan().requirements, limits=limits, separation=Separation()),
-        PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:]),
-        (Phase("circle", 0, 0.0, 4.0),),
-    )
-    certificate = Certificate(4.0, tuple(flown_checks(pair).values()))
-    monkeypatch.setattr(exporting, "certify", lambda *_: certificate)
-    with pytest.raises(InfeasibleError, match=r"separation: 0\.9.*sample at a higher --rate"):
-        exported(pair, "skybrush_csv", tmp_path / "out")
-    exported(pair, "skybrush_csv", tmp_path, rate=100.0)
 
 
 def crossing() -> Motion:
