@@ -152,7 +152,7 @@ def _mavsdk(folder: Path, names: Sequence[str], _: Array) -> Read:
     tables = []
     for i in range(len(names)):
         with (folder / f"Drone {i + 1}.csv").open() as file:
-            _, *rows = csv.reader(file)
+            rows = list(csv.reader(file))[1:]
         assert {row[12] for row in rows} == {"70"}
         assert all("." in number for row in rows for number in row[1:12])
         tables.append([list(map(float, row[1:12])) for row in rows])
@@ -179,9 +179,9 @@ def _ros2bag(folder: Path, names: Sequence[str], _: Array) -> Read:
     found = bag_messages(folder / "setpoints.mcap")
     kinds = ("trajectory", "path", "cmd_full_state")
     assert set(found) == {f"/{name}/{kind}" for name in names for kind in kinds}
-    streams, each = [found[f"/{name}/cmd_full_state"] for name in names], []
+    streams, each = [found[f"/{name}/cmd_full_state"] for name in names], list[list[float]]()
     for stream in streams:
-        for _, m in stream:
+        for _sent, m in stream:
             turned = [m.pose.orientation.w, *vector(m.pose.orientation)]
             row = [*vector(m.pose.position), *vector(m.twist.linear), *vector(m.acc), *turned]
             each.append([*row, *vector(m.twist.angular)])

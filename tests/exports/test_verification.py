@@ -155,13 +155,14 @@ def test_axes_by_hand(name: str, point: list[float], heading: float) -> None:
     assert frame.heading == pytest.approx(heading)
 
 
+TIMES: tuple[object, ...] = (-0.1, math.nan, [0.0, math.inf], [])
 NONSENSE: list[tuple[Callable[..., object], tuple[Any, ...], str]] = [
     (ReferenceFrame, ("neu",), "frame"),
     (ReferenceFrame, ("enu", [1, 2]), "origin"),
     (ReferenceFrame, ("enu", [1, 2, math.nan]), "origin"),
     (ReferenceFrame, ("enu", [0, 0, 0], math.inf), "yaw"),
     *((sample_times, (3.0, rate), "rate") for rate in (0.0, -1.0, math.nan, 1e12)),
-    *((states_at, (swarm_plan(), t), "finite times from 0 s on") for t in (-0.1, math.nan, [])),
+    *((states_at, (swarm_plan(), t), "finite times from 0 s on") for t in TIMES),
 ]
 
 
