@@ -152,7 +152,7 @@ def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
             say(f"reading {kind.name} back")
             rules = PLACES if task.options.hold_tension else FLOWN
             verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
-            if lost := verdict.violations(kind.accuracy):
+            if lost := verdict.violations(task.motion, kind.accuracy):
                 words = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
         except InfeasibleError as refusal:
@@ -288,15 +288,15 @@ class Verdict:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
-    def violations(self, accuracy: float) -> list[Violation]:
-        """Return what is lost; ``accuracy`` is the largest position error that a format has [m]."""
-        found = [
-            check.violation(
-                f"at t = {check.time:.4g} s",
-                EASIER if RULE_OF[check.name].derivative > 0 else CLEARER,
-            )
-            for check in self.lost
-        ]
+    def violations(self, motion: Motion, accuracy: float) -> list[Violation]:
+        """Return what is lost of a plan; ``accuracy`` is a format's largest position error [m]."""
+        found = []
+        for check in self.lost:
+            rule = RULE_OF[check.name]
+            planned = rule.check(motion, exported=True) or check
+            told = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
+            when = f"at t = {check.time:.4g} s (the plan keeps {told})"
+            found.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"
