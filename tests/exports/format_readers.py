@@ -148,12 +148,17 @@ def _skybrush_csv(folder: Path, names: Sequence[str], _: Array) -> Read:
 
 
 def _mavsdk(folder: Path, names: Sequence[str], _: Array) -> Read:
-    begin = json.loads((folder / "export.json").read_text())["receiver"]["plan_begins_s"]
-    tables = []
+    told = json.loads((folder / "export.json").read_text())
+    begin, heading, tables = (
+        told["receiver"]["plan_begins_s"],
+        math.degrees(told["heading_rad"]),
+        [],
+    )
     for i in range(len(names)):
         with (folder / f"Drone {i + 1}.csv").open() as file:
             rows = list(csv.reader(file))[1:]
         assert {row[12] for row in rows} == {"70"}
+        assert all(abs(float(row[11]) - heading) < 1e-4 for row in rows)
         assert all("." in number for row in rows for number in row[1:12])
         tables.append([list(map(float, row[1:12])) for row in rows])
     table = np.swapaxes(np.array(tables), 0, 1)
