@@ -54,8 +54,7 @@ def save_plan(
     """Write the files of a certified plan, whole or not at all; return the directory.
 
     Tables are sampled at ``rate`` [Hz]; ``pictures`` has, for names among OWNED, what draws them at
-    a path; ``progress`` is called with the fraction of the setpoints written. CertificateError,
-    InputError or FileError tell what is wrong; nothing is written then.
+    a path; ``progress`` is called with the fraction of the setpoints written.
     """
     certificate.raise_if_violated()
     writers: dict[str, Writer] = {
@@ -208,8 +207,8 @@ def data_frame(motion: Motion, rate: float) -> DataFrame:
     try:
         import pandas
     except ImportError as error:
-        remedy = "pip install 'hitchopt[pandas]'"
-        raise UnsupportedError(f"data frames need the package pandas ({error}); {remedy}") from None
+        words = f"data frames need pandas ({error}); pip install 'hitchopt[pandas]'"
+        raise UnsupportedError(words) from None
     times, names = sample_times(motion.duration, rate), motion.team.drone_names
     values = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]

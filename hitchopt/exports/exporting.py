@@ -1,10 +1,9 @@
 """A certified plan, written as fleets read it, and verified by what was written.
 
 There is one path: files are written into a hidden folder, read back, verified against the plan, and
-moved to their place. An export that loses a limit of what is flown by its rounding or refitting is
-refused, and nothing that was there before is touched. Drones are read from the files, after
-rounding; vertices, legs and tensions are the plan's. So every ``worst`` bounds what is flown, for
-all t, as in the plan's certificate. Lint uses the same rules.
+moved to their place. An export that loses a limit by its rounding or refitting is refused, and what
+was there before stays. Drones are those of the files; vertices, legs and tensions are the plan's.
+So every ``worst`` bounds what is flown, for all t, as in the plan's certificate.
 """
 
 from __future__ import annotations
@@ -13,7 +12,6 @@ import contextlib
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +40,7 @@ from hitchopt.values import Array
 Progress = Callable[[str], None]  # Function that is called with what is being done now
 
 SLOWER = (1.02, 1.05)  # Factors of the durations of a plan that loses a limit by being rounded
+SHARES = (1.0, 0.3)  # Of the usual error, within which parts are refitted, tried in a row
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
 
 
@@ -54,6 +53,11 @@ class Export(OneLine):
     verdict: Verdict  # errors and checks of what the files say
     notes: tuple[str, ...]  # what else is to be known of them
     begins: float = 0.0  # when in the plan it begins [s]; 0 unless the plan was cut
+
+    @property
+    def sources(self) -> dict[str, Path]:
+        """Paths of its files and of the manifest, by name."""
+        return {name: self.folder / name for name in (*self.files, MANIFEST)}
 
 
 def export_motion(
@@ -68,13 +72,8 @@ def export_motion(
     The plan is certified first, stretched as the options say. The folder is made if it is missing,
     and only files of an earlier export there are replaced; a name that ends as the format's only
     file does is that file, its manifest next to it. ``progress`` is called with what is being done.
-
-    Raises
-    ------
-    InputError, FileError: what was asked is wrong in itself, or cannot be written.
-    CertificateError: the plan's certificate does not hold.
-    InfeasibleError: the format cannot hold the plan, or loses a limit; nothing is written.
-    UnsupportedError: a library that the format needs is not installed.
+    InfeasibleError tells that the format cannot hold the plan, or loses a limit; nothing is written
+    then, nor where the certificate does not hold or what was asked is wrong.
     """
     say = progress or (lambda _: None)
     kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
@@ -97,15 +96,13 @@ def export_motion(
     )
     sealed = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or sealed):
-        words = "is there already, and no export's: an export is a folder"
-        raise FileError(f"{place}: {words}; choose another name")
-    certificate = certify(plan, say)
-    certificate.raise_if_violated()
+        raise FileError(f"{place}: is there already; an export is a folder, so name another")
+    certify(plan, say).raise_if_violated()
     if options.hold_tension:
         held = held_tension(plan, options.stiffness, options.damping)
         task = replace(task, motion=held.motion, notes=(held.note,))
     with _scratch(place) as scratch:
-        return _put(_written(kind, task, certificate, scratch, say), place, kind, task)
+        return _put(_written(kind, task, scratch, say), place, kind, task)
 
 
 def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple[str, ...]:
@@ -120,46 +117,42 @@ def _undetermined(kind: Format, motion: Motion, options: ExportOptions) -> tuple
     )
 
 
-def _written(
-    kind: Format, task: Task, certificate: Certificate, scratch: Path, say: Progress
-) -> list[Export]:
+def _written(kind: Format, task: Task, scratch: Path, say: Progress) -> list[Export]:
     """Write the first that loses nothing of the whole, it slower, its parts; or raise."""
     refusals: list[InfeasibleError] = []
 
-    def arrangements() -> Iterator[tuple[Sequence[Task], Certificate]]:
-        yield (task,), certificate
+    def arrangements() -> Iterator[Sequence[Task]]:
+        yield (task,)
         full = any(broken.constraint == "memory" for broken in refusals[0].violations)
         rounds = len(kind.bounds) > 1 and not full and not task.options.hold_tension
         for factor in SLOWER if rounds else ():
             slower = stretched(task.motion, factor)
             said = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
-            if (kept := certify(slower)).certified:
-                yield (replace(task, motion=slower, notes=(*task.notes, said)),), kept
-        for tasks in kind.parts(task):
-            yield tasks, certificate
+            if certify(slower).certified:
+                yield (replace(task, motion=slower, notes=(*task.notes, said)),)
+        yield from filter(None, (kind.parts(task, share) for share in SHARES))
 
-    with contextlib.suppress(InfeasibleError):  # there are no such parts
-        for number, (tasks, kept) in enumerate(arrangements()):
-            try:
-                return [_part(kind, each, kept, scratch / str(number), say) for each in tasks]
-            except InfeasibleError as refusal:
-                refusals.append(refusal)
+    for number, tasks in enumerate(arrangements()):
+        try:
+            return [_part(kind, each, scratch / str(number), say) for each in tasks]
+        except InfeasibleError as refusal:
+            refusals.append(refusal)
     raise refusals[0]
 
 
-def _part(kind: Format, task: Task, certificate: Certificate, place: Path, say: Progress) -> Export:
+def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
     """Write the first refit that loses nothing, or raise what the first of all loses."""
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
     refusals: list[InfeasibleError] = []
-    rules = PLACES if task.options.hold_tension else FLOWN
     for bound in kind.bounds:
         say(f"writing {kind.name}" + (f", attempt {len(refusals) + 1}" if refusals else ""))
         try:
             written = kind.write(folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
+            rules = PLACES if task.options.hold_tension else FLOWN
             verdict = verify(task.motion, kind.read(folder, task), task.frame, task.names, rules)
-            if lost := verdict.violations(certificate, kind.accuracy):
+            if lost := verdict.violations(task.motion, kind.accuracy):
                 words = "what it rounds or refits costs more than the plan has left"
                 raise InfeasibleError(lost, f"{kind.name} is not written: {words}")
         except InfeasibleError as refusal:
@@ -218,24 +211,22 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}
         _move(place.parent, sources, set(sources), seal)
         return (replace(first, folder=place.parent, files=(place.name,)),)
-    before = listed(place, "parts")  # the manifest that names them is about to be replaced
-    placed = [replace(part, folder=place / part.folder.name if several else place) for part in done]
-    for part, here in zip(done, placed, strict=True):
-        sources = {name: part.folder / name for name in (*part.files, MANIFEST)}
-        _move(here.folder, sources, _owned(here.folder, part.files), MANIFEST)
-    parts = [part.folder.name for part in placed] if several else []
+    folders = [place / part.folder.name if several else place for part in done]
+    moved = {folder: part.sources for part, folder in zip(done, folders, strict=True)}
     if several:
         ends = [*(part.begins for part in done[1:]), task.motion.duration]
         spans = [[part.begins, end] for part, end in zip(done, ends, strict=True)]
-        content = {**_head(kind, task), "duration": task.motion.duration, "parts": parts}
-        content |= {"plan_spans": spans, "files": []}
-        write = partial(write_strict_json, content=content)
-        replace_files(place, {MANIFEST: write}, _owned(place, ()), seal=MANIFEST)
-    for old in (place / name for name in before if name not in parts):  # it was cut into more
-        replace_files(old, {}, _owned(old, ()), seal=MANIFEST)
+        content = _head(kind, task) | {"duration": task.motion.duration, "files": []}
+        content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}
+        moved[place] = {MANIFEST: first.folder.parent / MANIFEST}
+        write_strict_json(moved[place][MANIFEST], content)
+    old = [place / name for name in listed(place, "parts") if place / name not in moved]
+    for folder, sources in (moved | {folder: {} for folder in old}).items():
+        _move(folder, sources, _owned(folder, tuple(sources)), MANIFEST)
+    for folder in old:  # it was cut into more
         with contextlib.suppress(OSError):  # not empty
-            old.rmdir()
-    return tuple(placed)
+            folder.rmdir()
+    return tuple(replace(part, folder=here) for part, here in zip(done, folders, strict=True))
 
 
 def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str) -> None:
@@ -265,13 +256,12 @@ EASIER = "fly it slower with --stretch, plan below the limit, or choose another 
 CLEARER = "plan with a wider margin there, sample at a higher --rate, or choose another format"
 """Remedies for checks that a slower flight eases, and for the others."""
 
-NOT_CARRIED = {
-    0: "straight lines between samples: velocity jumps, so acceleration, jerk, thrust and tilt "
-    "are not in these files",
-    1: "acceleration jumps between pieces, so jerk is not in these files; thrust and tilt are "
-    "those within the pieces",
-    2: "jerk jumps between pieces; acceleration is smooth",
-}
+NOT_CARRIED = (
+    "acceleration, jerk, thrust and tilt: straight lines between samples, where velocity jumps",
+    "jerk: acceleration jumps between pieces; thrust and tilt are those within the pieces",
+    "a smooth jerk: it jumps between pieces",
+)
+"""What is not in files, by the highest derivative that does not jump."""
 
 
 @dataclass(frozen=True)
@@ -298,19 +288,15 @@ class Verdict:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
-    def violations(self, certificate: Certificate, accuracy: float) -> list[Violation]:
-        """Return what is lost, beside what the plan keeps; accuracy is the most position error."""
-        planned = {check.name: check for check in certificate.checks}
+    def violations(self, motion: Motion, accuracy: float) -> list[Violation]:
+        """Return what is lost of a plan; ``accuracy`` is a format's largest position error [m]."""
         found = []
         for check in self.lost:
-            kept = planned[check.name].bound
-            unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
-            when = (
-                f"at t = {check.time:.4g} s (the plan keeps {kept:.6g}{unit}, "
-                f"the export loses {abs(check.bound - kept):.3g}{unit})"
-            )
-            eased = check.name in RULE_OF and RULE_OF[check.name].derivative > 0
-            found.append(check.violation(when, EASIER if eased else CLEARER))
+            rule = RULE_OF[check.name]
+            planned = rule.check(motion, exported=True) or check
+            told = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
+            when = f"at t = {check.time:.4g} s (the plan keeps {told})"
+            found.append(check.violation(when, EASIER if rule.derivative > 0 else CLEARER))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
             remedy = "choose another format, such as csv, or a higher --rate where it samples"

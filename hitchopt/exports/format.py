@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -141,10 +141,10 @@ class Format:
         names = (self.file.format(name=name, number=i, **told) for i, name in each)
         return tuple(dict.fromkeys(names))
 
-    def parts(self, task: Task) -> Iterable[Sequence[Task]]:  # noqa: ARG002
-        """Give cuts of a task into parts to be flown one after the other; here none.
+    def parts(self, task: Task, share: float) -> Sequence[Task]:  # noqa: ARG002
+        """Return a task cut into parts to be flown one after the other; nothing if none hold it.
 
-        InfeasibleError tells that no such parts hold the plan.
+        They are refitted within this share of the usual error.
         """
         return ()
 

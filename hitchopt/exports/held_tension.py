@@ -57,8 +57,8 @@ class HeldTension:
         return (
             f"set points are up to {100.0 * self.offset:.3g} cm off the drones' places, for "
             f"position loops of {_span(self.stiffness)} N/m and {_span(self.damping)} N s/m that "
-            "feed forward velocity, acceleration and gravity and no cable force; with these the "
-            f"drones are within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan"
+            "feed forward velocity, acceleration and gravity alone; with these the drones are "
+            f"within {max(1e3 * self.miss, 1e-3):.2g} mm of the plan"
         )
 
 
@@ -67,9 +67,8 @@ def held_tension(
 ) -> HeldTension:
     """Return the set points with which controllers fly a plan without feed-forward of the pull.
 
-    Without gains [N/m], [N s/m] they are the team's. UnsupportedError tells of single drones,
-    InputError of rigid ones, InfeasibleError of forces that change so fast that the equation is not
-    solved well enough.
+    Without gains [N/m], [N s/m] they are the team's. InputError tells that it has none,
+    InfeasibleError of forces that change too fast.
     """
     team = motion.team
     if not isinstance(team, Team):

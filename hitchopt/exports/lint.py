@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -49,7 +49,9 @@ FARTHEST = 1e6  # [m] Drones are no farther from their origin: squares of such n
 LATE = 1e-3  # [s] Durations may differ by this: formats round to it
 SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
 SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
-SPEED, ACCELERATION = 3.0, 10.0  # [m/s], [m/s²] Default limits
+USUAL = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 10.0))
+"""Names here and in a show's keys of what has a default limit [m/s], [m/s²], and the limit."""
+
 RADIOED = 32.767  # [m] Largest coordinate in formats of whole millimetres in 16 bits
 WATCHDOG = 0.5  # [s] Longest gap between setpoints before a Crazyflie levels itself
 
@@ -64,6 +66,9 @@ SIZES: dict[str, Callable[[Enclosed], Bound]] = {
 }
 """Sizes of the parts of a vector that limits count."""
 
+RATES = {"speed": (1, "m/s", ("all",)), "acceleration": (2, "m/s²", ("all",))} | OWN_LIMITS
+"""Derivative by time, unit and parts that count, by limit."""
+
 
 @dataclass(frozen=True)
 class Flight:
@@ -72,9 +77,7 @@ class Flight:
     duration: float  # [s]
     speed: float  # the largest of any drone [m/s]
     acceleration: float  # [m/s²]; nan where the files have none
-    separation: (
-        float  # smallest ratio over pairs; inf for one drone, nan where places are not known
-    )
+    separation: float  # smallest ratio over pairs; inf for one drone, nan of unknown places
     jumps: tuple[float, ...]  # the largest between pieces, of position, velocity, acceleration
     reach: float  # the largest coordinate, control points included [m]
     speed_limit: float  # [m/s]; inf where only the show's own limits apply
@@ -112,28 +115,21 @@ class Rules:
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
 
-    def limits(self, own: Mapping[str, float]) -> tuple[float, float]:
-        """Return the limits of speed and acceleration for a show; inf where its own stand alone."""
-        kept = []
-        given = (("Velocity", self.speed, SPEED), ("Acceleration", self.acceleration, ACCELERATION))
-        for name, limit, usual in given:
-            alone = {f"max{name}XY", f"max{name}Z"} <= set(own)
-            kept.append(limit if limit is not None else math.inf if alone else usual)
-        return kept[0], kept[1]
+    def limits(self, own: Mapping[str, float]) -> dict[str, float]:
+        """Return the limits of a show by name, its own among them; inf where these stand alone."""
+        found = dict(own)
+        for name, key, usual in USUAL:
+            alone = {f"max{key}XY", f"max{key}Z"} <= set(own)
+            given = getattr(self, name)
+            found[name] = given if given is not None else math.inf if alone else usual
+        return found
 
 
 def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     """Return the report on a file or folder; of an export that was cut, one for every part.
 
-    Parameters
-    ----------
-    path: a file of a known format, or a folder of such files.
-    rules: limits of the flight.
-
-    Raises
-    ------
-    FileError: nothing there that is known, or a damaged file.
-    UnsupportedError: a library that its format needs is not installed.
+    FileError tells of a damaged file, or of nothing there that is known, UnsupportedError of a
+    library that its format needs. ``rules`` are the limits of the flight.
     """
     place = checked_path("path", path)
     parts = listed(place, "parts") if place.is_dir() else []
@@ -170,10 +166,8 @@ def load(path: Path) -> tuple[Format, Recording]:
     there = sorted(path.iterdir()) if path.is_dir() else [path]
     files = [p for p in there if p.suffix.lower() in ENDINGS and p.name != MANIFEST]
     if not files:
-        others = Counter(file.suffix.lower() or "no ending" for file in there)
-        held = ", ".join(f"{count} of {ending}" for ending, count in sorted(others.items()))
-        words = f"files that end in {', '.join(ENDINGS)} are read"
-        raise FileError(f"{path}: {words}; it holds {held or 'nothing'}")
+        held = ", ".join(sorted({file.suffix.lower() or file.name for file in there})) or "nothing"
+        raise FileError(f"{path}: files of {', '.join(ENDINGS)} are read; it holds {held}")
     known = [format_of(name) for name in HOMES]
     kinds = Counter(_kind(file, known) for file in files)
     first = next(iter(kinds))
@@ -196,10 +190,8 @@ def _kind(path: Path, known: Sequence[Format]) -> Format:
     for kind in reversed(here):  # polynomials, which may begin with numbers, come last
         if re.match(kind.header, line):
             return kind
-    raise FileError(
-        f"{path}: its first line, {header[:60]!r}, is of no known format (polynomials begin with "
-        "duration, tables with t,drone, shows with idx,t,px or Time [msec])"
-    )
+    words = "is of no known format (duration, t,drone, idx,t,px or Time [msec])"
+    raise FileError(f"{path}: its first line, {header[:60]!r}, {words}")
 
 
 def _flown_together(
@@ -212,7 +204,6 @@ def _flown_together(
     windows = recording.windows()
     last = next(windows)
     first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
-    # Several drones that begin at one point have an origin each.
     relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < SAME_START
     reach, longest = (0.0, ""), 0.0
     for window in (last, *windows):
@@ -223,27 +214,27 @@ def _flown_together(
         jumps = [max(jump, largest_jump(whole, order)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
         last = window.taken(slice(window.pieces - 1, window.pieces))
-    values = {name: check.bound for name, check in checks.items()}
+    values = defaultdict(lambda: math.nan, {name: check.bound for name, check in checks.items()})
     flight = Flight(
         float(last.breaks[-1]) - start,
-        values.get("speed", math.nan),
-        values.get("acceleration", math.nan),
-        values.get("separation", math.nan) if len(names) > 1 else math.inf,
+        *(values["speed"], values["acceleration"]),
+        values["separation"] if len(names) > 1 else math.inf,
         tuple(jump[0] for jump in jumps),
         reach[0],
-        *limits,
+        *(limits["speed"], limits["acceleration"]),
         tuple(checks[key] for key in own if key in checks),
     )
     found = [*map(_broken, (check for check in checks.values() if not check.holds))]
     found += [*_joining(last, names, jumps, rules), *_timing(kind, recording, longest)]
     if reach[0] > RADIOED:
-        words = f"goes {reach[0]:.4g} m from the origin; formats of millimetres in 16 bits hold "
-        found.append(note("range", reach[1], f"{words}±{RADIOED} m; move the origin"))
+        words = f"goes {reach[0]:.4g} m from the origin, and 16 bits hold {RADIOED} m; move it"
+        found.append(note("range", reach[1], words))
     if start != 0.0:
         found.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
     if relative:
-        words = "all drones begin at one point, so these are relative trajectories: how close "
-        words += "they come depends on where they start, and is not checked"
+        words = (
+            "not checked: all begin at one point, as relative trajectories do; give their starts"
+        )
         found.append(warning("separation", "", words))
     return flight, found
 
@@ -263,41 +254,32 @@ def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, st
 def _checks(
     recording: Recording,
     window: PiecewisePolynomial,
-    limits: tuple[float, float],
+    limits: Mapping[str, float],
     separation: Separation | None,
 ) -> Iterator[Check]:
-    """Yield the checks of a window, the show's own limits among them, in axes with z up.
+    """Yield the checks of a window against limits by name, in axes with z up.
 
     From the second derivative after the highest that does not jump on they mean nothing.
     """
-    names, own = recording.names, recording.own
-
-    def largest(
-        name: str, limit: float, order: int, unit: str, parts: Sequence[str] = ("all",)
-    ) -> Iterator[Check]:
-        if order <= recording.smooth + 1:
-            each = [largest_rate(window, order, size=SIZES[part]) for part in parts]
-            worst = max(each, key=lambda found: (found.worst, found.item, found.time))
-            where = (names[worst.item],)
-            yield Check.of(name, worst.worst, limit, "max", unit, worst.time, where)
-
-    def apart(name: str, asked: Separation, ratio: float, unit: str) -> Iterator[Check]:
-        requirements = Requirements(Limits(), asked)
+    names, least = recording.names, limits.get(DISTANCE)
+    for key in (key for key in RATES if key in limits):
+        order, unit, parts = RATES[key]
+        if order > recording.smooth + 1:
+            continue
+        counted = ("down",) if f"{key}Up" in limits else parts  # upwards, its own key counts
+        each = [largest_rate(window, order, size=SIZES[part]) for part in counted]
+        most = max(each, key=lambda found: (found.worst, found.item, found.time))
+        whose = (names[most.item],)
+        yield Check.of(key, most.worst, limits[key], "max", unit, most.time, whose)
+    asked = [] if separation is None else [("separation", separation, 1.0, "ratio")]
+    if asked and least is not None:
+        asked.append((DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m"))
+    for key, distances, ratio, unit in asked:
+        requirements = Requirements(Limits(), distances)
         motion = Motion.single(Swarm(len(names)), requirements, window, ())
         if (check := RULE_OF["separation"].check(motion)) is not None:
             where = tuple(names[int(drone[1:])] for drone in check.where)
-            yield Check.of(name, check.bound * ratio, ratio, "min", unit, check.time, where)
-
-    yield from largest("speed", limits[0], 1, "m/s")
-    yield from largest("acceleration", limits[1], 2, "m/s²")
-    if separation is not None:
-        yield from apart("separation", separation, 1.0, "ratio")
-        if (least := own.get(DISTANCE)) is not None:
-            yield from apart(DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m")
-    for key, (order, unit, parts) in OWN_LIMITS.items():
-        if key in own:  # upwards, a key of its own takes precedence
-            counted = ("down",) if f"{key}Up" in own else parts
-            yield from largest(key, own[key], order, unit, counted)
+            yield Check.of(key, check.bound * ratio, ratio, "min", unit, check.time, where)
 
 
 def _broken(check: Check) -> Finding:
@@ -318,27 +300,24 @@ def _joining(
     rates = (("position", "m"), ("velocity", "m/s"), ("acceleration", "m/s²"))
     for (what, unit), (size, drone, t), bound in zip(rates, jumps, rules.jumps, strict=False):
         if size > bound:
-            words = f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s (more "
-            words += f"than {bound:g} {unit}); make the pieces meet"
+            words = f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s; mend it"
             yield (error if what == "position" else warning)("jump", names[drone], words)
     speeds, bound = np.linalg.norm(last.ends(1)[1][-1], axis=-1), rules.jumps[1]
     if speeds[fastest := int(np.argmax(speeds))] > bound:
-        words = f"still moves at {speeds[fastest]:.3g} m/s at its end, t = {last.breaks[-1]:.4g} s "
-        words += f"(more than {bound:g} m/s); let it come to rest: is something cut off?"
+        words = (
+            f"still moves at {speeds[fastest]:.3g} m/s at t = {last.breaks[-1]:.4g} s; end at rest"
+        )
         yield warning("end", names[fastest], words)
 
 
 def _timing(kind: Format, recording: Recording, longest: float) -> Iterator[Finding]:
     """Yield too long a time between two samples [s], and early ends."""
     if longest * kind.streamed > 1.01:
-        words = (
-            f"{longest:.3g} s between two setpoints; send them at {kind.streamed:g} Hz or more: "
-        )
-        words += f"the drones' watchdog waits {WATCHDOG} s"
+        words = f"{longest:.3g} s between two setpoints; send them at {kind.streamed:g} Hz or more"
         yield (error if longest > WATCHDOG else warning)("rate", "", words)
     shortest = min(recording.facts, key=lambda fact: fact.duration)
     if shortest.duration < (most := max(fact.duration for fact in recording.facts)) - LATE:
-        words = f"lasts {shortest.duration:.6g} s, the longest {most:.6g} s; let all end together"
+        words = f"lasts {shortest.duration:.6g} s, another {most:.6g} s; let all end together"
         yield warning("duration", shortest.name, words)
 
 

@@ -35,10 +35,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import InputError
 from hitchopt.mission.keys import translated
 from hitchopt.steps.step import Keys
-from hitchopt.storage.yaml_file import plain, read_yaml
+from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
 
@@ -48,14 +48,15 @@ URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Addresses of drones' 
 PER_RADIO = 15  # Drones that one radio serves with trajectories uploaded
 
 
-@dataclass(frozen=True)
-class Member:
-    """One drone: what files and topics call it, its radio's address, and its entry in types."""
+class Member(Keys):
+    """A drone in a fleet file, or a robot in a crazyflies.yaml."""
 
-    role: str  # its name in the plan, such as q0
-    name: str
-    uri: str
-    type: str = "default"
+    uri: str  # address of its radio
+    name: str = ""  # that files and topics call it by; in a crazyflies.yaml its key
+    type: str = "default"  # its entry in the types
+    role: str = ""  # its name in the plan, such as q0; in a fleet file its key
+    enabled: bool = True
+    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
 
 
 @dataclass(frozen=True)
@@ -68,22 +69,11 @@ class Fleet:
     given: bool = False  # whether the user named them; else their addresses are placeholders
 
 
-class MemberKeys(Keys):
-    """A drone in a fleet file, or a robot in a crazyflies.yaml."""
-
-    uri: str
-    name: str = ""  # in a fleet file; else its key
-    type: str = "default"
-    role: str = ""  # in a crazyflies.yaml; else its key
-    enabled: bool = True
-    initial_position: list[float] = Field(default_factory=list)  # the plan's is used
-
-
 class FleetKeys(Keys):
     """A fleet file, or a crazyflies.yaml, whose keys are those that stand second."""
 
-    drones: dict[str, MemberKeys] = Field(default_factory=dict)
-    robots: dict[str, MemberKeys] = Field(default_factory=dict)
+    drones: dict[str, Member] = Field(default_factory=dict)
+    robots: dict[str, Member] = Field(default_factory=dict)
     types: dict[str, dict[str, Any]] = Field(default_factory=dict)
     robot_types: dict[str, dict[str, Any]] = Field(default_factory=dict)
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -97,29 +87,24 @@ def placeholder_fleet(roles: Sequence[str]) -> Fleet:
     def uri(i: int) -> str:
         return f"radio://{i // PER_RADIO}/80/2M/{0xE7E7E7E701 + i:010X}"
 
-    return Fleet(tuple(Member(role, role, uri(i)) for i, role in enumerate(roles)))
+    each = enumerate(roles)
+    return Fleet(tuple(Member(role=role, name=role, uri=uri(i)) for i, role in each))
 
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
     """Return the fleet of a file, a fleet file or a crazyflies.yaml, for all drones of a plan."""
-    data = read_yaml(path)
-    if not isinstance(data, dict):
-        raise FileError(f"{path}: is no mapping; a fleet file has the key drones or robots")
-    return fleet_from_dict(data, roles)
-
-
-def fleet_from_dict(data: Mapping[str, Any], roles: Sequence[str]) -> Fleet:
-    """Return the fleet that ``data`` describes; errors as those of ``read_fleet``."""
     try:
-        keys = FleetKeys.model_validate(plain(data))
+        keys = FleetKeys.model_validate(read_yaml(path))
     except ValidationError as error:
         raise translated(error, FleetKeys) from None
     root = "robots" if keys.robots else "drones"
-    each = keys.robots or keys.drones
-    given = [Member(m.role or k, m.name or k, m.uri, m.type) for k, m in each.items() if m.enabled]
     drones: dict[str, Member] = {}
     seen: set[str] = set()
-    for member in given:
+    for own, given in (keys.robots or keys.drones).items():
+        if not given.enabled:
+            continue
+        role, name = given.role or own, given.name or own
+        member = Member(role=role, name=name, uri=given.uri, type=given.type)
         where = f"{root}.{member.name if root == 'robots' else member.role}"
         if member.role in drones:
             bound = f"of one enabled robot only, and {drones[member.role].name} has it"
@@ -210,13 +195,11 @@ class ReferenceFrame:
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the plan in the file's axes [m]."""
-        c = np.moveaxis(self.points(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
-        return PiecewisePolynomial(part.breaks, c)
+        return part.alike(self.rotation @ part.coefficients + self.shift[:, None])
 
     def in_plan(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return points (items, 3) of the file in the plan's axes [m]."""
-        c = np.moveaxis(self.planned(np.moveaxis(part.coefficients, -1, 0)), 0, -1)
-        return PiecewisePolynomial(part.breaks, c)
+        return part.alike(self.rotation.T @ (part.coefficients - self.shift[:, None]))
 
     def to_dict(self) -> dict[str, object]:
         """Return what a file says of its frame."""

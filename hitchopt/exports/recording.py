@@ -30,7 +30,7 @@ from hitchopt.values import Array
 
 WINDOW = 20_000  # Pieces times drones that are read together: about 40 MB with their bounds
 MAX_SPANS = 20_000_000  # Largest number of them with all drones' breaks merged; no show has more
-SAME_TIME = 1e-9  # Largest difference of samples that are of one time [s]
+SAME_TIME = 1e-9  # Largest difference of samples of one time [s]
 ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
 
@@ -109,9 +109,8 @@ class Recording:
             times = times[:1]
         spans = len(np.unique(np.rint(np.concatenate(times) / SAME_BREAK))) - 1
         if spans * len(each) > MAX_SPANS:
-            words = f"{len(each)} drones with {spans} spans of time between their points are more "
-            words += f"than {MAX_SPANS} together; give all drones the same times, or fewer points"
-            raise FileError(words)
+            words = f"{len(each)} drones with {spans} spans of time are too many to be read"
+            raise FileError(f"{words}; give all drones the same times, or fewer points")
         breaks, size = merged_breaks(times), max(1, WINDOW // len(each))
 
         def windows() -> Iterator[PiecewisePolynomial]:
@@ -159,10 +158,9 @@ def check_times(t: Array, source: str = "") -> None:
     if not np.all(np.isfinite(t)):
         raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
     for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
-        if t[i + 1] >= t[i] - SAME_TIME:
-            raise FileError(f"{place}repeats the time t = {t[i]:g} s; keep one row of every time")
-        words = f"its times go back from t = {t[i]:g} s to {t[i + 1]:g} s; sort its rows"
-        raise FileError(f"{place}{words}")
+        back = t[i + 1] < t[i] - SAME_TIME
+        words = "its times go back from" if back else "repeats the time"
+        raise FileError(f"{place}{words} t = {t[i]:g} s; sort its rows, one of every time")
 
 
 def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, float]:
@@ -207,8 +205,7 @@ def read_columns(
     """Return the wanted columns of a table's lines, as numbers or text; blank ones are left out.
 
     ``header`` is the first line, ``lines`` are the others, ``source`` is the file's name. FileError
-    tells of a column that is missing, fewer rows than ``least``, rows that are too short, or text
-    that is no number.
+    tells of a missing column, fewer rows than ``least``, short rows, or text that is no number.
     """
     labels = header.split(",")
     if missing := [name for name in wanted if name not in labels]:

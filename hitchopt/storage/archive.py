@@ -49,10 +49,8 @@ BROKEN = (
 def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Return the named arrays of the npz file, read-only; others in it are ignored.
 
-    Raises
-    ------
-    FileError: an array is missing, given twice, of objects, or absurdly large.
-    BROKEN: a file that is no such archive, or a damaged one.
+    FileError tells of an array that is missing, given twice, of objects, or absurdly large, others
+    of BROKEN of a file that is no such archive, or a damaged one.
     """
     with path.open("rb") as file, zipfile.ZipFile(file) as archive:
         listed = archive.namelist()
@@ -70,13 +68,9 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
 @contextlib.contextmanager
 def reading(path: Path, what: str, kind: type[Exception] = HitchoptError) -> Iterator[None]:
-    """Turn what a file of another kind or a damaged one raises into a FileError that names it.
+    """Turn what a file that is no ``what``, or a damaged one, raises into a FileError.
 
-    Parameters
-    ----------
-    path: name of the file that the block reads.
-    what: what it is expected to be, as in "is no ``what``".
-    kind: root of the exceptions of a library that reads it, besides ``BROKEN``.
+    ``kind`` is the root of the exceptions of a library that reads it, besides ``BROKEN``.
     """
     try:
         yield
@@ -96,10 +90,7 @@ def read_members(
 ) -> Iterator[bytes]:
     """Yield the bytes of files in the archive, one after the other.
 
-    Raises
-    ------
-    FileError: together they are too large, or they are packed in an unusual manner.
-    BROKEN: the archive is damaged.
+    FileError tells that together they are too large, or packed in an unusual manner.
     """
     size = sum(member.file_size for member in members)
     if size > MAX_UNPACKED:
@@ -112,18 +103,13 @@ def read_members(
 def refuse_expansion(size: int, packed: int) -> None:
     """Raise FileError if ``size`` bytes are far more than a file of ``packed`` bytes can hold."""
     if size > MODEST and size > MAX_EXPANSION * packed:
-        raise FileError(
-            f"it would unpack to {size:.3g} bytes, far more than the file ({packed:.3g} bytes)"
-        )
+        raise FileError(f"it would unpack to {size:.3g} bytes from {packed:.3g}, far too many")
 
 
 def checked_bytes(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
     """Return all bytes of a member, which agree with its checksum.
 
-    Raises
-    ------
-    FileError: it is packed by an unusual method, or shorter than the archive says.
-    BROKEN: the archive is damaged.
+    FileError tells of an unusual method, or of another length than the archive says.
     """
     if member.compress_type not in PACKINGS:
         raise FileError(f"{member.filename!r} is packed by an unknown method; deflate it, or store")

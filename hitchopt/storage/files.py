@@ -50,17 +50,10 @@ def replace_files(
     writers: for each file's name, what writes it, in this order.
     owned: the names that may be replaced and removed, those of ``writers`` among them.
     seal: the name among ``owned`` that marks a whole set.
-    previous: whether the last sealed set goes to the subdirectory ``previous``; with "leave", it is
-        overwritten.
+    previous: whether the last sealed set goes to the subdirectory ``previous``.
 
-    Returns
-    -------
-    The directory, as it was given.
-
-    Raises
-    ------
-    FileError: it is no directory or cannot be written to; nothing in it has changed, or the seal
-        is missing.
+    Returns the directory as it was given. FileError tells that it is none or cannot be written to;
+    nothing in it has changed then, or the seal is missing.
     """
     given, missing = Path(directory), list[Path]()
     if "\0" in str(given):
@@ -86,10 +79,8 @@ def replace_files(
                 _exchange(target, stage, set(writers), set(owned), seal, previous)
     except OSError as error:
         culprit = f" ({Path(error.filename).name})" if isinstance(error.filename, str) else ""
-        raise FileError(
-            f"{given}: cannot be written: {error.strerror or error}{culprit}; free space or "
-            "permissions there, or name another directory"
-        ) from error
+        words = f"{error.strerror or error}{culprit}; free space there, or name another directory"
+        raise FileError(f"{given}: cannot be written: {words}") from error
     finally:
         for parent in missing:
             with contextlib.suppress(OSError):  # not empty: it is in use now
@@ -172,10 +163,9 @@ def sync(path: Path) -> None:
 
 @contextlib.contextmanager
 def locked(directory: Path, *, wait: bool = True) -> Iterator[None]:
-    """Hold the lock of a directory within the block; other processes and threads wait for it.
+    """Hold the lock of a directory within the block, where there are locks; others wait for it.
 
-    Where there are no such locks, as on Windows, the block is entered at once. BlockingIOError is
-    raised where it is held elsewhere and this is not to wait.
+    BlockingIOError tells that it is held elsewhere, if this is not to wait.
     """
     with contextlib.ExitStack() as held:
         if sys.platform != "win32":
@@ -201,12 +191,7 @@ def strict_json(content: dict[str, Any]) -> str:
 
 
 def parsed_json(text: str | bytes) -> Any:
-    """Return what the text says, every number as a float: one of 400 digits is infinite.
-
-    Raises
-    ------
-    ValueError: it is no JSON, or nested too deeply.
-    """
+    """Return what the text says, every number as a float; ValueError tells that it is no JSON."""
     try:
         return json.loads(text, parse_int=float)
     except RecursionError as error:

@@ -36,11 +36,8 @@ _handled: list[int] = []  # Signals that have been handled within the outermost 
 def ending_signals(*, last: bool = False) -> Iterator[None]:
     """Let SIGINT and SIGTERM raise SystemExit with their exit codes within the context.
 
-    Other threads than the main one are not affected: signals do not reach them.
-
-    Parameters
-    ----------
-    last: whether the process ends with the context: signals then end it at once.
+    Signals reach the main thread alone. ``last``: the process ends with the context, and signals
+    then end it at once.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

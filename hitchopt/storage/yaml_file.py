@@ -61,21 +61,14 @@ STDIN = "-"  # Path that stands for standard input
 def read_yaml(path: str | Path) -> Plain:
     """Return what the YAML file at ``path`` holds; ``-`` is standard input.
 
-    Raises
-    ------
-    FileError: no such file, too large, not UTF-8 text, empty, or not YAML.
-    InputError: a key twice or not text, too deeply nested or too many values.
+    FileError tells that there is none, or that it is too large, not UTF-8 text, empty or not YAML,
+    InputError of a key that is given twice or not text, of too deep nesting and too many values.
     """
     return parse_yaml(*read_text(path))
 
 
 def parse_yaml(text: str, name: str = "text") -> Plain:
-    """Return what the YAML ``text`` holds; ``name`` is what messages call it.
-
-    Raises
-    ------
-    FileError, InputError: as ``read_yaml``.
-    """
+    """Return what the YAML ``text`` holds, called ``name`` in messages; errors as ``read_yaml``."""
     return read_node(text, name).value
 
 
@@ -90,10 +83,7 @@ def read_node(text: str, name: str = "text") -> Node:
 def read_text(path: str | Path) -> tuple[str, str]:
     """Return a YAML file's text, and what messages call the file; ``-`` is standard input.
 
-    Raises
-    ------
-    FileError: no such file, too large, or not UTF-8 text.
-    InputError: neither a path nor a text.
+    FileError tells that there is none, or that it is too large or not UTF-8 text.
     """
     if not isinstance(path, str | Path):
         raise InputError("path", path, "a path", "write its name in quotation marks")
@@ -111,15 +101,12 @@ def read_text(path: str | Path) -> tuple[str, str]:
             reason = getattr(error, "strerror", None) or str(error)
             raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
     if len(data) > MAX_BYTES:
-        size = f"the {MAX_BYTES} bytes that a problem file may have"
-        raise FileError(f"{name}: is larger than {size}")
+        raise FileError(f"{name}: is larger than the {MAX_BYTES} bytes that a problem may have")
     try:
         return data.decode("utf-8-sig"), name
     except UnicodeDecodeError as error:
-        place = f"byte {error.start}"
-        raise FileError(
-            f"{name}: is not UTF-8 text ({place}); give a YAML file, saved as UTF-8"
-        ) from None
+        words = f"is not UTF-8 text (byte {error.start}); give a YAML file, saved as UTF-8"
+        raise FileError(f"{name}: {words}") from None
 
 
 @dataclass
@@ -306,9 +293,7 @@ class Budget:
 def plain(data: object) -> Plain:
     """Return ``data`` with mappings as dict, sequences and arrays as list, scalars as Python's.
 
-    Raises
-    ------
-    InputError: other types, keys that are not text, cycles, too deep or too large data.
+    InputError tells of other types, keys that are not text, cycles, too deep or too large data.
     """
     return _plain(data, [], Budget())
 
@@ -370,10 +355,7 @@ def value_at(data: Plain, path: KeyPath) -> Any:
 def with_value(text: str, path: KeyPath, value: Plain) -> str:
     """Return the text with another value at a path; missing keys on its way are added.
 
-    Raises
-    ------
-    InputError: an index that is not there.
-    FileError: the text is not YAML.
+    InputError tells of an index that is not there, FileError of a text that is not YAML.
     """
     node = read_node(text)
     for i, part in enumerate(path):

@@ -77,30 +77,23 @@ def swarm_of(places: Array, breaks: Array) -> Motion:
 
 @lru_cache
 def swarm_plan() -> Motion:
-    places = np.array(
-        [
-            [[0.1, 0.2, 1.0], [1.1, 0.3, 1.1], [2.1, -0.4, 1.2]],
-            [[0.3, 0.5, 1.0], [1.1, 0.6, 1.3], [2.4, -0.2, 1.2]],
-            [[0.3, 0.5, 1.2], [1.4, 0.6, 1.3], [2.4, 0.2, 1.0]],
-        ]
-    )
-    return swarm_of(places, np.array([0.0, 1.7, 3.4123]))
+    first = [[0.1, 0.2, 1.0], [1.1, 0.3, 1.1], [2.1, -0.4, 1.2]]
+    second = [[0.3, 0.5, 1.0], [1.1, 0.6, 1.3], [2.4, -0.2, 1.2]]
+    last = [[0.3, 0.5, 1.2], [1.4, 0.6, 1.3], [2.4, 0.2, 1.0]]
+    return swarm_of(np.array([first, second, last]), np.array([0.0, 1.7, 3.4123]))
 
 
 @lru_cache
-def restless_plan(duration: float = 40.0) -> Motion:
+def restless_plan() -> Motion:
     """Two drones on wavy lines that never rest until the end."""
+    duration = 40.0
     t = np.linspace(0.0, duration, int(8 * duration) + 1)
-    ramp = np.sin(np.pi * t / duration) ** 2
-    wave = 0.05 * ramp * np.sin(2.0 * np.pi * 1.1 * t)
-    places = np.stack([wave, 0.0 * t, 1.0 + 0.0 * t], axis=-1)[:, None] + np.array(
-        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
-    )
-    slopes = np.gradient(places, t, axis=0)
-    slopes[[0, -1]] = 0.0
-    bends = np.gradient(slopes, t, axis=0)
-    bends[[0, -1]] = 0.0
-    ends = np.stack([places, slopes, bends])
+    wave = 0.05 * np.sin(np.pi * t / duration) ** 2 * np.sin(2.0 * np.pi * 1.1 * t)
+    there = np.stack([wave, 0.0 * t, 1.0 + 0.0 * t], axis=-1)
+    ends = np.zeros((3, len(t), 2, 3))
+    ends[0] = np.stack([there, there + [1.0, 0.0, 0.0]], axis=1)
+    for order in (1, 2):
+        ends[order, 1:-1] = np.gradient(ends[order - 1], t, axis=0)[1:-1]
     drones = PiecewisePolynomial.hermite(t, ends[:, :-1], ends[:, 1:])
     limits = Limits(speed=2.0, acceleration=20.0, jerk=1e4)
     requirements = replace(swarm_plan().requirements, limits=limits)

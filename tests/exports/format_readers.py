@@ -148,14 +148,19 @@ def _skybrush_csv(folder: Path, names: Sequence[str], _: Array) -> Read:
 
 
 def _mavsdk(folder: Path, names: Sequence[str], _: Array) -> Read:
-    begin = json.loads((folder / "export.json").read_text())["receiver"]["plan_begins_s"]
-    tables = []
+    told = json.loads((folder / "export.json").read_text())
+    begin, heading, tables = (
+        told["receiver"]["plan_begins_s"],
+        math.degrees(told["heading_rad"]),
+        [],
+    )
     for i in range(len(names)):
         with (folder / f"Drone {i + 1}.csv").open() as file:
-            rows = list(csv.DictReader(file))
-        assert {row["mode"] for row in rows} == {"70"}
-        assert all("." in row[key] for row in rows for key in list(row)[1:12])
-        tables.append([[float(row[key]) for key in list(row)[1:12]] for row in rows])
+            rows = list(csv.reader(file))[1:]
+        assert {row[12] for row in rows} == {"70"}
+        assert all(abs(float(row[11]) - heading) < 1e-4 for row in rows)
+        assert all("." in number for row in rows for number in row[1:12])
+        tables.append([list(map(float, row[1:12])) for row in rows])
     table = np.swapaxes(np.array(tables), 0, 1)
     np.testing.assert_allclose(table[:, 0, 0], np.arange(len(table)) / 20.0, atol=1e-9)
     plan = table[table[:, 0, 0] > begin - 1e-9]
@@ -179,46 +184,39 @@ def _ros2bag(folder: Path, names: Sequence[str], _: Array) -> Read:
     found = bag_messages(folder / "setpoints.mcap")
     kinds = ("trajectory", "path", "cmd_full_state")
     assert set(found) == {f"/{name}/{kind}" for name in names for kind in kinds}
-    streams = [found[f"/{name}/cmd_full_state"] for name in names]
-    each = [
-        [
-            [
-                *vector(m.pose.position),
-                *vector(m.twist.linear),
-                *vector(m.acc),
-                m.pose.orientation.w,
-                *vector(m.pose.orientation),
-                *vector(m.twist.angular),
-            ]
-            for _, m in stream
-        ]
-        for stream in streams
-    ]
-    table = np.swapaxes(np.array(each), 0, 1)
-    t = np.array([at for at, _ in streams[0]])
-    return Read(t, *np.split(table, [3, 6, 9, 13], axis=-1))
+    streams, each = [found[f"/{name}/cmd_full_state"] for name in names], list[list[float]]()
+    for stream in streams:
+        for _sent, m in stream:
+            turned = [m.pose.orientation.w, *vector(m.pose.orientation)]
+            row = [*vector(m.pose.position), *vector(m.twist.linear), *vector(m.acc), *turned]
+            each.append([*row, *vector(m.twist.angular)])
+    table = np.swapaxes(np.array(each).reshape(len(names), -1, 16), 0, 1)
+    return Read(np.array([at for at, _ in streams[0]]), *np.split(table, [3, 6, 9, 13], axis=-1))
 
 
 GROUPS = ("x y z", "vx vy vz", "ff_x ff_y ff_z", "qw qx qy qz", "rate_x rate_y rate_z")
 
 
-def _rows(rows: list[dict[str, Any]], names: Sequence[str]) -> Read:
+def _table(folder: Path, names: Sequence[str], _: Array) -> Read:
+    """One of csv, parquet and json."""
+    if (path := folder / "setpoints.parquet").exists():
+        rows = pq.read_table(path).to_pylist()
+    elif (path := folder / "setpoints.json").exists():
+        told = json.loads(path.read_text())
+        rows = [
+            dict(zip(("t", "drone", *told["columns"]), (sample["t"], name, *row), strict=True))
+            for sample in told["samples"]
+            for name, row in zip(told["drones"], sample["rows"], strict=True)
+        ]
+    else:
+        with next(folder.glob("setpoints_*.csv")).open() as file:
+            rows = list(csv.DictReader(file))
+        # Readers such as polars take a column that begins with 0 for integers.
+        assert all("." in cell for row in rows for key, cell in row.items() if key != "drone")
     assert [row["drone"] for row in rows[: len(names)]] == list(names)
     groups = [[[float(row[c]) for c in group.split()] for row in rows] for group in GROUPS]
     t = np.array([float(row["t"]) for row in rows[:: len(names)]])
     return Read(t, *(np.array(g).reshape(len(t), len(names), -1) for g in groups))
-
-
-def _csv(folder: Path, names: Sequence[str], _: Array) -> Read:
-    with next(folder.glob("setpoints_*.csv")).open() as file:
-        rows = list(csv.DictReader(file))
-    # Readers such as polars take a column that begins with 0 for integers.
-    assert all("." in cell for row in rows for key, cell in row.items() if key != "drone")
-    return _rows(rows, names)
-
-
-def _parquet(folder: Path, names: Sequence[str], _: Array) -> Read:
-    return _rows(pq.read_table(folder / "setpoints.parquet").to_pylist(), names)
 
 
 def _npz(folder: Path, names: Sequence[str], _: Array) -> Read:
@@ -226,15 +224,6 @@ def _npz(folder: Path, names: Sequence[str], _: Array) -> Read:
         assert arrays["drones"].tolist() == list(names)
         groups = ("positions", "velocities", "feed_forward", "quaternions", "body_rates")
         return Read(arrays["t"], *(arrays[name] for name in groups))
-
-
-def _json(folder: Path, names: Sequence[str], _: Array) -> Read:
-    content = json.loads((folder / "setpoints.json").read_text())
-    assert content["drones"] == list(names)
-    values = np.array([sample["rows"] for sample in content["samples"]])
-    columns = [[content["columns"].index(c) for c in group.split()] for group in GROUPS]
-    t = np.array([sample["t"] for sample in content["samples"]])
-    return Read(t, *(values[..., each] for each in columns))
 
 
 def glb_animation(path: Path) -> dict[str, dict[str, tuple[Array, Array]]]:
@@ -279,8 +268,6 @@ READERS: dict[str, Reader] = {
     "skybrush_csv": _skybrush_csv,
     "mavsdk_drone_show": _mavsdk,
     "ros2bag": _ros2bag,
-    "csv": _csv,
-    "parquet": _parquet,
     "npz": _npz,
-    "json": _json,
+    **dict.fromkeys(("csv", "parquet", "json"), _table),
 }

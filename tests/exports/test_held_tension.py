@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
 from hitchopt.exports.held_tension import HeldTension, held_tension
@@ -99,39 +99,38 @@ def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path
 
 
 def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_path: Path) -> None:
-    plan.export("csv", tmp_path / "plan.csv", hold_tension=True, rate=50.0)
-    with (tmp_path / "plan.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    table = {key: np.array([float(r[key]) for r in rows]) for key in rows[0] if key != "drone"}
-    assert not any(np.any(table[f"cable_{axis}"]) for axis in "xyz")
-    np.testing.assert_array_equal(table["ff_x"], table["ax"])
+    plan.export("npz", tmp_path, hold_tension=True, rate=50.0)
+    with np.load(tmp_path / "setpoints.npz") as arrays:
+        table = dict(arrays)
+    assert not np.any(table["cable_forces"])
+    np.testing.assert_array_equal(table["feed_forward"], table["accelerations"])
     # Attitudes point the thrust along m (a + g ẑ).
-    upward = np.stack([table["ax"], table["ay"], table["az"] + 9.81], axis=-1)
-    w, x, y, z = (table[f"q{name}"] for name in "wxyz")
-    third = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x**2 + y**2)], axis=-1)
+    upward = (table["accelerations"] + [0.0, 0.0, 9.81]).reshape(-1, 3)
+    turned = Rotation.from_quat(table["quaternions"].reshape(-1, 4), scalar_first=True)
     thrust = upward / np.linalg.norm(upward, axis=-1, keepdims=True)
-    np.testing.assert_allclose(third, thrust, atol=1e-6)
+    np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), thrust, atol=1e-6)
     held = held_tension(plan.motion).motion
-    places = np.stack([table[axis] for axis in "xyz"], axis=-1).reshape(-1, 6, 3)
-    np.testing.assert_allclose(places, held.drones.at(table["t"][::6]), atol=1e-9)
+    np.testing.assert_allclose(table["positions"], held.drones.at(table["t"]), atol=1e-9)
+
+
+NO_FORWARD, INTEGRAL = "without feed-forward", "an integral"
 
 
 @pytest.mark.parametrize(
-    ("name", "kinds", "expected"),
+    ("name", "changes", "expected"),
     [
-        ("csv", SOFT, []),
-        ("csv", replace(SOFT, feed_forward=False), ["without feed-forward"]),
-        ("csv", replace(SOFT, integral=True), ["an integral"]),
-        *((name, SOFT, []) for name in ("mavsdk_drone_show", "ros2bag")),
-        *((name, SOFT, ["without feed-forward"]) for name in ("skybrush", "skybrush_csv")),
-        ("crazyswarm2", SOFT, ["an integral", "without feed-forward"]),
-        ("compressed", SOFT, ["an integral", "without feed-forward"]),
+        ("csv", {}, []),
+        ("csv", {"feed_forward": False}, [NO_FORWARD]),
+        ("csv", {"integral": True}, [INTEGRAL]),
+        *((name, {}, []) for name in ("mavsdk_drone_show", "ros2bag")),
+        *((name, {}, [NO_FORWARD]) for name in ("skybrush", "skybrush_csv")),
+        *((name, {}, [INTEGRAL, NO_FORWARD]) for name in ("crazyswarm2", "compressed")),
     ],
 )
 def test_exports_and_lint_warn_where_the_tension_is_undetermined(
-    name: str, kinds: ho.Quadrotor, expected: list[str], plan: ho.Plan, tmp_path: Path
+    name: str, changes: dict[str, bool], expected: list[str], plan: ho.Plan, tmp_path: Path
 ) -> None:
-    team = replace(plan.motion.team, quadrotor=(kinds,) * 3)
+    team = replace(plan.motion.team, quadrotor=(replace(SOFT, **changes),) * 3)
     other = replace(plan, motion=replace(plan.motion, team=team))
     (done,) = other.export(name, tmp_path / "files")
     said = json.loads((tmp_path / "files" / "export.json").read_text())["undetermined_tension"]

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.exporting import FLOWN, Verdict, verify
+from hitchopt.exports.exporting import Verdict, verify
 from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.exports.recording import Recording, Trajectory
 from hitchopt.motion.motion import CableState, Motion
@@ -38,17 +38,14 @@ def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:
 @pytest.mark.parametrize("make", [hitch_plan, swarm_plan])
 def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], Motion]) -> None:
     motion = make()
-    verdict = verified(motion, motion.drones)
+    verdict, certificate = verified(motion, motion.drones), certificate_of(motion)
     assert verdict.lost == ()
-    assert verdict.position.worst < 1e-9
-    assert verdict.velocity.worst < 1e-6
-    certificate = certificate_of(motion)
-    assert {check.name for check in verdict.checks} <= {rule.name for rule in FLOWN}
+    assert max(verdict.position.worst, 1e-3 * verdict.velocity.worst) < 1e-9
+    assert {check.name for check in verdict.checks} == set(flown_checks(motion))
     for check in verdict.checks:
         planned = certificate[check.name]
         assert check.worst == pytest.approx(planned.worst, rel=3e-4, abs=1e-6)
         assert check.limit == {"cable_length": 1e-3, "arena": -1e-4}.get(check.name, planned.limit)
-        assert flown_checks(motion)[check.name].worst == pytest.approx(planned.worst, rel=3e-4)
 
 
 @pytest.mark.slow
@@ -75,20 +72,18 @@ def test_samples_never_beat_the_bounds(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_windows_of_any_size_say_the_same() -> None:
-    motion = hitch_plan()
-    names, pieces = motion.team.drone_names, range(motion.drones.pieces)
+def test_windows_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    motion, found = hitch_plan(), []
     late = np.array(motion.drones.coefficients)
     late[-1, 0, 0] += 1e-3  # what is off at the end alone is found in the last window
-    off = PiecewisePolynomial(motion.drones.breaks, late)
-    whole = recorded(off, names)
-    parts = replace(whole, windows=lambda: (off.taken(slice(i, i + 1)) for i in pieces))
-    one, many = (verify(motion, recording, PLAIN, names) for recording in (whole, parts))
+    for size in (20_000, 1):
+        monkeypatch.setattr("hitchopt.exports.recording.WINDOW", size)
+        found.append(verified(motion, PiecewisePolynomial(motion.drones.breaks, late)))
+    one, many = found
     assert many.position.worst == pytest.approx(one.position.worst)
     assert one.position.worst > 9e-4
-    for a, b in zip(one.checks, many.checks, strict=True):
-        assert a.worst == pytest.approx(b.worst, rel=3e-4, abs=1e-6)
-        assert a.name == b.name
+    bounds = [{check.name: check.bound for check in verdict.checks} for verdict in found]
+    assert bounds[1] == pytest.approx(bounds[0], rel=3e-4, abs=1e-6)
 
 
 def test_it_rests_after_its_end_but_must_not_end_early() -> None:
@@ -104,12 +99,12 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
         verified(motion, motion.drones.taken(slice(0, -1)))
 
 
-def test_other_drones_are_refused() -> None:
-    motion = swarm_plan()
-    recording = recorded(motion.drones, ("a", "b", "c"))
-    for names, words in ((motion.team.drone_names, "d0 is missing"), (("a", "b"), "more of them")):
-        with pytest.raises(FileError, match=words):
-            verify(motion, recording, PLAIN, names)
+@pytest.mark.parametrize(
+    ("names", "words"), [(("d0", "b", "c"), "d0 is missing"), (("a", "b"), "more of them")]
+)
+def test_other_drones_are_refused(names: tuple[str, ...], words: str) -> None:
+    with pytest.raises(FileError, match=words):
+        verify(swarm_plan(), recorded(swarm_plan().drones, ("a", "b", "c")), PLAIN, names)
 
 
 def test_cables_are_verified_while_the_hitch_exists() -> None:
@@ -160,23 +155,23 @@ def test_axes_by_hand(name: str, point: list[float], heading: float) -> None:
     assert frame.heading == pytest.approx(heading)
 
 
-NONSENSE: list[tuple[Callable[[], object], str]] = [
-    (lambda: ReferenceFrame("neu"), "frame"),
-    (lambda: ReferenceFrame("enu", [1, 2]), "origin"),
-    (lambda: ReferenceFrame("enu", [1, 2, math.nan]), "origin"),
-    (lambda: ReferenceFrame("enu", [0, 0, 0], math.inf), "yaw"),
-    *((lambda r=rate: sample_times(3.0, r), "rate") for rate in (0.0, -1.0, math.nan, 1e12)),
-    *(
-        (lambda t=t: states_at(swarm_plan(), t), "finite times from 0 s on")
-        for t in (-0.1, math.nan, [0.0, math.inf], [])
-    ),
-]  # fmt: skip
+TIMES: tuple[object, ...] = (-0.1, math.nan, [0.0, math.inf], [])
+NONSENSE: list[tuple[Callable[..., object], tuple[Any, ...], str]] = [
+    (ReferenceFrame, ("neu",), "frame"),
+    (ReferenceFrame, ("enu", [1, 2]), "origin"),
+    (ReferenceFrame, ("enu", [1, 2, math.nan]), "origin"),
+    (ReferenceFrame, ("enu", [0, 0, 0], math.inf), "yaw"),
+    *((sample_times, (3.0, rate), "rate") for rate in (0.0, -1.0, math.nan, 1e12)),
+    *((states_at, (swarm_plan(), t), "finite times from 0 s on") for t in TIMES),
+]
 
 
-@pytest.mark.parametrize(("call", "words"), NONSENSE)
-def test_nonsense_is_refused(call: Callable[[], object], words: str) -> None:
+@pytest.mark.parametrize(("call", "given_", "words"), NONSENSE)
+def test_nonsense_is_refused(
+    call: Callable[..., object], given_: tuple[Any, ...], words: str
+) -> None:
     with pytest.raises(InputError, match=words):
-        call()
+        call(*given_)
 
 
 @given(st.floats(0.0, 40.0), st.floats(0.1, 60.0))
@@ -208,9 +203,7 @@ def test_states_are_those_of_the_polynomials() -> None:
     np.testing.assert_allclose(at[-1], right[-1], atol=1e-6)
     # After its end a plan rests where it ended.
     later, end = states_at(motion, [1.0, 9.0]), states_at(motion, motion.duration)
-    np.testing.assert_array_equal(later.t, [1.0, 9.0])
-    np.testing.assert_array_equal(later.positions[1], end.positions)
-    np.testing.assert_array_equal(later.cable_forces[1], end.cable_forces)
+    for name in ("positions", "cable_forces"):
+        np.testing.assert_array_equal(getattr(later, name)[1], getattr(end, name))
     for rate in (later.velocities, later.accelerations, later.jerks):
-        assert not np.any(rate[1])
-        assert np.any(rate[0])
+        assert np.any(rate[0]) > np.any(rate[1])

@@ -1,10 +1,9 @@
 """Formats crazyswarm2 and compressed: trajectories that are uploaded into Crazyflies' memory.
 
 Feed-forward: the drone's own controller (Mellinger's) takes acceleration from the curve and adds
-gravity, so the cable's pull ``F`` (a static tilt of ``atan(T / (m g))``) cannot be in it. The
-controller's integral does not find it: it brings the drone to its place, where any tension may be.
-Stream full-state setpoints (ros2bag, csv) with ``a_ff = a - F / m``, or turn the integral off and
-export with ``--hold-tension``.
+gravity, so the cable's pull ``F`` cannot be in it, and its integral brings the drone to its place,
+where any tension may be. Stream full states (ros2bag, csv) with ``a_ff = a - F / m``, or turn the
+integral off and export with ``--hold-tension``.
 
 **crazyswarm2**: settings of the fleet, how to start, and a CSV file per drone, a header, then 33
 numbers per piece: ``duration,x^0..x^7,y^0..y^7,z^0..z^7,yaw^0..yaw^7``: ascending powers of the
@@ -29,7 +28,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import resources
-from itertools import takewhile
+from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +55,6 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
 BYTES = 4096  # Size of the memory for all trajectories of one drone [B]
-CLOSER = 0.3  # Share of the error within which parts are refitted where coarser ones lose a limit
 DEGREE = 7  # Degree of pieces and segments
 STEADY = 2e-3  # [rad] Yaw that changes less is constant: bytes have tenths of a degree
 
@@ -67,10 +65,8 @@ class CrazyflieFormat(Format):
     frames = ("enu", "nwu")
     receiver_integral = True
     feed_forward = (
-        "not in these files: the on-board controller takes acceleration from the curve and adds "
-        "gravity, but not the cable's pull; its integral brings drones to their places and leaves "
-        "the tension to the cables' lengths: stream full states (ros2bag), or turn it off and "
-        "export with --hold-tension"
+        "not in these files: the on-board controller knows no cable, and its integral leaves the "
+        "tension to the cables' lengths: stream full states (ros2bag), or export --hold-tension"
     )
     kind: Kind  # of its pieces
     smooth: int  # highest derivative that does not jump
@@ -88,65 +84,53 @@ class CrazyflieFormat(Format):
         drones, findings = [self.upload(path) for path in files], []
         for drone in drones:
             if drone.size > BYTES:
-                words = f"{drone.curve.pieces} pieces take {drone.size} bytes, and a drone has "
-                words += f"{BYTES} for all its trajectories; refit it with fewer pieces, or cut it "
-                findings.append(error("memory", drone.name, f"{words}into parts"))
+                words = f"takes {drone.size} of {BYTES} bytes; give it fewer pieces, or cut it"
+                findings.append(error("memory", drone.name, words))
         frames = sorted({drone.frame for drone in drones} - {""})
         if len(frames) > 1:
             findings.append(error("frame", "", f"files are in {' and '.join(frames)}"))
         frame = frames[0] if len(frames) == 1 and frames[0] in AXES else ""
         return Recording.of_curves(drones, frame, self.smooth, findings)
 
-    def parts(self, task: Task) -> Iterator[Sequence[Task]]:
-        """Give the task cut at rests into as few parts as fit, then into closer refitted ones."""
-        breaks, counts = task.motion.drones.breaks, [1]
-        for share in (1.0, CLOSER):
-            parts = self._parts(task.motion, share)
-            if len(parts) in counts:
-                continue
-            counts.append(len(parts))
-            why = (
-                f"the plan is cut into {len(parts)} parts at rests, since as a whole it does not "
-                f"fit (a drone's memory holds {BYTES} bytes) or loses a limit: fly one and let the "
-                "drones hover, goTo the point where each hovers, wait, only then upload the next "
-                "(uploads overwrite the memory that a finished trajectory is flown from), go on"
-            )
-            tasks = []
-            for i, (first, part) in enumerate(parts):
-                begins = float(breaks[first])
-                told = f"part {i + 1} of {len(parts)}, t = {begins:.3f} s to "
-                told += f"{begins + part.duration:.3f} s of the plan"
-                here = replace(task, motion=part, begins=begins, number=i + 1, part=told)
-                tasks.append(replace(here, notes=(*task.notes, f"{told}: {why}")))
-            yield tasks
+    def parts(self, task: Task, share: float) -> Sequence[Task]:
+        """Return the task cut at rests into the fewest parts that memory holds; nothing if none."""
+        motion, most = task.motion, self.most_pieces(task.motion.drones)
 
-    def _parts(self, motion: Motion, share: float) -> list[tuple[int, Motion]]:
-        """Return the fewest parts between rests that memory holds, and the break of each start."""
-        parts, at, most = [], rests(motion).tolist(), self.most_pieces(motion.drones)
-
-        def held(part: Motion) -> bool:
+        def held(end: int) -> bool:
+            part = cut(motion, starts[-1], end)
             return len(breaks_within(part.drones, self.kind, share, most)) - 1 <= most
 
-        while len(at) > 1:
-            tried = (cut(motion, at[0], end) for end in at[1:])
-            fitting = list(takewhile(held, tried))
+        at = rests(motion).tolist()
+        starts = at[:1]
+        while starts[-1] < at[-1]:
+            fitting = list(takewhile(held, (end for end in at if end > starts[-1])))
             if not fitting:
-                raise self.refusal(cut(motion, at[0], at[1]))
-            parts.append((at[0], fitting[-1]))
-            at = at[len(fitting) :]
-        return parts
+                return ()
+            starts.append(fitting[-1])
+        spans, count = list(pairwise(starts)), len(starts) - 1
+        why = (
+            f"the plan is cut into {count} parts at rests, as a drone's memory or a limit asks: "
+            "fly one, goTo the point where each drone hovers, and only then upload the next (it "
+            "overwrites the memory that a finished trajectory is flown from)"
+        )
+        tasks = []
+        for i, (first, last) in enumerate(spans if count > 1 else (), 1):
+            begins, end = motion.drones.breaks[[first, last]].tolist()
+            told = f"part {i} of {count}, t = {begins:.3f} s to {end:.3f} s of the plan"
+            here = replace(task, motion=cut(motion, first, last), begins=begins, number=i)
+            tasks.append(replace(here, part=told, notes=(*task.notes, f"{told}: {why}")))
+        return tasks
 
     def refusal(self, motion: Motion) -> InfeasibleError:
         """Return the error that memory does not hold a motion."""
         pieces = len(breaks_within(motion.drones, self.kind, 1.0)) - 1.0
-        when = f"for {motion.duration:.4g} s without a rest"
-        most, remedy = float(self.most_pieces(motion.drones)), "let the plan rest now and then"
-        return InfeasibleError(
-            [Violation("memory", pieces, most, "max", "pieces", (), when, remedy)],
-            "it can be cut at rests only; --format compressed holds three times as much as "
-            "crazyswarm2; or stream it: --format ros2bag (full-state setpoints), csv or "
-            "mavsdk_drone_show",
+        when, most = f"in {motion.duration:.4g} s", float(self.most_pieces(motion.drones))
+        remedy = "let the plan rest now and then, where it can be cut"
+        words = (
+            "compressed holds three times as much as crazyswarm2; or stream it: --format ros2bag"
         )
+        broken = Violation("memory", pieces, most, "max", "pieces", (), when, remedy)
+        return InfeasibleError([broken], words)
 
 
 POLY = Kind(degree=DEGREE, match=3, quantum=1.0 / 1024.0, longest=60.0, shortest=8.0 / 1024.0)
@@ -158,10 +142,7 @@ HEADER = ",".join(("duration", *POWERS))
 PIECE_BYTES = 4 * (1 + len(POWERS))  # Size of a piece in the drone's memory [B]
 MOST = BYTES // PIECE_BYTES  # Pieces that a drone's memory holds: 31
 LEAST = 2  # Rows of a file at least: the usual reader fails on one
-MAX_ROWS = 100_000  # Rows of a file that is read
-NOTHING = 1e-10  # Powers that never add more than this are left out [m]
 
-CLOSE = 1.0 - 1e-4  # Share of an ellipsoid's width within which drones, from above, block others
 LANDED = 0.04  # Height at which landing cuts the motors [m], unless drones hover below it
 
 
@@ -206,35 +187,30 @@ class Crazyswarm2(CrazyflieFormat):
         """Return the pieces of one drone, in single precision as it holds them."""
         first, *lines = [*read_text(path).splitlines(), ""]
         header, _, comment = first.partition("#")
-        if len(lines) > MAX_ROWS:
-            raise FileError(f"{path}: has more than {MAX_ROWS} rows")
         rows = [line.partition("#")[0].strip().rstrip(",") for line in lines]
         table = read_columns(rows, HEADER, HEADER.split(","), str(path), least=1)
         with np.errstate(over="ignore"):  # reported below
             table = table.astype(np.float32).astype(np.float64)
         if not np.all(np.isfinite(table)):
-            words = "a number is beyond single precision, which is what drones hold"
-            raise FileError(f"{path}: {words}")
+            raise FileError(f"{path}: a number is beyond single precision, which drones hold")
         if np.any(wrong := table[:, 0] <= 0.0):
             row = int(np.argmax(wrong))
             raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")
         durations, powers = table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1)
         faults = []
         if len(table) < LEAST:
-            words = "the usual reader fails on it; split the piece"
-            faults.append(error("one row", path.stem, words))
+            faults.append(error("one row", path.stem, "readers fail on it; split the piece"))
         if re.match(r"\s*[-+.]?\d", header):
-            words = "has none: readers skip the first line, and with it the first piece; put a line"
-            faults.append(error("header", path.stem, f"{words} of names before it"))
+            words = "has none, and readers skip the first line; put a line of names before it"
+            faults.append(error("header", path.stem, words))
         with reading(path, "table of polynomials"):
             curves = of_powers(durations, powers)
         left, right = curves.ends()
         jumps = np.abs(np.angle(np.exp(1j * (left[1:, 3] - right[:-1, 3]))))  # no whole turns
         if np.max(jumps, initial=0.0) > STEADY:
-            joint = int(np.argmax(jumps))
-            words = f"yaw jumps by {math.degrees(jumps[joint]):.3g}° at "
-            words += f"t = {curves.breaks[joint + 1]:.4g} s; let every piece begin with the yaw at "
-            faults.append(warning("jump", path.stem, f"{words}which the one before ends"))
+            size, t = math.degrees(np.max(jumps)), curves.breaks[int(np.argmax(jumps)) + 1]
+            words = f"yaw jumps by {size:.3g}° at t = {t:.4g} s; make the pieces meet"
+            faults.append(warning("jump", path.stem, words))
         frame, places = comment.partition("frame:")[2].strip(), curves.coefficients[:, :3]
         curve = PiecewisePolynomial(curves.breaks, places)
         return Trajectory(path.stem, curve, len(table) * PIECE_BYTES, frame, tuple(faults))
@@ -243,9 +219,7 @@ class Crazyswarm2(CrazyflieFormat):
 def to_powers(curves: PiecewisePolynomial) -> Array:
     """Return ascending powers of seconds (pieces, D, 3, 8) of curves (D, 3) of degree 7."""
     basis = BPoly(np.moveaxis(curves.coefficients, -1, 0), curves.breaks)
-    powers = np.moveaxis(PPoly.from_bernstein_basis(basis).c[::-1], 0, -1)
-    local = powers * curves.durations[:, None, None, None] ** np.arange(DEGREE + 1)
-    return np.where(np.abs(local) < NOTHING, 0.0, powers)  # differences that are rounding alone
+    return np.moveaxis(PPoly.from_bernstein_basis(basis).c[::-1], 0, -1)
 
 
 def of_powers(durations: Array, powers: Array) -> PiecewisePolynomial:
@@ -317,12 +291,10 @@ def _template(name: str) -> str:
 
 def _stacked(task: Task, places: Array, what: str) -> Iterator[str]:
     """Give a warning where drones start, or land, below one another: fly.py goes straight up."""
-    width = 2.0 * task.motion.requirements.separation.radius
-    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(CLOSE * width))[:1]:
-        words = (
-            f"{task.names[i]} and {task.names[j]}, perhaps others too, would {what} one place, as"
-        )
-        yield f"{words} one is above the other: bring them there one by one, not with fly.py"
+    width = 1.9999 * task.motion.requirements.separation.radius
+    for i, j in sorted(cKDTree(places[:, :2]).query_pairs(width))[:1]:
+        pair = f"{task.names[i]} and {task.names[j]}, perhaps others too,"
+        yield f"{pair} would {what} one place: move them one by one, not with fly.py"
 
 
 MILLI = 1e-3  # Unit of durations [s] and control points [m]
@@ -367,10 +339,7 @@ class CompressedBytes(CrazyflieFormat):
             most = max(most, len(data))
         if most > BYTES:
             raise self.refusal(task.motion)
-        note = (
-            f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps "
-            "where segments join by no more than twice the velocity error above"
-        )
+        note = f"up to {most} of {BYTES} bytes of each drone's memory; velocity jumps at joints"
         return Written(files, (note,))
 
     def upload(self, path: Path) -> Trajectory:
@@ -384,17 +353,15 @@ class CompressedBytes(CrazyflieFormat):
         faults = []
         if not ended:
             words = (
-                "no segment of no duration ends it: the drone flies on into earlier contents of "
+                "missing: the drone flies on into what was in its memory; append three zero bytes"
             )
-            faults.append(error("end marker", name, f"{words}its memory; append three zero bytes"))
-        if (turn := math.radians(0.1 * float(np.ptp(yaws)))) > STEADY:
-            words = (
-                f"turns by {math.degrees(turn):.3g}°; firmware up to 2026.04 flies changing yaw "
-            )
-            faults.append(warning("yaw", name, f"{words}wrongly; keep it constant"))
+            faults.append(error("end marker", name, words))
+        if math.radians(0.1 * float(np.ptp(yaws))) > STEADY:
+            words = "changes, which firmware up to 2026.04 flies wrongly; keep it constant"
+            faults.append(warning("yaw", name, words))
         if np.max(np.abs(curve.coefficients)) > LARGEST - 0.5 * MILLI:
-            words = f"a control point is at the end of ±{LARGEST} m: it may have been cut off there"
-            faults.append(error("range", name, f"{words}; move the origin"))
+            words = f"a control point is at ±{LARGEST} m, perhaps cut off; move the origin"
+            faults.append(error("range", name, words))
         return Trajectory(name, curve, size, frame, tuple(faults))
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,8 @@ class Gltf(Format):
         bodies = [
             (name, drawn.drones[:, i], drawn.quaternions[:, i]) for i, name in enumerate(task.names)
         ]
-        shape = np.concatenate(drone_faces(motion.requirements.separation.radius))
-        meshes = [document.mesh(shape, "drones")] * len(bodies)
+        drone = np.concatenate(drone_faces(motion.requirements.separation.radius))
+        meshes = [document.mesh(drone, "drones")] * len(bodies)
         for i, (name, body) in enumerate(motion.requirements.objects.items()):
             meshes.append(document.mesh(object_faces(body), "objects"))
             bodies.append((name, drawn.objects[:, i, :3], drawn.objects[:, i, 3:]))
@@ -71,30 +71,20 @@ class Gltf(Format):
         for mesh_, (name, places, quaternions) in zip(meshes, bodies, strict=True):
             turned = (turn * Rotation.from_quat(quaternions, scalar_first=True)).as_quat()
             turned = np.column_stack([y_up(turned[:, :3]), turned[:, 3]])
-            translation = y_up(frame.points(places))
-            roots.append(
-                document.moved(name, mesh_, times, translation=translation, rotation=turned)
-            )
-        span = (
-            document.mesh(slab_faces(Slab(Section(radius=1.0), -0.5, 0.5)), "cables")
-            if drawn.cables.size
-            else -1
-        )
+            paths = {"translation": y_up(frame.points(places)), "rotation": turned}
+            roots.append(document.moved(name, mesh_, times, paths))
+        span = slab_faces(Slab(Section(radius=1.0), -0.5, 0.5))
+        shape = document.mesh(span, "cables") if drawn.cables.size else -1
         for k in range(drawn.cables.shape[1]):
             points = y_up(frame.points(drawn.cables[:, k, SPANS]))
             apart, middles = np.diff(points, axis=1), 0.5 * (points[:, 1:] + points[:, :-1])
             scales = np.full_like(apart, drawn.radius)
             scales[..., 1] = np.linalg.norm(apart, axis=-1)
             paths = {"translation": middles, "rotation": _along(apart), "scale": scales}
-            spans = [
-                document.moved(
-                    f"cable {k} span {i}",
-                    span,
-                    times,
-                    **{key: all_[:, i] for key, all_ in paths.items()},
-                )
-                for i in range(len(SPANS) - 1)
-            ]
+            spans = []
+            for i in range(len(SPANS) - 1):
+                here = {path: values[:, i] for path, values in paths.items()}
+                spans.append(document.moved(f"cable {k} span {i}", shape, times, here))
             roots.append(document.added("nodes", name=f"cable {k}", children=spans))
         extras = {"drones": list(task.names), **frame.to_dict()}
         (folder / self.file).write_bytes(document.packed(roots, task.title or "plan", extras))
@@ -145,7 +135,7 @@ class _Document:
         part = {"attributes": places, "indices": corners, "material": material}
         return self.added("meshes", name=colour, primitives=[part])
 
-    def moved(self, name: str, mesh: int, times: int, **paths: Array) -> int:
+    def moved(self, name: str, mesh: int, times: int, paths: Mapping[str, Array]) -> int:
         """Add a node that is moved at the times of an accessor along its paths; return it."""
         first = {path: values[0].tolist() for path, values in paths.items()}
         node = self.added("nodes", name=name, mesh=mesh, **first)
@@ -180,18 +170,13 @@ def y_up(vectors: Array) -> Array:
 
 
 def _along(vectors: Array) -> Array:
-    """Return quaternions (S, m, 4) x, y, z, w from y to vectors (S, m, 3), smooth in time."""
-    found = np.empty((*vectors.shape[:2], 4))
-    last = Rotation.identity(vectors.shape[1])
-    for s, now in enumerate(vectors):
-        # The least rotation from the direction before; from y down to -y it is about x.
-        before, towards = last.apply([0.0, 1.0, 0.0]), unit(now + [0.0, 1e-12, 0.0])
-        w = 1.0 + np.sum(before * towards, axis=-1, keepdims=True)
-        least = np.concatenate([np.cross(before, towards), w], axis=-1)
-        last = Rotation.from_quat(np.where(w > 1e-9, least, [1.0, 0.0, 0.0, 0.0])) * last
-        found[s] = last.as_quat()
-        if s:
-            found[s] *= np.where(np.sum(found[s] * found[s - 1], -1, keepdims=True) < 0.0, -1, 1)
+    """Return quaternions (S, m, 4) x, y, z, w from y to vectors (S, m, 3), of one sign in time."""
+    x, y, z = np.moveaxis(unit(vectors + [0.0, 1e-12, 0.0]), -1, 0)
+    down = np.array([1.0, 0.0, 0.0, 0.0])  # from y to -y, about x
+    half = np.stack([z, 0.0 * x, -x, 1.0 + y], axis=-1)
+    found = unit(np.where(half[..., 3:] > 1e-9, half, down))
+    turns = np.sum(found[1:] * found[:-1], axis=-1, keepdims=True) < 0.0
+    found[1:] *= np.cumprod(np.where(turns, -1.0, 1.0), axis=0)
     return found
 
 

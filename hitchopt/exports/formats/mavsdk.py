@@ -23,7 +23,6 @@ import math
 from collections.abc import Sequence
 from math import ceil, floor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -71,26 +70,20 @@ class MavsdkDroneShow(Format):
     def write(self, folder: Path, task: Task) -> Written:
         """Write every drone's rows, or raise InfeasibleError where they cannot take off."""
         rise = rise_of(task)
-        separation, settings = separation_before(task, rise), receiver_settings(task)
-        files = self.files(task)
+        refuse_stacks(task, rise)
+        settings, files = receiver_settings(task), self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
         order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
-            f"the plan begins {rise.duration:g} s after the show (row "
-            f"{round(rise.duration * task.rate)}): until then the drones wait on the ground and "
-            "rise straight up, with their cables not looked at",
-            "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: set "
-            + ", ".join(f"{name} = {value}" for name, value in settings.items())
-            + " in its src/params.py",
-            "at the end PX4 lands every drone from its last row",
+            f"the plan begins {rise.duration:g} s after the show: until then drones wait and "
+            "rise straight up, with cables not looked at; at the end PX4 lands them",
+            "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: in "
+            f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
-            "launch every drone below its first place, px and py of its first row: its rows are "
-            "counted from there",
+            "launch every drone at px, py of its first row: its rows are counted from there",
         )
-        receiver: dict[str, Any] = {"settings": settings, "plan_begins_s": rise.duration}
-        receiver |= {} if separation is None else {"separation_before": separation}
-        return Written(files, notes, receiver)
+        return Written(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 
     def load(self, files: Sequence[Path]) -> Recording:
         """Return cubics through positions and velocities: accelerations have an unknown pull."""
@@ -129,26 +122,17 @@ def rise_of(task: Task) -> PiecewisePolynomial:
     return PiecewisePolynomial.hermite([0.0, WAIT, WAIT + lasts, last], ends[:, :-1], ends[:, 1:])
 
 
-def separation_before(task: Task, rise: PiecewisePolynomial) -> float | None:
-    """Return the least separation of drones while they rise; None of one drone.
-
-    InfeasibleError tells of drones that begin above one another: they cannot rise straight up.
-    """
-    motion, asked = task.motion, task.motion.requirements
-    places, up = motion.drones.coefficients[0, ..., :1], _climb(task)[..., None]
-    missing = up * (rise.coefficients[:, None, None] - 1.0)
-    rising = PiecewisePolynomial(rise.breaks, places + missing)
-    phase = Phase("rise", 0, 0.0, rise.duration)
-    flown = Motion.single(motion.team, asked.untimed, rising, [phase])
-    if (check := RULE_OF["separation"].check(flown)) is None:
-        return None
-    if not check.holds:
+def refuse_stacks(task: Task, rise: PiecewisePolynomial) -> None:
+    """Raise InfeasibleError where drones begin above one another: they cannot rise straight up."""
+    motion, up = task.motion, _climb(task)[..., None]
+    places = motion.drones.coefficients[0, ..., :1] + up * (rise.coefficients[:, None, None] - 1.0)
+    rising, phase = PiecewisePolynomial(rise.breaks, places), Phase("rise", 0, 0.0, rise.duration)
+    flown = Motion.single(motion.team, motion.requirements.untimed, rising, [phase])
+    check = RULE_OF["separation"].check(flown)
+    if check is not None and not check.holds:
         when = "while the drones rise straight up from the ground to their first places"
         remedy = "begin with the drones side by side, or choose another format"
-        words = "mavsdk_drone_show takes off from below the first places"
-        raise InfeasibleError([check.violation(when, remedy)], words)
-    digits = 5e-9 * float(np.max(np.abs(task.frame.points(places[..., 0]))))  # files have nine
-    return check.bound - 1.5 * digits / min(asked.separation.radius, asked.separation.height)
+        raise InfeasibleError([check.violation(when, remedy)])
 
 
 def _climb(task: Task) -> Array:

@@ -69,11 +69,9 @@ class Ros2Bag(Format):
         """Write the bag; raise UnsupportedError without rosbags."""
         (data,), options, bags = self.files(task), task.options, needed("rosbags.rosbag2")
         stage = folder / STEM  # the library makes a directory, and calls the data by its name
-        version, plugin = (
-            ROS_DISTROS[options.ros_distro],
-            bags.StoragePlugin[options.storage.upper()],
-        )
-        with bags.Writer(stage, version=version, storage_plugin=plugin) as bag:
+        version, plugin = ROS_DISTROS[options.ros_distro], options.storage.upper()
+        kind = bags.StoragePlugin[plugin]
+        with bags.Writer(stage, version=version, storage_plugin=kind) as bag:
             _write_messages(bag, task)
         for name in (data, METADATA):
             shutil.move(stage / name, folder / name)
@@ -93,8 +91,7 @@ class Ros2Bag(Format):
         highlevel, store = needed("rosbags.highlevel"), message_types()
         found: dict[str, Array] = {}
         frame = ""
-        # The library raises many exceptions of its own, without a common root.
-        with (
+        with (  # many exceptions, without a common root
             reading(path, "bag", Exception),
             highlevel.AnyReader([path], default_typestore=store) as bag,
         ):
@@ -144,18 +141,17 @@ def _write_messages(bag: Any, task: Task) -> None:
     def header(t: float) -> Any:
         return made("std_msgs/msg/Header", stamp("Time", t), frame)
 
-    def vector(v: Array) -> Any:
-        return made("Vector3", *v.tolist())
+    def vector(v: Array, kind: str = "Vector3") -> Any:
+        return made(kind, *v.tolist())
 
     def twist(v: Array, rates: Array) -> Any:
         return made("Twist", vector(v), vector(rates))
 
     def turned(q: Array) -> Any:
-        w, x, y, z = q.tolist()
-        return made("Quaternion", x, y, z, w)
+        return vector(np.roll(q, -1), "Quaternion")
 
     def pose(place: Array, q: Array) -> Any:
-        return made("Pose", made("Point", *place.tolist()), turned(q))
+        return made("Pose", vector(place, "Point"), turned(q))
 
     streams = [topic(f"{name}/cmd_full_state", FULL_STATE) for name in task.names]
     times, blocks = [], []
@@ -166,12 +162,11 @@ def _write_messages(bag: Any, task: Task) -> None:
             for d, stream in enumerate(streams):
                 now = {name: values[s, d] for name, values in samples.items()}
                 moved = twist(now["velocities"], now["body_rates"])
-                there = pose(now["positions"], now["quaternions"])
-                send(
-                    stream,
-                    t,
-                    made(FULL_STATE, header(t), there, moved, vector(now["feed_forward"])),
+                there, bent = (
+                    pose(now["positions"], now["quaternions"]),
+                    vector(now["feed_forward"]),
                 )
+                send(stream, t, made(FULL_STATE, header(t), there, moved, bent))
     still, turn = np.zeros(3), 0.5 * task.frame.heading
     level = np.array([math.cos(turn), 0.0, 0.0, math.sin(turn)])
     for d, name in enumerate(task.names):  # a trajectory is one message of all samples

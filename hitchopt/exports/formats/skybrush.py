@@ -39,7 +39,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linear_sum_assignment
 
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import FileError, InfeasibleError, InputError
+from hitchopt.errors import FileError, InfeasibleError, InputError, Violation
 from hitchopt.exports.exporting import FLOWN
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import ReferenceFrame
@@ -83,8 +83,7 @@ OWN_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
     for rate, order, unit in (("Velocity", 1, "m/s"), ("Acceleration", 2, "m/s²"))
     for key, parts in (("XY", ("across",)), ("Z", ("up", "down")), ("ZUp", ("up",)))
 }
-"""Limits that shows set themselves besides DISTANCE, as Skybrush's validation panel checks them:
-derivative by time, unit, and the parts that count."""
+"""Limits that shows set themselves besides DISTANCE: derivative, unit, the parts that count."""
 
 LAND, LEVEL = "land", "goToKeepAlt"  # Actions: down where the drone is, or after a level flight
 SHARE = 0.9  # Share of the speed limit that returns use: their durations are whole seconds
@@ -116,10 +115,7 @@ class SkybrushShow(Format):
             returns = planned_returns(motion, task.frame)
             head = {"version": 1, "landingSpeed": _landing(motion)}
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
-            times = ", ".join(f"{entries[0]['time']}" for entries in returns)
-            none = "no coordinated return was found; drones would land where they are"
-            some = f"rthPlan: coordinated returns from t = {times} s"
-            notes = [f"{some}; drones are taken to stop at once there" if returns else none]
+            notes = [f"rthPlan: {len(returns)} coordinated returns, from where drones stop at once"]
         breaks = breaks_within(motion.drones, CUBIC, task.bound)
         fit = task.frame.placed(fitted(motion.drones, breaks, CUBIC))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
@@ -142,8 +138,8 @@ class SkybrushShow(Format):
         own, findings = _limits(show.validation)
         for name, curve in show.curves.items():
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
-                words = f"a piece lasts {shortest:.2g} s, which Skybrush rounds to none"
-                findings.append(error("duration", name, f"{words}; leave its point out"))
+                words = f"a piece lasts {shortest:.2g} s, which is rounded to none; leave it out"
+                findings.append(error("duration", name, words))
         drones = [Trajectory(name, curve) for name, curve in show.curves.items()]
         return Recording.of_curves(drones, "nwu", SMOOTH, findings, own)
 
@@ -165,8 +161,8 @@ def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Findi
         if isinstance(value, float) and 0.0 < value < math.inf:
             own[key] = value
         elif value is not None:
-            words = f"settings.validation.{key} is no positive number, so it is not checked"
-            findings.append(warning("settings", "", f"{words}; correct it"))
+            words = f"validation.{key} is no positive number: not checked; correct it"
+            findings.append(warning("settings", "", words))
     return own, findings
 
 
@@ -231,22 +227,18 @@ def read_show(path: Path) -> Show:
             if name in settings:
                 raise FileError(f"{path}: two drones are called {name!r}")
             settings[name] = drone["settings"]
+        routes = {name: each["trajectory"] for name, each in settings.items()}
         files = {
-            name: posixpath.normpath(each["trajectory"]["$ref"].partition("#")[0])
-            for name, each in settings.items()
-            if "$ref" in each["trajectory"]
+            name: posixpath.normpath(route["$ref"].partition("#")[0])
+            for name, route in routes.items()
+            if "$ref" in route
         }
         members = {file: archive.getinfo(file) for file in files.values()}
-        contents = read_members(path, archive, list(members.values()))
-        shared = {
-            file: _curve(f"{path}: {file}", parsed_json(content))
-            for file, content in zip(members, contents, strict=True)
-        }
+        each = zip(members, read_members(path, archive, list(members.values())), strict=True)
+        shared = {file: _curve(f"{path}: {file}", parsed_json(data)) for file, data in each}
         curves = {
-            name: shared[files[name]]
-            if name in files
-            else _curve(f"{path}: {name}", each["trajectory"])
-            for name, each in settings.items()
+            name: shared[files[name]] if name in files else _curve(f"{path}: {name}", route)
+            for name, route in routes.items()
         }
         own = show.get("settings")
     validation = own.get("validation") if isinstance(own, dict) else None
@@ -281,7 +273,7 @@ def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
 def storage_scale(curves: PiecewisePolynomial, beyond: float = 0.0) -> int:
     """Return the least multiple of millimetres that all drones (…, 3) can be stored in.
 
-    It depends on how far a drone's points reach; rounding may move them ``beyond`` [m] that.
+    Rounding may move points ``beyond`` [m] where they are.
     """
     reach = np.max(np.abs(curves.coefficients), axis=(0, -2, -1)) + beyond
     scales = (np.ceil(reach / MILLI).astype(np.int64) + REACH) // REACH
@@ -391,24 +383,21 @@ def certify_returns(
     path: Path, show: Show, curves: Mapping[str, PiecewisePolynomial], task: Task
 ) -> None:
     """Certify a show's returns, each flown from its time on, from stored curves."""
-    flown: list[tuple[float, list[Check]]] = []
+    last, broken = -math.inf, list[Violation]()
     with reading(path, "show with an rthPlan for every drone"):
-        plans = [show.returns[name] for name in task.names]
+        plans, each = zip(*((show.returns[n], curves[n]) for n in task.names), strict=True)
         (landing,) = {float(plan["landingSpeed"]) for plan in plans}
         for entries in zip(*(plan["entries"] for plan in plans), strict=True):
-            time = float(entries[0]["time"])
-            if flown and time <= flown[-1][0]:
+            if (time := float(entries[0]["time"])) <= last:
                 raise ValueError("its times do not increase")
-            each = [curves[name] for name in task.names]
+            last = time
             start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in each])
             places = task.frame.planned(start)
             checks = return_checks(task.motion, entries, places, landing, task.frame)
-            flown.append((time, [check for check in checks if not check.holds]))
-    for time, broken in flown:
-        if broken:
-            words = "a coordinated return of the show breaks a limit when it is read back"
-            when, remedy = f"in the return from t = {time:g} s", "plan with a wider margin"
-            raise InfeasibleError([check.violation(when, remedy) for check in broken], words)
+            told = f"in the return from t = {time:g} s", "plan with a wider margin"
+            broken += [check.violation(*told) for check in checks if not check.holds]
+    if broken:
+        raise InfeasibleError(broken, "a coordinated return of the show breaks a limit")
 
 
 HEADER = "Time [msec],x [m],y [m],z [m],Red,Green,Blue"
@@ -450,16 +439,12 @@ class SkybrushCsv(Format):
         if path.suffix.lower() == ".zip":
             with reading(path, "zip of CSV files"), zipfile.ZipFile(path) as archive:
                 members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
-                contents = [
-                    data.decode("utf-8-sig") for data in read_members(path, archive, members)
-                ]
-            sources = [f"{path}/{member.filename}" for member in members]
+                each = zip(members, read_members(path, archive, members), strict=True)
+                texts = [(f"{path}/{m.filename}", data.decode("utf-8-sig")) for m, data in each]
         else:
-            sources, contents = [str(file) for file in files], [read_text(file) for file in files]
-        drones, names = list[Trajectory](), [Path(source).stem for source in sources]
-        if not 0 < len(names) == len(set(names)):
-            raise FileError(f"{path}: holds no CSV file, or two of one name")
-        for name, source, text in zip(names, sources, contents, strict=True):
+            texts = [(str(file), read_text(file)) for file in files]
+        drones = list[Trajectory]()
+        for source, text in texts:
             header, *lines = text.splitlines() or [""]
             if header.strip().split(",")[:4] != (wanted := HEADER.split(",")[:4]):
                 raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
@@ -468,5 +453,7 @@ class SkybrushCsv(Format):
             check_times(t, source)
             with reading(path, "table of positions"):
                 curve = PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
-            drones.append(Trajectory(name, curve))
+            drones.append(Trajectory(Path(source).stem, curve))
+        if not 0 < len(drones) == len({drone.name for drone in drones}):
+            raise FileError(f"{path}: holds no CSV file, or two of one name")
         return Recording.of_curves(drones, "nwu", 0)

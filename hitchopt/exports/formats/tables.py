@@ -44,7 +44,7 @@ FLOWN = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]  # All that readers need; places
 SMOOTH = 2  # Positions, velocities and accelerations are in the table: quintics run through them
 GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 MAX_TEXT = 2_000_000_000  # Size limit of a JSON document that is read [B]
-FRAME_KEY, PLACE_KEY = b"hitchopt.frame", b"hitchopt.room"  # Of a parquet schema's metadata
+FRAME_KEY = b"hitchopt.frame"  # Of a parquet schema's metadata
 JSON_FORMAT = "hitchopt-setpoints/1"
 
 
@@ -97,10 +97,10 @@ def _recording_of_rows(who: NDArray[np.str_], table: Array, frame: str) -> Recor
     times = t.reshape(-1, len(names))
     wrong = np.any((times != times[:, :1]) | (who.reshape(times.shape) != names), axis=1)
     if len(set(names)) != len(names) or np.any(wrong):
-        raise FileError(
-            f"its rows at t = {times[np.argmax(wrong), 0]:g} s are not one per drone, in one "
-            "order; sort them by time, then drone"
+        words = (
+            f"its rows at t = {times[np.argmax(wrong), 0]:g} s are not one per drone, in one order"
         )
+        raise FileError(f"{words}; sort them by time, then drone")
     values = table[:, 1:].reshape(*times.shape, -1)
     return Recording.of_samples(names, times[:, 0], values, frame, SMOOTH)
 
@@ -141,8 +141,7 @@ class ParquetTable(Table):
         names, number = arrow.array(task.names), arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
         fields += [(column, number) for column in COLUMNS]
-        place = json.dumps(task.frame.to_dict(), allow_nan=False).encode()
-        said = {FRAME_KEY: task.frame.name.encode(), PLACE_KEY: place}
+        said = {FRAME_KEY: task.frame.name.encode()}
         with parquet.ParquetWriter(path, arrow.schema(fields, metadata=said)) as writer:
             for t, values in rows_of(task, GROUP):
                 who = np.tile(np.arange(len(names), dtype=np.int32), len(t))
@@ -154,14 +153,11 @@ class ParquetTable(Table):
         arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
             refuse_expansion(72 * file.metadata.num_rows, path.stat().st_size)
-            frame = (
-                (file.schema_arrow.metadata or {}).get(FRAME_KEY, b"").decode("ascii", "replace")
-            )
-            wanted = ["t", "drone", *told_columns(file.schema_arrow.names, FLOWN)]
-            table = file.read(wanted)
-            rows = [table[name].to_numpy() for name in wanted if name != "drone"]
-            who = np.array(list(map(str, table["drone"].to_pylist())))
-            return _recording_of_rows(who, np.column_stack(rows).astype(np.float64), frame)
+            schema = file.schema_arrow
+            frame = (schema.metadata or {}).get(FRAME_KEY, b"").decode("ascii", "replace")
+            who, *rows = file.read(["drone", "t", *told_columns(schema.names, FLOWN)]).columns
+            numbers = np.column_stack([row.to_numpy() for row in rows]).astype(np.float64)
+            return _recording_of_rows(np.array(who.to_pylist(), np.str_), numbers, frame)
 
 
 class NpzTable(Table):
@@ -181,15 +177,12 @@ class NpzTable(Table):
         flown = tuple(GROUPS)[:3]
         arrays = read_arrays(path, ("frame", "drones", "t", *flown))
         names, t = tuple(map(str, arrays["drones"].ravel())), np.atleast_1d(arrays["t"])
-        for name in ("t", *flown):
-            array, whole = arrays[name], (len(t),) if name == "t" else (len(t), len(names), 3)
-            if array.dtype.kind not in "iuf" or array.shape != whole:
-                raise FileError(
-                    f"array {name!r} is {array.shape} of {array.dtype}, not {whole} of numbers"
-                )
-        values = np.concatenate([arrays[name] for name in flown], axis=-1)
-        frame = str(arrays["frame"])
-        return Recording.of_samples(names, t.astype(float), values.astype(float), frame, SMOOTH)
+        for name in flown:
+            array, whole = arrays[name], (*t.shape, len(names), 3)
+            if {array.dtype.kind, t.dtype.kind} - set("iuf") or array.shape != whole:
+                raise FileError(f"array {name!r} is {array.shape}, not {whole} of numbers")
+        values = np.concatenate([arrays[name] for name in flown], axis=-1).astype(float)
+        return Recording.of_samples(names, t.astype(float), values, str(arrays["frame"]), SMOOTH)
 
 
 class JsonTable(Table):
