@@ -134,7 +134,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (PLAN.abort, {"t": AFTER, "how": "hold"}),
     (lambda ghost: PLAN.view(ghost=ghost, browser=False), {"ghost": NOWHERE}),
     (lambda report: PLAN.save("out", report=report), {"report": False}),
-    (lambda reports: ho.certify(PLAN.motion, reports=[reports]), {"reports": "speed"}),
+    (lambda reports: ho.certify(PLAN.motion, reports=reports), {"reports": "speed"}),
 ]
 # fmt: on
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]

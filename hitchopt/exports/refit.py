@@ -14,11 +14,11 @@ the remaining real coefficients the ones that make up best for them are found by
 
 from __future__ import annotations
 
-from bisect import bisect_left, bisect_right
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from math import ceil, exp, floor, inf, log, log2
+from math import ceil, exp, floor, inf, log
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +29,6 @@ from hitchopt.values import Array
 
 NODES = 25  # Points of a piece at which the plan is met in the least squares, and errors are taken
 CROWD = 200  # Drones that are evaluated when ends are placed: larger teams are thinned out evenly
-CHOICES = 64  # Lengths of a piece in every octave among which the longest that fits is taken
 BISECTIONS = 9  # Bisections of the logarithm of the error: enough to distinguish 31 pieces from 32
 COARSEST, FINEST = 1.0, 1e-3  # Errors over their scale between which is searched
 
@@ -106,21 +105,29 @@ def breaks_within(
     step = max(1, curves.shape[0] // CROWD)
     some = PiecewisePolynomial(curves.breaks, curves.coefficients[:, ::step])
     some = lasted(some, last * kind.quantum)
-    count = ceil(CHOICES * log2(longest / shortest)) + 2
-    choices = np.unique(np.rint(np.geomspace(shortest, longest, count))).astype(int).tolist()
-    ticks = [0]
+    ticks, stride = [0], max(1, last // 8)
 
-    def error(stride: int) -> float:
-        return _piece(some, kind, ticks[-1] * kind.quantum, (ticks[-1] + stride) * kind.quantum)[1]
+    def fits(stride: int) -> bool:
+        span = (ticks[-1] * kind.quantum, (ticks[-1] + stride) * kind.quantum)
+        return _piece(some, kind, *span)[1] <= bound
 
     while ticks[-1] < last and len(ticks) <= most + 1:
         remaining = last - ticks[-1]
-        strides = [*choices[: bisect_left(choices, remaining)], min(remaining, longest)]
-        stride = strides[max(bisect_right(strides, bound, key=error) - 1, 0)]
+        stride = max(shortest, _farthest(fits, min(remaining, longest), stride))
         if remaining - stride < shortest:  # the last piece would be too short
             stride = remaining - shortest if stride < remaining >= 2 * shortest else remaining
         ticks.append(ticks[-1] + stride)
     return np.array(ticks) * kind.quantum
+
+
+def _farthest(fits: Callable[[int], bool], most: int, guess: int) -> int:
+    """Return the longest stride that fits, by doubling from a guess and bisection."""
+    good, bad, stride = 1, most + 1, min(guess, most)
+    while good < most and bad - good > max(1, good // 64):
+        if stride > good:
+            good, bad = (stride, bad) if fits(stride) else (good, stride)
+        stride = min(2 * good, most) if bad > most else (good + bad) // 2
+    return good
 
 
 def best_breaks(curves: PiecewisePolynomial, kind: Kind, most: int) -> Array:
