@@ -37,15 +37,11 @@ from hitchopt.values import Array, Indices
 
 Mask = NDArray[np.bool_]
 
+# Relative: 0.2 mm of a cable of 2 m, well below what a knot or a strain of 0.5 N takes up
 LENGTH_LIMIT = 1e-4
-"""Relative: 0.2 mm of a cable of 2 m, well below what a knot or a strain of 0.5 N takes up."""
-
-EXPORTED = 1e-3
-"""Relative: what files that hold millimetres can keep of a plan's 1e-4."""
-
+EXPORTED = 1e-3  # Relative: what files that hold millimetres can keep of a plan's 1e-4
+# [N] A quarter of a thousandth of a usual tension, and far below what a drone could tell
 TENSION_LIMIT = 1e-4
-"""[N] A quarter of a thousandth of a usual tension, and far below what a drone could tell."""
-
 RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
 STILL = 1e-9  # what stays within this of one place rests [m]
 

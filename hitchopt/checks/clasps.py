@@ -38,17 +38,10 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices
 
-LIMIT = 5e-3
-"""Relative to the tension: the vertex then stands within millimetres of its place."""
-
-BACKWARD = -180.0
-"""[deg] The smallest angle there is; also that of an edge without direction."""
-
-TURN = 1e-6
-"""[deg] Rounding of the sum of all angles, which of a polygon are whole turns."""
-
-OWN = np.array([0, 1])
-"""Legs that are at the clasp: q of the cable ahead, r of that behind."""
+LIMIT = 5e-3  # Relative to the tension: the vertex then stands within millimetres of its place
+BACKWARD = -180.0  # [deg] The smallest angle there is; also that of an edge without direction
+TURN = 1e-6  # [deg] Rounding of the sum of all angles, which of a polygon are whole turns
+OWN = np.array([0, 1])  # Legs that are at the clasp: q of the cable ahead, r of that behind
 
 
 def both_cables(motion: Motion) -> Indices:

@@ -58,8 +58,7 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, Indices
 
-HALVINGS = 25
-"""Halvings of a segment in search of its nearest point: it is found within 3e-8 of it."""
+HALVINGS = 25  # Halvings of a segment in search of its nearest point: it is found within 3e-8 of it
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,21 +186,17 @@ def carried(motion: Motion) -> Iterator[Moving]:
                 yield past(motion, seen, (name,), label, shape, frame, counted=counted)
 
 
+# [m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
+# off it: catenaries are no polynomials, and are closed in on only with the length of a span
 TOLERANCE = 1e-3
-"""[m] How far ``worst`` may lie below a distance that is attained, besides what a cable's links are
-off it: catenaries are no polynomials, and are closed in on only with the length of a span."""
-
+# A chain's points: so many links of equal length, which follow a cable down its steep ends, and
+# so many more points evenly across, which follow it around where it is lowest. It is off them by
+# about 0.2 % of its length at most, where it bends the most, and much less elsewhere
 BY_LENGTH, BY_PLACE = 20, 16
-"""A chain's points: so many links of equal length, which follow a cable down its steep ends, and
-so many more points evenly across, which follow it around where it is lowest. It is off them by
-about 0.2 % of its length at most, where it bends the most, and much less elsewhere."""
-
-FARTHEST = 0.25
-"""[m] Pieces on which a drone may go farther are cut before anything else."""
-
+FARTHEST = 0.25  # [m] Pieces on which a drone may go farther are cut before anything else
+# How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
+# its shares in their level and upward parts differ by up to a half
 SHIFT = 1.12
-"""How far a point of a cable moves with its ends, over how far they move: at most √(1 + ¼), since
-its shares in their level and upward parts differ by up to a half."""
 
 
 def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
@@ -315,8 +310,7 @@ def moved_by(motion: Motion) -> Callable[[float], float]:
     return moved
 
 
-CONTACT = 2e-5
-"""[m] Cables that hold an object and are no closer to its body enter it."""
+CONTACT = 2e-5  # [m] Cables that hold an object and are no closer to its body enter it
 
 
 def entering(spans: PairSpans) -> Bound:
@@ -411,8 +405,10 @@ def _cables_past(motion: Motion) -> Iterator[Moving]:
     cables, points = part // 3, Enclosed(corners)
     names = [f"cable {k}" for k in cables]
     # No part is lower than all of its ends, and bends of what is wrapped around an object.
+    holding = np.array([phase.hold is not None for phase in motion.phases] + [False])
+    on = np.repeat(holding[motion.phase_of_piece][:, None], len(part), axis=1)
     ground = Ground(motion.requirements.floor - 2.0 * CONTACT)
-    yield past(motion, points, names, GROUND, ground, formula=entering)
+    yield past(motion, points, names, GROUND, ground, counted=on, formula=entering)
     for name, each, pose in _placed(motion):
         held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
         touching = np.array([np.isin(cables, each) for each in [*held, ()]])

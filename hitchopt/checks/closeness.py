@@ -12,8 +12,8 @@ from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 
+# Spans of time that a plan is looked at in, and pairs that are followed over all of it
 SPANS, MOST_PAIRS = 48, 12
-"""Spans of time that a plan is looked at in, and pairs that are followed over all of it."""
 
 
 @dataclass(frozen=True)

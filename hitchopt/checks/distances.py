@@ -45,23 +45,18 @@ from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import Extremum, Search, Spans
 from hitchopt.values import Array, Indices
 
+# Pairs up to which an index costs more than it saves; pairs times pieces compared at a time
 FEW, GROUP = 8000, 32_768
-"""Pairs up to which an index costs more than it saves; pairs times pieces compared at a time."""
-
+# Pairs whose boxes are nearest: their distances at mid span tell which others matter. Where there
+# are many, they are sought among so many neighbours of every body
 SEEDS, NEIGHBOURS = 256, 8
-"""Pairs whose boxes are nearest: their distances at mid span tell which others matter. Where there
-are many, they are sought among so many neighbours of every body."""
-
+# Pairs per body above which a span is halved, if motion is to blame, and how often at most
 MOST, MAX_DEPTH = 12, 8
-"""Pairs per body above which a span is halved, if motion is to blame, and how often at most."""
-
+# Relative: distances that tie differ by less; boxes, and what they are held against, by more
 TIE, SLACK = 1e-6, 1e-9
-"""Relative: distances that tie differ by less; boxes, and what they are held against, by more."""
-
+# Name of the ground, and half of the size [m] of what stands for it, or for an object as seen from
+# above
 GROUND, TALL = "ground", 1e3
-"""Name of the ground, and half of the size [m] of what stands for it, or for an object as seen from
-above."""
-
 Flags = NDArray[np.bool_]
 
 

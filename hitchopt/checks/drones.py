@@ -40,15 +40,13 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, Spans, worst
 from hitchopt.values import Array
 
+# [m] How far exported curves may pass a wall, as those of a drone at rest on the floor do
 EXPORTED = -1e-4
-"""[m] How far exported curves may pass a wall, as those of a drone at rest on the floor do."""
-
+# Degree in which factors of a turning rate are written: on spans that matter they err by 1e-9
 ORDER = 6
-"""Degree in which factors of a turning rate are written: on spans that matter they err by 1e-9."""
-
+# [m] Drones of a cable that may be one above the other count as this far apart from above: what
+# their cable's pull changes by has no bound there, and is all but infinite then
 NEAREST = 1e-9
-"""[m] Drones of a cable that may be one above the other count as this far apart from above: what
-their cable's pull changes by has no bound there, and is all but infinite then."""
 
 
 @shared

@@ -43,17 +43,12 @@ from hitchopt.values import Array
 
 Mask = NDArray[np.bool_]
 
-LIMIT = 1.5
-"""Slip load over load."""
-
-CONTACT = 2e-5
-"""[m] Edges lie on sections, and sections behind edges, this closely."""
-
+LIMIT = 1.5  # Slip load over load
+CONTACT = 2e-5  # [m] Edges lie on sections, and sections behind edges, this closely
+# [m] Chords that are shorter by far than a circle's radius: such arcs are their chords
 NO_ARC = 1e-9
-"""[m] Chords that are shorter by far than a circle's radius: such arcs are their chords."""
-
+# An edge runs towards what it holds before it, and away behind it
 SIGNS = np.array([[1.0], [-1.0]])
-"""An edge runs towards what it holds before it, and away behind it."""
 
 
 def for_each(value: Enclosed) -> Enclosed:
@@ -413,8 +408,7 @@ def arc_lengths(rows: Array) -> Enclosed:
     return found.widened(np.where(known, width * error, np.where(width > 0.0, np.inf, 0.0)))
 
 
-SETTLED = 1e-4
-"""[m] Clasps that carry a rim keep their places below it this closely."""
+SETTLED = 1e-4  # [m] Clasps that carry a rim keep their places below it this closely
 
 
 class Resting(Held):

@@ -196,12 +196,9 @@ def _off(spans: PairSpans) -> Flags:
     return sure
 
 
-JUMP = 1e-6
-"""[m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none."""
-
+JUMP = 1e-6  # [m], [m/s], [m/s²] Largest jump: no drone tells a smaller one from none
+# States in which neighbours have the crossing number 0; in clasping it changes, else it is 1
 BEFORE = frozenset({CableState.GROUND, CableState.FREE})
-"""States in which neighbours have the crossing number 0; in clasping it changes, else it is 1."""
-
 MOST_NAMED = 12  # pairs that ``where`` names at most
 STILL = 1e-6  # drones above the ground move sideways by no more while cables lie on it [m]
 CENTRED = 1e-3  # the middle of two drones that turn about each other moves by no more [m]
@@ -239,8 +236,8 @@ def _largest_jump(motion: Motion, _: float) -> Finding:
 
 JUMPS = Finder(_largest_jump, shown=(_largest_jump,))
 
+# Nothing jumps where one piece follows another
 CONTINUITY = CheckRule("continuity", "m", "max", JUMP, (JUMPS,), whole=True)
-"""Nothing jumps where one piece follows another."""
 
 
 DURATION = CheckRule(
