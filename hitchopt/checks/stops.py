@@ -46,7 +46,8 @@ HALVINGS = 7  # of a cell in which a bound is decided; what is undecided then co
 BATCH = 20_000  # pairs of a cell and a drone that are looked at in one go
 SLACK = 1e-9  # relative margin for the clock's rounding
 SHORTEST, SLOWEST, RUNGS = 0.1, 20.0, 19  # durations of stops that are tried [s], a third apart
-SPACING, STARTS = 0.1, 10_000  # distance of stops [s], and how many there are at most
+SPACING = 0.1  # distance of stops [s]
+STARTS, FEWEST = 20_000, 8  # pairs of a stop and a drone at most, but so many stops at least
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
@@ -318,7 +319,8 @@ def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
     """
     limits = limits or ClockLimits(motion)
     begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
-    count = max(2, int(min(np.ceil((end - begin) / SPACING), STARTS)) + 1)
+    most = max(STARTS // motion.team.drones, FEWEST)
+    count = max(2, int(min(np.ceil((end - begin) / SPACING), most)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
     moving = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if moving <= REST else np.inf
