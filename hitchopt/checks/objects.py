@@ -77,7 +77,7 @@ def placed(pose: Enclosed, slab: Slab) -> Enclosed:
     """Return corners (…, 1, 2 m) [m] of the core of an object's slab, those of its floor first."""
     core, pose = slab.section.core, for_each(for_each(pose))
     heights = np.repeat([slab.lower, slab.upper], len(core))[:, None]
-    heading = Enclosed(pose.c[..., 3:, :] * SIGNS)
+    heading = Enclosed(pose.c[..., 3:, :] * [[1.0], [-1.0]])  # that of the world, from the object
     level = turned_back(Enclosed.of(np.tile(core, (2, 1))), heading)
     return vector(level, Enclosed.of(heights)) + Enclosed(pose.c[..., :3, :], pose.r)
 
@@ -162,6 +162,13 @@ class Gripped(Held):
     def corners(self) -> Enclosed:
         """Each of ``bends`` (spans, n, 4) [m]."""
         return Enclosed(self.of_items(bends(self.source)), self.noise)
+
+    @property
+    def height(self) -> Array:
+        """Where on the object edges meet it when the piece begins (spans, n) [m]."""
+        poses, first = self.source.object_poses.coefficients, bends(self.source)[:, :, 1, 2, 0]
+        found: Array = first[self.piece] - poses[self.piece, self.item, 2, :1]
+        return found
 
     @cached_property
     def ways(self) -> Enclosed:
@@ -299,8 +306,8 @@ def _straight(corners: Enclosed) -> Mask:
 def _misplaced(spans: Gripped) -> Mask:
     """Return (spans,) which contradict that edges are wrapped around an object.
 
-    Every edge is straight or touches the section at both contacts, which are at one height, all of
-    the section is on its right, and it turns to the right by less than half a turn.
+    Every edge is straight or touches the section at both contacts, which stay at one height on the
+    object, all of the section is on its right, and it turns to the right by less than half a turn.
     """
     body, section = spans.body, spans.body.section
     seen = seen_from(spans.pose, spans.corners)
@@ -323,7 +330,8 @@ def _misplaced(spans: Gripped) -> Mask:
     turned = right.low < -slack * np.maximum(along.high, -along.low)
     turned |= (along.low <= 0.0) & (right.low <= 0.0)
     heights = contacts[2].range
-    level = (contacts[2] - exact.c[..., 1:2, 2, :1]).norm_above.value <= slack[..., None]
+    drift = (contacts[2] - spans.height[..., None, None]).norm_above.value
+    level = drift <= slack[..., None]
     level &= (heights.low >= body.lower) & (heights.high <= body.upper)
     wrong = turned | np.any(before | ~level, axis=-1) | ~(_straight(exact) | touching)
     found: Mask = np.any(wrong, axis=1)

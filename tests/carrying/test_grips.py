@@ -175,10 +175,31 @@ def borne_before(motion: Motion) -> Motion:
     return replace(motion, borne=motion.object_shares.alike(coefficients))
 
 
+def slid(motion: Motion) -> Motion:
+    """Return the motion in which edges slip up and down by a millimetre on one piece."""
+    coefficients = motion.edge_contacts.coefficients.copy()
+    carry = next(phase for phase in motion.phases if phase.name == "carry")
+    piece = int(np.searchsorted(motion.drones.breaks, carry.end)) - 2
+    coefficients[piece, :, :, 2, 1:-1] += 0.001
+    return replace(motion, contacts=motion.edge_contacts.alike(coefficients))
+
+
+def twisted(motion: Motion, angle: float) -> Motion:
+    """Return the motion in which contacts turn about the drum: forces cancel, moments do not."""
+    contacts = motion.edge_contacts.coefficients.copy()
+    poses = motion.object_poses.elevated(contacts.shape[-1] - 1)
+    centre = poses.coefficients[:, None, None, 0, :2]
+    turn = [[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]
+    contacts[..., :2, :] = centre + np.array(turn) @ (contacts[..., :2, :] - centre)
+    return replace(motion, contacts=motion.edge_contacts.alike(contacts))
+
+
 @pytest.mark.parametrize(
     ("change", "contradicted"),
     [
         (lambda m: replace(m, contacts=None), "grip"),
+        (slid, "grip"),
+        (lambda m: twisted(m, 0.03), "equilibrium"),
         (lambda m: held_by(m, lambda _: None), "support"),
         (lambda m: held_by(m, lambda hold: replace(hold, by=HoldBy.REST)), "support"),
         (borne_before, "support"),
