@@ -28,8 +28,7 @@ def main() -> int:
     if len(sys.argv) > 1 and sys.argv[1] in NAMES:
         name = sys.argv.pop(1)
         sys.argv[0] = f"python -m benchmarks {name}"
-        importlib.import_module(f"benchmarks.{name}").main()
-        return 0
+        return int(importlib.import_module(f"benchmarks.{name}").main() or 0)
     print(__doc__)
     for name in NAMES:
         text = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")

@@ -1,6 +1,6 @@
 """Mutations of the certificate's own code, each found by a plan on which verify disagrees.
 
-Usage: python -m benchmarks.mutations [--plans DIR]
+Usage: python -m benchmarks mutations [--plans DIR]
 
 Every mutation is made in a copy of the package. What the mutated certificate says of a plan is held
 against ``hitchopt.verify``: they disagree where one calls it good and the other does not, or where
@@ -47,46 +47,51 @@ class Mutation(NamedTuple):
     plan: str
     words: str
 
+    @property
+    def path(self) -> Path:
+        """The file's path below the package."""
+        return Path(self.file[1:] if self.file[0] == "/" else f"checks/{self.file}")
+
 
 MUTATIONS = (
     Mutation("distances.py", "points, margin=margin, names=(names, names))", "points, margin=margin, names=(names, names), allowed=lambda i, j: j - i < 4)", "triangle", "pairs far apart in the list are missed"),
     Mutation("distances.py", "coefficients * scale[:, None]", "coefficients * scale[::-1, None]", "stack", "axes of the ellipsoid exchanged"),
-    Mutation("clearance.py", "(drones // 2 != part // 3) | (", "(", "triangle", "foreign cables missed"),
-    Mutation("clearance.py", "((part % 3 == 1) & on_leg[drones])", "(drones < 0)", "form_thirty_gon", "own edges missed"),
-    Mutation("hanging.py", "points[:, :, 2] -= (length", "points[:, :, 2] -= 0.5 * (length", "form_pentagon", "hanging cables half as deep"),
-    Mutation("distances.py", "return ~shared", "return ~shared & (parts.part[i] // 3 != parts.part[j] // 3)", "grip_drum", "legs of one cable missed"),
+    Mutation("clearance.py", "(drones // 2 != k) | (", "(", "triangle", "foreign cables missed"),
+    Mutation("clearance.py", "((kind == 1) & on_leg[drones])", "(drones < 0)", "form_thirty_gon", "own edges missed"),
+    Mutation("clearance.py", "points[:, :, 2] -= (length", "points[:, :, 2] -= 0.5 * (length", "form_pentagon", "hanging cables half as deep"),
+    Mutation("distances.py", "return ~shared", "return ~shared & (part[i] // 3 != part[j] // 3)", "grip_drum", "legs of one cable missed"),
     Mutation("spans.py", "PiecewisePolynomial.differentiated, order)", "PiecewisePolynomial.differentiated, 1)", "triangle", "every derivative is the first"),
-    Mutation("drones.py", "motion.team.layout.has_leg.ravel(),", "motion.team.layout.has_leg.ravel() & (np.arange(motion.team.drones) < 1),", "triangle", "legs but the first missed"),
+    Mutation("drones.py", "has_leg.ravel()[spans.item]", "has_leg.ravel()[spans.item] & (spans.item < 1)", "triangle", "legs but the first missed"),
     Mutation("cables.py", "(1.0 / 24.0)", "(1.0 / 12.0)", "weight_hexagon", "a factor of the sag"),
-    Mutation("cables.py", "found = found - self.scaled(saved)", "found = found + self.scaled(saved)", "carry_box", "sign of what rims save"),
-    Mutation("gripping.py", "np.where(on_circle, 2.0 * radius, 1.0)", "np.where(on_circle, 2.2 * radius, 1.0)", "grip_drum", "radius of arcs"),
+    Mutation("cables.py", "found - self.scaled(saved)", "found + self.scaled(saved)", "carry_box", "sign of what rims save"),
+    Mutation("objects.py", "width, sides = 2.0 * rows", "width, sides = 2.2 * rows", "grip_drum", "radius of arcs"),
     Mutation("cables.py", "drones[:, 1::2] - drones[:, 0::2]", "0.9 * (drones[:, 1::2] - drones[:, 0::2])", "form_triangle", "a factor of spans"),
     Mutation("clasps.py", "ahead.cross(behind)", "behind.cross(ahead)", "triangle", "sense of turning"),
     Mutation("drones.py", "np.concatenate([x - arena.lower[:, None], arena.upper[:, None] - x], axis=1)", "arena.upper[:, None] - x", "tie_carry_untie", "lower walls missed"),
-    Mutation("clearance.py", "name) for slab in each.slabs)", "name) for slab in each.slabs[1:])", "grip_drum", "bodies missed"),
+    Mutation("clearance.py", "Solid(slab), pose) for slab in each.slabs)", "Solid(slab), pose) for slab in each.slabs[1:])", "grip_drum", "bodies missed"),
     Mutation("drones.py", "hover = self.mass * GRAVITY", "hover = -self.mass * GRAVITY", "triangle", "sign of gravity"),
     Mutation("drones.py", "return own + self.load if", "return own - self.load if", "transport", "sign of the cable's pull"),
-    Mutation("drones.py", "return 0.5 * GRAVITY * self.source.team.cable_density * self.scalar", "return 2.0 * GRAVITY * self.source.team.cable_density * self.scalar", "weight_hexagon", "a factor of legs' weight"),
-    Mutation("drones.py", "np.degrees(np.arctan2(level, f[:, 2]))", "np.degrees(np.arctan2(0.9 * level, f[:, 2]))", "triangle", "a factor of leaning"),
-    Mutation("clasps.py", "SIGNS = 1.0, 1.0, 1.0, -1.0", "SIGNS = 1.0, 1.0, 1.0, 1.0", "triangle", "sign of an edge"),
-    Mutation("clasps.py", "own = 0.5 * GRAVITY * team.load +", "own = 0.0 * GRAVITY * team.load +", "weight_hexagon", "the load dropped"),
+    Mutation("drones.py", "return self.half * self.scalar", "return 4.0 * self.half * self.scalar", "weight_hexagon", "a factor of legs' weight"),
+    Mutation("drones.py", "np.degrees(np.arctan2(aside, rise))", "np.degrees(np.arctan2(0.9 * aside, rise))", "triangle", "a factor of leaning"),
+    Mutation("clasps.py", "-self.read(arriving, behind)", "self.read(arriving, behind)", "triangle", "sign of an edge"),
+    Mutation("clasps.py", "own = 0.5 * GRAVITY * team.load[", "own = 0.0 * GRAVITY * team.load[", "weight_hexagon", "the load dropped"),
     Mutation("clasps.py", "0.5 * GRAVITY * team.cable_density", "1.0 * GRAVITY * team.cable_density", "weight_hexagon", "a factor of cables' weight"),
-    Mutation("clasps.py", "rows[0] - rows[1] * sizes[0]", "rows[0] + rows[1] * sizes[0]", "weight_hexagon", "sign of the other leg's weight"),
-    Mutation("clasps.py", "(1.0, 1.0, -1.0, 1.0), strict", "(1.0, 1.0, 1.0, 1.0), strict", "weight_hexagon", "sign of a contact"),
-    Mutation("/motion/loads.py", "loads = -body.mass * supports.shares", "loads = -0.5 * body.mass * supports.shares", "carry_box", "a factor of the object's weight"),
+    Mutation("clasps.py", "self.size(\"weights\") - self", "self.size(\"weights\") + self", "weight_hexagon", "sign of the other leg's weight"),
+    Mutation("clasps.py", "((0, 1.0), (1, -1.0))", "((0, 1.0), (1, 1.0))", "weight_hexagon", "sign of a contact"),
+    Mutation("/motion/loads.py", "own = -body.mass * supports.shares", "own = -0.5 * body.mass * supports.shares", "carry_box", "a factor of the object's weight"),
     Mutation("/motion/loads.py", "pulled[:, :, 2] += GRAVITY", "pulled[:, :, 2] -= GRAVITY", "carry_box", "sign of the object's weight"),
-    Mutation("/motion/loads.py", "1.0 - np.sqrt(np.maximum(1.0 - slope**2, 0.0))", "0.0 * slope", "carry_box", "the rim's strut dropped"),
+    Mutation("/motion/loads.py", "1.0 - np.cos(_rise(team, mass, edges, tensions))", "0.0 * _rise(team, mass, edges, tensions)", "carry_box", "the rim's strut dropped"),
     Mutation("cables.py", "np.exp(self.source.team.cable_friction", "np.exp(-self.source.team.cable_friction", "friction", "sign of friction"),
     Mutation("cables.py", "high.value - most * held", "high.value - 0.9 * most * held", "friction", "a factor of the range of tensions"),
-    Mutation("story.py", "CableState.TIGHTENING: 1,", "CableState.TIGHTENING: 0,", "form_triangle", "clasped cables taken for free ones"),
-    Mutation("crossings.py", "here, after - before", "here, after + before", "form_triangle", "sign of crossings"),
-    Mutation("support.py", "level.dot(inward) * (centre[2] - rim.height)", "level.dot(inward) * 10.0 * (centre[2] - rim.height)", "carry_box", "a factor of inertia leaning"),
-    Mutation("support.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
-    Mutation("gripping.py", "slip: Array = self.body.friction * np.sum(", "slip: Array = 2.0 * self.body.friction * np.sum(", "grip_drum", "a factor of slip loads"),
-    Mutation("gripping.py", "(self.pushed[2] + GRAVITY) * self.share", "self.pushed[2] * self.share", "grip_drum", "the weight dropped"),
-    Mutation("gripping.py", "force = (behind - before).sum()", "force = (behind + before).sum()", "grip_drum", "sign of a pull"),
-    Mutation("clearance.py", "counted, seen = ~held[:, cables]", "counted, seen = held[:, cables]", "carry_box", "cables that hold taken for others"),
-    Mutation("story.py", "left, right in ends", "right, left in ends", "triangle", "ends exchanged"),
+    Mutation("story.py", "CableState.GROUND, CableState.FREE})", "CableState.GROUND, CableState.FREE, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
+    Mutation("story.py", "here, after - before", "here, after + before", "form_triangle", "sign of crossings"),
+    Mutation("objects.py", "level.dot(inward) * (centre[2] -", "level.dot(inward) * 10.0 * (centre[2] -", "carry_box", "a factor of inertia leaning"),
+    Mutation("objects.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
+    Mutation("objects.py", "slip: Array = self.body.friction * np.sum(", "slip: Array = 2.0 * self.body.friction * np.sum(", "grip_drum", "a factor of slip loads"),
+    Mutation("objects.py", "(self.pushed[2] + GRAVITY) * self.share", "self.pushed[2] * self.share", "grip_drum", "the weight dropped"),
+    Mutation("objects.py", "* for_each(pull) * -SIGNS", "* for_each(pull)", "grip_drum", "sign of a pull"),
+    Mutation("clearance.py", "counted = ~touching[", "counted = touching[", "carry_box", "cables that hold taken for others"),
+    Mutation("story.py", "left, right = part.ends(order)", "right, left = part.ends(order)", "triangle", "ends exchanged"),
     Mutation("drones.py", '"vertex_speed", "m/s", 1, Points)', '"vertex_speed", "m/s", 1, Drones)', "triangle", "drones in place of vertices"),
 )  # fmt: skip
 
@@ -150,15 +155,13 @@ def main() -> int:
             assert not disagreement(package, plan(name, folder)), name
         print("| mutation | plan | disagreement |\n|---|---|---|")
         for each in mutations:
-            inside = each.file[1:] if each.file[0] == "/" else f"checks/{each.file}"
-            file = package / "hitchopt" / inside
+            file = package / "hitchopt" / each.path
             text = file.read_text(encoding="utf-8")
-            assert each.old in text, f"{inside} has no {each.old}"
             file.write_text(text.replace(each.old, each.new), encoding="utf-8")
             found = disagreement(package, plan(each.plan, folder))
             file.write_text(text, encoding="utf-8")
             missed += not found
-            print(f"| {each.words} ({inside}) | {each.plan} | {found or 'NONE'} |", flush=True)
+            print(f"| {each.words} ({each.path}) | {each.plan} | {found or 'NONE'} |", flush=True)
     print(f"\n{len(mutations) - missed} of {len(mutations)} are found")
     return 1 if missed else 0
 

@@ -14,6 +14,7 @@ import pytest
 from plans import ROOT
 
 import hitchopt
+from benchmarks.mutations import MUTATIONS
 
 PACKAGE = Path(hitchopt.__file__).parent
 TREES = {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
@@ -22,7 +23,7 @@ NODES = [(path, node) for path, tree in TREES.items() for node in ast.walk(tree)
 # Methods that the package itself does not call: toppra, click, pydantic and pickle do, or users
 CALLED = frozenset(
     """compute_constraint_params convert field_title_should_be_set invoke reducer_override
-    abort displacements from_dict mirrored pause renumbered resume retarget rotated
+    abort displacements mirrored pause renumbered resume retarget rotated
     to_dataframe""".split()  # noqa: SIM905
 )
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or without its module
@@ -134,3 +135,8 @@ def test_documents_name_files_that_exist() -> None:
     assert len(named) > 10
     missing = [" names ".join(entry) for entry in sorted(named) if not (ROOT / entry[1]).exists()]
     assert not missing, "\n".join(missing)
+
+
+def test_mutations_are_of_lines_that_stand() -> None:
+    for each in MUTATIONS:
+        assert each.old in (PACKAGE / each.path).read_text("utf-8"), each
