@@ -12,7 +12,6 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 
-from generators.docstring_sections import process_docstring  # noqa: E402
 from generators.kernel_profile import kernel_profile  # noqa: E402
 from generators.math_markup import add_renderer  # noqa: E402
 from generators.site_pages import write_pages  # noqa: E402
@@ -21,7 +20,14 @@ project = "hitchopt"
 author = "The hitchopt developers"
 release = version = metadata.version("hitchopt")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_design"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "numpydoc",
+    "sphinx_click",
+    "sphinx_design",
+]
 exclude_patterns = ["_build", "explanation/generated", "**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
@@ -35,12 +41,16 @@ nb_merge_streams = True
 
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "NDArray")}
 autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
+autodoc_default_options = {"members": True}
+numpydoc_show_class_members = False
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!hitchopt\.\w+$).*")]
 """Signatures name types of other packages, and such as are not public."""
 
+templates_path = ["_templates"]
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = "hitchopt"
@@ -73,9 +83,26 @@ def link_results(app: Any, name: str, text: list[str]) -> None:
     text[0] = re.sub(place, r"(/benchmarks/generated/\1)", text[0])
 
 
+def split_entries(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Put the text of ``name: text`` below its name, where numpydoc looks for it."""
+    del app, what, name, obj, options
+    entry = re.compile(r"^([\w.*`]+(?:, [\w.*`]+)*): (.*)$")
+    first = next((i for i, line in enumerate(lines) if set(line) == {"-"}), len(lines))
+    entries = [entry.sub(r"\1\n    \2", line) for line in lines[first:]]
+    lines[first:] = [part for each in entries for part in each.split("\n")]
+
+
+def name_aliases(*given: Any) -> tuple[str | None, str | None]:
+    """Write aliases of types in signatures by their names."""
+    return tuple(
+        each and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", each) for each in given[-2:]
+    )
+
+
 def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for pages."""
     write_pages()
     add_renderer(app)
     app.connect("source-read", link_results)
-    app.connect("autodoc-process-docstring", process_docstring)
+    app.connect("autodoc-process-signature", name_aliases)
+    app.connect("autodoc-process-docstring", split_entries, priority=100)  # before numpydoc

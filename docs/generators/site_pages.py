@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from generators.api_pages import write_api_pages
 from generators.check_facts import write_check_facts
-from generators.command_page import write_command_page
 from generators.gallery_page import write_gallery_page
 from generators.problem_collection import ROOT
 from generators.schema_page import write_schema_page
@@ -21,11 +19,8 @@ def pages() -> dict[Path, str]:
     reference = DOCS / "reference" / "generated"
     texts = {
         reference / "problem_file.md": write_schema_page(),
-        reference / "command_line.md": write_command_page(),
         DOCS / "gallery" / "index.md": write_gallery_page(),
     }
-    for name, text in write_api_pages().items():
-        texts[reference / "api" / f"{name}.rst"] = text
     for name, text in write_check_facts().items():
         texts[DOCS / "explanation" / "generated" / f"{name}.md"] = text
     for path in sorted(RESULTS.glob("*.md")):

@@ -32,7 +32,7 @@ class PiecewisePolynomial(OneLine):
     Parameters
     ----------
     breaks: (pieces + 1,) [s], strictly increasing.
-    coefficients: (pieces, *shape, degree + 1); Bernstein coefficients of each piece.
+    coefficients: ``(pieces, *shape, degree + 1)``; Bernstein coefficients of each piece.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def constant(cls, breaks: ArrayLike, value: ArrayLike, order: int = 0) -> PiecewisePolynomial:
-        """Return what stays at ``value`` (*shape) over ``breaks``, written in degree ``order``."""
+        """Return the constant ``value`` over ``breaks``, written in degree ``order``."""
         times = np.asarray(breaks, dtype=np.float64)
         array = np.asarray(value, dtype=np.float64)
         shape = (len(times) - 1, *array.shape, order + 1)
@@ -88,7 +88,7 @@ class PiecewisePolynomial(OneLine):
         Parameters
         ----------
         breaks: (pieces + 1,) [s]
-        left, right: (m, pieces, *shape); derivative 0 … m-1 by time at the pieces' ends.
+        left, right: ``(m, pieces, *shape)``; derivative 0 … m-1 by time at the pieces' ends.
 
         Returns
         -------
@@ -113,7 +113,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def from_spline(cls, spline: BSpline) -> PiecewisePolynomial:
-        """Return scipy's spline of values (*shape) over the span on which its basis is complete."""
+        """Return scipy's spline on the span on which its basis is complete."""
         k = spline.k
         breaks = np.unique(spline.t[k : len(spline.t) - k])
         x = breaks[:-1, None] + np.diff(breaks)[:, None] * bernstein.nodes(k)
@@ -147,7 +147,7 @@ class PiecewisePolynomial(OneLine):
         return float(self.breaks[-1] - self.breaks[0])
 
     def at(self, t: ArrayLike, derivative: int = 0) -> Array:
-        """Return values, or a derivative by time, at times t (…) as (…, *shape).
+        """Return values, or a derivative by time, at times t (…) as ``(…, *shape)``.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class PiecewisePolynomial(OneLine):
         return bernstein.evaluate(function.coefficients[piece], x)
 
     def jet(self, t: ArrayLike, count: int) -> Array:
-        """Return values and derivatives by time at times t (…) as (…, *shape, count).
+        """Return values and derivatives by time at times t (…) as ``(…, *shape, count)``.
 
         Raises
         ------
@@ -215,12 +215,12 @@ class PiecewisePolynomial(OneLine):
         return self.alike(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
-        """Return a derivative by time at both ends of every piece, (pieces, *shape) each."""
+        """Return a derivative by time at both ends of every piece, ``(pieces, *shape)`` each."""
         c = self.differentiated(derivative).coefficients
         return c[..., 0], c[..., -1]
 
     def end_jet(self, count: int) -> Array:
-        """Return the value and derivatives by time at the end of all, (*shape, count)."""
+        """Return the value and derivatives by time at the end of all, ``(*shape, count)``."""
         steps, scale = self.coefficients[-1][..., -count:], 1.0
         found = np.zeros((*self.shape, count))
         for order in range(steps.shape[-1]):
