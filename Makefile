@@ -2,7 +2,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo film test test-slow test-all browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film coverage test test-slow test-all browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -24,6 +24,10 @@ test-slow: $(VENV)/.tested
 
 test-all: $(VENV)/.tested
 	$(BIN)/python -m pytest --durations=20
+
+# The same tests as `make test`, and the lines of the package that they execute.
+coverage: $(VENV)/.tested
+	$(BIN)/python -m pytest -m "not slow" --cov=hitchopt --cov-report=term:skip-covered
 
 # Opens report and live view in a headless Chromium, which has to be there (Debian: apt-get install chromium).
 browser: $(VENV)/.browsed
