@@ -1,0 +1,86 @@
+"""Tables in text: one reader for all locales, and words for what it cannot tell."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hitchopt.errors import FileError
+from hitchopt.storage.tables import Table, labelled_table, numeric_table, text_lines
+
+VALUES = np.array([[0.0, 1.25, -3.5e-3], [0.5, 7.0, 2.0e4], [1.0, -0.125, 0.0]])
+LABELS = ("t [s]", "Xß", "y")
+
+
+def written(separator: str, decimal: str, *, quoted: bool = False) -> list[str]:
+    quote = '"' if quoted else ""
+    cells = [*([f"{x:.9g}".replace(".", decimal) for x in row] for row in VALUES)]
+    return [separator.join(f"{quote}{cell}{quote}" for cell in row) for row in cells]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [*product([";", "\t", "; ", " \t"], ".,"), (",", "."), (", ", ".")]
+)
+def test_all_dialects_of_a_table_say_the_same(
+    separator: str, decimal: str, encoding: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.csv"
+    rows = [*written(separator, decimal), "", separator * 2]
+    text = "\r\n".join(["# made by hand", "", f"# {separator.join(LABELS)}", *rows])
+    path.write_bytes(text.encode(encoding))
+    table = labelled_table(lambda: text_lines(path), ["XSS", "t [s]"], "a.csv")
+    assert table.labels == LABELS
+    np.testing.assert_array_equal(table.numbers(LABELS), VALUES)
+    np.testing.assert_array_equal(table.numbers(["y"])[:, 0], VALUES[:, 2])
+    assert [number for number, _ in table.rows()] == [4, 5, 6]
+    bare = numeric_table(lambda: text_lines(path), "a.csv")
+    np.testing.assert_array_equal(bare.numbers(range(3)), VALUES)
+
+
+def of(lines: list[str], *names: str) -> Table:
+    return labelled_table(lambda: lines, names, "a") if names else numeric_table(lambda: lines, "a")
+
+
+def test_quoted_decimal_commas_blanks_and_comments() -> None:
+    table = of(['"t","name","x"', *written(",", ",", quoted=True)], "name")
+    np.testing.assert_array_equal(table.numbers(["t", 2]), VALUES[:, [0, 2]])
+    np.testing.assert_array_equal(of(written(" ", ","), *()).numbers([0, 1, 2]), VALUES)
+    table = of(
+        ["t,name,x,y", "0,drone #1 ,,2", "1,b, ,3 # late", "#2,c,1,1", ",,,", "2,c,1,1,,"], "t"
+    )
+    assert table.words("NAME") == ["drone #1", "b", "c"]
+    found = table.numbers(["x", "y"], blanks=True)
+    np.testing.assert_array_equal(found, [[np.nan, 2.0], [np.nan, 3.0], [1.0, 1.0]])
+    np.testing.assert_array_equal(
+        of(["x1,y1", "0, 0;", "0.4, 0;"]).numbers([0, 1]), [[0, 0], [0.4, 0]]
+    )
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (["t,x", "0,5,0,3"], r"line 2 has 4 cells, not 2; .*semicolons"),
+        (["t;x", "0,5;1", "1.5;2"], r"line 3: t is '1\.5', no number among decimal commas"),
+        (
+            ["t;x", "0.5;1", "1,5;2"],
+            r"line 2: t is '0\.5', no number among decimal commas; .*no points",
+        ),
+        (["t;x", "0;1.234,5"], r"x is '1\.234,5', no number among.*no points"),
+        (["t,x", "0,1", "1"], r"line 3 has 1 cells, not 2; is it cut off"),
+        (["t,x", "0,", "1,2"], "line 2: x is '', no number$"),
+        (["t,x", "0,2026-11-25 10:00"], "x is '2026-11-25 10:00', no number$"),
+        (["t,y", "0,1"], "line 1, the columns' names, has no 'x', but t, y"),
+        (["a|b", "0|1"], r"no line of columns' names with t; it begins 'a\|b'"),
+        (["t,x", '0,"1' + "1" * 200_000], "check its quotation marks"),
+    ],
+)
+def test_what_cannot_be_told_is_named(lines: list[str], words: str) -> None:
+    with pytest.raises(FileError, match=words) as error:
+        of(lines, "t").numbers(["t", "x"])
+    assert "damaged" not in str(error.value)
+    with pytest.raises(FileError, match="no line of numbers"):
+        of(["x,y", "a,b"])
