@@ -73,10 +73,11 @@ def save_plan(
 def certificate_content(motion: Motion, certificate: Certificate, plan: Path) -> dict[str, Any]:
     """Return what certificate.json says of the motion in a plan file."""
     assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
-    return {**certificate.to_dict(), **assigned, "plan": _digest(plan)}
+    return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
 
 
-def _digest(path: Path) -> str:
+def digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -86,7 +87,7 @@ def refuse_mixture(directory: Path) -> None:
     path = directory / CERTIFICATE
     try:
         named = parsed_json(path.read_bytes()).get("plan")
-        found = _digest(directory / PLAN)
+        found = digest(directory / PLAN)
     except (OSError, ValueError, AttributeError) as error:
         words = f"{path}: cannot be read: {error}; was a save killed? solve again"
         raise FileError(words) from error

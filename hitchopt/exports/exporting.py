@@ -24,11 +24,19 @@ from hitchopt.checks.registry import RULE_OF, RULES
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Violation
+from hitchopt.exports.directory import digest
 from hitchopt.exports.format import Format, Task, format_of
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
-from hitchopt.exports.recording import MANIFEST, MANIFEST_FORMAT, Recording, lasted, listed
+from hitchopt.exports.recording import (
+    MANIFEST,
+    MANIFEST_FORMAT,
+    Recording,
+    lasted,
+    listed,
+    read_manifest,
+)
 from hitchopt.hitch.forces import undetermined_tension
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import stretched
@@ -42,6 +50,7 @@ Progress = Callable[[str], None]  # Function that is called with what is being d
 SLOWER = (1.02, 1.05)  # Factors of the durations of a plan that loses a limit by being rounded
 SHARES = (1.0, 0.3)  # Of the usual error, within which parts are refitted, tried in a row
 HELD = "none: the offsets of the set points hold the tension; nothing is to be fed forward"
+FREE = "none: accelerations are the drones' own, where the files hold them"
 
 
 @dataclass(frozen=True)
@@ -168,15 +177,23 @@ def _part(kind: Format, task: Task, place: Path, say: Progress) -> Export:
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
             "not_carried": verdict.not_carried,
-            "feed_forward": HELD if task.options.hold_tension else kind.feed_forward,
+            "feed_forward": _fed_forward(kind, task),
             "undetermined_tension": list(task.undetermined),
             "notes": list(notes),
             "files": sorted(written.files),
+            "digests": {name: digest(folder / name) for name in sorted(written.files)},
             **({"receiver": dict(written.receiver)} if written.receiver else {}),
         }
         write_strict_json(folder / MANIFEST, manifest)
         return Export(folder, written.files, verdict, notes, task.begins)
     raise refusals[0]
+
+
+def _fed_forward(kind: Format, task: Task) -> str:
+    """Return what a manifest says of the cables' pull in the files."""
+    if not task.motion.team.has_cables:
+        return FREE
+    return HELD if task.options.hold_tension else kind.feed_forward
 
 
 def _head(kind: Format, task: Task) -> dict[str, Any]:
@@ -220,7 +237,9 @@ def _put(done: Sequence[Export], place: Path, kind: Format, task: Task) -> tuple
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}
         moved[place] = {MANIFEST: first.folder.parent / MANIFEST}
         write_strict_json(moved[place][MANIFEST], content)
-    old = [place / name for name in listed(place, "parts") if place / name not in moved]
+    old = [
+        place / name for name in listed(read_manifest(place), "parts") if place / name not in moved
+    ]
     for folder, sources in (moved | {folder: {} for folder in old}).items():
         _move(folder, sources, _owned(folder, tuple(sources)), MANIFEST)
     for folder in old:  # it was cut into more
@@ -238,7 +257,7 @@ def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str)
 
 def _owned(folder: Path, files: Sequence[str]) -> set[str]:
     """Return the files of an earlier export and of the next one, which replaces no others."""
-    owned = {MANIFEST, *listed(folder, "files")}
+    owned = {MANIFEST, *listed(read_manifest(folder), "files")}
     if foreign := [name for name in files if name not in owned and (folder / name).exists()]:
         words = "is there already and not from an export; choose another folder with -o"
         raise FileError(f"{folder / foreign[0]}: {words}")

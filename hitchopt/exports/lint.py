@@ -11,16 +11,20 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, most_pressing
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InputError
+from hitchopt.exports.directory import digest
 from hitchopt.exports.format import Format, format_of
-from hitchopt.exports.formats.skybrush import DISTANCE, OWN_LIMITS
+from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, OWN_LIMITS
 from hitchopt.exports.options import ENDINGS, HOMES
 from hitchopt.exports.recording import (
     ERROR,
@@ -40,14 +44,22 @@ from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import PLAN, reading
+from hitchopt.storage.tables import headings, text_lines
+from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.values import Array
 from hitchopt.values import path as checked_path
 
 BAG = "metadata.yaml"  # File that makes a folder a bag
+FLEET = "crazyflies.yaml"  # File that says where drones stand
 FARTHEST = 1e6  # [m] Drones are no farther from their origin: squares of such numbers stay finite
+CROSSING = 1e-2  # [s] Times at which drones cross an altitude are told to this
 LATE = 1e-3  # [s] Durations may differ by this: formats round to it
 SAME_START = 1e-3  # [m] Drones that begin this close to one another are given relative trajectories
+SAME_PLACE = 1e-2  # [m] Parts of one drone's flight meet as closely as this
+SAME_SPOT = 0.1  # [m] Drones stand as near to below their first points, or they cross ways
 SHORTEST = 1e-9  # [s] Shortest piece: rates over shorter times overflow
 USUAL = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 10.0))
 """Names here and in a show's keys of what has a default limit [m/s], [m/s²], and the limit."""
@@ -132,7 +144,7 @@ def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     library that its format needs. ``rules`` are the limits of the flight.
     """
     place = checked_path("path", path)
-    parts = listed(place, "parts") if place.is_dir() else []
+    parts = listed(read_manifest(place), "parts") if place.is_dir() else []
     each = map(place.joinpath, parts or [""])
     return tuple(_report(part, Rules() if rules is None else rules) for part in each)
 
@@ -145,7 +157,7 @@ def _report(path: Path, rules: Rules) -> Report:
     except (FileError, InputError) as fault:
         text = str(fault)
         raise FileError(text if text.startswith(str(path)) else f"{path}: {text}") from fault
-    findings = [*recording.findings, *found, *_missing(path)]
+    findings = [*recording.findings, *found, *_exported(path, kind, recording)]
     if untold := recording.untold:
         words = "lines" if untold == "velocities" else "cubics through positions and velocities"
         findings.append(note(untold, "", f"none: joined by {words}"))
@@ -179,19 +191,20 @@ def load(path: Path) -> tuple[Format, Recording]:
 
 
 def _kind(path: Path, known: Sequence[Format]) -> Format:
-    """Return the format of a file, by its ending and by the first line of a CSV file."""
+    """Return the format of a file, by its ending and by the first lines of a CSV file."""
     suffix = path.suffix.lower()
     here = [kind for kind in known if suffix in kind.endings]
     if suffix != ".csv":
         return here[0]
-    with reading(path, "text"), path.open(encoding="utf-8-sig") as file:
-        header = file.readline(100_000).partition("#")[0].strip()
-    line = re.sub(r"\s*,\s*", ",", header.lower())
-    for kind in reversed(here):  # polynomials, which may begin with numbers, come last
-        if re.match(kind.header, line):
-            return kind
-    words = "is of no known format (duration, t,drone, idx,t,px or Time [msec])"
-    raise FileError(f"{path}: its first line, {header[:60]!r}, {words}")
+    with reading(path, "text"):
+        lines = list(headings(lambda: text_lines(path)))
+    for line in lines:
+        for kind in reversed(here):  # polynomials, which may begin with numbers, come last
+            if re.match(kind.header, line):
+                return kind
+    first, columns = next(filter(None, lines), "")[:60], "duration, t,drone, idx,t,px, Time [msec]"
+    words = f"is of no known format ({columns}; apart by commas, semicolons, tabs or blanks)"
+    raise FileError(f"{path}: its first line, {first!r}, {words}")
 
 
 def _flown_together(
@@ -224,7 +237,9 @@ def _flown_together(
         *(limits["speed"], limits["acceleration"]),
         tuple(checks[key] for key in own if key in checks),
     )
-    found = [*map(_broken, (check for check in checks.values() if not check.holds))]
+    unset = [name for name, key, usual in USUAL if getattr(rules, name) is None]
+    broken = (check for check in checks.values() if not check.holds)
+    found = [_broken(check, given=check.name not in unset) for check in broken]
     found += [*_joining(last, names, jumps, rules), *_timing(kind, recording, longest)]
     if reach[0] > RADIOED:
         words = f"goes {reach[0]:.4g} m from the origin, and 16 bits hold {RADIOED} m; move it"
@@ -236,6 +251,10 @@ def _flown_together(
             "not checked: all begin at one point, as relative trajectories do; give their starts"
         )
         found.append(warning("separation", "", words))
+    elif kind.several:
+        found += _sequence(names, first, last.coefficients[-1, ..., -1])
+    if {DISTANCE, LOWEST} <= set(own):
+        found.append(note(DISTANCE, "", f"counts above {own[LOWEST]:g} m, where both drones are"))
     return flight, found
 
 
@@ -276,18 +295,47 @@ def _checks(
         asked.append((DISTANCE, Separation(0.5 * least, 0.5 * least), least, "m"))
     for key, distances, ratio, unit in asked:
         requirements = Requirements(Limits(), distances)
-        motion = Motion.single(Swarm(len(names)), requirements, window, ())
-        if (check := RULE_OF["separation"].check(motion)) is not None:
-            where = tuple(names[int(drone[1:])] for drone in check.where)
-            yield Check.of(key, check.bound * ratio, ratio, "min", unit, check.time, where)
+        whole = [(window, np.arange(len(names)))]
+        lowest = limits.get(LOWEST) if key == DISTANCE else None
+        for part, drones in whole if lowest is None else _above(window, lowest):
+            motion = Motion.single(Swarm(len(drones)), requirements, part, ())
+            if (check := RULE_OF["separation"].check(motion)) is not None:
+                where = tuple(names[drones[int(drone[1:])]] for drone in check.where)
+                yield Check.of(key, check.bound * ratio, ratio, "min", unit, check.time, where)
 
 
-def _broken(check: Check) -> Finding:
+def _above(
+    window: PiecewisePolynomial, altitude: float
+) -> Iterator[tuple[PiecewisePolynomial, NDArray[np.intp]]]:
+    """Yield spans of a window in which two drones or more are above an altitude [m], and which.
+
+    Drones are above or below in the middle of a span; times of crossing are told to CROSSING.
+    """
+    heights, breaks = window.coefficients[..., 2, :], window.breaks
+    mixed = (np.min(heights, axis=-1) <= altitude) & (np.max(heights, axis=-1) > altitude)
+    times = [breaks]
+    for k in np.flatnonzero(np.any(mixed, axis=1)):
+        grid = np.arange(breaks[k], breaks[k + 1], CROSSING)
+        high = window.at(grid)[..., 2] > altitude
+        times.append(grid[1:][np.any(high[1:] != high[:-1], axis=1)])
+    fine = on_breaks(window, merged_breaks(times))
+    high = fine.at(0.5 * (fine.breaks[1:] + fine.breaks[:-1]))[..., 2] > altitude
+    ends = np.flatnonzero(np.any(high[1:] != high[:-1], axis=1)) + 1
+    for first, last in pairwise([0, *ends.tolist(), fine.pieces]):
+        if len(drones := np.flatnonzero(high[first])) > 1:
+            here = fine.taken(slice(first, last))
+            yield here.alike(here.coefficients[:, drones]), drones
+
+
+def _broken(check: Check, *, given: bool) -> Finding:
+    """Return the error that a limit is broken; a warning of a usual limit, which nobody set."""
     unit = "" if check.unit == "ratio" else f" {check.unit}"
     relation = "below" if check.sense == "min" else "above"
     words = f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
-    words += f"{check.limit:.4g}{unit}; {REMEDIES.get(check.name, 'fly it more slowly')}"
-    return error(check.name, ", ".join(check.where), words)
+    words += f"{check.limit:.4g}{unit}{'' if given else ', a usual limit that nobody set'}; "
+    words += REMEDIES.get(check.name, "fly it more slowly")
+    words += "" if given else f", or set --{check.name}"
+    return (error if given else warning)(check.name, ", ".join(check.where), words)
 
 
 def _joining(
@@ -321,12 +369,57 @@ def _timing(kind: Format, recording: Recording, longest: float) -> Iterator[Find
         yield warning("duration", shortest.name, words)
 
 
-def _missing(path: Path) -> Iterator[Finding]:
-    """Yield which files of an export are gone, and why the tension is undetermined."""
-    if path.is_dir() and (manifest := read_manifest(path)):
-        for file in listed(path, "files"):
-            if not (path / file).exists():
-                yield error("missing", file, "was exported and is not there")
-        reasons = manifest.get("undetermined_tension")
-        for reason in reasons if isinstance(reasons, list) else ():
-            yield warning("tension", "", str(reason))
+def _sequence(names: Sequence[str], starts: Array, ends: Array) -> Iterator[Finding]:
+    """Yield that files, in the order of their names, begin where the ones before them end.
+
+    Names (D,) count up in their numbers; ``starts`` and ``ends`` (D, 3) [m] are those of the files.
+    """
+    counted = [[int(x) if x.isdigit() else x for x in re.split(r"(\d+)", n)] for n in names]
+    order = sorted(range(len(names)), key=lambda i: counted[i])
+    gaps = np.linalg.norm(starts[order[1:]] - ends[order[:-1]], axis=-1)
+    if len(names) > 1 and np.max(gaps) < SAME_PLACE:
+        each = f"{', '.join(names[i] for i in order[:3])}{', …' if len(names) > 3 else ''}"
+        words = (
+            f"{each} each begin where the one before ends: if they are one drone's parts, flown "
+        )
+        words += "one after another, drones are not near one another; lint them one by one"
+        yield note("sequence", "", words)
+
+
+def _exported(path: Path, kind: Format, recording: Recording) -> Iterator[Finding]:
+    """Yield what is not as the manifest of an export says, and why the tension is undetermined."""
+    if path.is_dir():
+        manifest = read_manifest(path)
+        files = {name: path / name for name in listed(manifest, "files")}
+    else:
+        own, beside = (read_manifest(path.parent, f"{n}{MANIFEST}") for n in (f"{path.name}.", ""))
+        manifest = own or beside
+        files = {name: path for name in listed(manifest, "files") if own or name == path.name}
+    if not files:
+        return
+    digests = manifest.get("digests")
+    for file, here in files.items():
+        if not here.exists():
+            yield error("missing", file, "was exported and is not there")
+        elif isinstance(digests, dict) and digests.get(file) != digest(here):
+            words = "is not what was exported and verified; export it again, without edits"
+            yield (error if here.suffix.lower() in kind.endings else note)("changed", file, words)
+    if (fleet := next(iter(files.values())).parent / FLEET).is_file():
+        yield from _placed(fleet, recording)
+    reasons = manifest.get("undetermined_tension")
+    for reason in reasons if isinstance(reasons, list) else ():
+        yield warning("tension", "", str(reason))
+
+
+def _placed(fleet: Path, recording: Recording) -> Iterator[Finding]:
+    """Yield the drones that a fleet's file does not place below their first points."""
+    starts = next(recording.windows()).coefficients[0, :, :2, 0]
+    with reading(fleet, "file of a fleet's robots"):
+        given: Any = read_yaml(fleet)
+        robots = {n: each["initial_position"][:2] for n, each in given["robots"].items()}
+        for name, start in zip(recording.names, starts, strict=True):
+            if name not in robots:
+                yield error("start", name, f"is no robot of {fleet.name}; name it there")
+            elif (apart := math.dist(robots[name], start)) > SAME_SPOT:
+                words = f"{fleet.name} places it {apart:.3g} m from below its first point, "
+                yield error("start", name, f"{words}{start[0]:.4g}, {start[1]:.4g}; correct it")

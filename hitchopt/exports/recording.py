@@ -7,9 +7,9 @@ long flights are not held in memory.
 
 from __future__ import annotations
 
+import math
 import re
-import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.exports.placing import AXES
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
+from hitchopt.storage.tables import SEPARATORS, Table
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import SAME_BREAK, merged_breaks, on_breaks
 from hitchopt.values import Array
@@ -31,6 +31,11 @@ from hitchopt.values import Array
 WINDOW = 20_000  # Pieces times drones that are read together: about 40 MB with their bounds
 MAX_SPANS = 20_000_000  # Largest number of them with all drones' breaks merged; no show has more
 SAME_TIME = 1e-9  # Largest difference of samples of one time [s]
+LONGEST, LATEST = 1e5, 1e10  # [s] No flight lasts longer, nor ends later after 1970
+SHORTEST = 5e-5  # [s] Samples are no nearer to one another: half of the shortest that are exported
+ALIKE, APART = 0.9, 10.0
+"""Cosine of displacements and velocities, and the ratio of their sizes, that units tell apart."""
+
 ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
 """Levels of a finding: the flight fails; it may fail; information for the pilot."""
 
@@ -139,6 +144,8 @@ class Recording:
         if len(t) < 2:
             raise FileError("has fewer than two samples; nothing moves between them")
         given = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
+        if len(given) > 1:
+            _check_rates(t, given[0], given[1])
         untold = ("velocities", "accelerations")[len(given) - 1] if len(given) <= smooth else ""
         size = max(1, WINDOW // len(names))
 
@@ -153,14 +160,30 @@ class Recording:
 
 
 def check_times(t: Array, source: str = "") -> None:
-    """Raise FileError unless the times (S,) [s] increase, naming what they do instead."""
+    """Raise FileError unless times (S,) [s] of a flight increase, naming what they do instead."""
     place = f"{source}: " if source else ""
     if not np.all(np.isfinite(t)):
         raise FileError(f"{place}a time is nan or infinite; every row needs one in seconds")
+    step = float(np.median(np.diff(t))) if len(t) > 1 else math.inf
+    if np.any(t > LATEST) or np.ptp(t) > LONGEST or 0.0 < step < SHORTEST:
+        steps = f" in steps of {step:.3g}" if len(t) > 1 else ""
+        words = f"its times go from {np.min(t):.6g} to {np.max(t):.6g}{steps}"
+        remedy = "convert milliseconds, microseconds, nanoseconds, minutes or hours"
+        raise FileError(f"{place}{words}: those are no seconds of a flight; {remedy}")
     for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
         back = t[i + 1] < t[i] - SAME_TIME
         words = "its times go back from" if back else "repeats the time"
         raise FileError(f"{place}{words} t = {t[i]:g} s; sort its rows, one of every time")
+
+
+def _check_rates(t: Array, positions: Array, velocities: Array) -> None:
+    """Raise FileError if positions (S, D, 3) move as velocities say, but in other units of time."""
+    moved = np.diff(positions, axis=0)
+    said = 0.5 * (velocities[1:] + velocities[:-1]) * np.diff(t)[:, None, None]
+    both, squares, whole = np.vdot(moved, said), np.vdot(said, said), np.vdot(moved, moved)
+    if both > ALIKE * math.sqrt(squares * whole) and not 1.0 / APART < both / squares < APART:
+        words = f"positions change by {both / squares:.3g} times what velocities say"
+        raise FileError(f"{words}: times are in other units than seconds, or velocities than m/s")
 
 
 def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, float]:
@@ -182,44 +205,18 @@ def lasted(curve: PiecewisePolynomial, end: float) -> PiecewisePolynomial:
     return PiecewisePolynomial(np.append(curve.breaks, end), np.concatenate([c, rest]))
 
 
-def read_text(path: Path) -> str:
-    """Return a file's text in UTF-8, with or without a byte order mark; raise FileError."""
-    with reading(path, "text"):
-        return path.read_text(encoding="utf-8-sig")
-
-
-def told_columns(header: Collection[str], vectors: Sequence[Sequence[str]]) -> list[str]:
+def told_columns(header: Container[str], vectors: Sequence[Sequence[str]]) -> list[str]:
     """Return the columns that a table tells: places, then whole vectors of rates in a row."""
-    told = takewhile(lambda vector: set(vector) <= set(header), vectors[1:])
+    told = takewhile(lambda vector: all(name in header for name in vector), vectors[1:])
     return [name for vector in (vectors[0], *told) for name in vector]
 
 
-def read_columns(
-    lines: Iterable[str],
-    header: str,
-    wanted: Sequence[str],
-    source: str,
-    least: int = 0,
-    kind: type[np.float64 | np.str_] = np.float64,
-) -> NDArray[Any]:
-    """Return the wanted columns of a table's lines, as numbers or text; blank ones are left out.
-
-    ``header`` is the first line, ``lines`` are the others, ``source`` is the file's name. FileError
-    tells of a missing column, fewer rows than ``least``, short rows, or text that is no number.
-    """
-    labels = header.split(",")
-    if missing := [name for name in wanted if name not in labels]:
-        raise FileError(f"{source}: its first line has no column {missing[0]!r}")
-    columns = [labels.index(name) for name in wanted]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of no rows
-            table = np.loadtxt(lines, kind, delimiter=",", usecols=columns, ndmin=2, comments=None)
-    except (ValueError, IndexError) as fault:
-        raise FileError(f"{source}: {fault}; it is truncated or damaged") from fault
-    if len(table) < least:
-        raise FileError(f"{source}: has {len(table)} rows; {least} are the least")
-    return table
+def unusual(table: Table, where: str) -> list[Finding]:
+    """Return the error that the receivers of a file of commas do not read a table."""
+    if table.separator == ",":
+        return []
+    words = f"{SEPARATORS[table.separator]} between cells; readers take commas, and decimal points"
+    return [error("separator", where, words)]
 
 
 def needed(module: str) -> Any:
@@ -236,19 +233,19 @@ MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
 """Name of the file with what an export holds, in which frame, and what was checked; its format."""
 
 
-def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return what a folder's manifest says; None where there is none of ours; raise FileError."""
-    path = folder / MANIFEST
+def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any]:
+    """Return what a folder's manifest says; nothing where it is none of ours; raise FileError."""
+    path = folder / name
     if not path.is_file():
-        return None
+        return {}
     with reading(path, "manifest of an export"):
         content = parsed_json(path.read_bytes())
     ours = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
-    return content if ours else None
+    return content if ours else {}
 
 
-def listed(folder: Path, key: str) -> list[str]:
-    """Return the plain names in a list of a folder's manifest, ``files`` or ``parts``."""
-    given = (read_manifest(folder) or {}).get(key)
+def listed(manifest: Mapping[str, Any], key: str) -> list[str]:
+    """Return the plain names in a list of a manifest, ``files`` or ``parts``."""
+    given = manifest.get(key)
     each = given if isinstance(given, list) else []
     return [n for n in each if isinstance(n, str) and re.fullmatch(r"[^/\\\0.][^/\\\0]*", n)]

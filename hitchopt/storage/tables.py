@@ -62,8 +62,8 @@ class Table:
     width: int  # number of columns
     first: int  # number of the line from which rows follow, from 1 on
 
-    def __contains__(self, label: str) -> bool:
-        return label.casefold() in map(str.casefold, self.labels)
+    def __contains__(self, label: object) -> bool:
+        return str(label).casefold() in map(str.casefold, self.labels)
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield line numbers and cells of all rows that are not blank, each of the whole width."""
@@ -87,18 +87,23 @@ class Table:
         (place,) = self._places([column])
         return [cells[place].strip() for _, cells in self.rows()]
 
-    def numbers(self, columns: Sequence[str | int], *, blanks: bool = False) -> Array:
+    def numbers(
+        self, columns: Sequence[str | int], *, blanks: bool = False, least: int = 0
+    ) -> Array:
         """Return columns (rows, columns), by names or places, as numbers.
 
-        Blank cells are nan where ``blanks`` are allowed.
+        Blank cells are nan where ``blanks`` are allowed; fewer rows than ``least`` are refused.
         """
         places = self._places(columns)
         try:
-            return self._numbers(places, blanks, commas=False)
+            found = self._numbers(places, blanks, commas=False)
         except _NoNumberError as error:
             if not error.comma:
                 raise
-        return self._numbers(places, blanks, commas=True)
+            found = self._numbers(places, blanks, commas=True)
+        if len(found) < least:
+            raise FileError(f"{self.source}: has {len(found)} rows; {least} are the least")
+        return found
 
     def _numbers(self, places: Sequence[int], blanks: bool, *, commas: bool) -> Array:
         values = array("d")
@@ -175,7 +180,7 @@ def numeric_table(lines: Lines, source: str, first: int = 1) -> Table:
             whole = [s for s, cells in each.items() if counts[s] == len(cells)]
             separator = whole[0] if whole else max(counts, key=lambda s: counts[s])
             return Table(source, lines, separator, (), len(each[separator]), number)
-    raise FileError(f"{source}: has no line of numbers; {ADVICE}")
+    raise FileError(f"{source}: has no line of numbers")
 
 
 def headings(lines: Lines) -> Iterator[str]:

@@ -212,7 +212,7 @@ def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: P
     assert [report.path for report in linted] == [part.folder for part in parts]
     assert all(report.sound for report in linted)
     assert all(fact.size <= 4096 for report in linted for fact in report.facts)
-    manifest = read_manifest(home) or {}
+    manifest = read_manifest(home)
     assert manifest["parts"] == [part.folder.name for part in parts]
     spans = manifest["plan_spans"]
     assert [begins for begins, _ in spans] == [part.begins for part in parts]
@@ -223,7 +223,7 @@ def test_what_is_too_long_is_cut_at_rests(parts: tuple[Export, ...], tmp_path: P
         assert all(
             told in (part.folder / file).read_text("utf-8") for file in ("README.txt", "fly.py")
         )
-        assert (read_manifest(part.folder) or {})["plan_span"] == [begins, ends]
+        assert read_manifest(part.folder)["plan_span"] == [begins, ends]
         # What is flown lasts as long, rounded up to the format's clock.
         last, path = np.array([part.verdict.duration]), part.folder / "q0.csv"
         assert 0.0 <= last[0] - (ends - begins) < POLY.quantum

@@ -95,7 +95,7 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
     (linted,) = lint(tmp_path)
     assert {finding.rule for finding in linted.findings} <= {"tension"}
     assert (linted.kind, linted.frame, len(linted.facts)) == (name, frame, len(team.drone_names))
-    receiver = (read_manifest(tmp_path) or {}).get("receiver", {})
+    receiver = read_manifest(tmp_path).get("receiver", {})
     begin = receiver.get("plan_begins_s", 0.0)
     checks = {check.name: check.bound for check in verdict.checks}
     assert linted.flight.separation == pytest.approx(checks["separation"], rel=2e-3)
@@ -142,7 +142,7 @@ def test_a_missing_library_says_what_to_install(
 
 def test_the_manifest_says_frame_drones_errors_and_checks(tmp_path: Path) -> None:
     (part,) = exported(hitch_plan(), "csv", tmp_path, frame="ned", **PLACE)
-    told = read_manifest(tmp_path) or {}
+    told = read_manifest(tmp_path)
     assert (told["frame"], told["origin_enu"]) == ("ned", [2.0, -1.0, 0.5])
     assert told["yaw_deg"] == pytest.approx(np.degrees(0.4))
     assert told["drones"] == {name: name for name in hitch_plan().team.drone_names}

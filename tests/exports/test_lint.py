@@ -124,8 +124,8 @@ TURNED = struct.pack("<4hBHh", 32767, 0, 1000, 0, 0b01_00_00_00, 500, 900)
 
 DAMAGE: dict[str, list[tuple[Change, str]]] = {
     "crazyswarm2/d0.csv": [
-        (rows(lambda s: s[:1]), "has 0 rows; 1 are the least"),
-        (rows(lambda s: [*s, "1.0,2.0"]), "truncated or damaged"),
+        (rows(lambda s: s[:1]), "has no line of numbers"),
+        (rows(lambda s: [*s, "1.0,2.0"]), "has 2 cells, not 33; is it cut off"),
         (cell(2, 3, "1e39"), "beyond single precision"),
         (cell(2, 0, "0.0"), "row 2: its duration is 0 s"),
     ],
@@ -149,26 +149,26 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
     ],
     "skybrush_csv/show.zip": [
         (content(b"PK\x03\x04" + bytes(200)), "is no zip of CSV files"),
-        (zipped("a,b,c\n1,2,3\n"), "its first line is 'a,b,c'"),
+        (zipped("a,b,c\n1,2,3\n"), r"no line of columns' names with Time \[msec\], x \[m\]"),
         (zipped(f"{HEADER}\n0,0,0,1,0,0,0\n"), "has 1 rows"),
         (zipped(f"{HEADER}\n50,0,0,1,0,0,0\n50,0,0,1,0,0,0\n"), "repeats the time t = 0.05 s"),
     ],
     "mavsdk_drone_show/Drone 2.csv": [
         (text("vx", "wx"), "or its columns"),
-        (rows(lambda s: [*s[:-1], "0,0"]), "truncated or damaged"),
+        (rows(lambda s: [*s[:-1], "0,0"]), "has 2 cells, not 16; is it cut off"),
         (cell(4, 1, "0.123"), "its times are not those of Drone 1"),
     ],
     "ros2bag/setpoints.mcap": [(content(None), "is no bag, or a damaged one")],
     "csv/setpoints_enu.csv": [
-        (text("t,drone,x", "t,drone,q"), "no column 'x'"),
+        (text("t,drone,x", "t,drone,q"), "has no 'x', but"),
         (text("d1", "d7"), "are not one per drone"),
         (rows(lambda s: [s[i] for i in (0, 4, 5, 6, 1, 2, 3)]), "go back from t = "),
         (rows(lambda s: s[:3]), "has fewer than two samples|ends within"),
         (rows(lambda s: s[:-1]), "ends within the sample"),
-        (text(",d2,", ",d2,nonsense"), "could not convert"),
+        (text(",d2,", ",d2,nonsense"), "line 4: x is 'nonsense.*', no number"),
         (rows(lambda s: s[:1]), "holds no rows"),
         (rows(lambda s: [s[0], "nan,d0" + ",0" * 26]), "a time is nan or infinite"),
-        (rows(lambda s: [*s[:-1], s[-1][:80]]), "truncated or damaged"),
+        (rows(lambda s: [*s[:-1], s[-1][:80]]), "cells, not 28; is it cut off"),
     ],
     "gltf/plan.glb": [
         (content(b"glTF" + bytes(60)), "does not begin as a .glb does"),
@@ -197,7 +197,10 @@ FLAWED: dict[str, list[tuple[Change, str]]] = {
     ],
     "mavsdk_drone_show/*.csv": [(rows(lambda s: s[:10] + s[25:]), "error rate")],
     "csv/setpoints_enu.csv": [
-        (rows(lambda s: [s[0], *(f"2{r[1:]}" for r in s[1:31])]), "warning start")
+        (
+            rows(lambda s: [s[0], *(f"2{r[1:]}" for r in s[1:31])]),
+            "error changed, warning start",
+        )
     ],
 }
 """What is done to an export, and the rules that it breaks then, of errors and warnings of some."""
@@ -487,4 +490,181 @@ def test_limits_of_shows_that_are_none_or_overruled(value: object, tmp_path: Pat
     else:
         assert "warning settings" in said(found)
         assert any("maxVelocityZUp" in f.message for f in found.findings)
-    assert "error speed" in said(report(two_drones(tmp_path / "bare.skyc")))
+    bare = report(two_drones(tmp_path / "bare.skyc"))
+    (finding,) = (f for f in bare.findings if f.rule == "speed")  # no limit that anybody set
+    assert finding.level == "warning"
+    assert "5 m/s at t = 2 s is above 3 m/s, a usual limit that nobody set" in str(finding)
+    assert "error speed" in said(report(tmp_path / "bare.skyc", Rules(speed=3.0)))
+
+
+def localised(line: str) -> str:
+    return line.replace(",", ";").replace(".", ",")
+
+
+@pytest.mark.parametrize(
+    "file",
+    ["crazyswarm2/d0.csv", "mavsdk_drone_show/Drone 2.csv", "csv/setpoints_enu.csv", "show/d1.csv"],
+)
+def test_tables_of_other_locales_say_the_same(file: str, exports: Path, tmp_path: Path) -> None:
+    """Receivers of such files read commas alone, and their readers are told apart."""
+    kind = file.partition("/")[0]
+    if kind == "show":
+        (tmp_path / "show").mkdir()
+        with zipfile.ZipFile(exports / "skybrush_csv" / "show.zip") as archive:
+            archive.extractall(tmp_path / "show")
+    else:
+        shutil.copytree(exports / kind, tmp_path / kind)
+    path = tmp_path / file
+    before, lines = report(path), path.read_text().splitlines()
+    for change, plain in (
+        (lambda s: "\ufeff" + s, True),
+        (lambda s: s.replace(",", ", ").replace("\n", "\r\n\r\n"), True),
+        (localised, False),
+        (lambda s: s.replace(",", "\t"), False),
+    ):
+        path.write_text(change("\n".join(lines)), encoding="utf-8")
+        found = report(path)
+        assert found.flight == before.flight
+        assert ("error separator" in said(found)) is not (plain or kind == "csv")
+
+
+@pytest.mark.parametrize(
+    ("first", "fault"),
+    [
+        (["# {}"], False),
+        ([""], False),
+        (["# made by hand on a Monday"], False),
+        (["a,b"], False),
+        (["{}", "# for figure 8", ""], False),
+        (["# made by hand", "{}"], True),
+        (["", "{}"], True),
+    ],
+)
+def test_polynomials_begin_after_one_line_of_whatever(
+    first: list[str], fault: bool, tmp_path: Path
+) -> None:
+    polys(tmp_path, REST)
+    path = tmp_path / "d0.csv"
+    edit(path, rows(lambda s: [*(line.format(s[0]) for line in first), *s[1:]]))
+    found = report(path)
+    assert (found.kind, found.flight.duration) == ("crazyswarm2", 2.0)
+    frame = "" if "frame" in path.read_text().splitlines()[0] else "note frame"
+    assert said(found) == ", ".join(filter(None, ["error header" if fault else "", frame]))
+
+
+@pytest.mark.parametrize("columns", [("x", "y", "z"), ("x", "y", "z", "vx", "vy", "vz")])
+@pytest.mark.parametrize(
+    ("factor", "start"),
+    [(1e9, 0.0), (1e9, 1.7e18), (1e6, 0.0), (1e3, 1.7e12), (1e3, 0.0), (1 / 60, 0.0)],
+)
+def test_times_that_are_no_seconds(
+    factor: float, start: float, columns: tuple[str, ...], tmp_path: Path
+) -> None:
+    t = np.arange(0.0, 20.0, 0.05)
+    path = tmp_path / "flight.csv"
+
+    def write(factor: float, start: float) -> None:
+        lines = [f"t,drone,{','.join(columns)}"]
+        for s in t.tolist():
+            values = [math.sin(s), 2.0, 1.0, math.cos(s), 0.0, 0.0][: len(columns)]
+            lines.append(f"{start + factor * s:.6f},a,{','.join(f'{v:.9f}' for v in values)}")
+        path.write_text("\n".join(lines))
+
+    write(factor, start)
+    if len(columns) == 3 and start == 0.0 and factor < 1e6:  # it may be slow, or fast
+        assert report(path).flight.speed == pytest.approx(1.0 / factor, rel=1e-2)
+    else:
+        with pytest.raises(FileError, match=r"no seconds of a flight|times are in other units"):
+            lint(path)
+    write(1.0, 1.7e9)  # seconds of 1970
+    assert "warning start" in said(report(path))
+    assert report(path).flight.speed == pytest.approx(1.0, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("lowest", "kind"), [(None, "indoor"), (None, "outdoor"), (4.0, "indoor"), (-1.0, "outdoor")]
+)
+def test_distances_count_above_the_lowest_altitude(
+    lowest: float | None, kind: str, tmp_path: Path
+) -> None:
+    """One climbs after the other, 1 m off; c is 1 m from b at 3 m."""
+
+    def climb(x: float, y: float, t: float) -> list[Any]:
+        rise = [[0, [x, y, 0], []], [t, [x, y, 0], []], [t + 10, [x, y, 10], []]]
+        return [*rise, [30, [x, y, 10 + t], []]]
+
+    validation: dict[str, Any] = {"minDistance": 0.5, "maxVelocityXY": 8, "maxVelocityZ": 8}
+    validation |= {} if lowest is None else {"minNavAltitude": lowest}
+    path = show_of(
+        tmp_path / "a.skyc", validation, 0.0, a=climb(0, 0, 1), b=climb(1, 0, 3), c=climb(1, 1, 9)
+    )
+    edit(path, lambda files: files["show.json"].update(environment={"type": kind}))
+    found = report(path)
+    (check,) = (own for own in found.flight.own if own.name == "minDistance")
+    t = np.linspace(0.0, 30.0, 30001)
+    places = np.stack([curve.at(t) for curve in read_show(path).curves.values()], axis=1)
+    i, j = np.triu_indices(3, 1)
+    apart = np.linalg.norm(places[:, i] - places[:, j], axis=-1)
+    least = lowest if lowest is not None else 2.5 if kind == "outdoor" else -math.inf
+    counted = (places[..., 2] > least)[:, i] & (places[..., 2] > least)[:, j]
+    assert check.bound == pytest.approx(np.min(apart[counted]), abs=0.02)
+    told = [f.message for f in found.findings if f.rule == "minDistance"]
+    assert told == (
+        [] if least == -math.inf else [f"counts above {least:g} m, where both drones are"]
+    )
+
+
+def test_parts_of_one_drone_are_told_from_a_fleet(tmp_path: Path) -> None:
+    """Their names count up: 10 comes after 9."""
+    parts = [([1.0, 1.0], [[0.1 * k, 0.05], [0.1 * k + 0.05, 0.05]]) for k in range(10)]
+    for i, part in enumerate(parts, 1):
+        polys(tmp_path, part)
+        (tmp_path / "d0.csv").rename(tmp_path / f"part{i}.csv")
+    found = report(tmp_path)
+    assert said(found) == "error separation, note sequence"
+    assert "part1, part2, part3, … each begin where" in "".join(f.message for f in found.findings)
+    (tmp_path / "part4.csv").unlink()
+    assert "sequence" not in said(report(tmp_path))
+
+
+def test_files_that_are_not_as_exported(exports: Path, tmp_path: Path) -> None:
+    """Two exchanged ones, another place of a drone, and words in a note, which nobody flies."""
+    folder = Path(shutil.copytree(exports / "crazyswarm2", tmp_path / "a"))
+    assert "changed" not in said(report(folder))
+    edit(folder / "README.txt", lambda data: data + b"Mind the dog.")
+    assert report(folder).sound
+    assert "note changed" in said(report(folder))
+    (folder / "d0.csv").rename(folder / "d")
+    (folder / "d1.csv").rename(folder / "d0.csv")
+    (folder / "d").rename(folder / "d1.csv")
+    found = [(f.rule, f.where) for f in report(folder).findings if f.level == "error"]
+    assert {("changed", "d0.csv"), ("changed", "d1.csv"), ("start", "d0"), ("start", "d1")} == set(
+        found
+    )
+    assert "error changed" in said(report(folder / "d0.csv"))
+    assert "changed" not in said(report(folder / "d2.csv"))
+    again = Path(shutil.copytree(exports / "crazyswarm2", tmp_path / "b"))
+    fleet = again / "crazyflies.yaml"
+    before = fleet.read_text()
+    x, y = (float(v) for v in re.findall(r"initial_position: \[(\S+), (\S+),", before)[0])
+    for place, level in (
+        (f"[{x + 0.09}, {y}, 0.0]", ""),
+        (f"[{x}, {y - 12.0}, 0.0]", "error start"),
+    ):
+        fleet.write_text(
+            re.sub(r"initial_position: \[[^]]*\]", f"initial_position: {place}", before, count=1)
+        )
+        assert ("start" in said(report(again))) is bool(level)
+    exported(swarm_plan(), "skybrush", tmp_path / "one.skyc")
+    assert "changed" not in said(report(tmp_path / "one.skyc"))
+    edit(tmp_path / "one.skyc", lambda f: f["show.json"]["meta"].clear())
+    assert "error changed" in said(report(tmp_path / "one.skyc"))
+
+
+@pytest.mark.parametrize("name", HOMES)
+def test_exports_of_swarms_speak_of_no_cables(name: str, exports: Path) -> None:
+    for path in (exports / name).iterdir():
+        if path.suffix in {".txt", ".py", ".yaml"} or path.name == "export.json":
+            told = path.read_text().lower()
+            assert "cable" not in told
+            assert "tension" not in told.replace("undetermined_tension", "")

@@ -25,7 +25,7 @@ import json
 import math
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
 from itertools import pairwise, takewhile
@@ -43,14 +43,14 @@ from hitchopt.exports.recording import (
     Recording,
     Trajectory,
     error,
-    read_columns,
-    read_text,
+    unusual,
     warning,
 )
 from hitchopt.exports.refit import Kind, Scale, best_breaks, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import cut, rests
 from hitchopt.storage.archive import reading
+from hitchopt.storage.tables import ADVICE, numeric_table, text_lines
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
 
@@ -185,10 +185,13 @@ class Crazyswarm2(CrazyflieFormat):
 
     def upload(self, path: Path) -> Trajectory:
         """Return the pieces of one drone, in single precision as it holds them."""
-        first, *lines = [*read_text(path).splitlines(), ""]
-        header, _, comment = first.partition("#")
-        rows = [line.partition("#")[0].strip().rstrip(",") for line in lines]
-        table = read_columns(rows, HEADER, HEADER.split(","), str(path), least=1)
+        with reading(path, "text"):
+            text = list(text_lines(path))
+        rows = numeric_table(text.copy, str(path), first=2)  # readers skip one line, any
+        if rows.width != 1 + len(POWERS):
+            words = f"has {rows.width} numbers in a line, not {1 + len(POWERS)}; {ADVICE}"
+            raise FileError(f"{path}: {words}")
+        table = rows.numbers(range(rows.width))
         with np.errstate(over="ignore"):  # reported below
             table = table.astype(np.float32).astype(np.float64)
         if not np.all(np.isfinite(table)):
@@ -197,11 +200,14 @@ class Crazyswarm2(CrazyflieFormat):
             row = int(np.argmax(wrong))
             raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")
         durations, powers = table[:, 0], table[:, 1:].reshape(-1, 4, DEGREE + 1)
-        faults = []
+        faults = unusual(rows, path.stem)
         if len(table) < LEAST:
             faults.append(error("one row", path.stem, "readers fail on it; split the piece"))
-        if re.match(r"\s*[-+.]?\d", header):
+        if re.match(r"\s*[-+.]?\d", text[0]):
             words = "has none, and readers skip the first line; put a line of names before it"
+            faults.append(error("header", path.stem, words))
+        if any(line.partition("#")[0].strip() for line in text[1 : rows.first - 1]):
+            words = "has more than one line, and readers skip only the first; remove the others"
             faults.append(error("header", path.stem, words))
         with reading(path, "table of polynomials"):
             curves = of_powers(durations, powers)
@@ -211,7 +217,7 @@ class Crazyswarm2(CrazyflieFormat):
             size, t = math.degrees(np.max(jumps)), curves.breaks[int(np.argmax(jumps)) + 1]
             words = f"yaw jumps by {size:.3g}° at t = {t:.4g} s; make the pieces meet"
             faults.append(warning("jump", path.stem, words))
-        frame, places = comment.partition("frame:")[2].strip(), curves.coefficients[:, :3]
+        frame, places = text[0].partition("frame:")[2].strip(), curves.coefficients[:, :3]
         curve = PiecewisePolynomial(curves.breaks, places)
         return Trajectory(path.stem, curve, len(table) * PIECE_BYTES, frame, tuple(faults))
 
@@ -278,10 +284,17 @@ def start_files(task: Task, first: Array, last: Array, duration: float) -> dict[
             title=task.title or "A plan of hitchopt",
             place=f"\n{place}{texts['parts']}\n" if place else "",
             placeholders="" if fleet.given else hint,
-            pull=texts["held_pull" if task.options.hold_tension else "pull"],
+            pull=_pull(task, texts),
             **common,
         ),
     }
+
+
+def _pull(task: Task, texts: Mapping[str, str]) -> str:
+    """Return what the note says of the cables; nothing without them."""
+    if not task.motion.team.has_cables:
+        return ""
+    return f"\n{texts['held_pull' if task.options.hold_tension else 'pull']}\n{texts['mind']}"
 
 
 def _template(name: str) -> str:

@@ -21,6 +21,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
 from math import ceil, floor
 from pathlib import Path
 
@@ -29,8 +31,10 @@ import numpy as np
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.format import Format, Task, Written
-from hitchopt.exports.recording import Recording, read_columns, read_text, told_columns
+from hitchopt.exports.recording import Recording, told_columns, unusual
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.storage.archive import reading
+from hitchopt.storage.tables import Table, labelled_table, text_lines
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -74,10 +78,11 @@ class MavsdkDroneShow(Format):
         settings, files = receiver_settings(task), self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
+        unseen = ", with cables not looked at" if task.motion.team.has_cables else ""
         order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
             f"the plan begins {rise.duration:g} s after the show: until then drones wait and "
-            "rise straight up, with cables not looked at; at the end PX4 lands them",
+            f"rise straight up{unseen}; at the end PX4 lands them",
             "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: in "
             f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
@@ -88,7 +93,9 @@ class MavsdkDroneShow(Format):
     def load(self, files: Sequence[Path]) -> Recording:
         """Return cubics through positions and velocities: accelerations have an unknown pull."""
         names, tables = tuple(path.stem for path in files), read_tables(files)
-        return Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
+        found = Recording.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
+        each = (unusual(_table(path), path.stem) for path in files)
+        return replace(found, findings=tuple(chain.from_iterable(each)))
 
     def read(self, folder: Path, task: Task) -> Recording:
         """Return what the receiver flies of the plan, the pull taken out of accelerations."""
@@ -173,13 +180,17 @@ def rows_of(task: Task, rise: PiecewisePolynomial) -> Array:
     return rows + 0.0  # no negative zeros
 
 
+def _table(path: Path) -> Table:
+    with reading(path, "text"):
+        return labelled_table(lambda: text_lines(path), ("idx", "t"), str(path))
+
+
 def read_tables(paths: Sequence[Path]) -> Array:
     """Return drones' rows (S, D, 4, 7 or 10), times first, at one set of times for all."""
     tables: list[Array] = []
     for path in paths:
-        header, *lines = [line for line in read_text(path).splitlines() if line.strip()] or [""]
-        told = told_columns(header.split(","), FLOWN)
-        table = read_columns(lines, header, ("t", *told), str(path), least=2)
+        text = _table(path)
+        table = text.numbers(["t", *told_columns(text, FLOWN)], least=2)
         first = tables[0] if tables else table
         if table.shape != first.shape or np.max(np.abs(table[:, 0] - first[:, 0])) > SAME_TIME:
             name = paths[0].stem

@@ -50,14 +50,14 @@ from hitchopt.exports.recording import (
     check_times,
     error,
     largest_jump,
-    read_columns,
-    read_text,
+    unusual,
     warning,
 )
 from hitchopt.exports.refit import Kind, Scale, breaks_within, fitted, rounded
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import parsed_json
+from hitchopt.storage.tables import decoded_lines, labelled_table, text_lines
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
@@ -77,6 +77,8 @@ ROUNDING, CLOSER = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
 
 NUDGE = 1e-6  # [m] Points lie beyond their millimetres: the server cuts off, binary lies below
 DISTANCE = "minDistance"  # Key of the smallest distance between two drones [m]
+LOWEST = "minNavAltitude"  # Key of the altitude [m] from which on DISTANCE counts
+OUTDOORS = 2.5  # [m] That altitude of shows outdoors that state none, as Skybrush Viewer takes it
 
 OWN_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
     f"max{rate}{key}": (order, unit, parts)
@@ -135,7 +137,7 @@ class SkybrushShow(Format):
     def load(self, files: Sequence[Path]) -> Recording:
         """Return what a ``.skyc`` holds."""
         show = read_show(files[0])
-        own, findings = _limits(show.validation)
+        own, findings = _limits(show)
         for name, curve in show.curves.items():
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
                 words = f"a piece lasts {shortest:.2g} s, which is rounded to none; leave it out"
@@ -153,12 +155,12 @@ class SkybrushShow(Format):
         return Recording.of_curves(drones, "nwu", SMOOTH)
 
 
-def _limits(validation: Mapping[str, Any]) -> tuple[dict[str, float], list[Finding]]:
+def _limits(show: Show) -> tuple[dict[str, float], list[Finding]]:
     """Return the limits in a show's ``settings.validation``, and the findings on the others."""
-    own, findings = dict[str, float](), list[Finding]()
-    for key in (*OWN_LIMITS, DISTANCE):
-        value = validation.get(key)
-        if isinstance(value, float) and 0.0 < value < math.inf:
+    own, findings = {LOWEST: OUTDOORS} if show.outdoors else dict[str, float](), list[Finding]()
+    for key in (*OWN_LIMITS, DISTANCE, LOWEST):
+        value = show.validation.get(key)
+        if isinstance(value, float) and (value > 0.0 or key == LOWEST) and abs(value) < math.inf:
             own[key] = value
         elif value is not None:
             words = f"validation.{key} is no positive number: not checked; correct it"
@@ -210,6 +212,7 @@ class Show:
 
     curves: dict[str, PiecewisePolynomial]  # positions (3,) [m] over the show's time
     validation: Mapping[str, Any]  # the limits that the show sets itself
+    outdoors: bool  # whether its environment says so
     returns: dict[str, Any]  # rthPlan; None where nothing stands
 
 
@@ -240,10 +243,15 @@ def read_show(path: Path) -> Show:
             name: shared[files[name]] if name in files else _curve(f"{path}: {name}", route)
             for name, route in routes.items()
         }
-        own = show.get("settings")
-    validation = own.get("validation") if isinstance(own, dict) else None
+    validation, around = _block(_block(show, "settings"), "validation"), _block(show, "environment")
     returns = {name: each.get("rthPlan") for name, each in settings.items()}
-    return Show(curves, validation if isinstance(validation, dict) else {}, returns)
+    return Show(curves, validation, around.get("type") == "outdoor", returns)
+
+
+def _block(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    """Return the mapping under a key; an empty one where there is none."""
+    value = content.get(key)
+    return value if isinstance(value, dict) else {}
 
 
 def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
@@ -440,20 +448,19 @@ class SkybrushCsv(Format):
             with reading(path, "zip of CSV files"), zipfile.ZipFile(path) as archive:
                 members = [m for m in archive.infolist() if m.filename.lower().endswith(".csv")]
                 each = zip(members, read_members(path, archive, members), strict=True)
-                texts = [(f"{path}/{m.filename}", data.decode("utf-8-sig")) for m, data in each]
+                texts = [(f"{path}/{m.filename}", decoded_lines(data)) for m, data in each]
         else:
-            texts = [(str(file), read_text(file)) for file in files]
-        drones = list[Trajectory]()
-        for source, text in texts:
-            header, *lines = text.splitlines() or [""]
-            if header.strip().split(",")[:4] != (wanted := HEADER.split(",")[:4]):
-                raise FileError(f"{source}: its first line is {header[:60]!r}, not {HEADER}")
-            table = read_columns(lines, HEADER, wanted, source, least=2)
-            t, points = table[:, 0] * 1e-3, table[None, :, 1:]
+            with reading(path, "text"):
+                texts = [(str(file), list(text_lines(file))) for file in files]
+        drones, wanted = list[Trajectory](), HEADER.split(",")[:4]
+        for source, lines in texts:
+            table = labelled_table(lines.copy, wanted, source)
+            numbers = table.numbers(wanted, least=2)
+            t, points, name = numbers[:, 0] * 1e-3, numbers[None, :, 1:], Path(source).stem
             check_times(t, source)
             with reading(path, "table of positions"):
                 curve = PiecewisePolynomial.hermite(t, points[:, :-1], points[:, 1:])
-            drones.append(Trajectory(Path(source).stem, curve))
+            drones.append(Trajectory(name, curve, findings=tuple(unusual(table, name))))
         if not 0 < len(drones) == len({drone.name for drone in drones}):
             raise FileError(f"{path}: holds no CSV file, or two of one name")
         return Recording.of_curves(drones, "nwu", 0)

@@ -26,9 +26,10 @@ from hitchopt.errors import FileError
 from hitchopt.exports.directory import ROWS, SAVED, write_rows
 from hitchopt.exports.format import Format, Task, Written
 from hitchopt.exports.placing import AXES
-from hitchopt.exports.recording import Recording, check_times, needed, read_columns, told_columns
+from hitchopt.exports.recording import Recording, check_times, needed, told_columns
 from hitchopt.storage.archive import read_arrays, reading, refuse_expansion
 from hitchopt.storage.files import parsed_json
+from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array
 
 GROUPS = SAVED | {
@@ -117,16 +118,10 @@ class CsvTable(Table):
         write_rows(path, HEADER, task.names, rows_of(task, ROWS))
 
     def _read(self, path: Path) -> Recording:
-        found = []
-        for kind in (np.str_, np.float64):
-            with path.open(encoding="utf-8") as file:
-                labels = file.readline().rstrip("\r\n").split(",")
-                # The last column as well, so that rows are whole.
-                numbers = ("t", *told_columns(labels, FLOWN), labels[-1])
-                wanted = ("drone",) if kind is np.str_ else numbers
-                found.append(read_columns(file, ",".join(labels), wanted, str(path), 0, kind))
-        who, table = found
-        return _recording_of_rows(who[:, 0], table[:, :-1], path.stem.rpartition("_")[2])
+        table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
+        numbers = table.numbers(["t", *told_columns(table, FLOWN)])
+        who = np.array(table.words("drone"), np.str_)
+        return _recording_of_rows(who, numbers, path.stem.rpartition("_")[2])
 
 
 class ParquetTable(Table):
